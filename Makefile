@@ -1,0 +1,86 @@
+# The commands of this project. `make race` and `make test` need nothing but Python 3.10
+# or newer, make and, for the game's data, apt (Debian, Ubuntu) or a network.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+
+.PHONY: help race test check bench docs clean
+
+help:
+	@echo "make race    set everything up and watch a race of four karts in the terminal"
+	@echo "make test    set everything up and run all tests"
+	@echo "make check   lint, format and types, as the tests' machine sees them"
+	@echo "make bench   measure speed and memory"
+	@echo "make docs    run the examples of the documentation"
+	@echo "make clean   remove what was built here; the game's data stays"
+	@echo "             (it goes with: stkzoo assets clean)"
+
+race: $(VENV)/.core
+	$(BIN)/stkzoo assets install
+	$(BIN)/stkzoo race --demo
+
+test: $(VENV)/.dev
+	$(BIN)/stkzoo assets install
+	$(BIN)/python -m pytest $(ARGS)
+
+check: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: $(VENV)/.dev
+	$(BIN)/stkzoo assets install
+	@set -e; for program in benchmarks/bench_*.py; do \
+		echo "== $$program"; $(BIN)/python $$program; \
+	done
+
+docs: $(VENV)/.dev
+	$(BIN)/stkzoo assets install
+	$(BIN)/python -m pytest --doctest-modules --doctest-glob='*.md' stkzoo README.md docs $(ARGS)
+
+clean:
+	rm -rf $(VENV) build dist site *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# Without pip among the system's packages (a bare Debian or Ubuntu), the apt client
+# fetches it into the environment; nothing is installed outside of it.
+$(VENV)/.made:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { \
+		echo "stkzoo needs Python 3.10 or newer: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
+	@rm -rf $(VENV)
+	@if $(PYTHON) -c 'import ensurepip, venv' 2>/dev/null; then \
+		$(PYTHON) -m venv $(VENV); \
+	elif $(PYTHON) -c 'import virtualenv' 2>/dev/null; then \
+		$(PYTHON) -m virtualenv --quiet $(VENV); \
+	elif $(PYTHON) -c 'import venv' 2>/dev/null && command -v apt-get >/dev/null; then \
+		$(PYTHON) -m venv --without-pip $(VENV) && $(fetch_pip); \
+	else \
+		echo "$(PYTHON) has neither venv nor virtualenv. On Debian and Ubuntu:" \
+			"sudo apt install python3-venv"; exit 1; \
+	fi
+	@touch $@
+
+define fetch_pip
+cd $(VENV) && mkdir -p apt/lists/partial apt/cache/archives/partial && cd apt && \
+{ apt-get -q download python3-pip-whl 2>/dev/null || { \
+	options="-o Dir::State=$$PWD -o Dir::State::lists=$$PWD/lists \
+		-o Dir::State::status=/var/lib/dpkg/status -o Dir::Cache=$$PWD/cache \
+		-o Dir::Cache::archives=$$PWD/cache/archives -o APT::Sandbox::User=root"; \
+	apt-get -q $$options update; apt-get -q $$options download python3-pip-whl; }; } && \
+dpkg-deb -x python3-pip-whl_*.deb . && \
+wheel=$$(echo usr/share/python-wheels/pip-*.whl) && \
+../bin/python $$wheel/pip install --quiet --no-index $$wheel && cd .. && rm -rf apt || { \
+	echo "pip could not be had. On Debian and Ubuntu: sudo apt install python3-venv"; exit 1; }
+endef
+
+$(VENV)/.core: $(VENV)/.made pyproject.toml
+	$(PIP) install --quiet --editable .
+	@touch $@
+
+# torch first and by itself, so that pip's own settings decide which build it is.
+$(VENV)/.dev: $(VENV)/.core pyproject.toml
+	$(PIP) install torch==2.13.0
+	$(PIP) install --quiet --editable '.[dev,sb3]'
+	@touch $@

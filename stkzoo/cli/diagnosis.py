@@ -1,0 +1,224 @@
+"""The checks behind ``stkzoo doctor``."""
+
+from __future__ import annotations
+
+import ctypes.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from importlib import metadata
+from importlib.util import find_spec
+from pathlib import Path
+
+from stkzoo.engine.assets import DATADIR_VARIABLE, Assets, find_assets
+from stkzoo.errors import AssetError
+
+__all__ = ["Finding", "diagnose"]
+
+_GRAPHICS_REMEDY = "sudo apt install libegl1 libgl1 libgl1-mesa-dri"
+
+_PROBE = """\
+import pystk2
+pystk2.init(pystk2.GraphicsConfig.none())
+print("tracks:", *pystk2.list_tracks(pystk2.RaceConfig.RaceMode.NORMAL_RACE))
+"""
+
+#: The engine starts in half a second; so long a wait means that it hangs [s].
+_PROBE_LIMIT = 60.0
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One check's outcome.
+
+    Attributes:
+        name: what was looked for.
+        ok: whether it is there and works.
+        found: what was found, or what is wrong.
+        remedy: what mends it, for a person to type where it is a command.
+        required: whether headless races need it.
+    """
+
+    name: str
+    ok: bool
+    found: str
+    remedy: str = ""
+    required: bool = False
+
+
+def diagnose() -> list[Finding]:
+    """Runs all checks, in the order in which one would mend things."""
+    data, assets = _check_race_data()
+    return [
+        _check_python(),
+        _check_engine(),
+        data,
+        _check_start(assets),
+        _check_pack(assets),
+        _check_full_data(),
+        _check_fork(),
+        _check_graphics(),
+        _check_display(),
+        _check_ffmpeg(),
+        *_check_extras(),
+    ]
+
+
+def _check_python() -> Finding:
+    found = f"{sys.version.split()[0]} ({sys.executable})"
+    ok = sys.version_info >= (3, 10)
+    return Finding("Python", ok, found, "install Python 3.10 or newer", required=True)
+
+
+def _check_engine() -> Finding:
+    remedy = "pip install PySuperTuxKart2"
+    try:
+        version = metadata.version("PySuperTuxKart2")
+    except metadata.PackageNotFoundError:
+        return Finding("engine", False, "PySuperTuxKart2 is not installed", remedy, required=True)
+    code, text = _probe("import pystk2", {})
+    if code != 0:
+        return Finding("engine", False, _last_line(text), remedy, required=True)
+    return Finding("engine", True, f"PySuperTuxKart2 {version}", required=True)
+
+
+def _check_race_data() -> tuple[Finding, Assets | None]:
+    try:
+        assets = find_assets()
+    except AssetError as error:
+        return Finding("race data", False, str(error), "stkzoo assets install", required=True), None
+    found = f"{len(assets.tracks)} tracks, {len(assets.karts)} karts in {assets.root}"
+    return Finding("race data", True, found, required=True), assets
+
+
+def _check_start(assets: Assets | None) -> Finding:
+    name = "engine starts"
+    if assets is None:
+        return Finding(name, False, "not tried: no data", "stkzoo assets install", required=True)
+    code, text = _probe(_PROBE, {DATADIR_VARIABLE: str(assets.root)})
+    lines = [line.split()[1:] for line in text.splitlines() if line.startswith("tracks:")]
+    if code != 0 or not lines:
+        found = f"it ended with {code}: {_last_line(text)}"
+        return Finding(name, False, found, "stkzoo assets install --force", required=True)
+    if tuple(sorted(lines[-1])) != assets.tracks:
+        found = f"it sees {len(lines[-1])} tracks where stkzoo sees {len(assets.tracks)}"
+        return Finding(name, False, found, "stkzoo assets install --force", required=True)
+    return Finding(name, True, f"and sees its {len(assets.tracks)} tracks", required=True)
+
+
+def _probe(program: str, variables: dict[str, str]) -> tuple[int, str]:
+    """Exit code and output of a small program: the engine may take its process along."""
+    try:
+        process = subprocess.run(  # noqa: S603 - our own interpreter
+            [sys.executable, "-c", program],
+            env={**os.environ, **variables},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            timeout=_PROBE_LIMIT,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return 1, f"no answer in {_PROBE_LIMIT:.0f} s"
+    return process.returncode, process.stdout.decode(errors="replace")
+
+
+def _last_line(text: str) -> str:
+    lines = text.strip().splitlines()
+    return lines[-1] if lines else "it wrote nothing"
+
+
+def _check_pack(assets: Assets | None) -> Finding:
+    ok = assets is not None and assets.headless
+    found = "in use: races start faster" if ok else "not in use: races start slower"
+    if os.environ.get(DATADIR_VARIABLE) and not ok:
+        return Finding("headless pack", ok, found, f"unset {DATADIR_VARIABLE}")
+    return Finding("headless pack", ok, found, "stkzoo assets pack")
+
+
+def _check_full_data() -> Finding:
+    try:
+        assets = find_assets(graphics=True)
+    except AssetError as error:
+        return Finding("full data", False, str(error).splitlines()[0], "stkzoo assets install")
+    return Finding("full data", True, f"{assets.root} ({assets.source})")
+
+
+def _check_fork() -> Finding:
+    ok = hasattr(os, "fork") and sys.platform.startswith("linux")
+    found = "races start in milliseconds" if ok else "each race starts the game anew"
+    return Finding("fork", ok, found, "use Linux")
+
+
+def _check_graphics() -> Finding:
+    name = "3D graphics"
+    if not sys.platform.startswith("linux"):
+        return Finding(name, True, "the system's own")
+    missing = [name for name in ("EGL", "GL") if ctypes.util.find_library(name) is None]
+    drivers = _graphics_drivers()
+    if missing or not drivers:
+        wanted = [f"lib{name}" for name in missing] + ([] if drivers else ["a Mesa driver"])
+        return Finding(name, False, f"no {', no '.join(wanted)}", _GRAPHICS_REMEDY)
+    return Finding(name, True, "libEGL, libGL and a driver")
+
+
+def _graphics_drivers() -> list[Path]:
+    folders = (Path("/usr/lib"), Path("/usr/lib64"), Path("/usr/local/lib"))
+    patterns = ("dri/*_dri.so", "*/dri/*_dri.so", "libnvidia-eglcore*", "*/libnvidia-eglcore*")
+    return [path for folder in folders for pattern in patterns for path in folder.glob(pattern)]
+
+
+def _check_display() -> Finding:
+    name = "display"
+    if not sys.platform.startswith("linux"):
+        return Finding(name, True, "the system's own")
+    for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
+        if os.environ.get(variable):
+            return Finding(name, True, f"{variable}={os.environ[variable]}")
+    found = "none: no live window, pictures and videos only"
+    return Finding(name, False, found, "run in a graphical session, or under xvfb-run")
+
+
+def _check_ffmpeg() -> Finding:
+    path = shutil.which("ffmpeg")
+    if path is not None:
+        return Finding("ffmpeg", True, path)
+    if find_spec("imageio_ffmpeg") is not None:
+        return Finding("ffmpeg", True, "the one in imageio-ffmpeg")
+    return Finding("ffmpeg", False, "none: no videos", 'pip install "stkzoo[record]"')
+
+
+def _check_extras() -> list[Finding]:
+    """One finding per optional extra that stkzoo's own metadata declares."""
+    return [
+        _check_extra(extra, names)
+        for extra, names in _extras().items()
+        if extra not in ("all", "dev")
+    ]
+
+
+def _extras() -> dict[str, list[str]]:
+    extras: dict[str, list[str]] = {}
+    for requirement in metadata.requires("stkzoo") or ():
+        name = re.match(r"[\w.-]+", requirement)
+        extra = re.search(r"extra\s*==\s*['\"]([\w-]+)['\"]", requirement)
+        if name and extra:
+            extras.setdefault(extra[1], []).append(name[0])
+    return extras
+
+
+def _check_extra(extra: str, names: list[str]) -> Finding:
+    missing = [name for name in names if not _has_distribution(name)]
+    found = f"no {', no '.join(missing)}" if missing else ", ".join(names)
+    return Finding(f"extra [{extra}]", not missing, found, f'pip install "stkzoo[{extra}]"')
+
+
+def _has_distribution(name: str) -> bool:
+    try:
+        metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return False
+    return True

@@ -1,0 +1,24 @@
+"""The game's data: finding it, getting it, and the small headless pack.
+
+Nothing here loads the engine. :func:`find_assets` only looks; what downloads or
+builds is :func:`install` and :func:`pack`, which the command line calls.
+"""
+
+from stkzoo.engine.assets.find import PlaceReport, find_assets, survey
+from stkzoo.engine.assets.installer import clean, install, pack
+from stkzoo.engine.assets.places import DATADIR_VARIABLE, cache_folder
+from stkzoo.engine.assets.progress import Progress
+from stkzoo.engine.assets.tree import Assets
+
+__all__ = [
+    "DATADIR_VARIABLE",
+    "Assets",
+    "PlaceReport",
+    "Progress",
+    "cache_folder",
+    "clean",
+    "find_assets",
+    "install",
+    "pack",
+    "survey",
+]

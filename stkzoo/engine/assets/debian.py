@@ -1,0 +1,220 @@
+"""The game's data from Debian's or Ubuntu's package, as an ordinary user.
+
+The package is downloaded and unpacked, not installed: nothing outside stkzoo's cache
+changes. Where the machine's package lists are missing or out of date, fresh ones are
+fetched into a private folder. The apt client checks signatures and sums.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+import tarfile
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import IO
+
+from stkzoo.engine.assets.command import run
+from stkzoo.engine.assets.overlay import mend
+from stkzoo.engine.assets.progress import Progress
+from stkzoo.engine.assets.staging import check_space
+from stkzoo.engine.assets.tree import check_files, write_marker
+from stkzoo.errors import AssetError
+
+__all__ = ["PACKAGE", "fetch_debian", "unpack_package"]
+
+PACKAGE = "supertuxkart-data"
+
+_INSIDE = PurePosixPath("usr/share/games/supertuxkart/data")
+_BLOCK = 1 << 20
+
+
+@dataclass(frozen=True)
+class _Record:
+    """What the package lists say: name, size of the file and of what it holds [bytes]."""
+
+    version: str
+    download: int
+    unpacked: int
+
+
+def fetch_debian(target: Path, work: Path, progress: Progress) -> None:
+    """Downloads the package and makes a full tree of it.
+
+    Args:
+        target: an empty folder, which becomes the tree's root.
+        work: an empty folder for what is needed meanwhile, on the same disk.
+        progress: told about it.
+
+    Raises:
+        AssetError: there is no apt client, it fails, or the disk has no room.
+    """
+    if shutil.which("apt-get") is None or shutil.which("dpkg-deb") is None:
+        raise AssetError("this machine has no apt-get and dpkg-deb (it is no Debian or Ubuntu).")
+    package = _download(work, progress)
+    unpack_package(package, target, progress)
+    package.unlink()
+    mend(target / "data")
+    check_files(target)
+    write_marker(target, package.name, headless=False)
+
+
+def _download(work: Path, progress: Progress) -> Path:
+    """By the machine's own package lists if they will do, else by fresh ones."""
+    try:
+        return _download_with([], work, progress)
+    except AssetError as error:
+        progress.note(f"the machine's package lists will not do; fetching fresh ones ({error})")
+    options = _private_options(work)
+    progress.begin("fetching the package lists")
+    try:
+        run(["apt-get", *options, "update"], folder=work, environment=_environment())
+    except AssetError as error:
+        progress.note(f"some package lists could not be fetched ({error})")
+    return _download_with(options, work, progress)
+
+
+def _private_options(work: Path) -> list[str]:
+    """Has apt keep its state in our folder; it reads the machine's sources and keys."""
+    state, cache = work / "apt-state", work / "apt-cache"
+    (state / "lists" / "partial").mkdir(parents=True, exist_ok=True)
+    (cache / "archives" / "partial").mkdir(parents=True, exist_ok=True)
+    settings = {
+        "Dir::State": state,
+        "Dir::State::lists": state / "lists",
+        "Dir::State::status": "/var/lib/dpkg/status",
+        "Dir::Cache": cache,
+        "Dir::Cache::archives": cache / "archives",
+        "APT::Sandbox::User": "root",
+    }
+    return [word for name, value in settings.items() for word in ("-o", f"{name}={value}")]
+
+
+def _environment() -> dict[str, str]:
+    return {**os.environ, "LC_ALL": "C", "DEBIAN_FRONTEND": "noninteractive"}
+
+
+def _download_with(options: list[str], work: Path, progress: Progress) -> Path:
+    record = _read_record(options, work)
+    check_space(work, record.download + record.unpacked + 150_000_000, "the game's data")
+    for old in work.glob("*.deb"):
+        old.unlink()
+    progress.begin(f"downloading {PACKAGE} {record.version}", record.download)
+    command = ["apt-get", *options, "-o", "APT::Sandbox::User=root", "download", PACKAGE]
+    run(
+        command,
+        folder=work,
+        watch=lambda: progress.reach(_size_of_packages(work)),
+        environment=_environment(),
+    )
+    found = sorted(work.glob("*.deb"))
+    if len(found) != 1 or found[0].stat().st_size != record.download:
+        raise AssetError(f"`{' '.join(command)}` said all was well but brought no whole package.")
+    progress.reach(record.download)
+    return found[0]
+
+
+def _size_of_packages(work: Path) -> int:
+    return sum(path.stat().st_size for path in work.glob("*.deb*"))
+
+
+def _read_record(options: list[str], work: Path) -> _Record:
+    command = ["apt-cache", *options, "show", "--no-all-versions", PACKAGE]
+    text = run(command, folder=work, environment=_environment())
+    lines = (line.split(": ", 1) for line in text.splitlines() if ": " in line)
+    fields = {key: value for key, value in lines}  # noqa: C416 - dict() confuses the types
+    try:
+        return _Record(
+            version=fields["Version"],
+            download=int(fields["Size"]),
+            unpacked=1024 * int(fields["Installed-Size"]),
+        )
+    except (KeyError, ValueError) as error:
+        raise AssetError(f"the package lists do not know {PACKAGE} ({error!r}).") from error
+
+
+def unpack_package(package: Path, target: Path, progress: Progress) -> None:
+    """Unpacks the data folder of a ``.deb`` file and checks it against its own list.
+
+    Args:
+        package: the file.
+        target: an existing folder that gets ``data``.
+        progress: told about it.
+
+    Raises:
+        AssetError: the package is broken or holds other content.
+    """
+    wanted = _read_sums(package)
+    progress.begin(f"unpacking {package.name}", package.stat().st_size)
+    command = ["dpkg-deb", "--fsys-tarfile", "-"]
+    with (
+        package.open("rb") as raw,
+        subprocess.Popen(  # noqa: S603 - a fixed program, no shell
+            command, stdin=raw, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        ) as process,
+    ):
+        found: dict[str, str] = {}
+        try:
+            found = _unpack_stream(process.stdout, target / "data", raw, progress)
+        except (tarfile.TarError, OSError) as error:
+            process.kill()
+            raise AssetError(f"{package} cannot be unpacked: {error}.") from error
+        finally:
+            process.communicate()
+    if process.returncode != 0:
+        raise AssetError(f"{package} is broken: dpkg-deb ended with {process.returncode}.")
+    _compare(wanted, found, package)
+
+
+def _read_sums(package: Path) -> dict[str, str]:
+    """MD5 sums of the data files by name, from the package's own list."""
+    text = run(["dpkg-deb", "--info", str(package.absolute()), "md5sums"], folder=package.parent)
+    sums = {}
+    for line in text.splitlines():
+        digest, _, name = line.partition("  ")
+        path = PurePosixPath(name)
+        if path.is_relative_to(_INSIDE):
+            sums[path.relative_to(_INSIDE).as_posix()] = digest
+    if not sums:
+        raise AssetError(f"{package} holds no files in {_INSIDE}.")
+    return sums
+
+
+def _unpack_stream(
+    stream: IO[bytes] | None, data: Path, raw: IO[bytes], progress: Progress
+) -> dict[str, str]:
+    found = {}
+    with tarfile.open(fileobj=stream, mode="r|", bufsize=_BLOCK) as archive:
+        for member in archive:
+            path = PurePosixPath(member.name)
+            if not path.is_relative_to(_INSIDE) or ".." in path.parts:
+                continue
+            name = path.relative_to(_INSIDE).as_posix()
+            if member.isdir():
+                (data / name).mkdir(parents=True, exist_ok=True)
+            elif member.issym():
+                (data / name).symlink_to(member.linkname)
+            elif member.isreg():
+                found[name] = _write_file(archive, member, data / name)
+                progress.reach(os.lseek(raw.fileno(), 0, os.SEEK_CUR))
+    return found
+
+
+def _write_file(archive: tarfile.TarFile, member: tarfile.TarInfo, goal: Path) -> str:
+    source = archive.extractfile(member)
+    digest = hashlib.md5(usedforsecurity=False)
+    with goal.open("wb") as sink:
+        while source is not None and (block := source.read(_BLOCK)):
+            digest.update(block)
+            sink.write(block)
+    return digest.hexdigest()
+
+
+def _compare(wanted: dict[str, str], found: dict[str, str], package: Path) -> None:
+    wrong = sorted(name for name, digest in wanted.items() if found.get(name) != digest)
+    if wrong:
+        raise AssetError(
+            f"{package} unpacked to {len(wrong)} wrong or missing files, such as {wrong[0]!r}."
+        )

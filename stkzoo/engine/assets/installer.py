@@ -1,0 +1,193 @@
+"""Getting the game's data, building the headless pack, and taking both away again."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from stkzoo.engine.assets.archive import read_archive, write_archive
+from stkzoo.engine.assets.debian import fetch_debian
+from stkzoo.engine.assets.find import find_assets, find_assets_or_none
+from stkzoo.engine.assets.headless import build_headless
+from stkzoo.engine.assets.places import (
+    cache_folder,
+    full_folder,
+    headless_folder,
+    overlay_folder,
+)
+from stkzoo.engine.assets.progress import Progress
+from stkzoo.engine.assets.staging import (
+    clear_leftovers,
+    discard,
+    lock,
+    publish,
+    staging_folder,
+)
+from stkzoo.engine.assets.tree import MARKER, Assets, load_assets
+from stkzoo.engine.assets.upstream import fetch_upstream
+from stkzoo.errors import AssetError, unknown_name
+
+__all__ = ["SOURCES", "clean", "install", "pack"]
+
+#: Where :func:`install` can get the data.
+SOURCES = ("auto", "debian", "upstream")
+
+
+def install(
+    *,
+    source: str = "auto",
+    archive: Path | None = None,
+    replace: bool = False,
+    progress: Progress | None = None,
+) -> Assets:
+    """Makes the game's data usable: takes what is there, gets what is not.
+
+    At the end the headless pack is built. Safe to call from several programs at once
+    and to interrupt at any moment.
+
+    Args:
+        source: ``"debian"``: from the package of Debian and Ubuntu; ``"upstream"``: by
+            the download of ``pystk2``; ``"auto"``: whichever works.
+        archive: take the headless pack from this file and get nothing else.
+        replace: get and build anew what is already there.
+        progress: told about it.
+
+    Returns:
+        What a headless race will use.
+
+    Raises:
+        ConfigError: an unknown ``source``.
+        AssetError: it failed; nothing half-made is left in place.
+    """
+    if source not in SOURCES:
+        raise unknown_name("source of the game's data", source, SOURCES)
+    progress = progress or Progress()
+    with lock(cache_folder(), progress):
+        clear_leftovers(cache_folder())
+        if archive is not None:
+            _take_archive(archive, progress)
+        else:
+            full = _full_assets(source, replace, progress)
+            _ensure_pack(full, replace, progress)
+    return find_assets()
+
+
+def pack(
+    *, output: Path | None = None, replace: bool = False, progress: Progress | None = None
+) -> Path:
+    """Builds the headless pack from the full data on this machine.
+
+    Args:
+        output: also write it into this ``.tar.xz`` file.
+        replace: build it anew even if it is there.
+        progress: told about it.
+
+    Returns:
+        ``output``, or the root of the pack.
+
+    Raises:
+        AssetError: there is no full data, or no room.
+    """
+    progress = progress or Progress()
+    with lock(cache_folder(), progress):
+        clear_leftovers(cache_folder())
+        if replace or _usable_pack() is None:
+            _ensure_pack(find_assets(graphics=True), replace, progress)
+        if output is None:
+            return headless_folder()
+        write_archive(headless_folder(), output, progress)
+        return output
+
+
+def clean(*, progress: Progress | None = None) -> list[Path]:
+    """Removes what stkzoo has put into its cache, and nothing else.
+
+    Returns:
+        The folders that are gone.
+
+    Raises:
+        AssetError: the cache cannot be written.
+    """
+    cache = cache_folder()
+    if not cache.is_dir():
+        return []
+    with lock(cache, progress or Progress()):
+        clear_leftovers(cache)
+        folders = [full_folder(), headless_folder(), overlay_folder()]
+        ours = [folder for folder in folders if (folder / MARKER).is_file()]
+        for folder in ours:
+            discard(folder)
+    return ours
+
+
+def _full_assets(source: str, replace: bool, progress: Progress) -> Assets:
+    found = None if replace else find_assets_or_none(graphics=True)
+    if found is not None:
+        progress.note(f"the full data is there: {found.root} ({found.source})")
+        return found
+    attempts: dict[str, Callable[[Progress], Assets]] = {
+        "debian": _from_debian,
+        "upstream": _from_upstream,
+    }
+    wanted = list(attempts) if source == "auto" else [source]
+    problems: list[str] = []
+    for name in wanted:
+        assets = _attempt(name, attempts[name], progress, problems)
+        if assets is not None:
+            return assets
+    raise AssetError(
+        "the game's data could not be had.\n"
+        + "\n".join(problems)
+        + "\nWhere there is no network, bring a pack from another machine: there "
+        "`stkzoo assets pack --output pack.tar.xz`, here `stkzoo assets install --from "
+        "pack.tar.xz`."
+    )
+
+
+def _attempt(
+    name: str, fetch: Callable[[Progress], Assets], progress: Progress, problems: list[str]
+) -> Assets | None:
+    try:
+        return fetch(progress)
+    except AssetError as error:
+        problems.append(f"{name}: {error}")
+        return None
+
+
+def _from_debian(progress: Progress) -> Assets:
+    with staging_folder(cache_folder()) as tree, staging_folder(cache_folder()) as work:
+        fetch_debian(tree, work, progress)
+        publish(tree, full_folder())
+    return load_assets(full_folder(), "stkzoo cache")
+
+
+def _from_upstream(progress: Progress) -> Assets:
+    with staging_folder(cache_folder()) as work:
+        return load_assets(fetch_upstream(work, progress), "pystk2 cache")
+
+
+def _usable_pack() -> Assets | None:
+    try:
+        return load_assets(headless_folder(), "headless pack")
+    except AssetError:
+        return None
+
+
+def _ensure_pack(full: Assets, replace: bool, progress: Progress) -> None:
+    if not replace and _usable_pack() is not None:
+        progress.note(f"the headless pack is there: {headless_folder()}")
+        return
+    if full.headless:
+        raise AssetError(f"{full.root} is a headless pack: only full data can be packed.")
+    with staging_folder(cache_folder()) as tree:
+        build_headless(full.root, tree, progress)
+        publish(tree, headless_folder())
+
+
+def _take_archive(archive: Path, progress: Progress) -> None:
+    if not archive.is_file():
+        raise AssetError(f"there is no file {os.fspath(archive)!r}.")
+    with staging_folder(cache_folder()) as tree:
+        read_archive(archive, tree, progress)
+        publish(tree, headless_folder())

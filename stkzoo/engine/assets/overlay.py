@@ -1,0 +1,125 @@
+"""Mending Debian's data for the engine, in place or as a folder of links.
+
+Debian's data differs from what the engine wants in three points: the empty file
+that names the version, the skin ``classic``, and fonts, which are links into other
+packages. Everything that bears on the race is byte for byte the same.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from stkzoo.engine.assets.staging import discard, fresh_folder, link_or_copy, publish
+from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, MARKER, read_marker, write_marker
+from stkzoo.errors import AssetError
+
+__all__ = ["SYSTEM_FOLDERS", "mend", "system_overlay"]
+
+#: Where distributions install the game's data.
+SYSTEM_FOLDERS = (
+    Path("/usr/share/games/supertuxkart/data"),
+    Path("/usr/share/supertuxkart/data"),
+)
+
+#: Versions of the data whose races are those of the engine.
+_KNOWN_VERSIONS = ("1.4", ENGINE_DATA_VERSION)
+
+_SUBSTITUTE_FONTS = ("wqy-microhei.ttf", "SigmarOne.otf")
+
+
+def mend(data: Path) -> None:
+    """Brings a data folder that is ours to change into the engine's form.
+
+    Raises:
+        AssetError: it is data of another version, or has no font at all.
+    """
+    _check_version(data)
+    (data / f"supertuxkart.{ENGINE_DATA_VERSION}").touch()
+    _mend_skin(data / "skins")
+    _mend_fonts(data / "ttf")
+
+
+def _check_version(data: Path) -> None:
+    if not any((data / f"supertuxkart.{version}").exists() for version in _KNOWN_VERSIONS):
+        found = sorted(path.name for path in data.glob("supertuxkart.*"))
+        raise AssetError(
+            f"{data} is of another version of the game ({', '.join(found) or 'not marked'}); "
+            f"races need data of {' or '.join(_KNOWN_VERSIONS)}."
+        )
+
+
+def _mend_skin(skins: Path) -> None:
+    classic = skins / "classic"
+    if classic.exists():
+        return
+    others = sorted(path.name for path in skins.iterdir() if (path / "stkskin.xml").exists())
+    if not others:
+        raise AssetError(f"{skins} holds no skin.")
+    classic.symlink_to("peach" if "peach" in others else others[0])
+
+
+def _mend_fonts(fonts: Path) -> None:
+    usable = [fonts / name for name in _SUBSTITUTE_FONTS if (fonts / name).is_file()]
+    usable += sorted(path for path in fonts.iterdir() if path.is_file())
+    dangling = [path for path in fonts.iterdir() if not path.exists()]
+    if dangling and not usable:
+        raise AssetError(f"{fonts} holds no font.")
+    for font in dangling:
+        font.unlink()
+        link_or_copy(usable[0], font)
+
+
+def system_overlay(data: Path, target: Path) -> Path:
+    """A folder of links to a system install that the engine can use.
+
+    It is made anew when the install has changed since.
+
+    Args:
+        data: the install's data folder.
+        target: where the overlay stands, or is made now.
+
+    Returns:
+        ``target``, the value for ``SUPERTUXKART_DATADIR``.
+
+    Raises:
+        AssetError: the install is of no use, or the cache cannot be written.
+    """
+    origin = f"{data} of {data.stat().st_mtime_ns}"
+    if _stands(target, origin):
+        return target
+    _check_version(data)
+    try:
+        staging = fresh_folder(target.parent, "overlay")
+        try:
+            _link(data, staging / "data")
+            mend(staging / "data")
+            write_marker(staging, origin, headless=False)
+            publish(staging, target)
+        finally:
+            discard(staging)
+    except OSError as error:
+        if not _stands(target, origin):
+            raise AssetError(f"links to {data} cannot be made in {target}: {error}.") from error
+    return target
+
+
+def _stands(target: Path, origin: str) -> bool:
+    try:
+        marker = read_marker(target)
+    except AssetError:
+        return False
+    return marker is not None and marker.origin == origin
+
+
+def _link(data: Path, target: Path) -> None:
+    """Links each entry; ``skins`` and ``ttf`` become folders, for they get mended."""
+    target.mkdir(parents=True)
+    for name in ("skins", "ttf"):
+        (target / name).mkdir()
+    for entry in os.scandir(data):
+        if entry.name in ("skins", "ttf"):
+            for inner in os.scandir(entry.path):
+                (target / entry.name / inner.name).symlink_to(inner.path)
+        elif entry.name != MARKER:
+            (target / entry.name).symlink_to(entry.path)

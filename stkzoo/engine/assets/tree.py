@@ -1,0 +1,238 @@
+"""What a folder must hold for the engine to race in it."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from stkzoo.errors import AssetError
+
+__all__ = [
+    "ENGINE_DATA_VERSION",
+    "MARKER",
+    "Assets",
+    "Marker",
+    "check_files",
+    "check_shape",
+    "load_assets",
+    "read_catalog",
+    "read_marker",
+    "write_marker",
+]
+
+#: The engine starts only where an empty file ``data/supertuxkart.<this>`` lies.
+ENGINE_DATA_VERSION = "1.5"
+
+#: Written last into every tree that stkzoo makes, beside ``data``.
+MARKER = "stkzoo-assets.json"
+
+_YES = {"y", "yes", "true", "1"}
+_NOT_A_RACE = ("arena", "cutscene", "internal", "soccer")
+
+
+@dataclass(frozen=True)
+class Assets:
+    """A usable set of the game's data.
+
+    Attributes:
+        root: the value for ``SUPERTUXKART_DATADIR``: the folder that holds ``data``.
+        source: the place where it was found, such as ``"environment"``.
+        headless: whether pictures, music and sound are left out, so that the game can
+            race but not draw.
+        tracks: names of the race tracks, sorted.
+        karts: names of the kart models, sorted.
+    """
+
+    root: Path
+    source: str
+    headless: bool
+    tracks: tuple[str, ...]
+    karts: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Marker:
+    """What :data:`MARKER` says about a tree that stkzoo made.
+
+    Attributes:
+        origin: what the tree was made from.
+        headless: as in :class:`Assets`.
+        tracks: as in :class:`Assets`.
+        karts: as in :class:`Assets`.
+        layout: number of the recipe by which it was made.
+    """
+
+    origin: str
+    headless: bool
+    tracks: tuple[str, ...]
+    karts: tuple[str, ...]
+    layout: int = 1
+
+
+def write_marker(root: Path, origin: str, *, headless: bool) -> None:
+    """Names the tracks and karts of a finished tree in its marker.
+
+    Raises:
+        AssetError: the tree is no usable one.
+    """
+    tracks, karts = read_catalog(root)
+    marker = Marker(origin, headless, tracks, karts)
+    text = json.dumps(asdict(marker), indent=1, sort_keys=True) + "\n"
+    (root / MARKER).write_text(text, encoding="utf-8")
+    check_shape(root)
+
+
+def read_marker(root: Path) -> Marker | None:
+    """The marker of a tree, ``None`` where stkzoo did not make it.
+
+    Raises:
+        AssetError: the marker is there but cannot be understood.
+    """
+    try:
+        text = (root / MARKER).read_text(encoding="utf-8")
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except (OSError, UnicodeDecodeError) as error:
+        raise AssetError(f"{root / MARKER} cannot be read: {error}.") from error
+    return _parse_marker(text, root)
+
+
+def _parse_marker(text: str, root: Path) -> Marker:
+    try:
+        values: dict[str, Any] = json.loads(text)
+        marker = Marker(
+            origin=str(values["origin"]),
+            headless=bool(values["headless"]),
+            tracks=tuple(str(name) for name in values["tracks"]),
+            karts=tuple(str(name) for name in values["karts"]),
+            layout=int(values["layout"]),
+        )
+    except (ValueError, KeyError, TypeError) as error:
+        raise AssetError(f"{root / MARKER} is damaged ({error!r}).") from error
+    if marker.layout != Marker.layout:
+        raise AssetError(
+            f"{root} was made by another version of stkzoo (layout {marker.layout}, "
+            f"this one makes {Marker.layout})."
+        )
+    return marker
+
+
+def check_shape(root: Path) -> None:
+    """Looks for what makes the engine exit, by names alone (a millisecond or two).
+
+    Raises:
+        AssetError: naming the first thing that is missing.
+    """
+    data = root / "data"
+    if not data.is_dir():
+        hint = " (it is a data folder itself: the folder above it is meant)"
+        above = (root / "stk_config.xml").is_file()
+        raise AssetError(f"{root} holds no folder 'data'{hint if above else ''}.")
+    for name in ("stk_config.xml", f"supertuxkart.{ENGINE_DATA_VERSION}"):
+        if not (data / name).is_file():
+            raise AssetError(f"{data} holds no file {name!r}, without which the game stops.")
+    for name in ("karts", "skins/classic", "tracks", "ttf"):
+        if not (data / name).is_dir():
+            raise AssetError(f"{data} holds no folder {name!r}, without which the game stops.")
+    for font in (data / "ttf").iterdir():
+        if not font.exists():
+            raise AssetError(f"the font {font} is a link to a file that is not there.")
+    _check_marked(root)
+
+
+def _check_marked(root: Path) -> None:
+    marker = read_marker(root)
+    if marker is None:
+        return
+    files = [f"tracks/{name}/track.xml" for name in marker.tracks]
+    files += [f"karts/{name}/kart.xml" for name in marker.karts]
+    for name in files:
+        if not (root / "data" / name).is_file():
+            raise AssetError(f"{root} has lost {name!r} since it was made.")
+
+
+def read_catalog(root: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the race tracks and of the kart models in ``root``, each sorted.
+
+    A race track is one whose ``track.xml`` calls it neither arena nor soccer field nor
+    cutscene nor internal, which is the engine's own rule.
+
+    Raises:
+        AssetError: a description cannot be read, or there is none.
+    """
+    data = root / "data"
+    tracks = tuple(sorted(p.parent.name for p in data.glob("tracks/*/track.xml") if _is_race(p)))
+    karts = tuple(sorted(p.parent.name for p in data.glob("karts/*/kart.xml")))
+    if not tracks or not karts:
+        raise AssetError(f"{data} holds {len(tracks)} race tracks and {len(karts)} karts.")
+    return tracks, karts
+
+
+def _is_race(description: Path) -> bool:
+    attributes = parse_xml(description).attrib
+    return not any(attributes.get(key, "").lower() in _YES for key in _NOT_A_RACE)
+
+
+def parse_xml(path: Path) -> ET.Element:
+    """The root element of one of the game's files.
+
+    Raises:
+        AssetError: the file is missing or broken.
+    """
+    try:
+        return ET.parse(path).getroot()  # noqa: S314 - the game's own files, not the network's
+    except (ET.ParseError, OSError) as error:
+        raise AssetError(f"{path} cannot be read: {error}.") from error
+
+
+def check_files(root: Path) -> None:
+    """Reads the description of every race track and kart (a second at most).
+
+    Raises:
+        AssetError: naming the first file that is missing, empty or broken.
+    """
+    check_shape(root)
+    tracks, karts = read_catalog(root)
+    for name in tracks:
+        folder = root / "data" / "tracks" / name
+        for file in ("graph.xml", "quads.xml", "scene.xml"):
+            parse_xml(folder / file)
+        _check_models(folder)
+    for name in karts:
+        folder = root / "data" / "karts" / name
+        parse_xml(folder / "kart.xml")
+        _check_models(folder)
+
+
+def _check_models(folder: Path) -> None:
+    for model in folder.glob("*.spm"):
+        if model.stat().st_size == 0:
+            raise AssetError(f"{model} is empty.")
+
+
+def load_assets(root: Path, source: str) -> Assets:
+    """The assets in ``root``, checked by :func:`check_shape`.
+
+    Raises:
+        AssetError: the engine could not use them.
+    """
+    check_shape(root)
+    marker = read_marker(root)
+    if marker is not None:
+        return Assets(root, source, marker.headless, marker.tracks, marker.karts)
+    data = root / "data"
+    stamps = tuple((data / name).stat().st_mtime_ns for name in ("tracks", "karts"))
+    tracks, karts = _catalog_once(root, stamps)
+    return Assets(root, source, False, tracks, karts)
+
+
+@lru_cache(maxsize=16)
+def _catalog_once(
+    root: Path,
+    stamps: tuple[int, ...],  # noqa: ARG001 - part of the cache's key
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    return read_catalog(root)

@@ -1,0 +1,149 @@
+"""The mother process: starts the engine once and forks one child for each race.
+
+Every child is the first race of its process, which is what makes a race repeat bit for
+bit (the engine carries hidden random state from one race to the next). The mother has
+never run a race, holds no graphics and runs no threads, so that forking it is safe.
+
+It talks with the program over one packet socket: a JSON object a packet, with the
+child's socket and log file handed over as file descriptors.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import faulthandler
+import json
+import os
+import select
+import shutil
+import signal
+import socket
+import time
+import traceback
+from typing import Any, NoReturn
+
+from stkzoo.engine.race import init_engine
+from stkzoo.engine.serve import serve
+
+__all__ = ["READY", "main"]
+
+#: The mother's first packet: the engine has started.
+READY = b"ready"
+
+_POLL_SECONDS = 0.5
+#: How long a child whose connection broke may take to end by itself.
+_GRACE_SECONDS = 0.2
+_PR_SET_PDEATHSIG = 1
+
+
+def main(control_fd: int, self_destruct_after: int) -> None:
+    """Runs until the program at the other end of ``control_fd`` is gone."""
+    control = socket.socket(fileno=control_fd)
+    libc = ctypes.CDLL(None)
+    _unbuffer_output(libc)
+    faulthandler.enable()
+    init_engine("none")
+    control.send(READY)
+    try:
+        _Mother(control, libc, self_destruct_after).run()
+    finally:
+        shutil.rmtree(os.environ["HOME"], ignore_errors=True)
+
+
+class _Mother:
+    def __init__(self, control: socket.socket, libc: ctypes.CDLL, self_destruct_after: int):
+        self._control = control
+        self._libc = libc
+        self._self_destruct_after = self_destruct_after
+        self._program = os.getppid()
+        self._living: set[int] = set()
+        self._statuses: dict[int, int] = {}  # of ended children that may be asked about
+        self._dropped: set[int] = set()  # living children that nobody will ask about
+
+    def run(self) -> None:
+        """Serves the program's requests, and ends all children when it is gone."""
+        poller = select.poll()
+        poller.register(self._control, select.POLLIN)
+        while os.getppid() == self._program:
+            if poller.poll(_POLL_SECONDS * 1000) and not self._serve_request():
+                break
+            self._reap()
+        for pid in self._living:
+            os.kill(pid, signal.SIGKILL)
+
+    def _serve_request(self) -> bool:
+        data, fds, _, _ = socket.recv_fds(self._control, 65536, 2)
+        if not data:
+            return False
+        request: dict[str, Any] = json.loads(data)
+        if request["do"] == "fork":
+            self._reply(pid=self._fork(*fds))
+        elif request["do"] == "end":
+            self._reply(status=self._end(request["pid"]))
+        elif request["do"] == "drop":
+            self._drop(request["pid"])
+        return True
+
+    def _reply(self, **values: int | None) -> None:
+        self._control.send(json.dumps(values).encode())
+
+    def _fork(self, session_fd: int, log_fd: int) -> int:
+        pid = os.fork()
+        if pid == 0:
+            self._run_child(session_fd, log_fd)
+        os.close(session_fd)
+        os.close(log_fd)
+        self._living.add(pid)
+        return pid
+
+    def _run_child(self, session_fd: int, log_fd: int) -> NoReturn:
+        status = 1
+        try:
+            self._libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+            os.dup2(log_fd, 1)
+            os.dup2(log_fd, 2)
+            self._control.close()
+            session = socket.socket(fileno=session_fd)
+            serve(session, self_destruct_after=self._self_destruct_after)
+            status = 0
+        except BaseException:  # noqa: BLE001 - nothing of the mother may run in the child
+            traceback.print_exc()
+        finally:
+            os._exit(status)
+
+    def _end(self, pid: int) -> int | None:
+        """Makes sure that a child is gone; its wait status, if it is one of ours."""
+        deadline = time.monotonic() + _GRACE_SECONDS
+        while pid in self._living and time.monotonic() < deadline:
+            self._reap()
+            time.sleep(0.001)
+        if pid in self._living:
+            os.kill(pid, signal.SIGKILL)
+            self._statuses[pid] = os.waitpid(pid, 0)[1]
+            self._living.discard(pid)
+        return self._statuses.pop(pid, None)
+
+    def _drop(self, pid: int) -> None:
+        """Ends a child without waiting for it."""
+        if pid in self._living:
+            os.kill(pid, signal.SIGKILL)
+            self._dropped.add(pid)
+        self._statuses.pop(pid, None)
+
+    def _reap(self) -> None:
+        for pid in tuple(self._living):
+            ended, status = os.waitpid(pid, os.WNOHANG)
+            if ended:
+                self._living.discard(pid)
+                if pid not in self._dropped:
+                    self._statuses[pid] = status
+                self._dropped.discard(pid)
+
+
+def _unbuffer_output(libc: ctypes.CDLL) -> None:
+    """Lets the game's own lines reach the log even when it dies."""
+    with contextlib.suppress(ValueError):  # a C library that names its streams otherwise
+        stdout = ctypes.c_void_p.in_dll(libc, "stdout")
+        libc.setvbuf(stdout, None, 2, 0)  # 2 is _IONBF
+

@@ -1,0 +1,377 @@
+"""The processes that hold the game, seen from the program that uses them.
+
+A race runs in a :class:`RaceProcess`. :func:`start_race_process` makes one: a fork of
+this program's mother process (:mod:`stkzoo.engine.mother`) where that exists and no
+window is wanted, else a fresh interpreter. Both speak :mod:`stkzoo.engine.wire`.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import hmac
+import json
+import os
+import secrets
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import IO, Any
+
+from stkzoo.engine.mother import READY
+from stkzoo.errors import EngineCrashed, EngineTimeout
+
+__all__ = [
+    "START_TIMEOUT",
+    "Log",
+    "RaceProcess",
+    "can_fork",
+    "engine_environment",
+    "start_mother",
+    "start_race_process",
+]
+
+START_TIMEOUT = 60.0
+#: A request that still runs after this many seconds ends the engine process from inside.
+_SELF_DESTRUCT_SECONDS = 600
+_LOG_TAIL_BYTES = 4096
+_TOKEN_BYTES = 32
+
+#: Makes ``stkzoo`` a bare package in the engine's interpreter, so that importing the
+#: engine's own modules does not import Gymnasium and the rest of the library.
+_BOOTSTRAP = """
+import sys, types
+sys.path[:] = [path for path in sys.path if path]
+sys.modules["stkzoo"] = package = types.ModuleType("stkzoo")
+package.__path__ = [sys.argv[1]]
+from stkzoo.engine.{module} import main
+main(*map(int, sys.argv[2:]))
+"""
+
+
+def can_fork() -> bool:
+    """Whether races are forked from a mother process here (Linux), not spawned."""
+    return sys.platform == "linux" and os.environ.get("STKZOO_START_METHOD") != "spawn"
+
+
+class Log:
+    """A nameless file that an engine process writes its output to."""
+
+    def __init__(self) -> None:
+        self._file: IO[bytes] = tempfile.TemporaryFile(prefix="stkzoo-log-")  # noqa: SIM115
+
+    def fileno(self) -> int:
+        """The file's descriptor."""
+        return self._file.fileno()
+
+    def tail(self) -> str:
+        """The last lines written."""
+        start = max(0, os.fstat(self.fileno()).st_size - _LOG_TAIL_BYTES)
+        # Not through the file object: the writer shares its position.
+        return os.pread(self.fileno(), _LOG_TAIL_BYTES, start).decode(errors="replace").strip()
+
+    def close(self) -> None:
+        """Frees the file."""
+        self._file.close()
+
+
+class RaceProcess:
+    """A process that serves one connection, and the means to end it.
+
+    Attributes:
+        connection: socket that speaks :mod:`stkzoo.engine.wire`.
+        pid: its process id.
+        log: what it writes.
+    """
+
+    def __init__(self, connection: socket.socket, pid: int, log: Log) -> None:
+        self.connection = connection
+        self.pid = pid
+        self.log = log
+
+    def end(self) -> str:
+        """Ends the process if it still lives and says how it ended."""
+        raise NotImplementedError
+
+    def drop(self) -> None:
+        """Ends the process without waiting for it, and frees what belongs to it."""
+        raise NotImplementedError
+
+    def _free(self) -> None:
+        self.connection.close()
+        self.log.close()
+
+
+def start_race_process(root: Path, graphics: str) -> RaceProcess:
+    """Starts a process that can run races.
+
+    Args:
+        root: the game's data, as :attr:`stkzoo.engine.assets.Assets.root`.
+        graphics: preset as in :func:`stkzoo.engine.race.init_engine`.
+
+    Raises:
+        EngineCrashed: the engine could not start.
+        EngineTimeout: it took too long to start.
+    """
+    if graphics == "none" and can_fork():
+        try:
+            return start_mother(root).fork()
+        except EngineCrashed:  # the mother was killed since it was last used
+            return start_mother(root).fork()
+    return _SpawnedRace(root, graphics)
+
+
+def engine_environment(root: Path, home: str) -> dict[str, str]:
+    """The environment of an engine process.
+
+    The game reads and writes its settings in ``home``, so that a player's own settings
+    change nothing and several processes do not meet there.
+    """
+    private = {
+        "SUPERTUXKART_DATADIR": str(root),
+        "HOME": home,
+        "XDG_CONFIG_HOME": f"{home}/config",
+        "XDG_DATA_HOME": f"{home}/data",
+        "XDG_CACHE_HOME": f"{home}/cache",
+    }
+    threads = dict.fromkeys(
+        ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
+    )
+    return {**os.environ, **private, **threads}
+
+
+def _spawn(
+    module: str, arguments: list[int], environment: Mapping[str, str], log: Log, **options: Any
+) -> subprocess.Popen[bytes]:
+    package = Path(__file__).resolve().parents[1]
+    code = _BOOTSTRAP.format(module=module)
+    return subprocess.Popen(  # noqa: S603 - our own interpreter on our own code
+        [sys.executable, "-c", code, str(package), *map(str, arguments)],
+        stdin=subprocess.DEVNULL,
+        stdout=log.fileno(),
+        stderr=log.fileno(),
+        env=environment,
+        start_new_session=True,  # a Ctrl-C on the terminal is the program's, not the game's
+        **options,
+    )
+
+
+class Mother:
+    """This program's connection to one mother process."""
+
+    def __init__(self, root: Path) -> None:
+        self._log = Log()
+        self._home = tempfile.mkdtemp(prefix="stkzoo-")
+        self._lock = threading.Lock()
+        self._is_ready = False
+        self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._control.settimeout(START_TIMEOUT)
+        with theirs:
+            self._process = _spawn(
+                "mother",
+                [theirs.fileno(), _SELF_DESTRUCT_SECONDS],
+                engine_environment(root, self._home),
+                self._log,
+                pass_fds=[theirs.fileno()],
+            )
+
+    def fork(self) -> RaceProcess:
+        """A new child that has run no race yet."""
+        ours, theirs = socket.socketpair()
+        log = Log()
+        with theirs, self._lock:
+            self._wait_until_ready()
+            fds = [theirs.fileno(), log.fileno()]
+            answer = self._ask({"do": "fork"}, fds)
+        return _ForkedRace(ours, answer["pid"], log, self)
+
+    def end_child(self, pid: int) -> int | None:
+        """Ends a child if it still lives; its wait status, ``None`` if unknown."""
+        with contextlib.suppress(EngineCrashed), self._lock:
+            status: int | None = self._ask({"do": "end", "pid": pid})["status"]
+            return status
+        return None
+
+    def drop_child(self, pid: int) -> None:
+        """Ends a child without waiting for it."""
+        with contextlib.suppress(OSError):
+            self._control.send(json.dumps({"do": "drop", "pid": pid}).encode())
+
+    def close(self) -> None:
+        """Ends the mother and with her all her children."""
+        self._control.close()
+        try:
+            self._process.wait(2.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        shutil.rmtree(self._home, ignore_errors=True)
+        self._log.close()
+
+    def forget(self) -> None:
+        """Lets go of a mother that belongs to the process this one was forked from."""
+        self._control.close()
+        self._process.returncode = 0  # not our child: nothing to wait for
+
+    def _wait_until_ready(self) -> None:
+        if not self._is_ready:
+            if self._receive() != READY:
+                self._fail("could not start")
+            self._is_ready = True
+
+    def _ask(self, request: Mapping[str, Any], fds: list[int] | None = None) -> Any:
+        try:
+            socket.send_fds(self._control, [json.dumps(request).encode()], fds or [])
+        except OSError:
+            self._fail("is gone")
+        return json.loads(self._receive() or self._fail("is gone"))
+
+    def _receive(self) -> bytes:
+        try:
+            return self._control.recv(65536)
+        except TimeoutError:
+            _retire(self)
+            raise EngineTimeout(
+                f"the game's mother process gave no answer in {START_TIMEOUT:.0f} s and was ended",
+                self._log.tail(),
+            ) from None
+        except OSError:
+            return b""
+
+    def _fail(self, what: str) -> bytes:
+        log = self._log.tail()
+        _retire(self)
+        raise EngineCrashed(
+            f"the game's mother process {what}; `stkzoo doctor` looks for the cause", log
+        )
+
+
+class _ForkedRace(RaceProcess):
+    def __init__(self, connection: socket.socket, pid: int, log: Log, mother: Mother) -> None:
+        super().__init__(connection, pid, log)
+        self._mother = mother
+
+    def end(self) -> str:
+        self.connection.close()
+        status = self._mother.end_child(self.pid)
+        return "was lost" if status is None else _describe_end(os.waitstatus_to_exitcode(status))
+
+    def drop(self) -> None:
+        self._mother.drop_child(self.pid)
+        self._free()
+
+
+class _SpawnedRace(RaceProcess):
+    """An interpreter of its own, reached over the loopback interface."""
+
+    def __init__(self, root: Path, graphics: str) -> None:
+        self._home = tempfile.mkdtemp(prefix="stkzoo-")
+        log = Log()
+        token = secrets.token_bytes(_TOKEN_BYTES)
+        environment = engine_environment(root, self._home) | {"STKZOO_TOKEN": token.hex()}
+        environment["STKZOO_GRAPHICS"] = graphics
+        if graphics != "none":  # the user's own display and its session
+            environment["XDG_RUNTIME_DIR"] = os.environ.get("XDG_RUNTIME_DIR", self._home)
+        with socket.create_server(("127.0.0.1", 0)) as listener:
+            listener.settimeout(0.25)
+            port = listener.getsockname()[1]
+            self._process = _spawn("worker", [port, _SELF_DESTRUCT_SECONDS], environment, log)
+            try:
+                connection = self._accept(listener, token, log)
+            except BaseException:
+                self._kill()
+                log.close()
+                raise
+        super().__init__(connection, self._process.pid, log)
+
+    def _accept(self, listener: socket.socket, token: bytes, log: Log) -> socket.socket:
+        for _ in range(int(START_TIMEOUT / 0.25)):
+            try:
+                connection, _ = listener.accept()
+            except TimeoutError:
+                if self._process.poll() is not None:
+                    how = _describe_end(self._process.returncode)
+                    raise EngineCrashed(f"the game's process {how} at its start", log.tail()) from None
+                continue
+            connection.settimeout(5.0)
+            with contextlib.suppress(OSError):
+                if hmac.compare_digest(connection.recv(_TOKEN_BYTES, socket.MSG_WAITALL), token):
+                    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                    return connection
+            connection.close()
+        raise EngineTimeout(f"the game did not start in {START_TIMEOUT:.0f} s", log.tail())
+
+    def end(self) -> str:
+        self.connection.close()
+        try:
+            self._process.wait(0.2)
+        except subprocess.TimeoutExpired:
+            self._kill()
+        shutil.rmtree(self._home, ignore_errors=True)
+        return _describe_end(self._process.returncode)
+
+    def drop(self) -> None:
+        self._kill()
+        self._free()
+
+    def _kill(self) -> None:
+        self._process.kill()
+        self._process.wait()
+        shutil.rmtree(self._home, ignore_errors=True)
+
+
+def _describe_end(returncode: int) -> str:
+    if returncode >= 0:
+        return f"exited with code {returncode}"
+    try:
+        return f"was ended by {signal.Signals(-returncode).name}"
+    except ValueError:
+        return f"was ended by signal {-returncode}"
+
+
+_mothers: dict[Path, Mother] = {}
+_mothers_lock = threading.Lock()
+
+
+def start_mother(root: Path) -> Mother:
+    """This program's mother process for the given game data; does not wait for it."""
+    with _mothers_lock:
+        if root not in _mothers:
+            _mothers[root] = Mother(root)
+        return _mothers[root]
+
+
+def _retire(mother: Mother) -> None:
+    with _mothers_lock:
+        for root, known in tuple(_mothers.items()):
+            if known is mother:
+                del _mothers[root]
+    mother.close()
+
+
+@atexit.register
+def _close_all() -> None:
+    while _mothers:
+        _mothers.popitem()[1].close()
+
+
+def _forget_all() -> None:
+    global _mothers_lock
+    _mothers_lock = threading.Lock()
+    while _mothers:
+        mother = _mothers.popitem()[1]
+        mother.forget()
+        _forgotten.append(mother)
+
+
+#: Mothers of the process this one was forked from, kept so that nothing tidies them up here.
+_forgotten: list[Mother] = []
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_all)

@@ -1,0 +1,247 @@
+"""The game itself, driven in this process: the only module that imports ``pystk2``."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine.setup import KartSetup, RaceSetup
+from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
+from stkzoo.engine.track import encode_track
+from stkzoo.errors import EngineError
+from stkzoo.names import AttachmentType, ItemType, Phase, PowerupType
+
+__all__ = ["GameRace", "RaceStart", "init_engine"]
+
+#: More steps than any race needs before the engine shows READY (31 at 0.1 s).
+_MAX_WARMUP_STEPS = 100_000
+
+_is_initialised = False
+
+
+@dataclass(frozen=True, slots=True)
+class RaceStart:
+    """What is known of a race once its karts stand on the grid.
+
+    Attributes:
+        kart_types: model name of each kart, in grid order.
+        track: the track as a block for :func:`stkzoo.engine.track.decode_track`.
+        snapshot: the first moment, in phase READY.
+    """
+
+    kart_types: tuple[str, ...]
+    track: bytes
+    snapshot: Snapshot
+
+    def to_frames(self) -> tuple[bytes, bytes, bytes]:
+        """The start as three blocks of bytes."""
+        return json.dumps(self.kart_types).encode(), self.track, self.snapshot.to_bytes()
+
+    @classmethod
+    def from_frames(cls, kart_types: bytes, track: bytes, snapshot: bytes) -> RaceStart:
+        """Reads what :meth:`to_frames` wrote."""
+        return cls(tuple(json.loads(kart_types)), track, Snapshot.from_bytes(snapshot))
+
+
+def init_engine(graphics: str) -> None:
+    """Starts the engine in this process, once; later calls do nothing.
+
+    Args:
+        graphics: name of a preset of ``pystk2.GraphicsConfig``: ``"none"`` for headless,
+            ``"ld"``, ``"sd"`` or ``"hd"`` for the game's window; or its fields as a JSON
+            object.
+    """
+    global _is_initialised
+    if _is_initialised:
+        return
+    import pystk2
+
+    _check_numbers(pystk2)
+    pystk2.init(_graphics_config(pystk2, graphics))
+    _is_initialised = True
+
+
+def _graphics_config(pystk2: Any, graphics: str) -> Any:
+    if not graphics.startswith("{"):
+        return getattr(pystk2.GraphicsConfig, graphics)()
+    config = pystk2.GraphicsConfig()
+    for name, value in json.loads(graphics).items():
+        setattr(config, name, value)
+    return config
+
+
+def _check_numbers(pystk2: Any) -> None:
+    for ours, theirs in (
+        (PowerupType, pystk2.Powerup.Type),
+        (AttachmentType, pystk2.Attachment.Type),
+        (ItemType, pystk2.Item.Type),
+    ):
+        expected = {kind.name: kind.value for kind in ours}
+        found = {name: kind.value for name, kind in theirs.__members__.items()}
+        if found != expected:
+            raise EngineError(
+                f"this PySuperTuxKart2 numbers its {ours.__name__} as {found}, stkzoo knows "
+                f"{expected}; install PySuperTuxKart2==0.7.4 or a newer stkzoo"
+            )
+
+
+class GameRace:
+    """One race of the engine in this process. At most one may live at a time."""
+
+    def __init__(self, setup: RaceSetup) -> None:
+        import pystk2
+
+        self._setup = setup
+        self._make_action = pystk2.Action
+        self._phases = {
+            pystk2.WorldState.Phase.READY_PHASE: Phase.READY_PHASE,
+            pystk2.WorldState.Phase.SET_PHASE: Phase.SET_PHASE,
+            pystk2.WorldState.Phase.GO_PHASE: Phase.GO_PHASE,
+        }
+        self._reporting = [i for i, kart in enumerate(setup.karts) if kart.reports_control]
+        self._race = pystk2.Race(_race_config(pystk2, setup))
+        self._race.start()
+        self._world = pystk2.WorldState()
+        self._track = pystk2.Track()
+
+    def begin(self) -> RaceStart:
+        """Advances to the first moment on the grid, from which karts may act."""
+        for _ in range(_MAX_WARMUP_STEPS):
+            self._race.step()
+            self._world.update()
+            if self._phases.get(self._world.phase) == Phase.READY_PHASE:
+                break
+        else:
+            raise EngineError(f"the race on {self._setup.track!r} never became ready")
+        self._track.update()
+        track = self._track
+        return RaceStart(
+            kart_types=tuple(kart.kart_type for kart in self._world.karts),
+            track=encode_track(
+                track.length,
+                track.path_nodes,
+                track.path_width,
+                track.path_distance,
+                track.successors,
+            ),
+            snapshot=self._read(running=True),
+        )
+
+    def step(self, controls: npt.NDArray[np.float32]) -> Snapshot:
+        """Advances the game by one step.
+
+        Args:
+            controls: ``(P, 7)`` float32, a row for each player kart in grid order, columns
+                as in :data:`stkzoo.engine.snapshot.CONTROLS`.
+        """
+        make = self._make_action
+        actions = [
+            make(
+                acceleration=acceleration,
+                steer=steer,
+                brake=brake > 0,
+                drift=drift > 0,
+                fire=fire > 0,
+                nitro=nitro > 0,
+                rescue=rescue > 0,
+            )
+            for acceleration, steer, brake, drift, fire, nitro, rescue in controls.tolist()
+        ]
+        running = self._race.step(actions) if actions else self._race.step()
+        self._world.update()
+        return self._read(running)
+
+    def stop(self) -> None:
+        """Ends the race; nothing else may be called afterwards."""
+        self._race.stop()
+
+    def _read(self, running: bool) -> Snapshot:
+        world = self._world
+        all_karts, all_items = world.karts, world.items
+        karts = np.zeros(len(all_karts), KART_DTYPE)
+        for row, kart in enumerate(all_karts):
+            karts[row] = _kart_record(kart)
+        for row in self._reporting:
+            action = self._race.get_kart_action(row)
+            karts[row]["control"] = [float(getattr(action, name)) for name in CONTROLS]
+        items = np.array(
+            [(item.location, item.size, item.type.value, item.id) for item in all_items],
+            ITEM_DTYPE,
+        )
+        phase = self._phases.get(world.phase, Phase.RACE_PHASE)
+        header = np.array(
+            (world.time, world.aux_ticks, phase, len(karts), len(items), running), HEADER_DTYPE
+        )
+        return Snapshot(header[()], karts, items)
+
+
+_ZERO_CONTROL = (0.0,) * len(CONTROLS)
+
+
+def _kart_record(kart: Any) -> tuple[Any, ...]:
+    """The fields of ``KART_DTYPE`` in its order."""
+    powerup, attachment = kart.powerup, kart.attachment
+    return (
+        kart.location,
+        kart.rotation,
+        kart.front,
+        kart.velocity,
+        kart.velocity_lc,
+        kart.angular_velocity,
+        kart.size,
+        kart.speed,
+        kart.max_steer_angle,
+        kart.wheel_base,
+        kart.energy,
+        kart.skeed_factor,
+        kart.shield_time,
+        attachment.time_left,
+        kart.distance_down_track,
+        kart.overall_distance,
+        kart.finish_time,
+        kart.lap_time,
+        kart.node,
+        kart.position,
+        kart.finished_laps,
+        powerup.type.value,
+        powerup.num,
+        attachment.type.value,
+        kart.lives,
+        kart.has_finished_race,
+        kart.race_result,
+        kart.jumping,
+        kart.is_on_road,
+        _ZERO_CONTROL,
+    )
+
+
+def _race_config(pystk2: Any, setup: RaceSetup) -> Any:
+    config = pystk2.RaceConfig(
+        num_kart=len(setup.karts),
+        seed=setup.seed,
+        difficulty=setup.difficulty,
+        track=setup.track,
+        laps=setup.laps,
+    )
+    config.reverse = setup.reverse
+    config.step_size = setup.step_size
+    config.num_cameras = setup.num_cameras
+    config.players.clear()
+    for kart in setup.karts:
+        config.players.append(_player_config(pystk2, kart))
+    return config
+
+
+def _player_config(pystk2: Any, kart: KartSetup) -> Any:
+    kinds = pystk2.PlayerConfig.Controller
+    return pystk2.PlayerConfig(
+        kart=kart.kart,
+        name=kart.name,
+        controller=kinds.AI_CONTROL if kart.is_bot else kinds.PLAYER_CONTROL,
+        camera_mode=pystk2.PlayerConfig.CameraMode(kart.camera_mode),
+        color=kart.color,
+    )

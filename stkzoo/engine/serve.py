@@ -1,0 +1,66 @@
+"""The loop of a process that runs races for a program at the other end of a socket."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import traceback
+
+import numpy as np
+
+from stkzoo.engine import wire
+from stkzoo.engine.race import GameRace
+from stkzoo.engine.setup import RaceSetup
+from stkzoo.engine.snapshot import CONTROLS
+
+__all__ = ["serve"]
+
+
+def serve(connection: socket.socket, *, self_destruct_after: int) -> None:
+    """Serves requests until the other end quits or is gone.
+
+    Args:
+        connection: socket to the program.
+        self_destruct_after: seconds after which a single request that is still running
+            ends this process, so that a game which hangs cannot outlive a program that
+            can no longer end it.
+    """
+    race: GameRace | None = None
+    while True:
+        try:
+            kind, data = wire.receive(connection)
+        except (EOFError, OSError):
+            return
+        _set_alarm(self_destruct_after)
+        try:
+            if kind == wire.ACT and race is not None:
+                controls = np.frombuffer(data, np.float32).reshape(-1, len(CONTROLS))
+                wire.send(connection, wire.OK, race.step(controls).to_bytes())
+            elif kind == wire.BEGIN:
+                if race is not None:
+                    race.stop()
+                race = GameRace(RaceSetup.from_json(data))
+                wire.send(connection, wire.OK, *race.begin().to_frames())
+            else:
+                return
+        except BrokenPipeError:
+            return
+        except Exception as error:  # noqa: BLE001 - it is the program that must hear of it
+            wire.send(connection, wire.ERROR, _describe(error))
+        _set_alarm(0)
+
+
+def _set_alarm(seconds: int) -> None:
+    if hasattr(signal, "alarm"):
+        signal.alarm(seconds)
+
+
+def _describe(error: Exception) -> bytes:
+    return json.dumps(
+        {
+            "type": type(error).__name__,
+            "message": str(error),
+            "traceback": traceback.format_exc(),
+        }
+    ).encode()

@@ -1,0 +1,236 @@
+"""One race after another, in a process of its own or in this one."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import json
+import os
+import shutil
+import tempfile
+import weakref
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine import wire
+from stkzoo.engine.process import (
+    START_TIMEOUT,
+    Log,
+    RaceProcess,
+    engine_environment,
+    start_race_process,
+)
+from stkzoo.engine.race import GameRace, RaceStart, init_engine
+from stkzoo.engine.setup import RaceSetup
+from stkzoo.engine.snapshot import Snapshot
+from stkzoo.errors import ApiOrderError, EngineCrashed, EngineError, EngineTimeout
+
+__all__ = ["LocalSession", "Session", "WorkerSession"]
+
+Controls = npt.NDArray[np.float32]
+
+
+class Session(Protocol):
+    """Runs races for one environment, one at a time."""
+
+    def start(self, setup: RaceSetup) -> RaceStart:
+        """Starts a race and ends the one before; returns once karts stand on the grid."""
+
+    def step(self, controls: Controls) -> Snapshot:
+        """Advances the race by one step.
+
+        Args:
+            controls: ``(P, 7)`` float32, as in :meth:`stkzoo.engine.race.GameRace.step`.
+
+        Raises:
+            EngineCrashed: the game's process died.
+            EngineTimeout: it gave no answer in time and was ended.
+        """
+
+    def close(self) -> None:
+        """Ends the race; may be called again, and :meth:`start` still works."""
+
+
+class WorkerSession:
+    """Races in processes of their own.
+
+    Args:
+        root: the game's data.
+        graphics: preset as in :func:`stkzoo.engine.race.init_engine`. Headless races get a
+            fresh process each, whose results repeat bit for bit; with a window one
+            process is kept from race to race.
+        timeout: seconds that one step may take.
+    """
+
+    def __init__(self, root: Path, graphics: str = "none", timeout: float = 30.0) -> None:
+        self._root = root
+        self._graphics = graphics
+        self._timeout = timeout
+        self._process: RaceProcess | None = None
+        self._owner = os.getpid()
+
+    @property
+    def pid(self) -> int | None:
+        """Process id of the running race, if any."""
+        return self._process.pid if self._process else None
+
+    def start(self, setup: RaceSetup) -> RaceStart:
+        """See :meth:`Session.start`."""
+        if self._owner != os.getpid() or self._graphics == "none":
+            self.close()
+        if self._process is None:
+            self._process = start_race_process(self._root, self._graphics)
+            self._owner = os.getpid()
+        kart_types, track, snapshot = self._request(wire.BEGIN, setup.to_json(), replies=3)
+        return RaceStart.from_frames(kart_types, track, snapshot)
+
+    def step(self, controls: Controls) -> Snapshot:
+        """See :meth:`Session.step`."""
+        if self._owner != os.getpid():
+            raise ApiOrderError(
+                f"this race belongs to process {self._owner}, from which this process "
+                f"({os.getpid()}) was forked; call reset() to start one here"
+            )
+        (reply,) = self._request(wire.ACT, controls.tobytes(), replies=1)
+        return Snapshot.from_bytes(reply)
+
+    def close(self) -> None:
+        """See :meth:`Session.close`."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        if self._owner == os.getpid():
+            process.drop()
+        else:
+            process.connection.close()
+            process.log.close()
+
+    def __del__(self) -> None:
+        with contextlib.suppress(Exception):  # the interpreter may be half gone
+            self.close()
+
+    def _request(self, kind: bytes, data: bytes, replies: int) -> list[bytes]:
+        process = self._process
+        if process is None:
+            raise ApiOrderError("the race is over or its process has ended; call reset() first")
+        timeout = START_TIMEOUT if kind == wire.BEGIN else self._timeout
+        try:
+            process.connection.settimeout(timeout)
+            wire.send(process.connection, kind, data)
+            return [self._receive(process) for _ in range(replies)]
+        except TimeoutError:
+            self._end(process)
+            message = f"the game gave no answer in {timeout:g} s and was ended; call reset()"
+            raise EngineTimeout(message, process.log.tail()) from None
+        except (EOFError, OSError):
+            how = self._end(process)
+            message = f"the game's process {how}; call reset() to start a new one"
+            raise EngineCrashed(message, process.log.tail()) from None
+        except BaseException:  # the answer to this request would be taken for the next one's
+            self._end(process)
+            raise
+
+    def _end(self, process: RaceProcess) -> str:
+        self._process = None
+        return process.end()
+
+    @staticmethod
+    def _receive(process: RaceProcess) -> bytes:
+        kind, data = wire.receive(process.connection)
+        if kind == wire.ERROR:
+            error = json.loads(data)
+            raise EngineError(
+                f"the game refused: {error['type']}: {error['message']}\n{error['traceback']}",
+                process.log.tail(),
+            )
+        return data
+
+
+#: The session that holds the engine of this process, if any.
+_holder: weakref.ref[LocalSession] | None = None
+
+
+class LocalSession:
+    """Races in this process, which can hold one at a time.
+
+    The second and later races of a process with game bots do not repeat bit for bit,
+    because the engine carries hidden random state over; and a crash of the game is a
+    crash of this program.
+    """
+
+    def __init__(self, root: Path, graphics: str = "none") -> None:
+        self._root = root
+        self._graphics = graphics
+        self._race: GameRace | None = None
+
+    def start(self, setup: RaceSetup) -> RaceStart:
+        """See :meth:`Session.start`."""
+        self.close()
+        self._take_engine()
+        with _quiet_output():
+            _init_here(self._root, self._graphics)
+            self._race = GameRace(setup)
+            return self._race.begin()
+
+    def step(self, controls: Controls) -> Snapshot:
+        """See :meth:`Session.step`."""
+        if self._race is None:
+            raise ApiOrderError("there is no race; call reset() first")
+        return self._race.step(controls)
+
+    def close(self) -> None:
+        """See :meth:`Session.close`."""
+        race, self._race = self._race, None
+        if race is not None:
+            race.stop()
+
+    def __del__(self) -> None:
+        self.close()
+
+    def _take_engine(self) -> None:
+        global _holder
+        other = _holder() if _holder else None
+        if other is not None and other is not self and other._race is not None:
+            raise ApiOrderError(
+                "use_subprocess=False runs the game in this process, which can hold one race "
+                "at a time, and another environment's race is running; close that "
+                "environment first, or leave use_subprocess at True"
+            )
+        _holder = weakref.ref(self)
+
+
+@contextlib.contextmanager
+def _quiet_output() -> Iterator[None]:
+    """Keeps what the game writes off the terminal; an error carries it instead."""
+    log = Log()
+    streams = {stream: os.dup(stream) for stream in (1, 2)}
+    try:
+        for stream in streams:
+            os.dup2(log.fileno(), stream)
+        yield
+    except EngineError:
+        raise
+    except Exception as error:
+        raise EngineError(f"the game refused: {error!r}", log.tail()) from error
+    finally:
+        for stream, original in streams.items():
+            os.dup2(original, stream)
+            os.close(original)
+        log.close()
+
+
+def _init_here(root: Path, graphics: str) -> None:
+    """Starts the engine in this process, with the environment that engine processes have."""
+    home = tempfile.mkdtemp(prefix="stkzoo-")
+    atexit.register(shutil.rmtree, home, ignore_errors=True)
+    environment = dict(os.environ)
+    os.environ.update(engine_environment(root, home))
+    try:
+        init_engine(graphics)
+    finally:
+        os.environ.clear()
+        os.environ.update(environment)

@@ -1,0 +1,59 @@
+"""What the engine is told about a race: plain values, already checked."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+
+__all__ = ["KartSetup", "RaceSetup"]
+
+
+@dataclass(frozen=True, slots=True)
+class KartSetup:
+    """One kart, at its place on the starting grid.
+
+    Attributes:
+        is_bot: the game's own AI drives.
+        reports_control: the snapshots carry what the game's AI chose for this kart.
+        kart: model name; empty for the game's default.
+        name: the player's name.
+        color: hue shift in [0, 1]; 0 leaves the model's colours.
+        camera_mode: number of :class:`stkzoo.names.CameraMode`.
+    """
+
+    is_bot: bool = True
+    reports_control: bool = False
+    kart: str = ""
+    name: str = ""
+    color: float = 0.0
+    camera_mode: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class RaceSetup:
+    """One race. ``karts`` is in grid order, first place first."""
+
+    track: str
+    karts: tuple[KartSetup, ...]
+    laps: int = 1
+    reverse: bool = False
+    difficulty: int = 2
+    seed: int = 0
+    step_size: float = 0.1
+    num_cameras: int = 0
+
+    @property
+    def num_players(self) -> int:
+        """Number of karts that the caller controls."""
+        return sum(not kart.is_bot for kart in self.karts)
+
+    def to_json(self) -> bytes:
+        """The setup as UTF-8 JSON."""
+        return json.dumps(asdict(self)).encode()
+
+    @classmethod
+    def from_json(cls, data: bytes) -> RaceSetup:
+        """Reads what :meth:`to_json` wrote."""
+        values = json.loads(data)
+        karts = tuple(KartSetup(**kart) for kart in values.pop("karts"))
+        return cls(karts=karts, **values)

@@ -1,0 +1,114 @@
+"""One moment of a race as arrays: the only thing the engine tells the rest.
+
+A :class:`Snapshot` is one block of bytes (header, karts, items) seen through
+numpy's structured types, so that it crosses a process border by one copy and
+is never pickled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["CONTROLS", "CONTROL_DTYPE", "HEADER_DTYPE", "ITEM_DTYPE", "KART_DTYPE", "Snapshot"]
+
+#: The parts of a kart's control, in the order of the control arrays' last axis.
+CONTROLS = ("acceleration", "steer", "brake", "drift", "fire", "nitro", "rescue")
+
+#: One kart's control; buttons are 0 or 1.
+CONTROL_DTYPE = np.dtype([(name, "f4") for name in CONTROLS])
+
+HEADER_DTYPE = np.dtype(
+    [
+        ("time", "f4"),  # race clock since GO [s]
+        ("aux_ticks", "f4"),  # the engine's physics ticks before GO; stops there
+        ("phase", "i4"),  # stkzoo.names.Phase
+        ("num_kart", "i4"),
+        ("num_items", "i4"),
+        ("running", "i4"),  # 0 once every player kart has finished
+    ]
+)
+
+#: Vectors are in the world frame unless said otherwise: metres, y up.
+KART_DTYPE = np.dtype(
+    [
+        ("location", "f4", 3),  # [m]
+        ("rotation", "f4", 4),  # unit quaternion w, x, y, z: kart frame to world
+        ("front", "f4", 3),  # middle of the front edge [m]
+        ("velocity", "f4", 3),  # [m/s]
+        ("velocity_lc", "f4", 3),  # [m/s], kart frame: x right, y up, z forward
+        ("angular_velocity", "f4", 3),  # [rad/s]
+        ("size", "f4", 3),  # width, height, length [m]
+        ("speed", "f4"),  # [m/s]
+        ("max_steer_angle", "f4"),  # at the present speed [rad]
+        ("wheel_base", "f4"),  # [m]
+        ("energy", "f4"),  # nitro left
+        ("skeed_factor", "f4"),  # the engine's spelling of its skid factor; 1 is no skid
+        ("shield_time", "f4"),  # [s]
+        ("attachment_time_left", "f4"),  # [s]
+        ("distance_down_track", "f4"),  # in this lap [m]
+        ("overall_distance", "f4"),  # since the start line [m]; negative before it
+        ("finish_time", "f4"),  # [s]; 0 until the finish
+        ("lap_time", "f4"),  # of the last lap [s]
+        ("node", "i4"),  # index of the track node the kart is on
+        ("position", "i4"),  # rank, 1 is first
+        ("finished_laps", "i4"),  # -1 before the start line
+        ("powerup_type", "i4"),  # stkzoo.names.PowerupType
+        ("powerup_num", "i4"),
+        ("attachment_type", "i4"),  # stkzoo.names.AttachmentType
+        ("lives", "i4"),
+        ("has_finished_race", "i4"),
+        ("race_result", "i4"),
+        ("jumping", "i4"),
+        ("is_on_road", "i4"),
+        # What the kart's driver does: the game AI's own choice for AI karts whose
+        # control is asked for, zeros for all others.
+        ("control", "f4", len(CONTROLS)),
+    ]
+)
+
+ITEM_DTYPE = np.dtype([("location", "f4", 3), ("size", "f4"), ("type", "i4"), ("id", "i4")])
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """One moment of a race.
+
+    Attributes:
+        header: scalar record of :data:`HEADER_DTYPE`.
+        karts: ``(K,)`` records of :data:`KART_DTYPE`, in the engine's kart order,
+            which is the order of the starting grid.
+        items: ``(M,)`` records of :data:`ITEM_DTYPE`; ``M`` changes in a race when
+            bubble gum is dropped.
+    """
+
+    header: np.void
+    karts: npt.NDArray[np.void]
+    items: npt.NDArray[np.void]
+
+    @classmethod
+    def from_bytes(cls, data: bytes | bytearray | memoryview) -> Snapshot:
+        """Views a block written by :meth:`to_bytes`; copies nothing."""
+        header = np.frombuffer(data, HEADER_DTYPE, count=1)[0]
+        start = HEADER_DTYPE.itemsize
+        num_kart, num_items = int(header["num_kart"]), int(header["num_items"])
+        karts = np.frombuffer(data, KART_DTYPE, count=num_kart, offset=start)
+        start += num_kart * KART_DTYPE.itemsize
+        items = np.frombuffer(data, ITEM_DTYPE, count=num_items, offset=start)
+        return cls(header, karts, items)
+
+    def to_bytes(self) -> bytes:
+        """The whole moment as one block."""
+        return self.header.tobytes() + self.karts.tobytes() + self.items.tobytes()
+
+    @property
+    def phase(self) -> int:
+        """Number of :class:`stkzoo.names.Phase`."""
+        return int(self.header["phase"])
+
+    @property
+    def running(self) -> bool:
+        """Whether some player kart is still racing."""
+        return bool(self.header["running"])

@@ -1,0 +1,124 @@
+"""A track's driving line as arrays, and the order of what lies ahead on it."""
+
+from __future__ import annotations
+
+import functools
+import heapq
+import json
+import struct
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["TrackMap", "decode_track", "encode_track"]
+
+FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.intp]
+
+_JSON_SIZE = struct.Struct("<I")
+
+
+class TrackMap:
+    """The graph of segments ("nodes") along a track. All arrays are read-only.
+
+    Attributes:
+        length: length of a lap [m].
+        path_nodes: ``(N, 2, 3)`` float32 [m], world frame: start and end of each
+            segment of the centre line.
+        path_width: ``(N, 1)`` float32 [m].
+        path_distance: ``(N, 2)`` float32 [m]: distance from the start line to each
+            segment's start and end.
+        successors: for each node, the nodes that follow it; more than one at a fork.
+    """
+
+    def __init__(
+        self,
+        *,
+        length: float,
+        path_nodes: FloatArray,
+        path_width: FloatArray,
+        path_distance: FloatArray,
+        successors: Sequence[Sequence[int]],
+    ) -> None:
+        self.length = float(length)
+        self.path_nodes = path_nodes
+        self.path_width = path_width
+        self.path_distance = path_distance
+        self.successors = tuple(tuple(nodes) for nodes in successors)
+        for array in (path_nodes, path_width, path_distance):
+            array.flags.writeable = False
+        num_nodes = len(self.successors)
+        self._order = np.empty((num_nodes, num_nodes), np.intp)
+        self._is_ordered = np.zeros(num_nodes, bool)
+
+    @property
+    def num_nodes(self) -> int:
+        """Number of segments, N."""
+        return len(self.successors)
+
+    def nodes_ahead(self, nodes: IntArray, max_paths: int | None = None) -> IntArray:
+        """The segments ahead, nearest first along the way a kart can drive.
+
+        The distance is that of the shortest way over the graph, so a branch that can
+        no longer be taken comes a lap later than the one the kart is in.
+
+        Args:
+            nodes: ``(A,)`` segments to start from.
+            max_paths: how many to give; all by default.
+
+        Returns:
+            ``(A, P)`` indices; the first column is ``nodes``.
+        """
+        for node in np.unique(nodes[~self._is_ordered[nodes]]):
+            self._order[node] = self._order_from(int(node))
+            self._is_ordered[node] = True
+        return self._order[nodes, :max_paths]
+
+    def _order_from(self, start: int) -> list[int]:
+        begin = self.path_distance[:, 0].tolist()
+        order: list[int] = []
+        seen: set[int] = set()
+        queue = [(0.0, start)]
+        while queue:
+            distance, node = heapq.heappop(queue)
+            if node in seen:
+                continue
+            seen.add(node)
+            order.append(node)
+            for successor in self.successors[node]:
+                gap = (begin[successor] - begin[node]) % self.length
+                heapq.heappush(queue, (distance + gap, successor))
+        unreachable = set(range(self.num_nodes)) - seen
+        return order + sorted(unreachable, key=lambda n: (begin[n] - begin[start]) % self.length)
+
+
+def encode_track(
+    length: float,
+    path_nodes: FloatArray,
+    path_width: FloatArray,
+    path_distance: FloatArray,
+    successors: Sequence[Sequence[int]],
+) -> bytes:
+    """A track as one block of bytes, for :func:`decode_track`."""
+    facts = json.dumps({"length": length, "successors": successors}).encode()
+    arrays = (np.ascontiguousarray(a, "f4") for a in (path_nodes, path_width, path_distance))
+    return b"".join([_JSON_SIZE.pack(len(facts)), facts, *(a.tobytes() for a in arrays)])
+
+
+@functools.lru_cache(maxsize=64)
+def decode_track(data: bytes) -> TrackMap:
+    """Reads a block of :func:`encode_track`; equal blocks share one :class:`TrackMap`."""
+    (size,) = _JSON_SIZE.unpack_from(data)
+    start = _JSON_SIZE.size + size
+    facts = json.loads(data[_JSON_SIZE.size : start])
+    num_nodes = len(facts["successors"])
+    numbers = np.frombuffer(data, "f4", offset=start)
+    nodes, widths, distances = np.split(numbers, [6 * num_nodes, 7 * num_nodes])
+    return TrackMap(
+        length=facts["length"],
+        path_nodes=nodes.reshape(num_nodes, 2, 3),
+        path_width=widths.reshape(num_nodes, 1),
+        path_distance=distances.reshape(num_nodes, 2),
+        successors=facts["successors"],
+    )

@@ -1,0 +1,1 @@
+"""The environments: the parallel core and the views derived from it."""

@@ -1,0 +1,104 @@
+"""What the Gymnasium environments share: the core inside, and the reference's names for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+from gymnasium.utils import EzPickle
+
+from stkzoo.config import AgentSpec
+from stkzoo.engine.assets import find_assets
+from stkzoo.engine.process import can_fork, start_mother
+from stkzoo.engine.track import TrackMap
+from stkzoo.env.parallel import RaceParallelEnv
+from stkzoo.env.world import WorldView
+from stkzoo.errors import ApiOrderError
+
+__all__ = ["GymnasiumRaceEnv"]
+
+
+class _TrackNames:
+    """The names of all race tracks, read when they are first asked for."""
+
+    def __get__(self, instance: object, owner: type | None = None) -> list[str]:
+        return list(find_assets().tracks)
+
+
+class GymnasiumRaceEnv(gym.Env[Any, Any], EzPickle):
+    """A Gymnasium environment over the parallel core.
+
+    Attributes:
+        core: the :class:`~stkzoo.env.parallel.RaceParallelEnv` that it is a view of.
+        TRACKS: names of all race tracks.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["human"], "render_fps": 10}  # noqa: RUF012
+    TRACKS = _TrackNames()
+
+    def __init__(self, agents: Sequence[AgentSpec] | int | None, **options: Any) -> None:
+        # Gymnasium's TimeLimit, which the registered ids bring, cuts long races.
+        options.setdefault("max_cycles", None)
+        self.core = RaceParallelEnv(agents=agents, **options)
+        self.render_mode = self.core.render_mode
+
+    @classmethod
+    def initialize(
+        cls,
+        with_graphics: bool = False,
+        use_subprocess: bool = True,
+        graphics_config: Any = None,  # noqa: ARG003 - the reference's argument
+    ) -> list[str]:
+        """Starts the game's process ahead of the first race and returns the track names.
+
+        Calling it is never needed.
+        """
+        assets = find_assets(graphics=with_graphics)
+        if use_subprocess and not with_graphics and can_fork():
+            start_mother(assets.root)
+        return list(assets.tracks)
+
+    @property
+    def num_kart(self) -> int:
+        """Number of karts in the race."""
+        return self.core.options.num_kart
+
+    @property
+    def default_track(self) -> str | tuple[str, ...] | None:
+        """The track that was asked for; ``None`` for any."""
+        return self.core.options.track
+
+    @property
+    def current_track(self) -> str | None:
+        """Name of the present race's track; ``None`` before the first reset."""
+        return self.core.race.track if self.core.race else None
+
+    @property
+    def track(self) -> TrackMap | None:
+        """The present race's track; ``None`` before the first reset."""
+        return self.core.track_map
+
+    @property
+    def world(self) -> WorldView | None:
+        """The present moment of the race; ``None`` before the first reset."""
+        return self.world_update() if self.core.snapshot is not None else None
+
+    def world_update(self, keep: bool = True) -> WorldView:  # noqa: ARG002 - as the reference
+        """The present moment of the race."""
+        if self.core.snapshot is None or self.core.race is None:
+            raise ApiOrderError("there is no race before reset(); call reset() first")
+        return WorldView.of(self.core.snapshot, self.core.race.kart_types)
+
+    def render(self) -> None:
+        """With ``render_mode="human"`` the game's window follows every step by itself."""
+        self.core.render()
+
+    def close(self) -> None:
+        """Ends the game's process; ``reset`` may be called again."""
+        self.core.close()
+
+    def _seed_core(self, seed: int | None) -> None:
+        """Makes the core draw from this environment's stream, as Gymnasium seeds it."""
+        gym.Env.reset(self, seed=seed)
+        self.core.np_random = self.np_random

@@ -1,0 +1,58 @@
+"""The names under which Gymnasium and PettingZoo know the environments."""
+
+from __future__ import annotations
+
+import gymnasium
+import pettingzoo
+
+from stkzoo.env.views import VIEWS, View
+from stkzoo.errors import ConfigError
+
+__all__ = ["MAX_EPISODE_STEPS", "register_ids", "register_view"]
+
+MAX_EPISODE_STEPS = 1500
+_NAMESPACE = "supertuxkart"
+
+
+def register_ids() -> None:
+    """Registers all ids; called when ``stkzoo`` is imported."""
+    for name in VIEWS:
+        _register_view_id(name)
+    gymnasium.register(
+        id=f"{_NAMESPACE}/multi-full-v0",
+        entry_point="stkzoo.env.multi:STKRaceMultiEnv",
+        max_episode_steps=MAX_EPISODE_STEPS,
+    )
+    if hasattr(pettingzoo, "register"):  # from PettingZoo 1.27
+        pettingzoo.register("parallel", f"{_NAMESPACE}/race-v0", "stkzoo.race_v0:parallel_env")
+        pettingzoo.register("aec", f"{_NAMESPACE}/race-v0", "stkzoo.race_v0:env")
+
+
+def register_view(name: str, view: View) -> None:
+    """Adds a view, for ``view="<name>"`` and ``gym.make("supertuxkart/<name>-v0")``.
+
+    Args:
+        name: a new name.
+        view: function that wraps a Gymnasium environment; :class:`gymnasium.Wrapper`
+            classes are such functions.
+
+    Raises:
+        ConfigError: the name is taken or no word, or ``view`` is no function.
+    """
+    if not isinstance(name, str) or not name.isidentifier():
+        raise ConfigError(f"view name is {name!r}, expected letters, digits and underscores")
+    if name in VIEWS:
+        raise ConfigError(f"view {name!r} exists already; choose another name")
+    if not callable(view):
+        raise ConfigError(f"view {name!r} is {view!r}, expected a function that wraps a gym.Env")
+    VIEWS[name] = view
+    _register_view_id(name)
+
+
+def _register_view_id(name: str) -> None:
+    gymnasium.register(
+        id=f"{_NAMESPACE}/{name}-v0",
+        entry_point="stkzoo.env.single:STKRaceEnv",
+        kwargs={"view": name},
+        max_episode_steps=MAX_EPISODE_STEPS,
+    )

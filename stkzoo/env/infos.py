@@ -1,0 +1,96 @@
+"""The numbers that go with every step of an agent, and the sums over its episode."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine.snapshot import Snapshot
+from stkzoo.env.views import agent_named
+from stkzoo.mdp.rewards import Reward, as_reward
+from stkzoo.mdp.transition import Transition, progress_of
+
+__all__ = ["EpisodeRecord", "rewards_of_agents"]
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def rewards_of_agents(choice: object, agents: Sequence[str]) -> dict[str, Reward]:
+    """Every agent's reward; see :mod:`stkzoo.mdp.rewards` for what can be chosen."""
+    if isinstance(choice, Mapping) and choice:
+        named = {agent_named(name, agents): part for name, part in choice.items()}
+        if None not in named:
+            return {agent: as_reward(named.get(agent)) for agent in agents}
+    return dict.fromkeys(agents, as_reward(choice))
+
+
+class EpisodeRecord:
+    """Rewards and infos of one episode.
+
+    Args:
+        rewards: every agent's reward, in agent order.
+        kart_indices: every agent's kart, in agent order.
+        race_length: laps times the lap's length [m].
+    """
+
+    def __init__(
+        self, rewards: Mapping[str, Reward], kart_indices: Sequence[int], race_length: float
+    ) -> None:
+        self._karts = dict(zip(rewards, kart_indices, strict=True))
+        self._groups: list[tuple[Reward, list[str]]] = []
+        for agent, reward in rewards.items():
+            members = next((m for known, m in self._groups if known is reward), None)
+            if members is None:
+                self._groups.append((reward, members := []))
+            members.append(agent)
+        names = sorted({name for reward in rewards.values() for name in reward.terms})
+        self._columns = {name: column for column, name in enumerate(names)}
+        self._rows = {agent: row for row, agent in enumerate(rewards)}
+        self._race_length = race_length
+        self._last = np.zeros((len(rewards), len(names)))
+        self._sums = np.zeros_like(self._last)
+        self._length = 0
+
+    def step(self, before: Snapshot, after: Snapshot, agents: Sequence[str]) -> dict[str, float]:
+        """Adds one step and returns the rewards of the agents that were still racing."""
+        transition = Transition(before, after, self._race_length)
+        self._last[:] = 0.0
+        for reward, members in self._groups:
+            present = [agent for agent in members if agent in agents]
+            karts = [self._karts[agent] for agent in present]
+            rows = [self._rows[agent] for agent in present]
+            for name, values in reward(transition).items():
+                self._last[rows, self._columns[name]] = values[karts]
+        self._sums += self._last
+        self._length += 1
+        totals = self._last.sum(axis=1)
+        return {agent: float(totals[self._rows[agent]]) for agent in agents}
+
+    def infos(self, snapshot: Snapshot, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
+        """Fresh infos of some agents: plain numbers under the same keys from reset on.
+
+        ``position`` is the rank, ``distance`` the metres driven, ``lap`` the number of
+        laps done, ``finish_time`` seconds (0 before the finish), ``reward/<term>`` the
+        weighted terms of this step, ``episode/reward/<term>`` their sums,
+        ``episode/return`` the sum of all, ``episode/length`` the steps so far.
+        """
+        distances = progress_of(snapshot).tolist()
+        karts = snapshot.karts
+        infos: dict[str, dict[str, Any]] = {}
+        for agent in agents:
+            row, kart = self._rows[agent], self._karts[agent]
+            last, sums = self._last[row].tolist(), self._sums[row].tolist()
+            infos[agent] = {
+                "position": int(karts["position"][kart]),
+                "distance": distances[kart],
+                "lap": max(int(karts["finished_laps"][kart]), 0),
+                "finish_time": float(karts["finish_time"][kart]),
+                **{f"reward/{name}": last[c] for name, c in self._columns.items()},
+                **{f"episode/reward/{name}": sums[c] for name, c in self._columns.items()},
+                "episode/return": sum(sums),
+                "episode/length": self._length,
+            }
+        return infos

@@ -1,0 +1,155 @@
+"""What can be chosen about a race, checked before the engine sees any of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from stkzoo.config import AgentSpec
+from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.names import CameraMode
+from stkzoo.tracks import SPLITS
+
+__all__ = ["RaceOptions", "check_agents"]
+
+#: The game's physics takes coarser steps badly, and a race has no use for them.
+_MAX_STEP_SIZE = 1.0
+_MAX_KARTS = 256
+_MAX_LAPS = 1000
+_MAX_CAMERAS = 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RaceOptions:
+    """The options of a race. ``reset(options=...)`` may change those of one episode.
+
+    Attributes:
+        num_kart: number of karts, agents and bots together.
+        track: a name, several names, ``None`` or ``"all"`` for any track, ``"train"`` or
+            ``"test"`` for one of a split (:mod:`stkzoo.tracks`).
+        laps: number of laps.
+        difficulty: how well the game's bots drive, 0 to 3.
+        reverse: drive the track the other way round.
+        max_paths: how many track segments ahead are observed; ``None`` is all.
+        step_size: game time of one step [s].
+        max_cycles: steps after which the race is cut short; ``None`` is never.
+    """
+
+    num_kart: int = 3
+    track: str | tuple[str, ...] | None = None
+    laps: int = 1
+    difficulty: int = 2
+    reverse: bool = False
+    max_paths: int | None = None
+    step_size: float = 0.1
+    max_cycles: int | None = 1500
+
+    def __post_init__(self) -> None:
+        _check_whole("num_kart", self.num_kart, 1, _MAX_KARTS)
+        _check_whole("laps", self.laps, 1, _MAX_LAPS)
+        _check_whole("difficulty", self.difficulty, 0, 3)
+        if self.max_paths is not None:
+            _check_whole("max_paths", self.max_paths, 1)
+        if self.max_cycles is not None:
+            _check_whole("max_cycles", self.max_cycles, 1)
+        if not isinstance(self.reverse, bool):
+            raise ConfigError(f"reverse is {self.reverse!r}, expected True or False")
+        _check_real("step_size", self.step_size, 1e-3, _MAX_STEP_SIZE)
+        if isinstance(self.track, Sequence) and not isinstance(self.track, str):
+            object.__setattr__(self, "track", tuple(self.track))
+        elif not isinstance(self.track, (str, type(None))):
+            raise ConfigError(f"track is {self.track!r}, expected a name, names or None")
+
+    def changed(self, options: Mapping[str, Any]) -> RaceOptions:
+        """These options with those of ``options`` that are known."""
+        names = {field.name for field in fields(self)}
+        return replace(self, **{name: value for name, value in options.items() if name in names})
+
+    def tracks(self, known: Sequence[str]) -> tuple[str, ...]:
+        """The tracks that an episode may take place on.
+
+        Args:
+            known: all tracks of the game's data.
+
+        Raises:
+            ConfigError: a track is not among them.
+        """
+        if self.track is None or self.track == "all":
+            return tuple(known)
+        if isinstance(self.track, str):
+            chosen = SPLITS.get(self.track, (self.track,))
+        else:
+            chosen = self.track
+        if not chosen:
+            raise ConfigError("track is an empty list, expected at least one name")
+        for name in chosen:
+            if name not in known:
+                raise unknown_name("track", name, [*known, *SPLITS])
+        return chosen
+
+
+def check_agents(agents: Sequence[AgentSpec], num_kart: int, karts: Sequence[str]) -> None:
+    """Checks what the agents ask for.
+
+    Args:
+        agents: the agents.
+        num_kart: number of karts in the race.
+        karts: all kart models of the game's data.
+
+    Raises:
+        ConfigError: something cannot be.
+    """
+    if not 1 <= len(agents) <= num_kart:
+        raise ConfigError(
+            f"{len(agents)} agents for {num_kart} karts: expected 1 to {num_kart} agents; "
+            "raise num_kart or drop agents"
+        )
+    for index, agent in enumerate(agents):
+        if not isinstance(agent, AgentSpec):
+            raise ConfigError(f"agent {index} is {agent!r}, expected an AgentSpec")
+        if agent.rank_start is not None:
+            _check_whole(f"rank_start of agent {index}", agent.rank_start, 0, num_kart - 1)
+        _check_real(f"color of agent {index}", agent.color, 0.0, 1.0)
+        if agent.kart and agent.kart not in karts:
+            raise unknown_name("kart", agent.kart, karts)
+        if not isinstance(agent.name, str):
+            raise ConfigError(f"name of agent {index} is {agent.name!r}, expected a string")
+        camera_mode(agent)
+    taken = [agent.rank_start for agent in agents if agent.rank_start is not None]
+    for rank in taken:
+        if taken.count(rank) > 1:
+            raise ConfigError(f"several agents have rank_start={rank}, expected different places")
+
+
+def camera_mode(agent: AgentSpec) -> CameraMode:
+    """The agent's camera mode, also when it is given as pystk2's own kind."""
+    try:
+        return CameraMode[getattr(agent.camera_mode, "name", "")]
+    except KeyError:
+        raise ConfigError(
+            f"camera_mode is {agent.camera_mode!r}, expected one of "
+            f"{', '.join(map(str, CameraMode.__members__))}"
+        ) from None
+
+
+def check_num_cameras(value: int) -> None:
+    """Checks how many cameras the game's window shows."""
+    _check_whole("num_cameras", value, 0, _MAX_CAMERAS)
+
+
+def _check_whole(name: str, value: object, low: int, high: int | None = None) -> None:
+    is_whole = hasattr(value, "__index__") and not isinstance(value, bool)
+    if not is_whole or value < low or (high is not None and value > high):  # type: ignore[operator]
+        bounds = f"from {low} to {high}" if high is not None else f"of {low} or more"
+        raise ConfigError(f"{name} is {value!r}, expected a whole number {bounds}")
+
+
+def _check_real(name: str, value: object, low: float, high: float) -> None:
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        number = math.nan
+    if not low <= number <= high:
+        raise ConfigError(f"{name} is {value!r}, expected a number from {low} to {high}")

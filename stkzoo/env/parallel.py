@@ -1,0 +1,387 @@
+"""The core: all karts of one race through PettingZoo's parallel API."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium.utils import EzPickle, seeding
+from pettingzoo import ParallelEnv
+
+from stkzoo.config import AgentSpec
+from stkzoo.engine.assets import Assets, find_assets
+from stkzoo.engine.process import can_fork, start_mother
+from stkzoo.engine.session import LocalSession, Session, WorkerSession
+from stkzoo.engine.snapshot import CONTROLS, Snapshot
+from stkzoo.engine.track import TrackMap, decode_track
+from stkzoo.env.graphics import graphics_setting
+from stkzoo.env.grid import RaceInfo, draw_race
+from stkzoo.env.infos import EpisodeRecord, rewards_of_agents
+from stkzoo.env.options import RaceOptions, check_agents, check_num_cameras
+from stkzoo.env.views import views_of_agents
+from stkzoo.errors import ApiOrderError, ConfigError
+from stkzoo.mdp.observations import KartObserver, ai_actions
+from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.mdp.state import race_state, state_space
+from stkzoo.mdp.transition import Transition
+from stkzoo.wrappers.chain import AgentChains
+
+__all__ = ["RaceParallelEnv"]
+
+logger = logging.getLogger(__name__)
+
+IntArray = npt.NDArray[np.intp]
+Observations = dict[str, Any]
+StepResult = tuple[
+    Observations, dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]
+]
+
+
+class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
+    """One race of SuperTuxKart in which every agent drives a kart.
+
+    Agents are named ``kart_0`` to ``kart_{n-1}``. An agent whose kart finishes is
+    terminated, paid once, and leaves; the race goes on for the others.
+
+    Args:
+        agents: a list of :class:`~stkzoo.config.AgentSpec`, or how many; all karts by
+            default. Karts beyond the agents are driven by the game.
+        num_kart: see :class:`~stkzoo.env.options.RaceOptions`, as for ``track``, ``laps``,
+            ``difficulty``, ``max_paths``, ``step_size``, ``reverse`` and ``max_cycles``.
+        view: name of a view for all agents (:data:`stkzoo.env.views.VIEWS`), a function
+            that wraps a Gymnasium environment, or a mapping from agents to these.
+        reward: see :mod:`stkzoo.mdp.rewards`.
+        render_mode: ``"human"`` opens the game's window; ``None`` shows nothing.
+        num_cameras: how many cameras the window shows.
+        graphics_config: a ``pystk2.GraphicsConfig`` or the name of a preset (``"ld"``,
+            ``"sd"``, ``"hd"``) for the window.
+        use_subprocess: run the game in a process of its own (the default). In this
+            process there can be one race at a time, and with bots only the first repeats.
+        engine_timeout: seconds that the game may take for one step.
+
+    Raises:
+        ConfigError: an argument cannot be.
+        AssetError: the game's data is missing.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's convention
+        "name": "race_v0",
+        "render_modes": ["human"],
+        "render_fps": 10,
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self,
+        *,
+        agents: Sequence[AgentSpec] | int | None = None,
+        num_kart: int = 3,
+        track: str | Sequence[str] | None = None,
+        laps: int = 1,
+        difficulty: int = 2,
+        max_paths: int | None = None,
+        render_mode: str | None = None,
+        num_cameras: int = 0,
+        use_subprocess: bool = True,
+        step_size: float | None = 0.1,
+        view: Any = "full",
+        reward: Any = None,
+        reverse: bool = False,
+        max_cycles: int | None = 1500,
+        graphics_config: Any = None,
+        engine_timeout: float = 30.0,
+    ) -> None:
+        arguments = {name: value for name, value in locals().items() if name != "self"}
+        EzPickle.__init__(self, **arguments)
+        self.options = RaceOptions(
+            num_kart=num_kart,
+            track=track if track is None or isinstance(track, str) else tuple(track),
+            laps=laps,
+            difficulty=difficulty,
+            reverse=reverse,
+            max_paths=max_paths,
+            step_size=0.1 if step_size is None else step_size,
+            max_cycles=max_cycles,
+        )
+        self.specs = _specs(agents, num_kart)
+        check_num_cameras(num_cameras)
+        self.render_mode = _checked_render_mode(render_mode, self.metadata["render_modes"])
+        self._num_cameras = num_cameras
+        self._graphics = graphics_setting(render_mode, graphics_config)
+        self._assets = find_assets(graphics=render_mode is not None)
+        self.options.tracks(self._assets.tracks)
+
+        check_agents(self.specs, num_kart, self._assets.karts)
+        self.possible_agents = [f"kart_{index}" for index in range(len(self.specs))]
+        self.agents: list[str] = []
+        self._index = {agent: index for index, agent in enumerate(self.possible_agents)}
+        self._ai_agents = self._agents_of_ai()
+        self._rewards = rewards_of_agents(reward, self.possible_agents)
+        self._chains = AgentChains(
+            {
+                agent: kart_observation_space(agent in self._ai_agents)
+                for agent in self.possible_agents
+            },
+            {agent: kart_action_space() for agent in self.possible_agents},
+            views_of_agents(view, self.possible_agents),
+            ignored=self._ai_agents,
+        )
+        self.observation_spaces = self._chains.observation_spaces
+        self.action_spaces = self._chains.action_spaces
+        self.state_space = state_space(num_kart)
+        self._np_random: np.random.Generator | None = None
+        self._session = _session(
+            self._assets, use_subprocess, self._graphics, float(engine_timeout)
+        )
+        self.race: RaceInfo | None = None
+        self.track_map: TrackMap | None = None
+        self.snapshot: Snapshot | None = None
+
+    # ------------------------------------------------------------------ PettingZoo's API
+
+    def observation_space(self, agent: str) -> gym.Space[Any]:
+        """The agent's observation space: always the same object."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> gym.Space[Any]:
+        """The agent's action space: always the same object."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Observations, dict[str, dict[str, Any]]]:
+        """Starts a new race and returns when all karts stand on the grid and may act.
+
+        Args:
+            seed: starts the environment's random stream anew; ``None`` goes on with it.
+            options: fields of :class:`~stkzoo.env.options.RaceOptions` for this episode
+                alone, except ``num_kart``; others are ignored with a log line.
+
+        Returns:
+            Observations and infos by agent.
+        """
+        if seed is not None or self._np_random is None:
+            self._np_random, _ = seeding.np_random(seed)
+        episode = self._episode_options(options or {})
+        self._check_specs()
+        setup, race = draw_race(
+            episode,
+            self.specs,
+            episode.tracks(self._assets.tracks),
+            self._num_cameras,
+            self._np_random,
+        )
+        self.agents, self.snapshot = [], None  # in case the start fails
+        start = self._session.start(setup)
+        self.snapshot = start.snapshot
+        self.track_map = decode_track(start.track)
+        self.race = replace(race, kart_types=start.kart_types)
+        self._episode = episode
+        self._num_steps = 0
+        self._is_player = np.array([not kart.is_bot for kart in setup.karts])
+        self._observer = KartObserver(self.track_map, start.kart_types, episode.max_paths)
+        self._record = EpisodeRecord(
+            self._rewards, race.kart_indices, self.track_map.length * race.laps
+        )
+        agents = list(self.possible_agents)
+        observations, infos = self._chains.reset(
+            agents,
+            self._observe(agents),
+            self._record.infos(self.snapshot, agents),
+            seed=seed,
+            options=dict(options or {}),
+        )
+        self.agents = agents
+        return observations, infos
+
+    def step(self, actions: Mapping[str, Any]) -> StepResult:
+        """Advances the race by one step.
+
+        Args:
+            actions: an action for each agent still in the race; entries of agents that
+                have left, and of agents that the game's AI drives, are ignored.
+
+        Returns:
+            Observations, rewards, terminations, truncations and infos of the agents that
+            acted; empty after the end.
+
+        Raises:
+            ActionError: an action is missing or cannot be; the race has not moved.
+            ApiOrderError: before the first ``reset``.
+            EngineError: the game died or hangs; ``reset`` starts anew.
+        """
+        if self.snapshot is None:
+            raise ApiOrderError("step() before reset(); call reset() first")
+        if not self.agents:
+            return {}, {}, {}, {}, {}
+        agents = self.agents
+        before = self.snapshot
+        self.snapshot = after = self._session.step(self._controls(actions, agents))
+        self._num_steps += 1
+        rewards = self._record.step(before, after, agents)
+        terminations = self._terminations(after, agents)
+        truncations = self._truncations(terminations)
+        result: StepResult = self._chains.step(
+            agents,
+            self._observe(agents),
+            rewards,
+            terminations,
+            truncations,
+            self._record.infos(after, agents),
+        )
+        self.agents = [a for a in agents if not (result[2][a] or result[3][a])]
+        return result
+
+    def render(self) -> None:
+        """With ``render_mode="human"`` the game's window follows every step by itself."""
+        if self.render_mode is None:
+            warnings.warn(
+                'render() shows nothing without a render mode; pass render_mode="human"',
+                stacklevel=2,
+            )
+
+    def state(self) -> npt.NDArray[np.float32]:
+        """The whole race as one vector of ``state_space`` (:mod:`stkzoo.mdp.state`)."""
+        if self.snapshot is None or self.race is None or self.track_map is None:
+            raise ApiOrderError("state() before reset(); call reset() first")
+        agents = self.race.kart_indices
+        bots = [kart for kart in range(len(self.snapshot.karts)) if kart not in agents]
+        order = np.array([*agents, *bots], np.intp)
+        return race_state(self.snapshot, order, self.track_map.length, self.race.laps)
+
+    def close(self) -> None:
+        """Ends the game's process; ``reset`` may be called again."""
+        self.agents = []
+        self.snapshot = None
+        self._session.close()
+        self._chains.close()
+
+    def __enter__(self) -> RaceParallelEnv:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    # ------------------------------------------------------------------ more than the API
+
+    @property
+    def unwrapped(self) -> RaceParallelEnv:
+        """This environment."""
+        return self
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """The environment's random stream, which ``reset(seed=...)`` starts anew."""
+        if self._np_random is None:
+            self._np_random, _ = seeding.np_random()
+        return self._np_random
+
+    @np_random.setter
+    def np_random(self, random: np.random.Generator) -> None:
+        self._np_random = random
+
+    @property
+    def max_cycles(self) -> int | None:
+        """Steps after which the race is cut short; ``None`` is never."""
+        return self.options.max_cycles
+
+    @max_cycles.setter
+    def max_cycles(self, value: int | None) -> None:
+        self.options = replace(self.options, max_cycles=value)
+
+    def observe_batch(self, agents: Sequence[str]) -> dict[str, Any]:
+        """What some agents, racing or not, would see now in the ``full`` view.
+
+        Returns:
+            Batch form: arrays with a leading axis over ``agents``
+            (:mod:`stkzoo.mdp.observations`).
+        """
+        if self.snapshot is None:
+            raise ApiOrderError("observe_batch() before reset(); call reset() first")
+        return self._observe(agents)
+
+    def _agents_of_ai(self) -> set[str]:
+        pairs = zip(self.possible_agents, self.specs, strict=True)
+        return {agent for agent, spec in pairs if spec.use_ai}
+
+    def _check_specs(self) -> None:
+        check_agents(self.specs, self.options.num_kart, self._assets.karts)
+        if self._agents_of_ai() != self._ai_agents:
+            raise ConfigError(
+                "use_ai of an agent was changed after the environment was made, which would "
+                "change its spaces; make a new environment"
+            )
+
+    # ------------------------------------------------------------------ phases of a step
+
+    def _controls(self, actions: Mapping[str, Any], agents: Sequence[str]) -> Any:
+        decoded = self._chains.decode(actions, agents)
+        controls = np.zeros((len(self._is_player), len(CONTROLS)), np.float32)
+        karts = self._karts(agents)
+        for column, name in enumerate(CONTROLS):
+            controls[karts, column] = np.reshape(decoded[name], -1)
+        return controls[self._is_player]
+
+    def _observe(self, agents: Sequence[str]) -> dict[str, Any]:
+        assert self.snapshot is not None
+        karts = self._karts(agents)
+        batch = self._observer.observe(self.snapshot, karts)
+        if self._ai_agents:
+            batch["action"] = ai_actions(self.snapshot, karts)
+        return batch
+
+    def _terminations(self, after: Snapshot, agents: Sequence[str]) -> dict[str, bool]:
+        finished = after.karts["has_finished_race"][self._karts(agents)].astype(bool).tolist()
+        return dict(zip(agents, finished, strict=True))
+
+    def _truncations(self, terminations: Mapping[str, bool]) -> dict[str, bool]:
+        limit = self._episode.max_cycles
+        is_over = limit is not None and self._num_steps >= limit
+        return {agent: is_over and not ended for agent, ended in terminations.items()}
+
+    def _karts(self, agents: Sequence[str]) -> IntArray:
+        assert self.race is not None
+        indices = self.race.kart_indices
+        return np.array([indices[self._index[agent]] for agent in agents], np.intp)
+
+    def _episode_options(self, options: Mapping[str, Any]) -> RaceOptions:
+        episode = self.options.changed(options)
+        if episode.num_kart != self.options.num_kart:
+            raise ConfigError(
+                f"options ask for {episode.num_kart} karts in an environment of "
+                f"{self.options.num_kart}; make another environment for that"
+            )
+        unknown = set(options) - set(RaceOptions.__dataclass_fields__)
+        if unknown:
+            logger.warning("reset() ignores unknown options: %s", ", ".join(map(str, unknown)))
+        return episode
+
+
+def _specs(agents: Sequence[AgentSpec] | int | None, num_kart: int) -> list[AgentSpec]:
+    if agents is None:
+        agents = num_kart
+    if isinstance(agents, int) and not isinstance(agents, bool):
+        return [AgentSpec() for _ in range(agents)]
+    if isinstance(agents, Sequence) and not isinstance(agents, str):
+        return list(agents)
+    raise ConfigError(f"agents is {agents!r}, expected a list of AgentSpec or a number of agents")
+
+
+def _checked_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
+    if mode is not None and mode not in modes:
+        raise ConfigError(f"render_mode is {mode!r}, expected None or one of {', '.join(modes)}")
+    return mode
+
+
+def _session(assets: Assets, use_subprocess: bool, graphics: str, timeout: float) -> Session:
+    if not use_subprocess:
+        return LocalSession(assets.root, graphics)
+    if graphics == "none" and can_fork():
+        start_mother(assets.root)  # the game starts while the program goes on
+    return WorkerSession(assets.root, graphics, timeout)

@@ -1,0 +1,112 @@
+"""Views by name: what an agent observes and how it acts.
+
+A view is a function from a Gymnasium environment to a wrapped one. It is applied to
+each agent's side of the race, and agents that share a view share its work.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import gymnasium as gym
+
+from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.wrappers import (
+    ConstantSizedObservations,
+    DiscreteActionsWrapper,
+    FlattenerWrapper,
+    FlattenMultiDiscreteActions,
+    OnlyContinuousActionsWrapper,
+    PolarObservations,
+)
+
+__all__ = ["VIEWS", "View", "agent_named", "views_of_agents"]
+
+View = Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]]
+
+
+def full(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """Everything a kart sees, in lists of varying length; the game's own actions."""
+    return env
+
+
+def simple(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """The nearest five items, karts and track segments, in polar coordinates."""
+    return PolarObservations(ConstantSizedObservations(env))
+
+
+def flattened(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """``simple`` as one continuous and one discrete vector, both ways."""
+    return FlattenerWrapper(simple(env))
+
+
+def flattened_continuous_actions(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """``flattened``, acting by acceleration and steering alone."""
+    return FlattenerWrapper(OnlyContinuousActionsWrapper(simple(env)))
+
+
+def flattened_multidiscrete(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """``flattened``, with acceleration and steering in steps."""
+    return FlattenerWrapper(DiscreteActionsWrapper(simple(env)))
+
+
+def flattened_discrete(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """``flattened_multidiscrete`` with one number for the whole action."""
+    return FlattenMultiDiscreteActions(flattened_multidiscrete(env))
+
+
+#: The known views, from which the Gymnasium ids are made; ``stkzoo.register_view`` adds to them.
+VIEWS: dict[str, View] = {
+    view.__name__: view
+    for view in (
+        full,
+        simple,
+        flattened,
+        flattened_continuous_actions,
+        flattened_multidiscrete,
+        flattened_discrete,
+    )
+}
+
+
+def agent_named(name: object, agents: Sequence[str]) -> str | None:
+    """The agent that a user means by its id, its number as a string, or its number."""
+    if isinstance(name, str) and name in agents:
+        return name
+    text = str(name)
+    if not isinstance(name, bool) and text.isdecimal() and int(text) < len(agents):
+        return agents[int(text)]
+    return None
+
+
+def views_of_agents(choice: object, agents: Sequence[str]) -> dict[str, View]:
+    """The view of every agent.
+
+    Args:
+        choice: a view's name, a function that wraps a Gymnasium environment, or a mapping
+            from agents to these; agents that the mapping leaves out get ``full``.
+        agents: all agents' ids.
+    """
+    if not isinstance(choice, Mapping):
+        return dict.fromkeys(agents, _view(choice))
+    views = dict.fromkeys(agents, full)
+    for name, view in choice.items():
+        agent = agent_named(name, agents)
+        if agent is None:
+            raise unknown_name("agent in view", name, agents)
+        views[agent] = _view(view)
+    return views
+
+
+def _view(choice: object) -> View:
+    if isinstance(choice, str):
+        if choice not in VIEWS:
+            raise unknown_name("view", choice, VIEWS)
+        return VIEWS[choice]
+    if callable(choice):
+        return choice
+    raise ConfigError(
+        f"view is {choice!r}, expected one of {', '.join(VIEWS)}, a function that wraps a "
+        "gym.Env, or a mapping from agents to these"
+    )

@@ -1,0 +1,110 @@
+"""The race in the words of ``pystk2.WorldState``, for code that reads it directly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine.snapshot import Snapshot
+from stkzoo.names import AttachmentType, ItemType, Phase, PowerupType
+
+__all__ = ["AttachmentView", "ItemView", "KartView", "PowerupView", "WorldView"]
+
+_FLAGS = ("has_finished_race", "jumping", "is_on_road", "race_result")
+
+
+@dataclass(frozen=True, slots=True)
+class PowerupView:
+    """What a kart can fire, and how often."""
+
+    type: PowerupType
+    num: int
+
+
+@dataclass(frozen=True, slots=True)
+class AttachmentView:
+    """What hangs on a kart, and for how many more seconds."""
+
+    type: AttachmentType
+    time_left: float
+
+
+@dataclass(frozen=True, slots=True)
+class ItemView:
+    """One item on the track."""
+
+    id: int
+    type: ItemType
+    location: npt.NDArray[np.float32]
+    size: float
+
+
+class KartView:
+    """One kart; has every field of :data:`stkzoo.engine.snapshot.KART_DTYPE` and more.
+
+    Attributes:
+        id: index in grid order.
+        kart_type: model name.
+        powerup: what it can fire.
+        attachment: what hangs on it.
+    """
+
+    def __init__(self, record: Any, kart_id: int, kart_type: str) -> None:
+        self._record = record
+        self.id = kart_id
+        self.kart_type = kart_type
+
+    def __getattr__(self, name: str) -> Any:
+        record = self.__dict__.get("_record")
+        if record is None or name not in record.dtype.names:
+            raise AttributeError(f"a kart has no {name!r}")
+        value = record[name]
+        if isinstance(value, np.ndarray):
+            return value.copy()
+        return bool(value) if name in _FLAGS else value.item()
+
+    @property
+    def powerup(self) -> PowerupView:
+        """What the kart can fire."""
+        return PowerupView(PowerupType(self.powerup_type), self.powerup_num)
+
+    @property
+    def attachment(self) -> AttachmentView:
+        """What hangs on the kart."""
+        return AttachmentView(AttachmentType(self.attachment_type), self.attachment_time_left)
+
+
+@dataclass(frozen=True, slots=True)
+class WorldView:
+    """One moment of a race."""
+
+    time: float
+    aux_ticks: float
+    phase: Phase
+    karts: list[KartView]
+    items: list[ItemView]
+
+    @classmethod
+    def of(cls, snapshot: Snapshot, kart_types: tuple[str, ...]) -> WorldView:
+        """The view of a snapshot."""
+        return cls(
+            time=float(snapshot.header["time"]),
+            aux_ticks=float(snapshot.header["aux_ticks"]),
+            phase=Phase(snapshot.phase),
+            karts=[
+                KartView(record, index, kart_types[index])
+                for index, record in enumerate(snapshot.karts)
+            ],
+            items=[
+                ItemView(
+                    int(item["id"]),
+                    ItemType(int(item["type"])),
+                    item["location"].copy(),
+                    float(item["size"]),
+                )
+                for item in snapshot.items
+            ],
+        )

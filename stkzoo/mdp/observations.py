@@ -1,0 +1,155 @@
+"""What karts see: the ``full`` view of all asked-for karts at once.
+
+In batch form every key of :func:`stkzoo.mdp.spaces.kart_observation_space` has a leading
+axis of A agents; sequences are rectangular ``(A, M, ...)`` arrays. Positions are in each
+kart's own frame: x right, y up, z forward [m].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine.snapshot import CONTROLS, Snapshot
+from stkzoo.engine.track import TrackMap
+from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
+from stkzoo.mdp.spaces import POWERUP_COUNT_LIMIT
+
+__all__ = ["KartObserver", "ai_actions"]
+
+FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.intp]
+Batch = dict[str, Any]
+
+
+class KartObserver:
+    """Observes the karts of one race.
+
+    Args:
+        track: the race's track.
+        kart_types: model name of each kart, in grid order.
+        max_paths: how many track segments ahead are seen; all by default.
+    """
+
+    def __init__(self, track: TrackMap, kart_types: Sequence[str], max_paths: int | None) -> None:
+        self._track = track
+        self._kart_types = np.array(kart_types)
+        self._max_paths = max_paths
+        num_kart = len(kart_types)
+        self._others = np.array(
+            [[other for other in range(num_kart) if other != kart] for kart in range(num_kart)],
+            np.intp,
+        ).reshape(num_kart, num_kart - 1)
+
+    def observe(self, snapshot: Snapshot, karts: IntArray) -> Batch:
+        """The observations of some karts, in batch form.
+
+        Args:
+            snapshot: the moment.
+            karts: ``(A,)`` indices of the observing karts.
+        """
+        records = snapshot.karts[karts]
+        locations = records["location"]
+        matrices = rotation_matrices(records["rotation"])
+
+        def seen(points: FloatArray) -> FloatArray:
+            return to_kart_frame(points, locations, matrices)
+
+        return {
+            **self._own_state(snapshot, records, self._kart_types[karts]),
+            "front": seen(records["front"][:, None])[:, 0],
+            **_center_path(seen(self._track.path_nodes[records["node"]])),
+            **_items(snapshot, seen(snapshot.items["location"][None])),
+            **_karts(seen(snapshot.karts["location"][self._others[karts]])),
+            **self._paths(records["node"], seen),
+        }
+
+    @staticmethod
+    def _own_state(snapshot: Snapshot, records: Any, kart_types: npt.NDArray[np.str_]) -> Batch:
+        count = len(records)
+
+        def column(name: str) -> FloatArray:
+            values: FloatArray = records[name][:, None].copy()
+            return values
+
+        def whole(name: str) -> npt.NDArray[np.int64]:
+            values: npt.NDArray[np.int64] = records[name].astype(np.int64)
+            return values
+
+        return {
+            "kart_type": kart_types,
+            "aux_ticks": np.full((count, 1), snapshot.header["aux_ticks"], np.float32),
+            "phase": np.full(count, snapshot.phase, np.int64),
+            "powerup_type": whole("powerup_type"),
+            "powerup_count": np.minimum(whole("powerup_num"), POWERUP_COUNT_LIMIT),
+            "attachment": whole("attachment_type"),
+            "attachment_time_left": column("attachment_time_left"),
+            "max_steer_angle": column("max_steer_angle"),
+            "energy": column("energy"),
+            "skeed_factor": column("skeed_factor"),
+            "shield_time": column("shield_time"),
+            "jumping": whole("jumping"),
+            "distance_down_track": column("distance_down_track"),
+            "velocity": records["velocity_lc"].copy(),
+        }
+
+    def _paths(self, nodes: IntArray, seen: Any) -> Batch:
+        track = self._track
+        ahead = track.nodes_ahead(nodes, self._max_paths)
+        ends = seen(track.path_nodes[ahead].reshape(len(nodes), -1, 3))
+        ends = ends.reshape(*ahead.shape, 2, 3)
+        return {
+            "paths_distance": track.path_distance[ahead],
+            "paths_width": track.path_width[ahead],
+            "paths_start": ends[:, :, 0],
+            "paths_end": ends[:, :, 1],
+        }
+
+
+def ai_actions(snapshot: Snapshot, karts: IntArray) -> Batch:
+    """What the game's AI chose for some karts that report it, as a batch of actions."""
+    control = snapshot.karts["control"][karts]
+    actions: Batch = {
+        "acceleration": control[:, 0:1],
+        "steer": control[:, 1:2],
+    }
+    for column, name in enumerate(CONTROLS[2:], start=2):
+        actions[name] = control[:, column].astype(np.int64)
+    return actions
+
+
+def _center_path(ends: FloatArray) -> Batch:
+    """The way to the centre line of the segment whose start and end are ``(A, 2, 3)``.
+
+    ``center_path`` is the vector from the kart to the nearest point of the (endless) line,
+    ``center_path_distance`` its length, positive when the line is to the right.
+    """
+    start, along = ends[:, 0], ends[:, 0] - ends[:, 1]
+    length_squared = (along * along).sum(-1, keepdims=True)
+    share = (along * start).sum(-1, keepdims=True) / np.where(length_squared > 0, length_squared, 1)
+    to_line = np.where(length_squared > 0, share * along - start, 0).astype(np.float32)
+    distance = np.linalg.norm(to_line, axis=-1) * np.sign(to_line[:, 0])
+    return {"center_path": to_line, "center_path_distance": distance[:, None].astype(np.float32)}
+
+
+def _items(snapshot: Snapshot, positions: FloatArray) -> Batch:
+    order = _nearest_first(positions)
+    return {
+        "items_position": np.take_along_axis(positions, order[..., None], axis=1),
+        "items_type": snapshot.items["type"][order].astype(np.int64),
+    }
+
+
+def _karts(positions: FloatArray) -> Batch:
+    order = _nearest_first(positions)
+    return {"karts_position": np.take_along_axis(positions, order[..., None], axis=1)}
+
+
+def _nearest_first(positions: FloatArray) -> IntArray:
+    """Order of ``(A, M, 3)`` points: those in front by distance, then those behind by distance."""
+    distances = np.linalg.norm(positions, axis=-1)
+    is_behind = positions[..., 2] < 0
+    return np.lexsort((distances, is_behind), axis=-1)

@@ -1,0 +1,144 @@
+"""Rewards as sums of named terms, each computed for all karts at once.
+
+A *term* is a function from a :class:`~stkzoo.mdp.transition.Transition` to ``(K,)`` floats.
+A :class:`Reward` weighs and sums terms; their weighted values stand in
+``infos[agent]["reward/<name>"]``.
+
+Write ``reward="placement"`` to choose a shipped reward, ``reward={"time": 5.0}`` to
+reweigh terms of the default one, ``reward={"drift": my_term}`` to add a term of your own,
+``reward={"rank": 0}`` to drop one, a :class:`Reward` to start from nothing, and a mapping
+from agents to any of these to give agents rewards of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.mdp.transition import Transition
+
+__all__ = ["REWARDS", "Reward", "RewardTerm", "as_reward"]
+
+FloatArray = npt.NDArray[np.float64]
+RewardTerm = Callable[[Transition], FloatArray]
+
+
+def progress(step: Transition) -> FloatArray:
+    """A tenth of the metres driven."""
+    return (step.distance - step.distance_before) / 10.0
+
+
+def rank(step: Transition) -> FloatArray:
+    """(1 - position/K) (3 + 7 f), f being 1 on the finishing step and 0 before."""
+    return (1.0 - step.position / step.num_kart) * (3.0 + 7.0 * step.finishes)
+
+
+def time(step: Transition) -> FloatArray:
+    """A constant price of every step, -0.1."""
+    return np.full(step.num_kart, -0.1)
+
+
+def finish(step: Transition) -> FloatArray:
+    """10 on the finishing step."""
+    return 10.0 * step.finishes
+
+
+def course(step: Transition) -> FloatArray:
+    """The share of the race driven in this step; sums to 1 for whoever finishes."""
+    done = np.minimum(step.distance, step.race_length)
+    # The engine may call a kart finished a hair before its distance says so.
+    done = np.where(step.after.karts["has_finished_race"] > 0, step.race_length, done)
+    return (done - np.minimum(step.distance_before, step.race_length)) / step.race_length
+
+
+def placement(step: Transition) -> FloatArray:
+    """On the finishing step, 1 for the winner down to 0 for the last, evenly spaced."""
+    others = max(step.num_kart - 1, 1)
+    return step.finishes * (step.num_kart - step.position) / others
+
+
+@dataclass(frozen=True)
+class Reward:
+    """A weighted sum of named terms.
+
+    Attributes:
+        terms: the terms by name.
+        weights: weights by name; 1 where none is given.
+    """
+
+    terms: Mapping[str, RewardTerm]
+    weights: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, term in self.terms.items():
+            if not callable(term):
+                raise ConfigError(
+                    f"reward term {name!r} is {term!r}, expected a function of a Transition "
+                    "that returns (K,) floats"
+                )
+        for name, weight in self.weights.items():
+            if name not in self.terms:
+                raise unknown_name("reward term", name, self.terms)
+            if not np.isfinite(weight):
+                raise ConfigError(f"weight of reward term {name!r} is {weight!r}, not finite")
+
+    def __call__(self, step: Transition) -> dict[str, FloatArray]:
+        """The weighted value of each term, ``(K,)`` float64 by name."""
+        return {
+            name: _checked(name, term(step), step.num_kart) * self.weights.get(name, 1.0)
+            for name, term in self.terms.items()
+        }
+
+    def adapted(self, changes: Mapping[str, float | RewardTerm]) -> Reward:
+        """This reward with other weights (numbers) and further or other terms (functions)."""
+        terms, weights = dict(self.terms), dict(self.weights)
+        for name, change in changes.items():
+            if callable(change):
+                terms[name] = change
+            elif isinstance(change, (int, float)):
+                weights[name] = float(change)
+            else:
+                raise ConfigError(
+                    f"reward term {name!r} is {change!r}, expected a weight or a function"
+                )
+        return Reward(terms, weights)
+
+
+#: The shipped rewards. ``placement`` gives a total in [0, 2], the higher the better the
+#: place; ``default`` is the formula that users of pystk2-gymnasium know.
+REWARDS: Mapping[str, Reward] = {
+    "default": Reward({"progress": progress, "rank": rank, "time": time, "finish": finish}),
+    "placement": Reward({"course": course, "placement": placement}),
+}
+
+
+def as_reward(choice: object) -> Reward:
+    """The reward that a user's choice stands for (see the module's text)."""
+    if choice is None:
+        return REWARDS["default"]
+    if isinstance(choice, Reward):
+        return choice
+    if isinstance(choice, str):
+        if choice not in REWARDS:
+            raise unknown_name("reward", choice, REWARDS)
+        return REWARDS[choice]
+    if isinstance(choice, Mapping):
+        return REWARDS["default"].adapted(choice)
+    raise ConfigError(
+        f"reward is {choice!r}, expected one of {', '.join(REWARDS)}, a mapping from terms to "
+        "weights or functions, a Reward, or a mapping from agents to these"
+    )
+
+
+def _checked(name: str, values: FloatArray, num_kart: int) -> FloatArray:
+    values = np.asarray(values, np.float64)
+    if values.shape != (num_kart,) or not np.isfinite(values).all():
+        raise ConfigError(
+            f"reward term {name!r} returned {values!r}, expected {num_kart} finite numbers, "
+            "one a kart"
+        )
+    return values

@@ -1,0 +1,82 @@
+"""The spaces of one agent in the ``full`` view, from which all other views are made."""
+
+from __future__ import annotations
+
+import string
+
+import numpy as np
+from gymnasium import spaces
+
+from stkzoo.names import AttachmentType, ItemType, Phase, PowerupType
+
+__all__ = ["POWERUP_COUNT_LIMIT", "kart_action_space", "kart_observation_space"]
+
+#: Observed power-up counts stop here; the game itself has shown up to 6.
+POWERUP_COUNT_LIMIT = 9
+
+_KART_NAME_CHARACTERS = string.ascii_letters + string.digits + "_-"
+
+
+def kart_action_space() -> spaces.Dict:
+    """A fresh action space of one kart.
+
+    ``acceleration`` (1,) in [0, 1] and ``steer`` (1,) in [-1, 1] (positive is right, a
+    share of the kart's ``max_steer_angle``) are float32; the buttons ``brake``,
+    ``drift``, ``fire``, ``nitro`` and ``rescue`` are 0 or 1.
+    """
+    return spaces.Dict(
+        {
+            "acceleration": spaces.Box(0, 1, shape=(1,)),
+            "steer": spaces.Box(-1, 1, shape=(1,)),
+            "brake": spaces.Discrete(2),
+            "drift": spaces.Discrete(2),
+            "fire": spaces.Discrete(2),
+            "nitro": spaces.Discrete(2),
+            "rescue": spaces.Discrete(2),
+        }
+    )
+
+
+def kart_observation_space(use_ai: bool = False) -> spaces.Dict:
+    """A fresh observation space of one kart in the ``full`` view.
+
+    Args:
+        use_ai: add ``action``, the game AI's own choice, in the space of
+            :func:`kart_action_space`.
+    """
+    inf = float("inf")
+
+    def box(size: int, low: float = -inf) -> spaces.Box:
+        return spaces.Box(low, inf, shape=(size,), dtype=np.float32)
+
+    space = spaces.Dict(
+        {
+            "kart_type": spaces.Text(32, min_length=1, charset=_KART_NAME_CHARACTERS),
+            "aux_ticks": box(1, 0),
+            "phase": spaces.Discrete(max(Phase) + 1),
+            "powerup_type": spaces.Discrete(max(PowerupType) + 1),
+            "powerup_count": spaces.Discrete(POWERUP_COUNT_LIMIT + 1),
+            "attachment": spaces.Discrete(max(AttachmentType) + 1),
+            "skeed_factor": box(1, 0),
+            "energy": box(1, 0),
+            "attachment_time_left": box(1, 0),
+            "shield_time": box(1, 0),
+            "velocity": box(3),
+            "max_steer_angle": spaces.Box(-1, 1, shape=(1,), dtype=np.float32),
+            "distance_down_track": box(1),
+            "center_path_distance": box(1),
+            "center_path": box(3),
+            "front": box(3),
+            "jumping": spaces.Discrete(2),
+            "items_position": spaces.Sequence(box(3)),
+            "items_type": spaces.Sequence(spaces.Discrete(max(ItemType) + 1)),
+            "karts_position": spaces.Sequence(box(3)),
+            "paths_distance": spaces.Sequence(box(2, 0)),
+            "paths_width": spaces.Sequence(box(1, 0)),
+            "paths_start": spaces.Sequence(box(3)),
+            "paths_end": spaces.Sequence(box(3)),
+        }
+    )
+    if use_ai:
+        space["action"] = kart_action_space()
+    return space

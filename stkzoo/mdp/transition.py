@@ -1,0 +1,64 @@
+"""One step of a race as rewards and endings see it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine.snapshot import Snapshot
+
+__all__ = ["Transition", "progress_of"]
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def progress_of(snapshot: Snapshot) -> FloatArray:
+    """Distance driven by each kart, ``(K,)`` float64 [m], 0 until it crosses the start line.
+
+    The engine counts from minus one lap there, hence the bound.
+    """
+    return np.maximum(snapshot.karts["overall_distance"].astype(np.float64), 0.0)
+
+
+@dataclass(frozen=True)
+class Transition:
+    """One step, for all K karts in grid order.
+
+    Attributes:
+        before: the moment before the step.
+        after: the moment after it.
+        race_length: laps times the lap's length [m].
+    """
+
+    before: Snapshot
+    after: Snapshot
+    race_length: float
+
+    @property
+    def num_kart(self) -> int:
+        """Number of karts, K."""
+        return len(self.after.karts)
+
+    @property
+    def distance_before(self) -> FloatArray:
+        """``(K,)`` driven before the step [m]."""
+        return progress_of(self.before)
+
+    @property
+    def distance(self) -> FloatArray:
+        """``(K,)`` driven after the step [m]."""
+        return progress_of(self.after)
+
+    @property
+    def position(self) -> npt.NDArray[np.int32]:
+        """``(K,)`` ranks after the step; 1 is first."""
+        ranks: npt.NDArray[np.int32] = self.after.karts["position"]
+        return ranks
+
+    @property
+    def finishes(self) -> npt.NDArray[np.bool_]:
+        """``(K,)`` whether the kart finished the race in this step."""
+        after, before = self.after.karts, self.before.karts
+        return (after["has_finished_race"] > 0) & (before["has_finished_race"] == 0)

@@ -1,0 +1,232 @@
+"""One agent's chain of wrappers, cut into the half before and the half after a race's step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeAlias
+
+import gymnasium as gym
+from gymnasium import spaces
+
+from stkzoo.errors import ActionError, AgentError, AgentException
+from stkzoo.wrappers.action_observation import ActionObservationWrapper
+from stkzoo.wrappers.actions import read_actions
+from stkzoo.wrappers.batch import space_identity, split
+from stkzoo.wrappers.batched import BatchedWrapper
+from stkzoo.wrappers.handover import ParkedStep
+from stkzoo.wrappers.mono_env import AgentStep, MonoAgentEnv
+
+__all__ = ["AgentChain", "WrapperFactory", "agent_failures"]
+
+#: Wraps one agent's environment; ``None`` leaves it as it is.
+WrapperFactory: TypeAlias = Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]] | None
+
+# Gymnasium's steps that do nothing but call `action`, `observation` or `reward`.
+_ACTING = (gym.ActionWrapper.step, ActionObservationWrapper.step)
+_OBSERVING = (gym.ObservationWrapper.step, ActionObservationWrapper.step)
+_PLAIN_STEPS = (*_ACTING, *_OBSERVING, gym.RewardWrapper.step, gym.Wrapper.step)
+
+
+@contextmanager
+def agent_failures(agent: str, doing: str) -> Iterator[None]:
+    """Turns any exception of an agent's wrappers into an ``AgentException``."""
+    try:
+        yield
+    except (AgentError, ActionError):
+        raise
+    except Exception as error:
+        raise AgentException(
+            f"the wrappers of agent {agent!r} failed to {doing}: {type(error).__name__}: {error}",
+            agent,
+        ) from error
+
+
+class AgentChain:
+    """The wrappers around one agent, working on the single form.
+
+    Attributes:
+        agent: the agent's id.
+        env: the outermost wrapper.
+        observation_space: what the agent sees, after all wrappers.
+        action_space: what the agent chooses from, before all wrappers.
+        base_observation_space: the innermost observations.
+        base_action_space: the innermost actions.
+        is_batched: whether all wrappers are :class:`BatchedWrapper`.
+
+    Args:
+        agent: the agent's id.
+        observation_space: its observations without wrappers.
+        action_space: its actions without wrappers.
+        factory: wraps the agent's environment.
+
+    Raises:
+        AgentException: the factory raised, or returned no wrapper of what it was given.
+    """
+
+    def __init__(
+        self,
+        agent: str,
+        observation_space: spaces.Space[Any],
+        action_space: spaces.Space[Any],
+        factory: WrapperFactory,
+    ) -> None:
+        self.agent = agent
+        self.base_observation_space = observation_space
+        self.base_action_space = action_space
+        self._mono = MonoAgentEnv(observation_space, action_space)
+        self._parked: ParkedStep | None = None
+        with agent_failures(agent, "wrap its environment"):
+            self.env = self._mono if factory is None else factory(self._mono)
+            self._wrappers = _wrappers_between(self.env, self._mono)
+            self.observation_space = self.env.observation_space
+            self.action_space = self.env.action_space
+        self._is_plain = all(_has_plain_step(wrapper) for wrapper in self._wrappers)
+        self.is_batched = self._is_plain and all(
+            isinstance(wrapper, BatchedWrapper) and wrapper.keeps_batch_promise()
+            for wrapper in self._wrappers
+        )
+
+    def identity(self) -> Hashable:
+        """Equal for batched chains that do the same."""
+        return (
+            space_identity(self.base_observation_space),
+            space_identity(self.base_action_space),
+            tuple(w.batch_identity() for w in self._wrappers if isinstance(w, BatchedWrapper)),
+        )
+
+    def reset(
+        self,
+        observation: Any,
+        info: dict[str, Any],
+        *,
+        seed: int | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Any, dict[str, Any]]:
+        """Calls the wrappers' ``reset`` with the race's first observation and info."""
+        self.abandon()
+        self._mono.start((observation, info))
+        try:
+            with agent_failures(self.agent, "reset"):
+                observation, info = self.env.reset(seed=seed, options=options)
+                return observation, dict(info)
+        finally:
+            self._mono.start(None)
+
+    def read_action(self, action: object) -> Any:
+        """The single form of an action that is in the agent's space.
+
+        Raises:
+            ActionError: it is not.
+        """
+        return split(self.action_space, read_actions(self.action_space, [action], [self.agent]))[0]
+
+    def begin_step(self, action: Any) -> Any:
+        """Runs the half before the race's step: the base action for the agent's action."""
+        self.abandon()
+        with agent_failures(self.agent, "change its action"):
+            if self._is_plain:
+                return self.act(action)
+            self._parked = ParkedStep(self.env.step, action)
+            self._mono.connect(self._parked)
+            try:
+                return self._parked.begin()
+            except BaseException:
+                self.abandon()
+                raise
+
+    def begin_base_step(self, action: Any) -> Any:
+        """Like :meth:`begin_step`, and the base action is checked.
+
+        Returns:
+            The base action in batch form, with one row.
+
+        Raises:
+            ActionError: the wrappers made an action that is not in the base space.
+        """
+        base = self.begin_step(action)
+        name = "action after its wrappers" if self._wrappers else "action"
+        return read_actions(self.base_action_space, [base], [self.agent], name)
+
+    def finish_step(self, result: AgentStep) -> AgentStep:
+        """Runs the half after the race's step on the agent's part of the result."""
+        with agent_failures(self.agent, "change the result of a step"):
+            observation, reward, terminated, truncated, info = (
+                self._pass_out(result) if self._is_plain else self._finish_parked(result)
+            )
+            return observation, float(reward), bool(terminated), bool(truncated), dict(info)
+
+    def act(self, action: Any) -> Any:
+        """The base action that plain wrappers make of an action."""
+        for wrapper in self._wrappers:
+            if type(wrapper).step in _ACTING:
+                action = wrapper.action(action)
+        return action
+
+    def observe(self, observation: Any) -> Any:
+        """The observation that plain wrappers make of a base observation."""
+        for wrapper in reversed(self._wrappers):
+            if type(wrapper).step in _OBSERVING:
+                observation = wrapper.observation(observation)
+        return observation
+
+    def _pass_out(self, result: AgentStep) -> AgentStep:
+        observation, reward, terminated, truncated, info = result
+        for wrapper in reversed(self._wrappers):
+            if type(wrapper).step in _OBSERVING:
+                observation = wrapper.observation(observation)
+            elif type(wrapper).step is gym.RewardWrapper.step:
+                reward = wrapper.reward(reward)
+        return observation, reward, terminated, truncated, info
+
+    def _finish_parked(self, result: AgentStep) -> AgentStep:
+        parked, self._parked = self._parked, None
+        if parked is None:
+            raise RuntimeError("a step was finished that was never begun.")
+        try:
+            return parked.finish(result)
+        finally:
+            self._mono.connect(None)
+
+    def abandon(self) -> None:
+        """Forgets a step that was begun and will not be finished."""
+        self._mono.connect(None)
+        if self._parked is not None:
+            self._parked.abandon()
+            self._parked = None
+
+    def close(self) -> None:
+        """Forgets a begun step and closes the wrappers."""
+        self.abandon()
+        with agent_failures(self.agent, "close"):
+            self.env.close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        self.abandon()
+        return self.__dict__
+
+    def __del__(self) -> None:
+        parked = self.__dict__.get("_parked")
+        if parked is not None:
+            parked.abandon()
+
+
+def _wrappers_between(env: object, mono: MonoAgentEnv) -> tuple[Any, ...]:
+    """The wrappers from the outermost to the innermost."""
+    if not isinstance(env, gym.Env):
+        raise TypeError(f"the factory returned {env!r}; expected the environment, wrapped.")
+    wrappers: list[Any] = []
+    inner: object = env
+    while isinstance(inner, gym.Wrapper):
+        wrappers.append(inner)
+        inner = inner.env
+    if inner is not mono:
+        raise TypeError(
+            f"the factory returned {env!r}, which does not lead to the environment that it was "
+            "given. Wrap that one and return the outermost wrapper."
+        )
+    return tuple(wrappers)
+
+
+def _has_plain_step(wrapper: gym.Wrapper[Any, Any, Any, Any]) -> bool:
+    return type(wrapper).step in _PLAIN_STEPS and "step" not in vars(wrapper)

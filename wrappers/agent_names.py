@@ -1,0 +1,62 @@
+"""The ways in which a user may name an agent."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import TypeVar
+
+from stkzoo.errors import ConfigError, unknown_name
+
+__all__ = ["by_agent", "find_agent"]
+
+Value = TypeVar("Value")
+
+
+def find_agent(name: object, agents: Iterable[str]) -> str:
+    """The id of the agent that is meant.
+
+    Args:
+        name: an agent's id (``"kart_0"``), its number (``0``) or that as a string (``"0"``).
+        agents: the ids of all agents.
+
+    Raises:
+        ConfigError: none of them is meant; the text lists them.
+
+    Example:
+        >>> find_agent(1, ["kart_0", "kart_1"])
+        'kart_1'
+    """
+    agents = list(agents)
+    if isinstance(name, str) and name in agents:
+        return name
+    wanted = _number(name)
+    if wanted is not None:
+        for agent in agents:
+            if _number(agent) == wanted:
+                return agent
+    raise unknown_name("agent", name, agents)
+
+
+def by_agent(values: Mapping[object, Value], agents: Iterable[str]) -> dict[str, Value]:
+    """The same values under the agents' ids.
+
+    Raises:
+        ConfigError: a key means no agent, or two keys mean the same one.
+    """
+    agents = list(agents)
+    found: dict[str, Value] = {}
+    for name, value in values.items():
+        agent = find_agent(name, agents)
+        if agent in found:
+            raise ConfigError(f"agent {agent!r} is named twice; the second time as {name!r}.")
+        found[agent] = value
+    return found
+
+
+def _number(name: object) -> int | None:
+    """The number in a name: ``2`` for ``2``, ``"2"`` and ``"kart_2"``."""
+    if isinstance(name, bool) or not isinstance(name, (int, str)):
+        return None
+    match = re.fullmatch(r"(?:\w*_)?(\d+)", str(name))
+    return int(match[1]) if match else None

@@ -1,0 +1,123 @@
+"""Lists of changing length as arrays of one size."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from stkzoo.errors import ConfigError
+from stkzoo.wrappers.arguments import dict_space, whole_number
+from stkzoo.wrappers.batched import BatchedWrapper
+
+__all__ = ["ConstantSizedObservations"]
+
+_LISTS = {
+    "paths": ("paths_width", "paths_distance", "paths_start", "paths_end"),
+    "items": ("items_position", "items_type"),
+    "karts": ("karts_position",),
+}
+
+
+class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], BatchedWrapper):
+    """Cuts or zero-pads what is near the kart to a fixed number of entries.
+
+    ``paths_distance`` becomes ``(state_paths, 2)``, ``paths_width`` ``(state_paths, 1)``,
+    ``paths_start`` and ``paths_end`` ``(state_paths, 3)``, ``items_position``
+    ``(state_items, 3)`` and ``karts_position`` ``(state_karts, 3)``, all float32 with the
+    units and frames of the ``full`` view; ``items_type`` becomes ``(state_items,)`` int64.
+
+    Args:
+        env: an environment in the ``full`` view.
+        state_items: number of items.
+        state_karts: number of other karts.
+        state_paths: number of track segments.
+        add_mask: add ``paths_mask``, ``items_mask`` and ``karts_mask``: int8, 1 where an
+            entry is real and 0 where it is padding.
+
+    Raises:
+        ConfigError: a number below 1, or an environment without these lists.
+    """
+
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        *,
+        state_items: int = 5,
+        state_karts: int = 5,
+        state_paths: int = 5,
+        add_mask: bool = False,
+    ) -> None:
+        self.state_items = whole_number("state_items", state_items, 1)
+        self.state_karts = whole_number("state_karts", state_karts, 1)
+        self.state_paths = whole_number("state_paths", state_paths, 1)
+        self.add_mask = bool(add_mask)
+        gym.utils.RecordConstructorArgs.__init__(
+            self,
+            state_items=self.state_items,
+            state_karts=self.state_karts,
+            state_paths=self.state_paths,
+            add_mask=self.add_mask,
+        )
+        super().__init__(env)
+        self._sizes = {
+            "paths": self.state_paths,
+            "items": self.state_items,
+            "karts": self.state_karts,
+        }
+        self._space = self._constant_space(
+            dict_space(env.observation_space, "observations", "ConstantSizedObservations")
+        )
+        self.observation_space = self._space
+
+    def _constant_space(self, space: spaces.Dict) -> spaces.Dict:
+        entries = copy.deepcopy(space.spaces)
+        for group, size in self._sizes.items():
+            for key in _LISTS[group]:
+                entries[key] = _repeated(key, entries.get(key), size)
+            if self.add_mask:
+                entries[f"{group}_mask"] = spaces.Box(0, 1, shape=(size,), dtype=np.int8)
+        return spaces.Dict(entries)
+
+    def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
+        """The observation with arrays of one size for tuples and ``(..., M, n)`` arrays."""
+        changed = dict(observation)
+        for group, keys in _LISTS.items():
+            for key in keys:
+                changed[key], length = _resized(observation[key], self._space[key])
+            if self.add_mask:
+                mask = np.zeros(changed[keys[0]].shape[:-1], np.int8)
+                mask[..., :length] = 1
+                changed[f"{group}_mask"] = mask
+        return changed
+
+
+def _repeated(key: str, space: spaces.Space[Any] | None, size: int) -> spaces.Space[Any]:
+    """The space of ``size`` entries of a list."""
+    entry = space.feature_space if isinstance(space, spaces.Sequence) else None
+    if isinstance(entry, spaces.Discrete):
+        return spaces.MultiDiscrete([entry.n] * size)
+    if isinstance(entry, spaces.Box):
+        low, high = (np.repeat(bound[None], size, axis=0) for bound in (entry.low, entry.high))
+        return spaces.Box(low, high, dtype=np.float32)
+    raise ConfigError(
+        f"ConstantSizedObservations needs a list (a Sequence space) under {key!r}, but found "
+        f"{space!r}. It goes around the full view, and only once."
+    )
+
+
+def _resized(value: Any, space: spaces.Space[Any]) -> tuple[npt.NDArray[Any], int]:
+    """A list as an array of the space's size, and the number of its real entries."""
+    size, *entry = space.shape or ()
+    rows = np.asarray(value, space.dtype)
+    axis = max(rows.ndim - 1 - len(entry), 0)
+    lead = rows.shape[:axis]
+    rows = rows.reshape(*lead, rows.shape[axis], *entry)
+    length = min(rows.shape[axis], size)
+    resized = np.zeros((*lead, size, *entry), space.dtype)
+    np.moveaxis(resized, axis, 0)[:length] = np.moveaxis(rows, axis, 0)[:length]
+    return resized, length

@@ -1,0 +1,147 @@
+"""One vector of numbers and one of choices for a dict of both."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from stkzoo.errors import ConfigError
+
+__all__ = ["SpaceFlattener"]
+
+
+class SpaceFlattener:
+    """Flattens the entries of a ``Dict`` space, in the order of their keys.
+
+    ``Box`` entries go to ``"continuous"``, ``Discrete`` and ``MultiDiscrete`` entries to
+    ``"discrete"``. A space with entries of one sort only gives the plain ``Box`` or
+    ``MultiDiscrete``. ``Text`` entries and a game AI's ``action`` are left out.
+
+    Attributes:
+        space: the flattened space.
+        continuous_keys: the keys of the ``Box`` entries, sorted.
+        discrete_keys: the keys of the other entries, sorted.
+        only_continuous: whether ``space`` is a plain ``Box``.
+        only_discrete: whether ``space`` is a plain ``MultiDiscrete``.
+
+    Args:
+        space: the space to flatten.
+
+    Raises:
+        ConfigError: an entry of another kind, or no entry at all.
+    """
+
+    def __init__(self, space: spaces.Dict) -> None:
+        self._boxes: dict[str, spaces.Box[Any]] = {}
+        self._choices: dict[str, spaces.Discrete | spaces.MultiDiscrete] = {}
+        for key, part in sorted(space.spaces.items()):
+            if key == "action" or isinstance(part, spaces.Text):
+                continue
+            if isinstance(part, spaces.Box):
+                self._boxes[key] = part
+            elif isinstance(part, (spaces.Discrete, spaces.MultiDiscrete)):
+                self._choices[key] = part
+            else:
+                raise ConfigError(_cannot_flatten(key, part))
+        if not self._boxes and not self._choices:
+            raise ConfigError(f"nothing to flatten in {space!r}; expected numbers or choices.")
+        self.continuous_keys = list(self._boxes)
+        self.discrete_keys = list(self._choices)
+        self.only_continuous = not self._choices
+        self.only_discrete = not self._boxes
+        self.space = self._flat_space()
+
+    def _flat_space(self) -> spaces.Space[Any]:
+        if self.only_continuous:
+            return self._continuous_space()
+        if self.only_discrete:
+            return self._discrete_space()
+        return spaces.Dict(
+            {"continuous": self._continuous_space(), "discrete": self._discrete_space()}
+        )
+
+    def _continuous_space(self) -> spaces.Box:
+        boxes = self._boxes.values()
+        low = np.concatenate([box.low.ravel() for box in boxes]).astype(np.float32)
+        high = np.concatenate([box.high.ravel() for box in boxes]).astype(np.float32)
+        return spaces.Box(low, high, dtype=np.float32)
+
+    def _discrete_space(self) -> spaces.MultiDiscrete:
+        counts: list[int] = []
+        starts: list[int] = []
+        for part in self._choices.values():
+            counts.extend(np.ravel(part.n if isinstance(part, spaces.Discrete) else part.nvec))
+            starts.extend(np.ravel(part.start))
+        return spaces.MultiDiscrete(counts, dtype=np.int64, start=starts)
+
+    def continuous(self, value: Mapping[str, Any]) -> npt.NDArray[np.float32]:
+        """The numbers of a value of the space, ``(..., n)`` float32."""
+        columns = [
+            _columns(np.asarray(value[key], np.float32), box.shape)
+            for key, box in self._boxes.items()
+        ]
+        return np.concatenate(columns, axis=-1)
+
+    def discrete(self, value: Mapping[str, Any]) -> npt.NDArray[np.int64]:
+        """The choices of a value of the space, ``(..., m)`` int64."""
+        columns = [
+            _columns(np.asarray(value[key], np.int64), part.shape or ())
+            for key, part in self._choices.items()
+        ]
+        return np.concatenate(columns, axis=-1)
+
+    def flatten(self, value: Mapping[str, Any]) -> Any:
+        """A value of the given space as a value of ``self.space``."""
+        if self.only_continuous:
+            return self.continuous(value)
+        if self.only_discrete:
+            return self.discrete(value)
+        return {"continuous": self.continuous(value), "discrete": self.discrete(value)}
+
+    def unflatten(self, flat: Any) -> dict[str, Any]:
+        """A value of ``self.space`` as a value of the given space, without what was left out."""
+        value: dict[str, Any] = {}
+        if not self.only_discrete:
+            numbers = np.asarray(flat if self.only_continuous else flat["continuous"])
+            value.update(_entries(numbers, self._boxes))
+        if not self.only_continuous:
+            choices = np.asarray(flat if self.only_discrete else flat["discrete"])
+            value.update(_entries(choices, self._choices))
+        return value
+
+
+def _columns(array: npt.NDArray[Any], shape: tuple[int, ...]) -> npt.NDArray[Any]:
+    """``(..., *shape)`` as ``(..., n)``; a bare number stands for one entry."""
+    lead = array.shape[: max(array.ndim - len(shape), 0)]
+    return array.reshape(*lead, int(np.prod(shape)))
+
+
+def _entries(array: npt.NDArray[Any], parts: Mapping[str, spaces.Space[Any]]) -> dict[str, Any]:
+    """``(..., n)`` cut up into ``(..., *shape)``, one piece for each part."""
+    expected = sum(int(np.prod(part.shape or ())) for part in parts.values())
+    if array.ndim == 0 or array.shape[-1] != expected:
+        raise ValueError(
+            f"got an array of shape {array.shape} for {', '.join(parts)}; "
+            f"expected {expected} values on its last axis."
+        )
+    entries: dict[str, Any] = {}
+    begin = 0
+    for key, part in parts.items():
+        shape = part.shape or ()
+        end = begin + int(np.prod(shape))
+        entries[key] = array[..., begin:end].reshape(*array.shape[:-1], *shape)[()]
+        begin = end
+    return entries
+
+
+def _cannot_flatten(key: str, part: spaces.Space[Any]) -> str:
+    advice = (
+        "Put ConstantSizedObservations inside this wrapper."
+        if isinstance(part, spaces.Sequence)
+        else "Leave it out, or turn it into a Box, with a wrapper of your own."
+    )
+    return f"cannot flatten {key!r}, which is {part!r}. {advice}"
