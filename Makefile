@@ -71,7 +71,7 @@ cd $(VENV) && mkdir -p apt/lists/partial apt/cache/archives/partial && cd apt &&
 	apt-get -q $$options update; apt-get -q $$options download python3-pip-whl; }; } && \
 dpkg-deb -x python3-pip-whl_*.deb . && \
 wheel=$$(echo usr/share/python-wheels/pip-*.whl) && \
-../bin/python $$wheel/pip install --quiet --no-index $$wheel && cd .. && rm -rf apt || { \
+../bin/python $$wheel/pip install --quiet --no-warn-script-location --no-index $$wheel && cd .. && rm -rf apt || { \
 	echo "pip could not be had. On Debian and Ubuntu: sudo apt install python3-venv"; exit 1; }
 endef
 

@@ -1,1 +1,251 @@
-x=1
+"""Environments without a game, for tests of wrappers."""
+
+from __future__ import annotations
+
+import importlib
+import warnings
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from pettingzoo import ParallelEnv
+
+from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.wrappers import (
+    ConstantSizedObservations,
+    DiscreteActionsWrapper,
+    FlattenerWrapper,
+    FlattenMultiDiscreteActions,
+    OnlyContinuousActionsWrapper,
+    PolarObservations,
+)
+
+#: The wrappers of each registered view, innermost first.
+VIEWS = {
+    "full": (),
+    "simple": (ConstantSizedObservations, PolarObservations),
+    "flattened": (ConstantSizedObservations, PolarObservations, FlattenerWrapper),
+    "flattened_continuous_actions": (
+        ConstantSizedObservations,
+        PolarObservations,
+        OnlyContinuousActionsWrapper,
+        FlattenerWrapper,
+    ),
+    "flattened_multidiscrete": (
+        ConstantSizedObservations,
+        PolarObservations,
+        DiscreteActionsWrapper,
+        FlattenerWrapper,
+    ),
+    "flattened_discrete": (
+        ConstantSizedObservations,
+        PolarObservations,
+        DiscreteActionsWrapper,
+        FlattenerWrapper,
+        FlattenMultiDiscreteActions,
+    ),
+}
+
+
+def import_reference(module):
+    """A module of the reference, which takes our ids on import; they are given back."""
+    ids = dict(gym.registry)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        imported = importlib.import_module(f"pystk2_gymnasium.{module}")
+    gym.registry.update(ids)
+    return imported
+
+
+def wrap(env, view):
+    for wrapper in VIEWS[view]:
+        env = wrapper(env)
+    return env
+
+
+class ScriptedEnv(gym.Env):
+    """Returns what the given functions return."""
+
+    def __init__(self, observation_space, action_space, reset=None, step=None):
+        self.observation_space = observation_space
+        self.action_space = action_space
+        self._reset = reset
+        self._step = step
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return self._reset()
+
+    def step(self, action):
+        return self._step(action)
+
+
+def kart_env(use_ai=False):
+    """One kart without a game: has spaces only."""
+    return ScriptedEnv(kart_observation_space(use_ai), kart_action_space())
+
+
+def number_env(steps=3):
+    """Counts its steps in its observation; ends after ``steps``."""
+    count = 0
+
+    def reset():
+        nonlocal count
+        count = 0
+        return np.zeros(1, np.float32), {}
+
+    def step(action):
+        nonlocal count
+        count += 1
+        return np.full(1, count, np.float32), float(action), count >= steps, False, {}
+
+    box = spaces.Box(0, 100, (1,), np.float32)
+    return ScriptedEnv(box, spaces.Discrete(3), reset, step)
+
+
+def random_batch(rng, count, *, items=7, karts=4, paths=9, use_ai=False):
+    """Full observations of ``count`` agents in batch form."""
+    lengths = {"items": items, "karts": karts, "paths": paths}
+
+    def column(key, space):
+        if isinstance(space, spaces.Dict):
+            return {name: column(name, part) for name, part in space.spaces.items()}
+        if isinstance(space, spaces.Text):
+            return np.array(rng.choice(["tux", "gnu", "sara_the_racer"], count))
+        if isinstance(space, spaces.Discrete):
+            return rng.integers(space.n, size=count)
+        if isinstance(space, spaces.Sequence):
+            size = (count, lengths[key.split("_")[0]])
+            part = space.feature_space
+            if isinstance(part, spaces.Discrete):
+                return rng.integers(part.n, size=size)
+            numbers = rng.normal(scale=30, size=(*size, *part.shape)).astype(np.float32)
+            return np.maximum(numbers, part.low)
+        numbers = rng.normal(scale=1, size=(count, *space.shape)).astype(np.float32)
+        return np.clip(numbers, space.low, space.high)
+
+    return column("", kart_observation_space(use_ai))
+
+
+def assert_same(left, right):
+    """Equal keys, types, dtypes, shapes and values."""
+    if isinstance(right, dict):
+        assert left.keys() == right.keys()
+        for key in right:
+            assert_same(left[key], right[key])
+    elif isinstance(right, tuple):
+        assert isinstance(left, tuple)
+        assert len(left) == len(right)
+        for one, other in zip(left, right, strict=True):
+            assert_same(one, other)
+    elif isinstance(right, np.ndarray):
+        assert isinstance(left, np.ndarray)
+        assert left.dtype == right.dtype
+        assert left.shape == right.shape
+        np.testing.assert_allclose(left, right, rtol=1e-6, atol=0)
+    else:
+        assert type(left) is type(right)
+        assert left == right
+
+
+class SmallRace(ParallelEnv):
+    """A ParallelEnv whose karts do nothing: agent ``n`` finishes after ``ends[n]`` steps."""
+
+    metadata = {"name": "small_race", "render_modes": []}  # noqa: RUF012
+    render_mode = None
+
+    def __init__(self, ends=(3, 5)):
+        self.ends = ends
+        self.possible_agents = [f"kart_{number}" for number in range(len(ends))]
+        self.agents = []
+        self.last_actions = None
+        self._spaces = {
+            agent: (kart_observation_space(), kart_action_space()) for agent in self.possible_agents
+        }
+
+    def observation_space(self, agent):
+        return self._spaces[agent][0]
+
+    def action_space(self, agent):
+        return self._spaces[agent][1]
+
+    def _observe(self, agents):
+        sampled = {}
+        for agent in agents:
+            batch = random_batch(self._rng, 1)
+            sampled[agent] = {
+                key: tuple(value[0])
+                if isinstance(self._spaces[agent][0][key], spaces.Sequence)
+                else (str(value[0]) if key == "kart_type" else value[0])
+                for key, value in batch.items()
+            }
+        return sampled
+
+    def reset(self, seed=None, options=None):
+        self._rng = np.random.default_rng(seed)
+        self.agents = list(self.possible_agents)
+        self.steps = 0
+        return self._observe(self.agents), {agent: {"position": 1} for agent in self.agents}
+
+    def step(self, actions):
+        acted = self.agents
+        for agent in acted:
+            assert self.action_space(agent).contains(
+                {
+                    k: np.asarray(v) if k in ("steer", "acceleration") else v
+                    for k, v in actions[agent].items()
+                }
+            )
+        self.last_actions = actions
+        self.steps += 1
+        ended = {
+            agent: self.steps >= end
+            for agent, end in zip(self.possible_agents, self.ends, strict=True)
+            if agent in acted
+        }
+        self.agents = [agent for agent in acted if not ended[agent]]
+        return (
+            self._observe(acted),
+            dict.fromkeys(acted, 1.0),
+            ended,
+            dict.fromkeys(acted, False),
+            {agent: {"position": 1} for agent in acted},
+        )
+
+
+class MultiEnv(gym.Env):
+    """A :class:`SmallRace` as a Gymnasium environment of dicts; its finished agents vanish."""
+
+    def __init__(self, ends=(3, 5)):
+        self.race = SmallRace(ends)
+        agents = self.race.possible_agents
+        self.numbers = {agent: str(number) for number, agent in enumerate(agents)}
+        self.observation_space = spaces.Dict(
+            {self.numbers[agent]: self.race.observation_space(agent) for agent in agents}
+        )
+        self.action_space = spaces.Dict(
+            {self.numbers[agent]: self.race.action_space(agent) for agent in agents}
+        )
+
+    def _numbered(self, values):
+        return {self.numbers[agent]: value for agent, value in values.items()}
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        observations, infos = self.race.reset(seed)
+        self.last_observations = self._numbered(observations)
+        return self.last_observations, {"infos": self._numbered(infos)}
+
+    def step(self, actions):
+        agents = {number: agent for agent, number in self.numbers.items()}
+        observations, rewards, ends, _, infos = self.race.step(
+            {agents[number]: action for number, action in actions.items()}
+        )
+        self.last_observations = self._numbered(observations)
+        info = {
+            "reward": self._numbered(rewards),
+            "terminated": self._numbered(ends),
+            "infos": self._numbered(infos),
+        }
+        done = not self.race.agents
+        return self.last_observations, sum(rewards.values()), done, False, info

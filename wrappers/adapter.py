@@ -116,7 +116,9 @@ class GymAgentAdapter(
             observations, reward, terminated, truncated, info = self.env.step(base)
             originals = self._copies(observations)
             results = {
-                agent: self._set.chains[agent].finish_step(_agent_part(agent, observation, info))
+                agent: self._set.chains[agent].finish_step(
+                    _agent_part(agent, observation, info, (terminated, truncated))
+                )
                 for agent, observation in observations.items()
                 if agent in self._set.chains
             }
@@ -275,14 +277,16 @@ def _reward(agent: str, info: Mapping[str, Any]) -> float:
 
 
 def _agent_part(
-    agent: str, observation: Any, info: Mapping[str, Any]
+    agent: str, observation: Any, info: Mapping[str, Any], ends: tuple[bool, bool]
 ) -> tuple[Any, float, bool, bool, dict[str, Any]]:
     """One agent's share of a step of a Gymnasium environment of many."""
+    terminated = bool(info.get("terminated", {}).get(agent, ends[0]))
+    cut_short = ends[1] and not terminated
     return (
         observation,
         _reward(agent, info),
-        bool(info.get("terminated", {}).get(agent, False)),
-        bool(info.get("truncated", {}).get(agent, False)),
+        terminated,
+        bool(info.get("truncated", {}).get(agent, cut_short)),
         cast("dict[str, Any]", info.get("infos", {}).get(agent, {})),
     )
 
@@ -294,4 +298,6 @@ def _changed_info(info: Mapping[str, Any], results: Mapping[str, Any]) -> dict[s
         if key in info or (key == "truncated" and "terminated" in info):
             own = {agent: result[place] for agent, result in results.items()}
             changed[key] = {**info.get(key, {}), **own}
+    if "done" in info:
+        changed["done"] = {agent: result[2] or result[3] for agent, result in results.items()}
     return changed

@@ -133,7 +133,7 @@ def _entries(array: npt.NDArray[Any], parts: Mapping[str, spaces.Space[Any]]) ->
     for key, part in parts.items():
         shape = part.shape or ()
         end = begin + int(np.prod(shape))
-        entries[key] = array[..., begin:end].reshape(*array.shape[:-1], *shape)[()]
+        entries[key] = array[..., begin:end].reshape((*array.shape[:-1], *shape))[()]
         begin = end
     return entries
 

@@ -23,8 +23,8 @@ looked for in this order:
   3. the cache of pystk2
   4. an installed game (/usr/share/games/supertuxkart)
 
-The headless pack has no pictures, music or sound. Races in it are bit for bit the
-same and start faster; drawing needs the full data. Nothing is ever downloaded but
+The headless pack has no real pictures, music or sound. Races in it are bit for bit
+the same and start faster; drawing needs the full data. Nothing is ever downloaded but
 by `stkzoo assets install`.
 """
 

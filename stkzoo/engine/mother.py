@@ -146,4 +146,3 @@ def _unbuffer_output(libc: ctypes.CDLL) -> None:
     with contextlib.suppress(ValueError):  # a C library that names its streams otherwise
         stdout = ctypes.c_void_p.in_dll(libc, "stdout")
         libc.setvbuf(stdout, None, 2, 0)  # 2 is _IONBF
-

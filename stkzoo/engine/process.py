@@ -183,12 +183,15 @@ class Mother:
 
     def fork(self) -> RaceProcess:
         """A new child that has run no race yet."""
-        ours, theirs = socket.socketpair()
-        log = Log()
-        with theirs, self._lock:
+        with contextlib.ExitStack() as on_failure, self._lock:
             self._wait_until_ready()
-            fds = [theirs.fileno(), log.fileno()]
-            answer = self._ask({"do": "fork"}, fds)
+            ours, theirs = socket.socketpair()
+            log = Log()
+            on_failure.callback(ours.close)
+            on_failure.callback(log.close)
+            with theirs:
+                answer = self._ask({"do": "fork"}, [theirs.fileno(), log.fileno()])
+            on_failure.pop_all()
         return _ForkedRace(ours, answer["pid"], log, self)
 
     def end_child(self, pid: int) -> int | None:
@@ -297,7 +300,9 @@ class _SpawnedRace(RaceProcess):
             except TimeoutError:
                 if self._process.poll() is not None:
                     how = _describe_end(self._process.returncode)
-                    raise EngineCrashed(f"the game's process {how} at its start", log.tail()) from None
+                    raise EngineCrashed(
+                        f"the game's process {how} at its start", log.tail()
+                    ) from None
                 continue
             connection.settimeout(5.0)
             with contextlib.suppress(OSError):

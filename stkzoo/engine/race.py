@@ -174,9 +174,9 @@ class GameRace:
         )
         phase = self._phases.get(world.phase, Phase.RACE_PHASE)
         header = np.array(
-            (world.time, world.aux_ticks, phase, len(karts), len(items), running), HEADER_DTYPE
+            [(world.time, world.aux_ticks, phase, len(karts), len(items), running)], HEADER_DTYPE
         )
-        return Snapshot(header[()], karts, items)
+        return Snapshot(header[0], karts, items)
 
 
 _ZERO_CONTROL = (0.0,) * len(CONTROLS)

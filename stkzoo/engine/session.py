@@ -123,20 +123,23 @@ class WorkerSession:
             wire.send(process.connection, kind, data)
             return [self._receive(process) for _ in range(replies)]
         except TimeoutError:
-            self._end(process)
+            _, log = self._end(process)
             message = f"the game gave no answer in {timeout:g} s and was ended; call reset()"
-            raise EngineTimeout(message, process.log.tail()) from None
+            raise EngineTimeout(message, log) from None
         except (EOFError, OSError):
-            how = self._end(process)
+            how, log = self._end(process)
             message = f"the game's process {how}; call reset() to start a new one"
-            raise EngineCrashed(message, process.log.tail()) from None
+            raise EngineCrashed(message, log) from None
         except BaseException:  # the answer to this request would be taken for the next one's
             self._end(process)
             raise
 
-    def _end(self, process: RaceProcess) -> str:
+    def _end(self, process: RaceProcess) -> tuple[str, str]:
+        """Ends the process; says how it ended and what it wrote last."""
         self._process = None
-        return process.end()
+        how, log = process.end(), process.log.tail()
+        process.log.close()
+        return how, log
 
     @staticmethod
     def _receive(process: RaceProcess) -> bytes:

@@ -45,7 +45,7 @@ def draw_race(
     random: np.random.Generator,
 ) -> tuple[RaceSetup, RaceInfo]:
     """Draws what is left to chance: the track, the engine's seed and the free grid places."""
-    track = tracks[random.integers(len(tracks))]
+    track = tracks[int(random.integers(len(tracks)))]
     seed = int(random.integers(2**16))
     kart_indices = _draw_places(agents, options.num_kart, random)
     karts = [KartSetup()] * options.num_kart

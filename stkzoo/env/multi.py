@@ -31,9 +31,7 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
             ``view``; ``max_cycles`` is unlimited by default.
     """
 
-    def __init__(
-        self, *, agents: Sequence[AgentSpec] | int | None = None, **options: Any
-    ) -> None:
+    def __init__(self, *, agents: Sequence[AgentSpec] | int | None = None, **options: Any) -> None:
         EzPickle.__init__(self, agents=agents, **options)
         super().__init__(agents, **options)
         self.agents = self.core.specs

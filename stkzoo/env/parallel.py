@@ -18,25 +18,23 @@ from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import Assets, find_assets
 from stkzoo.engine.process import can_fork, start_mother
 from stkzoo.engine.session import LocalSession, Session, WorkerSession
-from stkzoo.engine.snapshot import CONTROLS, Snapshot
-from stkzoo.engine.track import TrackMap, decode_track
+from stkzoo.engine.snapshot import Snapshot
+from stkzoo.engine.track import TrackMap
+from stkzoo.env.episode import Episode
 from stkzoo.env.graphics import graphics_setting
 from stkzoo.env.grid import RaceInfo, draw_race
-from stkzoo.env.infos import EpisodeRecord, rewards_of_agents
+from stkzoo.env.infos import rewards_of_agents
 from stkzoo.env.options import RaceOptions, check_agents, check_num_cameras
 from stkzoo.env.views import views_of_agents
 from stkzoo.errors import ApiOrderError, ConfigError
-from stkzoo.mdp.observations import KartObserver, ai_actions
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
-from stkzoo.mdp.state import race_state, state_space
-from stkzoo.mdp.transition import Transition
+from stkzoo.mdp.state import state_space
 from stkzoo.wrappers.chain import AgentChains
 
 __all__ = ["RaceParallelEnv"]
 
 logger = logging.getLogger(__name__)
 
-IntArray = npt.NDArray[np.intp]
 Observations = dict[str, Any]
 StepResult = tuple[
     Observations, dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]
@@ -120,7 +118,6 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
         check_agents(self.specs, num_kart, self._assets.karts)
         self.possible_agents = [f"kart_{index}" for index in range(len(self.specs))]
         self.agents: list[str] = []
-        self._index = {agent: index for index, agent in enumerate(self.possible_agents)}
         self._ai_agents = self._agents_of_ai()
         self._rewards = rewards_of_agents(reward, self.possible_agents)
         self._chains = AgentChains(
@@ -139,9 +136,7 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
         self._session = _session(
             self._assets, use_subprocess, self._graphics, float(engine_timeout)
         )
-        self.race: RaceInfo | None = None
-        self.track_map: TrackMap | None = None
-        self.snapshot: Snapshot | None = None
+        self._episode: Episode | None = None
 
     # ------------------------------------------------------------------ PettingZoo's API
 
@@ -168,37 +163,23 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
         """
         if seed is not None or self._np_random is None:
             self._np_random, _ = seeding.np_random(seed)
-        episode = self._episode_options(options or {})
+        options_now = self._options_now(options or {})
         self._check_specs()
-        setup, race = draw_race(
-            episode,
-            self.specs,
-            episode.tracks(self._assets.tracks),
-            self._num_cameras,
-            self._np_random,
-        )
-        self.agents, self.snapshot = [], None  # in case the start fails
+        tracks = options_now.tracks(self._assets.tracks)
+        setup, race = draw_race(options_now, self.specs, tracks, self._num_cameras, self._np_random)
+        self.agents, self._episode = [], None  # in case the start fails
         start = self._session.start(setup)
-        self.snapshot = start.snapshot
-        self.track_map = decode_track(start.track)
-        self.race = replace(race, kart_types=start.kart_types)
-        self._episode = episode
-        self._num_steps = 0
-        self._is_player = np.array([not kart.is_bot for kart in setup.karts])
-        self._observer = KartObserver(self.track_map, start.kart_types, episode.max_paths)
-        self._record = EpisodeRecord(
-            self._rewards, race.kart_indices, self.track_map.length * race.laps
-        )
+        self._episode = Episode(options_now, setup, race, start, self._rewards)
         agents = list(self.possible_agents)
-        observations, infos = self._chains.reset(
+        result = self._chains.reset(
             agents,
-            self._observe(agents),
-            self._record.infos(self.snapshot, agents),
+            self._episode.observe(agents),
+            self._episode.infos(agents),
             seed=seed,
             options=dict(options or {}),
         )
         self.agents = agents
-        return observations, infos
+        return result
 
     def step(self, actions: Mapping[str, Any]) -> StepResult:
         """Advances the race by one step.
@@ -216,24 +197,19 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
             ApiOrderError: before the first ``reset``.
             EngineError: the game died or hangs; ``reset`` starts anew.
         """
-        if self.snapshot is None:
-            raise ApiOrderError("step() before reset(); call reset() first")
-        if not self.agents:
+        episode, agents = self._running("step"), self.agents
+        if not agents:
             return {}, {}, {}, {}, {}
-        agents = self.agents
-        before = self.snapshot
-        self.snapshot = after = self._session.step(self._controls(actions, agents))
-        self._num_steps += 1
-        rewards = self._record.step(before, after, agents)
-        terminations = self._terminations(after, agents)
-        truncations = self._truncations(terminations)
+        controls = episode.controls(self._chains.decode(actions, agents), agents)
+        rewards = episode.advance(self._session.step(controls), agents)
+        terminations = episode.terminations(agents)
         result: StepResult = self._chains.step(
             agents,
-            self._observe(agents),
+            episode.observe(agents),
             rewards,
             terminations,
-            truncations,
-            self._record.infos(after, agents),
+            episode.truncations(terminations),
+            episode.infos(agents),
         )
         self.agents = [a for a in agents if not (result[2][a] or result[3][a])]
         return result
@@ -248,17 +224,11 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
 
     def state(self) -> npt.NDArray[np.float32]:
         """The whole race as one vector of ``state_space`` (:mod:`stkzoo.mdp.state`)."""
-        if self.snapshot is None or self.race is None or self.track_map is None:
-            raise ApiOrderError("state() before reset(); call reset() first")
-        agents = self.race.kart_indices
-        bots = [kart for kart in range(len(self.snapshot.karts)) if kart not in agents]
-        order = np.array([*agents, *bots], np.intp)
-        return race_state(self.snapshot, order, self.track_map.length, self.race.laps)
+        return self._running("state").state()
 
     def close(self) -> None:
         """Ends the game's process; ``reset`` may be called again."""
-        self.agents = []
-        self.snapshot = None
+        self.agents, self._episode = [], None
         self._session.close()
         self._chains.close()
 
@@ -274,6 +244,21 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
     def unwrapped(self) -> RaceParallelEnv:
         """This environment."""
         return self
+
+    @property
+    def race(self) -> RaceInfo | None:
+        """Names of the present race and its karts; ``None`` before the first reset."""
+        return self._episode.race if self._episode else None
+
+    @property
+    def track_map(self) -> TrackMap | None:
+        """The present race's track; ``None`` before the first reset."""
+        return self._episode.track_map if self._episode else None
+
+    @property
+    def snapshot(self) -> Snapshot | None:
+        """The present moment of the race; ``None`` before the first reset."""
+        return self._episode.snapshot if self._episode else None
 
     @property
     def np_random(self) -> np.random.Generator:
@@ -302,9 +287,14 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
             Batch form: arrays with a leading axis over ``agents``
             (:mod:`stkzoo.mdp.observations`).
         """
-        if self.snapshot is None:
-            raise ApiOrderError("observe_batch() before reset(); call reset() first")
-        return self._observe(agents)
+        return self._running("observe_batch").observe(agents)
+
+    # ------------------------------------------------------------------ helpers
+
+    def _running(self, method: str) -> Episode:
+        if self._episode is None:
+            raise ApiOrderError(f"{method}() before reset(); call reset() first")
+        return self._episode
 
     def _agents_of_ai(self) -> set[str]:
         pairs = zip(self.possible_agents, self.specs, strict=True)
@@ -318,39 +308,7 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
                 "change its spaces; make a new environment"
             )
 
-    # ------------------------------------------------------------------ phases of a step
-
-    def _controls(self, actions: Mapping[str, Any], agents: Sequence[str]) -> Any:
-        decoded = self._chains.decode(actions, agents)
-        controls = np.zeros((len(self._is_player), len(CONTROLS)), np.float32)
-        karts = self._karts(agents)
-        for column, name in enumerate(CONTROLS):
-            controls[karts, column] = np.reshape(decoded[name], -1)
-        return controls[self._is_player]
-
-    def _observe(self, agents: Sequence[str]) -> dict[str, Any]:
-        assert self.snapshot is not None
-        karts = self._karts(agents)
-        batch = self._observer.observe(self.snapshot, karts)
-        if self._ai_agents:
-            batch["action"] = ai_actions(self.snapshot, karts)
-        return batch
-
-    def _terminations(self, after: Snapshot, agents: Sequence[str]) -> dict[str, bool]:
-        finished = after.karts["has_finished_race"][self._karts(agents)].astype(bool).tolist()
-        return dict(zip(agents, finished, strict=True))
-
-    def _truncations(self, terminations: Mapping[str, bool]) -> dict[str, bool]:
-        limit = self._episode.max_cycles
-        is_over = limit is not None and self._num_steps >= limit
-        return {agent: is_over and not ended for agent, ended in terminations.items()}
-
-    def _karts(self, agents: Sequence[str]) -> IntArray:
-        assert self.race is not None
-        indices = self.race.kart_indices
-        return np.array([indices[self._index[agent]] for agent in agents], np.intp)
-
-    def _episode_options(self, options: Mapping[str, Any]) -> RaceOptions:
+    def _options_now(self, options: Mapping[str, Any]) -> RaceOptions:
         episode = self.options.changed(options)
         if episode.num_kart != self.options.num_kart:
             raise ConfigError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 from gymnasium.utils import EzPickle
@@ -10,7 +9,6 @@ from gymnasium.utils import EzPickle
 from stkzoo.config import AgentSpec
 from stkzoo.env.gymnasium_base import GymnasiumRaceEnv
 from stkzoo.errors import ApiOrderError, ConfigError
-from stkzoo.names import CameraMode
 
 __all__ = ["STKRaceEnv"]
 

@@ -39,10 +39,10 @@ def make_stkrace_vec(
     make = partial(_make, env_id, dict(env_kwargs or {}))
     if shared_memory is None:
         with make() as env:
-            shared_memory = not _varies_in_size(env.observation_space)
-    return AsyncVectorEnv(
-        [make] * num_envs, context=context, shared_memory=shared_memory, **vec_kwargs
-    )
+            vec_kwargs["shared_memory"] = not _varies_in_size(env.observation_space)
+    else:
+        vec_kwargs["shared_memory"] = shared_memory
+    return AsyncVectorEnv([make] * num_envs, context=context, **vec_kwargs)
 
 
 def _make(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:

@@ -90,7 +90,7 @@ def views_of_agents(choice: object, agents: Sequence[str]) -> dict[str, View]:
     """
     if not isinstance(choice, Mapping):
         return dict.fromkeys(agents, _view(choice))
-    views = dict.fromkeys(agents, full)
+    views: dict[str, View] = dict.fromkeys(agents, full)
     for name, view in choice.items():
         agent = agent_named(name, agents)
         if agent is None:

@@ -44,4 +44,5 @@ def to_kart_frame(points: FloatArray, locations: FloatArray, matrices: FloatArra
     Returns:
         ``(A, M, 3)`` float32.
     """
-    return np.matmul(points - locations[:, None], matrices.transpose(0, 2, 1))
+    seen: FloatArray = np.matmul(points - locations[:, None], matrices.transpose(0, 2, 1))
+    return seen

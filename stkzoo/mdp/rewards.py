@@ -29,7 +29,7 @@ RewardTerm = Callable[[Transition], FloatArray]
 
 def progress(step: Transition) -> FloatArray:
     """A tenth of the metres driven."""
-    return (step.distance - step.distance_before) / 10.0
+    return np.asarray((step.distance - step.distance_before) / 10.0, np.float64)
 
 
 def rank(step: Transition) -> FloatArray:

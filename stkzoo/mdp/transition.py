@@ -61,4 +61,5 @@ class Transition:
     def finishes(self) -> npt.NDArray[np.bool_]:
         """``(K,)`` whether the kart finished the race in this step."""
         after, before = self.after.karts, self.before.karts
-        return (after["has_finished_race"] > 0) & (before["has_finished_race"] == 0)
+        now: npt.NDArray[np.bool_] = after["has_finished_race"] > before["has_finished_race"]
+        return now

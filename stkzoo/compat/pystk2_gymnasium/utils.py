@@ -17,7 +17,8 @@ FloatArray = npt.NDArray[np.floating[Any]]
 
 def rotate(v: FloatArray, q: FloatArray) -> FloatArray:
     """The vector ``v`` (3,) turned by the unit quaternion ``q`` (4,): w, x, y, z."""
-    return rotate_batch(np.asarray(v)[None], q)[0]
+    turned: FloatArray = rotate_batch(np.asarray(v)[None], q)[0]
+    return turned
 
 
 def rotate_batch(vectors: FloatArray, q: FloatArray) -> FloatArray:

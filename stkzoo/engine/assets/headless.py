@@ -1,8 +1,9 @@
 """The headless pack: what a race needs of the game's data, without what one sees.
 
-Pictures are replaced by tiny ones of the same name, because the game derives the
-properties of the ground from its materials, and drops a material without a picture.
-Music and sound are left out. Races are bit for bit those of the full data.
+Every picture, piece of music and sound is replaced by a tiny one of the same name. None
+may be missing: the game derives the properties of the ground from its materials, and a
+material whose picture or sound is not there changes how karts drive on it. Races are bit
+for bit those of the full data.
 """
 
 from __future__ import annotations
@@ -78,21 +79,19 @@ def build_headless(source: Path, target: Path, progress: Progress) -> None:
     kept = sum(size for path, size in files if _kind(path) == "keep")
     check_space(target, kept + 32_000_000, "the headless pack")
     progress.begin("building the headless pack", kept)
-    pictures = _Pictures(target)
+    placeholders = _Placeholders(target, [path for path, _ in files])
     done = 0
     for path, size in files:
         goal = target / "data" / path.relative_to(source / "data")
         kind = _kind(path)
-        if kind == "drop":
-            continue
         goal.parent.mkdir(parents=True, exist_ok=True)
         if kind == "keep":
             link_or_copy(path, goal)
             done += size
             progress.reach(done)
         else:
-            pictures.put(kind, goal)
-    pictures.finish()
+            placeholders.put(kind, goal)
+    placeholders.finish()
     write_marker(target, "headless pack", headless=True)
 
 
@@ -107,19 +106,27 @@ def _files(data: Path) -> Iterator[tuple[Path, int]]:
 def _kind(path: Path) -> str:
     suffix = path.suffix.lower()
     if suffix in _SOUND:
-        return "drop"
+        return "sound"
     if suffix in _JPEG:
         return "jpeg"
     return "png" if suffix == ".png" else "keep"
 
 
-class _Pictures:
-    """One placeholder file of each format, linked under every name."""
+class _Placeholders:
+    """One small file of each kind, linked under every name that needs it.
 
-    def __init__(self, root: Path) -> None:
-        self._files = {"png": root / ".png", "jpeg": root / ".jpeg"}
-        self._files["png"].write_bytes(placeholder_png())
-        self._files["jpeg"].write_bytes(placeholder_jpeg())
+    The sound is the smallest of the game's own.
+    """
+
+    def __init__(self, root: Path, files: list[Path]) -> None:
+        contents = {"png": placeholder_png(), "jpeg": placeholder_jpeg()}
+        sounds = [path for path in files if _kind(path) == "sound"]
+        if sounds:
+            smallest = min(sounds, key=lambda path: (path.stat().st_size, path.name))
+            contents["sound"] = smallest.read_bytes()
+        self._files = {kind: root / f".{kind}" for kind in contents}
+        for kind, content in contents.items():
+            self._files[kind].write_bytes(content)
 
     def put(self, kind: str, goal: Path) -> None:
         link_or_copy(self._files[kind], goal)

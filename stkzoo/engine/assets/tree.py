@@ -41,8 +41,8 @@ class Assets:
     Attributes:
         root: the value for ``SUPERTUXKART_DATADIR``: the folder that holds ``data``.
         source: the place where it was found, such as ``"environment"``.
-        headless: whether pictures, music and sound are left out, so that the game can
-            race but not draw.
+        headless: whether pictures, music and sound are placeholders, so that the game
+            can race but not draw.
         tracks: names of the race tracks, sorted.
         karts: names of the kart models, sorted.
     """

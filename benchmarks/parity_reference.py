@@ -1,0 +1,326 @@
+"""The side of pystk2-gymnasium in the parity measurement: recording races step by step.
+
+The reference and stkzoo register the same ids, so the reference runs in an interpreter of
+its own (:class:`ReferenceProcess`). Only the first race of a process repeats where game
+bots drive, so that interpreter starts the engine, races never, and forks a child a race.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Job", "Leaf", "Moment", "Recording", "ReferenceProcess", "flatten", "inner_spaces"]
+
+#: The action stream accepts a drawn action whose throttle, brake and rescue are unhelpful
+#: with these probabilities; else the karts would stand.
+_KEEP_SLOW, _KEEP_BRAKE, _KEEP_RESCUE = 0.2, 0.1, 0.01
+#: A drawn action is held for so many steps.
+_HOLD_STEPS = 4
+
+
+@dataclass(frozen=True)
+class Job:
+    """One race to run: plain values, so that it crosses a process border as JSON.
+
+    Attributes:
+        env_id: Gymnasium id.
+        track: the track.
+        steps: steps to take at most; the episode is truncated there.
+        num_kart: number of karts.
+        use_ai: for each agent, whether the game drives it.
+        engine_seed: the engine's own seed.
+        kart_indices: each agent's kart in grid order.
+    """
+
+    env_id: str
+    track: str
+    steps: int
+    num_kart: int
+    use_ai: tuple[bool, ...]
+    engine_seed: int = 0
+    kart_indices: tuple[int, ...] = ()
+
+    @property
+    def is_multi(self) -> bool:
+        """Whether the id is the dictionary of agents."""
+        return "multi" in self.env_id
+
+
+class Leaf(NamedTuple):
+    """One entry of a nested value.
+
+    Attributes:
+        kind: name of its type; for a tuple also that of its entries.
+        values: the value; a tuple's entries are stacked.
+    """
+
+    kind: str
+    values: npt.NDArray[Any]
+
+
+class Moment(NamedTuple):
+    """What ``reset`` (with reward 0 and no end) or ``step`` returned."""
+
+    observation: dict[str, Leaf]
+    reward: float
+    terminated: bool
+    truncated: bool
+    info: dict[str, Leaf]
+
+
+@dataclass
+class Recording:
+    """One race as one side saw it.
+
+    Attributes:
+        moments: reset and every step.
+        observation_space: its leaves by path, as text and shape.
+        action_space: likewise.
+        actions: the actions of the steps, as given.
+        layout: for flattened vectors, the inner entries by vector: name, shape.
+    """
+
+    moments: list[Moment] = field(default_factory=list)
+    observation_space: dict[str, str] = field(default_factory=dict)
+    action_space: dict[str, str] = field(default_factory=dict)
+    actions: list[Any] = field(default_factory=list)
+    layout: dict[str, list[tuple[str, tuple[int, ...]]]] = field(default_factory=dict)
+
+
+def flatten(value: Any, path: str = "") -> dict[str, Leaf]:
+    """The entries of nested dicts by their path, ``"a/b"``."""
+    if isinstance(value, Mapping):
+        leaves: dict[str, Leaf] = {}
+        for key, part in value.items():
+            leaves.update(flatten(part, f"{path}/{key}" if path else str(key)))
+        return leaves
+    if isinstance(value, tuple):
+        kinds = sorted({_kind(part) for part in value})
+        return {path: Leaf(f"tuple of {' and '.join(kinds)}", np.array(value))}
+    return {path: Leaf(_kind(value), np.array(value))}
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f"array {value.dtype} {value.shape}"
+    return type(value).__name__
+
+
+def inner_spaces(space: Any, path: str = "") -> dict[str, str]:
+    """The leaves of nested ``Dict`` spaces as text, by their path."""
+    if hasattr(space, "spaces") and isinstance(space.spaces, Mapping):
+        leaves: dict[str, str] = {}
+        for key, part in space.spaces.items():
+            leaves.update(inner_spaces(part, f"{path}/{key}" if path else str(key)))
+        return leaves
+    return {path: str(space)}
+
+
+class ReferenceProcess:
+    """An interpreter in which pystk2-gymnasium runs recorded races.
+
+    Args:
+        data: the game's data, as ``SUPERTUXKART_DATADIR`` names it.
+    """
+
+    def __init__(self, data: Path) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="parity-")
+        self._log = Path(self._folder.name, "log")
+        environment = {
+            **os.environ,
+            "SUPERTUXKART_DATADIR": str(data),
+            "HOME": self._folder.name,
+            "NUMBA_DISABLE_JIT": "1",
+            "OPENBLAS_NUM_THREADS": "1",
+            "OMP_NUM_THREADS": "1",
+        }
+        with self._log.open("wb") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-W", "ignore", __file__],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+                env=environment,
+            )
+
+    def run(self, job: Job) -> Recording:
+        """Runs one race with actions drawn from the reference's own action space.
+
+        Raises:
+            RuntimeError: the reference failed; the text ends with what it wrote.
+        """
+        output = Path(self._folder.name, "recording")
+        output.unlink(missing_ok=True)
+        process = self._process
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write(json.dumps({"output": str(output), "job": asdict(job)}) + "\n")
+        process.stdin.flush()
+        if process.stdout.readline().strip() != "0":
+            raise RuntimeError(f"the reference failed on {job}:\n{self._log.read_text()[-3000:]}")
+        recording: Recording = pickle.loads(output.read_bytes())  # noqa: S301 - our own child's
+        return recording
+
+    def close(self) -> None:
+        """Ends the interpreter."""
+        self._process.communicate()
+        self._folder.cleanup()
+
+    def __enter__(self) -> ReferenceProcess:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+
+# ---------------------------------------------------------- inside the other interpreter
+
+
+def _serve() -> None:
+    replies = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)  # the engine's chatter
+    from pystk2_gymnasium.pystk_process import DirectSTKInterface
+
+    DirectSTKInterface(with_graphics=False)
+    for line in sys.stdin:
+        request = json.loads(line)
+        child = os.fork()
+        if child == 0:
+            _run_child(Job(**request["job"]), Path(request["output"]))
+        _, status = os.waitpid(child, 0)
+        replies.write(f"{status}\n")
+
+
+def _run_child(job: Job, output: Path) -> None:
+    status = 1
+    try:
+        output.write_bytes(pickle.dumps(_record(job)))
+        status = 0
+    except BaseException:  # noqa: BLE001 - the child must not go on as the parent
+        import traceback
+
+        traceback.print_exc()
+    finally:
+        sys.stderr.flush()
+        os._exit(status)
+
+
+def _record(job: Job) -> Recording:
+    env = _make(job)
+    observation, info = env.reset(seed=0)
+    recording = Recording(
+        moments=[Moment(flatten(observation), 0.0, False, False, flatten(info))],
+        observation_space=inner_spaces(env.observation_space),
+        action_space=inner_spaces(env.action_space),
+        layout=_layout(env),
+    )
+    env.action_space.seed(job.engine_seed)
+    random = np.random.default_rng(job.engine_seed)
+    action: Any = None
+    for step in range(job.steps):
+        if step % _HOLD_STEPS == 0:
+            action = _draw(env, random, job.is_multi)
+        recording.actions.append(action)
+        observation, reward, terminated, truncated, info = env.step(action)
+        recording.moments.append(
+            Moment(
+                flatten(observation), float(reward), bool(terminated), truncated, flatten(info)
+            )
+        )
+        if terminated:
+            break
+    return recording
+
+
+def _make(job: Job) -> Any:
+    import gymnasium
+    import pystk2
+    from pystk2_gymnasium import AgentSpec, envs
+
+    kinds = pystk2.PlayerConfig.Controller
+    original = envs.BaseSTKRaceEnv.warmup_race
+
+    def warmup_race(self: Any) -> None:
+        self.config.seed = job.engine_seed
+        for kart in range(job.num_kart):
+            self.config.players[kart].controller = kinds.AI_CONTROL
+        for kart, is_ai in zip(job.kart_indices, job.use_ai, strict=True):
+            if not is_ai:
+                self.config.players[kart].controller = kinds.PLAYER_CONTROL
+        if job.is_multi:
+            self.kart_indices = list(job.kart_indices)
+            order = sorted(range(len(job.kart_indices)), key=self.kart_indices.__getitem__)
+            self.kart_m_indices = order
+        else:
+            (self.kart_ix,) = job.kart_indices
+        original(self)
+
+    envs.BaseSTKRaceEnv.warmup_race = warmup_race
+    specs = [AgentSpec(use_ai=is_ai) for is_ai in job.use_ai]
+    return gymnasium.make(
+        job.env_id,
+        disable_env_checker=True,
+        max_episode_steps=job.steps,
+        track=job.track,
+        num_kart=job.num_kart,
+        use_subprocess=False,
+        **({"agents": specs} if job.is_multi else {"agent": specs[0]}),
+    )
+
+
+def _layout(env: Any) -> dict[str, list[tuple[str, tuple[int, ...]]]]:
+    """The entries of the flattened observation's two vectors, in order."""
+    while not hasattr(env, "observation_flattener"):
+        if not hasattr(env, "env"):
+            return {}
+        env = env.env
+    flattener, space = env.observation_flattener, env.env.observation_space
+    return {
+        "continuous": [(key, space[key].shape) for key in flattener.continuous_keys],
+        "discrete": [(key, space[key].shape) for key in flattener.discrete_keys],
+    }
+
+
+def _draw(env: Any, random: np.random.Generator, is_multi: bool) -> Any:
+    """An action of the space, with the throttle mostly on and the rescue bird mostly off."""
+    if is_multi:
+        return {key: _accepted(space, [], random) for key, space in env.action_space.items()}
+    wrappers = []
+    inner = env
+    while hasattr(inner, "env"):
+        wrappers.append(inner)
+        inner = inner.env
+    return _accepted(env.action_space, [w.action for w in wrappers if hasattr(w, "action")], random)
+
+
+def _accepted(space: Any, changes: list[Any], random: np.random.Generator) -> Any:
+    while True:
+        base = action = space.sample()
+        for change in changes:
+            base = change(base)
+        is_slow = np.ravel(base["acceleration"])[0] < 0.5
+        if (
+            (not is_slow or random.random() < _KEEP_SLOW)
+            and (not base["brake"] or random.random() < _KEEP_BRAKE)
+            and (not base["rescue"] or random.random() < _KEEP_RESCUE)
+        ):
+            return action
+
+
+if __name__ == "__main__":
+    from benchmarks import parity_reference  # so that pickles name the importable module
+
+    parity_reference._serve()

@@ -1,0 +1,115 @@
+"""One race from the grid to its end: what the parallel core knows while it lasts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine.race import RaceStart
+from stkzoo.engine.setup import RaceSetup
+from stkzoo.engine.snapshot import CONTROLS, Snapshot
+from stkzoo.engine.track import decode_track
+from stkzoo.env.grid import RaceInfo
+from stkzoo.env.infos import EpisodeRecord
+from stkzoo.env.options import RaceOptions
+from stkzoo.mdp.observations import KartObserver, ai_actions
+from stkzoo.mdp.rewards import Reward
+from stkzoo.mdp.state import race_state
+
+__all__ = ["Episode"]
+
+
+class Episode:
+    """A race under way.
+
+    Args:
+        options: the options of this race.
+        setup: what the engine was told.
+        race: what was drawn; its kart types are filled in from ``start``.
+        start: what the engine answered.
+        rewards: every agent's reward, in agent order.
+
+    Attributes:
+        race: names of the race and its karts.
+        track_map: the track.
+        snapshot: the present moment.
+        record: rewards and infos.
+    """
+
+    def __init__(
+        self,
+        options: RaceOptions,
+        setup: RaceSetup,
+        race: RaceInfo,
+        start: RaceStart,
+        rewards: Mapping[str, Reward],
+    ) -> None:
+        self.race = replace(race, kart_types=start.kart_types)
+        self.track_map = decode_track(start.track)
+        self.snapshot = start.snapshot
+        self.record = EpisodeRecord(rewards, race.kart_indices, self.track_map.length * race.laps)
+        self._max_cycles = options.max_cycles
+        self._num_steps = 0
+        self._kart_of = dict(zip(rewards, race.kart_indices, strict=True))
+        self._is_player = np.array([not kart.is_bot for kart in setup.karts])
+        self._reports_control = any(kart.reports_control for kart in setup.karts)
+        self._observer = KartObserver(self.track_map, start.kart_types, options.max_paths)
+
+    def controls(
+        self, actions: Mapping[str, npt.NDArray[Any]], agents: Sequence[str]
+    ) -> npt.NDArray[np.float32]:
+        """What the engine is told: ``(P, 7)`` float32, player karts in grid order.
+
+        Args:
+            actions: the agents' actions in batch form, in the game's own action space.
+            agents: whose actions; all other player karts coast.
+        """
+        controls = np.zeros((len(self._is_player), len(CONTROLS)), np.float32)
+        karts = self._karts(agents)
+        for column, name in enumerate(CONTROLS):
+            controls[karts, column] = np.reshape(actions[name], -1)
+        players: npt.NDArray[np.float32] = controls[self._is_player]
+        return players
+
+    def advance(self, snapshot: Snapshot, agents: Sequence[str]) -> dict[str, float]:
+        """Takes in the moment after a step and returns the agents' rewards."""
+        rewards = self.record.step(self.snapshot, snapshot, agents)
+        self.snapshot = snapshot
+        self._num_steps += 1
+        return rewards
+
+    def observe(self, agents: Sequence[str]) -> dict[str, Any]:
+        """What some agents see now in the ``full`` view, in batch form."""
+        karts = self._karts(agents)
+        batch = self._observer.observe(self.snapshot, karts)
+        if self._reports_control:
+            batch["action"] = ai_actions(self.snapshot, karts)
+        return batch
+
+    def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
+        """Fresh infos of some agents; see :class:`~stkzoo.env.infos.EpisodeRecord`."""
+        return self.record.infos(self.snapshot, agents)
+
+    def terminations(self, agents: Sequence[str]) -> dict[str, bool]:
+        """Which agents have finished the race."""
+        finished = self.snapshot.karts["has_finished_race"][self._karts(agents)] > 0
+        return dict(zip(agents, finished.tolist(), strict=True))
+
+    def truncations(self, terminations: Mapping[str, bool]) -> dict[str, bool]:
+        """Which agents are cut short because the race has lasted long enough."""
+        is_over = self._max_cycles is not None and self._num_steps >= self._max_cycles
+        return {agent: is_over and not ended for agent, ended in terminations.items()}
+
+    def state(self) -> npt.NDArray[np.float32]:
+        """The whole race as one vector (:mod:`stkzoo.mdp.state`)."""
+        agents = self.race.kart_indices
+        bots = [kart for kart in range(len(self.snapshot.karts)) if kart not in agents]
+        order = np.array([*agents, *bots], np.intp)
+        return race_state(self.snapshot, order, self.track_map.length, self.race.laps)
+
+    def _karts(self, agents: Sequence[str]) -> npt.NDArray[np.intp]:
+        return np.array([self._kart_of[agent] for agent in agents], np.intp)

@@ -1,0 +1,622 @@
+import hashlib
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import tarfile
+from pathlib import Path
+
+import pytest
+
+from stkzoo.cli import main
+from stkzoo.engine.assets import Progress, clean, find_assets, install, pack, places, survey
+from stkzoo.engine.assets.archive import SUMS
+from stkzoo.engine.assets.debian import unpack_package
+from stkzoo.engine.assets.headless import build_headless, placeholder_jpeg, placeholder_png
+from stkzoo.engine.assets.staging import check_space, lock
+from stkzoo.engine.assets.tree import MARKER, write_marker
+from stkzoo.errors import AssetError, ConfigError
+
+ENGINE_NAMES = """
+import json, pystk2
+pystk2.init(pystk2.GraphicsConfig.none())
+tracks = pystk2.list_tracks(pystk2.RaceConfig.RaceMode.NORMAL_RACE)
+print(json.dumps([sorted(tracks), sorted(pystk2.list_karts())]))
+"""
+
+RACE = """
+import hashlib, os, sys, pystk2
+pystk2.init(pystk2.GraphicsConfig.none())
+config = pystk2.RaceConfig(num_kart=3, seed=7, track=sys.argv[1], step_size=0.1)
+config.players.extend([pystk2.PlayerConfig(), pystk2.PlayerConfig()])
+for player in config.players:
+    player.controller = pystk2.PlayerConfig.Controller.PLAYER_CONTROL
+race, world, digest = pystk2.Race(config), pystk2.WorldState(), hashlib.sha256()
+race.start()
+drive = [pystk2.Action(acceleration=1.0, steer=steer) for steer in (-0.2, 0.0, 0.1)]
+for _ in range(200):
+    race.step(drive)
+    world.update()
+    for kart in world.karts:
+        digest.update(kart.location.tobytes() + kart.velocity.tobytes())
+print(digest.hexdigest(), flush=True)
+os._exit(0)
+"""
+
+CRASHING_INSTALL = """
+import sys, time
+from stkzoo.engine.assets.places import cache_folder
+from stkzoo.engine.assets.progress import Progress
+from stkzoo.engine.assets.staging import lock, staging_folder
+with lock(cache_folder(), Progress()), staging_folder(cache_folder()) as folder:
+    (folder / "half").write_text("half")
+    print(folder, flush=True)
+    time.sleep(float(sys.argv[1]))
+"""
+
+
+def run_python(program, *arguments, **variables):
+    process = subprocess.run(
+        [sys.executable, "-c", program, *arguments],
+        env={**os.environ, **variables},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+    return process.stdout.strip().splitlines()[-1]
+
+
+def write(path, content=b"<x/>"):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+
+
+def make_data(data, version="1.4"):
+    """A data folder as Debian ships it, with two race tracks, an arena and two karts."""
+    write(data / "stk_config.xml")
+    write(data / f"supertuxkart.{version}", b"")
+    write(data / "skins" / "peach" / "stkskin.xml")
+    write(data / "ttf" / "SigmarOne.otf", b"a font")
+    (data / "ttf" / "Cantarell-Regular.otf").symlink_to("../../nowhere.otf")
+    for name, attributes in (("alps", "reverse='Y'"), ("beach", ""), ("pit", "arena='Y'")):
+        write(data / "tracks" / name / "track.xml", f"<track {attributes}/>".encode())
+        for file in ("graph.xml", "quads.xml", "scene.xml"):
+            write(data / "tracks" / name / file)
+        write(data / "tracks" / name / "road.PNG", b"a picture" * 1000)
+        write(data / "tracks" / name / "sky.jpg", b"a picture" * 1000)
+        write(data / "tracks" / name / "hum.ogg", b"a sound " + name.encode())
+        write(data / "tracks" / name / "road.spm", b"a model of " + name.encode())
+    for name in ("gnu", "tux"):
+        write(data / "karts" / name / "kart.xml")
+        write(data / "karts" / name / "kart.spm", b"the same model")
+    return data
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """An empty machine: no data anywhere, and a cache of its own."""
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("STKZOO_CACHE", str(folder))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "other caches"))
+    monkeypatch.delenv("SUPERTUXKART_DATADIR", raising=False)
+    monkeypatch.setattr(places, "SYSTEM_FOLDERS", ())
+    return folder
+
+
+@pytest.fixture
+def system(cache, tmp_path, monkeypatch):  # noqa: ARG001 - a fixture on a fixture
+    """The empty machine, but with the game installed."""
+    data = make_data(tmp_path / "usr" / "data")
+    monkeypatch.setattr(places, "SYSTEM_FOLDERS", (data,))
+    return data
+
+
+@pytest.fixture
+def headless(system):  # noqa: ARG001 - a fixture on a fixture
+    """The root of a headless pack of the installed game."""
+    install()
+    return places.headless_folder()
+
+
+def visible(folder):
+    return sorted(path.name for path in folder.iterdir() if path.name != ".stkzoo-lock")
+
+
+def content(root):
+    return {
+        str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()
+    }
+
+
+class TestOnThisMachine:
+    def test_names_are_those_of_the_engine(self):
+        assets = find_assets()
+        names = run_python(ENGINE_NAMES, SUPERTUXKART_DATADIR=str(assets.root))
+        assert [list(assets.tracks), list(assets.karts)] == json.loads(names)
+
+    def test_all_tracks_and_karts_are_there(self):
+        assets = find_assets()
+        assert (len(assets.tracks), len(assets.karts)) == (21, 16)
+
+    def test_finding_does_not_load_the_engine(self):
+        program = (
+            "import sys; from stkzoo.engine.assets import find_assets; find_assets();"
+            "print('pystk2' in sys.modules)"
+        )
+        assert run_python(program) == "False"
+
+    def test_races_in_a_headless_pack_are_bitwise_those_of_the_full_data(self, tmp_path):
+        full = find_assets(graphics=True)
+        build_headless(full.root, tmp_path, Progress())
+        for track in ("lighthouse", "xr591"):  # xr591 has a sound that changes its ground
+            results = {
+                run_python(RACE, track, SUPERTUXKART_DATADIR=str(root))
+                for root in (full.root, tmp_path)
+            }
+            assert len(results) == 1
+
+
+class TestFinding:
+    @pytest.mark.usefixtures("cache")
+    def test_nothing_anywhere_names_the_command_that_mends_it(self):
+        with pytest.raises(AssetError, match="`stkzoo assets install`"):
+            find_assets()
+
+    def test_nothing_is_made_where_nothing_is_found(self, cache):
+        with pytest.raises(AssetError):
+            find_assets()
+        assert not cache.exists()
+
+    @pytest.mark.usefixtures("headless")
+    def test_environment_comes_first(self, monkeypatch):
+        monkeypatch.setenv("SUPERTUXKART_DATADIR", str(places.overlay_folder()))
+        assert find_assets().source == "environment"
+
+    @pytest.mark.usefixtures("headless")
+    def test_environment_naming_a_bad_folder_is_an_error_that_names_it(self, monkeypatch, tmp_path):
+        monkeypatch.setenv("SUPERTUXKART_DATADIR", str(tmp_path))
+        with pytest.raises(AssetError, match=r"SUPERTUXKART_DATADIR is .* holds no folder 'data'"):
+            find_assets()
+
+    def test_environment_naming_the_data_folder_itself_is_explained(self, headless, monkeypatch):
+        monkeypatch.setenv("SUPERTUXKART_DATADIR", str(headless / "data"))
+        with pytest.raises(AssetError, match="the folder above it is meant"):
+            find_assets()
+
+    def test_environment_naming_a_headless_pack_cannot_draw(self, headless, monkeypatch):
+        monkeypatch.setenv("SUPERTUXKART_DATADIR", str(headless))
+        with pytest.raises(AssetError, match=r"SUPERTUXKART_DATADIR .* headless pack"):
+            find_assets(graphics=True)
+
+    def test_headless_pack_is_preferred_for_racing(self, headless):
+        assert find_assets().root == headless
+
+    @pytest.mark.usefixtures("headless")
+    def test_full_data_is_taken_for_drawing(self):
+        assert not find_assets(graphics=True).headless
+
+    @pytest.mark.usefixtures("headless")
+    def test_headless_pack_alone_cannot_draw(self, monkeypatch):
+        monkeypatch.setattr(places, "SYSTEM_FOLDERS", ())
+        with pytest.raises(AssetError, match="full data, which drawing needs"):
+            find_assets(graphics=True)
+
+    @pytest.mark.usefixtures("system")
+    def test_arenas_are_no_race_tracks(self):
+        assert find_assets().tracks == ("alps", "beach")
+
+    def test_system_install_is_left_as_it_is(self, system):
+        before = content(system)
+        find_assets()
+        assert content(system) == before
+
+    @pytest.mark.usefixtures("system")
+    def test_system_install_is_mended_by_links(self):
+        data = find_assets().root / "data"
+        assert (data / "supertuxkart.1.5").is_file()
+        assert (data / "skins" / "classic" / "stkskin.xml").is_file()
+        assert (data / "ttf" / "Cantarell-Regular.otf").read_bytes() == b"a font"
+
+    def test_changed_system_install_is_linked_anew(self, system):
+        root = find_assets().root
+        write(system / "new.xml")
+        os.utime(system, (1, 1))
+        find_assets()
+        assert (root / "data" / "new.xml").exists()
+
+    @pytest.mark.usefixtures("cache")
+    def test_system_install_of_another_version_is_refused(self, tmp_path, monkeypatch):
+        old = make_data(tmp_path / "old", version="1.2")
+        monkeypatch.setattr(places, "SYSTEM_FOLDERS", (old,))
+        with pytest.raises(AssetError, match=r"another version .*supertuxkart\.1\.2"):
+            find_assets()
+
+    @pytest.mark.usefixtures("cache")
+    def test_unfinished_download_of_pystk2_is_passed_over(self):
+        make_data(places.pystk2_cache_folder() / "1.5" / "data", version="1.5")
+        with pytest.raises(AssetError, match="never finished"):
+            find_assets()
+
+    @pytest.mark.usefixtures("cache")
+    def test_finished_download_of_pystk2_is_found(self):
+        root = places.pystk2_cache_folder() / "1.5"
+        data = make_data(root / "data", version="1.5")
+        (data / "ttf" / "Cantarell-Regular.otf").unlink()
+        write(data / "skins" / "classic" / "stkskin.xml")
+        write(root / "__downloaded__.txt")
+        assert find_assets().source == "pystk2 cache"
+
+    def test_pack_that_lost_a_track_is_passed_over(self, headless):
+        (headless / "data" / "tracks" / "alps" / "track.xml").unlink()
+        assert find_assets().source == "system"
+
+    def test_pack_with_a_damaged_marker_is_passed_over(self, headless):
+        (headless / MARKER).write_text("{")
+        assert find_assets().source == "system"
+
+    def test_survey_says_what_is_wrong_with_each_place(self, headless):
+        (headless / MARKER).write_text("{")
+        assert "damaged" in survey()[0].problem
+
+
+class TestInstalling:
+    @pytest.mark.usefixtures("system")
+    def test_takes_what_is_there_and_builds_the_pack(self):
+        assert install().source == "headless pack"
+
+    @pytest.mark.usefixtures("cache")
+    def test_unknown_source_is_refused(self):
+        with pytest.raises(ConfigError, match="Did you mean 'debian'"):
+            install(source="debain")
+
+    def test_without_apt_debian_is_refused_and_nothing_is_left(self, cache, monkeypatch):
+        monkeypatch.setenv("PATH", "")
+        with pytest.raises(AssetError, match="no apt-get"):
+            install(source="debian")
+        assert visible(cache) == []
+
+    @pytest.mark.usefixtures("cache")
+    def test_killed_install_does_not_look_installed(self):
+        self.kill_an_install()
+        with pytest.raises(AssetError, match="`stkzoo assets install`"):
+            find_assets()
+
+    @pytest.mark.usefixtures("system", "cache")
+    def test_next_install_removes_what_a_killed_one_left(self):
+        folder = self.kill_an_install()
+        assert (folder / "half").exists()
+        install()
+        assert not folder.exists()
+
+    @pytest.mark.usefixtures("system")
+    def test_install_waits_for_another_to_end(self):
+        other = self.start_an_install("1")
+        notes = []
+        progress = Progress()
+        progress.note = notes.append
+        install(progress=progress)
+        assert other.wait(10) == 0
+        assert "waiting" in notes[0]
+
+    @pytest.mark.usefixtures("system")
+    def test_two_installs_at_once_make_one_good_pack(self):
+        root = places.full_folder()
+        root.mkdir(parents=True)
+        find_assets().root.joinpath("data").rename(root / "data")
+        write_marker(root, "a test", headless=False)
+        command = [sys.executable, "-m", "stkzoo", "assets", "install"]
+        both = [subprocess.Popen(command, stdout=-3, stderr=-3) for _ in range(2)]
+        assert [process.wait(30) for process in both] == [0, 0]
+        assert find_assets().source == "headless pack"
+
+    @pytest.mark.usefixtures("system")
+    def test_folder_of_somebody_else_is_not_replaced(self, cache):
+        write(cache / "headless" / "thesis.txt")
+        with pytest.raises(AssetError, match="did not make"):
+            install()
+        assert (cache / "headless" / "thesis.txt").exists()
+
+    def test_full_disk_is_told_before_work_begins(self, tmp_path):
+        with pytest.raises(AssetError, match="the game's data needs 1000000000000 MB"):
+            check_space(tmp_path, 10**18, "the game's data")
+
+    def test_cache_that_cannot_be_written_names_the_variable_that_moves_it(self, tmp_path):
+        write(tmp_path / "file")
+        with (
+            pytest.raises(AssetError, match="STKZOO_CACHE"),
+            lock(tmp_path / "file" / "cache", Progress()),
+        ):
+            pass
+
+    @pytest.mark.usefixtures("headless")
+    def test_cleaning_removes_what_is_ours(self, cache):
+        clean()
+        assert visible(cache) == []
+
+    @pytest.mark.usefixtures("headless")
+    def test_cleaning_leaves_what_is_not_ours(self, cache):
+        write(cache / "thesis.txt")
+        write(cache / "full" / "thesis.txt")
+        clean()
+        assert visible(cache) == ["full", "thesis.txt"]
+
+    @staticmethod
+    def start_an_install(seconds):
+        process = subprocess.Popen(
+            [sys.executable, "-c", CRASHING_INSTALL, seconds], stdout=subprocess.PIPE, text=True
+        )
+        process.folder = Path(process.stdout.readline().strip())
+        process.stdout.close()
+        return process
+
+    def kill_an_install(self):
+        process = self.start_an_install("60")
+        process.send_signal(signal.SIGKILL)
+        process.wait(10)
+        return process.folder
+
+
+@pytest.fixture
+def package(tmp_path):
+    """A small ``supertuxkart-data`` package."""
+    return make_package(tmp_path / "package")
+
+
+def make_package(folder, spoil=False):
+    tree = folder / "tree"
+    make_data(tree / "usr" / "share" / "games" / "supertuxkart" / "data")
+    sums = [
+        f"{hashlib.md5(path.read_bytes()).hexdigest()}  {path.relative_to(tree)}\n"
+        for path in sorted(tree.rglob("*"))
+        if path.is_file()
+    ]
+    control = (
+        "Package: supertuxkart-data\nVersion: 1.4\nArchitecture: all\n"
+        "Maintainer: Nobody <nobody@example.org>\nInstalled-Size: 100\nDescription: data\n"
+    )
+    write(tree / "DEBIAN" / "control", control.encode())
+    write(tree / "DEBIAN" / "md5sums", "".join(sums[:-1] if not spoil else sums).encode())
+    if spoil:
+        write(tree / sums[0].split("  ")[1].strip(), b"other")
+    file = folder / "supertuxkart-data_1.4_all.deb"
+    subprocess.run(["dpkg-deb", "--build", str(tree), str(file)], check=True, stdout=-3)
+    return file
+
+
+class TestDebianPackage:
+    def test_apt_brings_a_tree_that_can_be_used(self, cache, package, tmp_path, monkeypatch):
+        self.serve(package, tmp_path / "apt", monkeypatch)
+        assert install(source="debian").tracks == ("alps", "beach")
+        assert visible(cache) == ["full", "headless"]
+
+    def test_package_that_apt_finds_damaged_leaves_nothing(
+        self, cache, package, tmp_path, monkeypatch
+    ):
+        self.serve(package, tmp_path / "apt", monkeypatch)
+        package.write_bytes(package.read_bytes()[:-10] + b"0123456789")
+        with pytest.raises(AssetError, match="could not be had"):
+            install(source="debian")
+        assert visible(cache) == []
+
+    def test_file_that_differs_from_the_packages_list_is_told(self, tmp_path):
+        package = make_package(tmp_path / "package", spoil=True)
+        with pytest.raises(AssetError, match="1 wrong or missing files"):
+            unpack_package(package, self.empty(tmp_path), Progress())
+
+    def test_truncated_package_is_told(self, package, tmp_path):
+        package.write_bytes(package.read_bytes()[:-100])
+        with pytest.raises(AssetError, match=r"broken|cannot be unpacked"):
+            unpack_package(package, self.empty(tmp_path), Progress())
+
+    @staticmethod
+    def empty(tmp_path):
+        folder = tmp_path / "target"
+        (folder / "data").mkdir(parents=True)
+        return folder
+
+    @staticmethod
+    def serve(package, folder, monkeypatch):
+        """Makes apt know this package and nothing else."""
+        data = package.read_bytes()
+        fields = subprocess.run(
+            ["dpkg-deb", "--field", str(package)], check=True, capture_output=True, text=True
+        ).stdout
+        stanza = (
+            f"{fields}Filename: ./{package.name}\nSize: {len(data)}\n"
+            f"SHA256: {hashlib.sha256(data).hexdigest()}\n"
+        )
+        write(package.parent / "Packages", stanza.encode())
+        sources = f"deb [trusted=yes] copy:{package.parent} ./\n"
+        write(folder / "sources.list", sources.encode())
+        (folder / "lists" / "partial").mkdir(parents=True)
+        settings = {
+            "Dir::Etc::sourcelist": folder / "sources.list",
+            "Dir::Etc::sourceparts": "-",
+            "Dir::State::lists": folder / "lists",
+        }
+        text = "".join(f'{name} "{value}";\n' for name, value in settings.items())
+        write(folder / "apt.conf", text.encode())
+        monkeypatch.setenv("APT_CONFIG", str(folder / "apt.conf"))
+
+
+class TestHeadlessPack:
+    def test_has_every_file_of_the_full_data_by_name(self, headless, system):
+        names = {str(p.relative_to(headless / "data")) for p in (headless / "data").rglob("*")}
+        full = {str(p.relative_to(system)) for p in system.rglob("*")}
+        assert full <= names
+
+    def test_keeps_what_is_no_picture_and_no_sound(self, headless):
+        model = headless / "data" / "tracks" / "alps" / "road.spm"
+        assert model.read_bytes() == b"a model of alps"
+
+    def test_pictures_become_placeholders_of_their_format(self, headless):
+        track = headless / "data" / "tracks" / "alps"
+        assert (track / "road.PNG").read_bytes() == placeholder_png()
+        assert (track / "sky.jpg").read_bytes() == placeholder_jpeg()
+
+    def test_full_data_is_not_changed(self, system):
+        before = content(system)
+        pack()
+        assert content(system) == before
+
+    @pytest.mark.usefixtures("cache")
+    def test_needs_full_data(self):
+        with pytest.raises(AssetError, match="full data"):
+            pack()
+
+    def test_incomplete_full_data_is_refused(self, system, cache):
+        (system / "tracks" / "beach" / "quads.xml").write_bytes(b"<quads>")
+        with pytest.raises(AssetError, match=r"beach/quads\.xml cannot be read"):
+            pack()
+        assert "headless" not in visible(cache)
+
+
+@pytest.fixture
+def archive(headless, tmp_path):  # noqa: ARG001 - a fixture on a fixture
+    return pack(output=tmp_path / "pack.tar.xz")
+
+
+def rebuild(archive, change):
+    """Writes the archive again with its list of (member, content) changed."""
+    with tarfile.open(archive) as old:
+        members = [(member, old.extractfile(member).read()) for member in old]
+    with tarfile.open(archive, "w:xz") as new:
+        for member, data in change(members):
+            member.size = len(data)
+            new.addfile(member, io.BytesIO(data))
+
+
+def named(name, kind=tarfile.REGTYPE, target=""):
+    member = tarfile.TarInfo(name)
+    member.type, member.linkname = kind, target
+    return member
+
+
+def with_sum(members, name, data):
+    """Puts a file's sum into the list, so that only its name is wrong."""
+    head, sums = members[0]
+    line = f"{hashlib.sha256(data).hexdigest()}  {name}\n".encode()
+    return [(head, sums + line), *members[1:]]
+
+
+class TestArchive:
+    def test_is_the_same_bytes_each_time(self, archive, tmp_path):
+        again = pack(output=tmp_path / "again.tar.xz")
+        assert again.read_bytes() == archive.read_bytes()
+
+    def test_brings_the_same_pack_elsewhere(self, archive, headless, tmp_path, monkeypatch):
+        monkeypatch.setenv("STKZOO_CACHE", str(tmp_path / "elsewhere"))
+        assert install(archive=archive).root == tmp_path / "elsewhere" / "headless"
+        assert content(tmp_path / "elsewhere" / "headless") == content(headless)
+
+    def test_sums_are_those_that_sha256sum_checks(self, archive, tmp_path):
+        subprocess.run(["tar", "-xf", str(archive), "-C", str(tmp_path)], check=True)
+        command = ["sha256sum", "--check", "--strict", "--quiet", SUMS]
+        assert subprocess.run(command, cwd=tmp_path, check=False).returncode == 0
+
+    @pytest.mark.usefixtures("headless")
+    def test_cannot_be_written_into_a_missing_folder(self, tmp_path):
+        with pytest.raises(AssetError, match="cannot be written"):
+            pack(output=tmp_path / "missing" / "pack.tar.xz")
+
+    @pytest.mark.usefixtures("cache")
+    def test_missing_file_is_told(self, tmp_path):
+        with pytest.raises(AssetError, match="there is no file"):
+            install(archive=tmp_path / "missing.tar.xz")
+
+    def test_other_file_is_told(self, cache, tmp_path):
+        write(tmp_path / "other", b"no archive at all")
+        self.refused(tmp_path / "other", "broken or no archive", cache)
+
+    def test_truncated_archive_is_told(self, archive, cache):
+        archive.write_bytes(archive.read_bytes()[:-200])
+        self.refused(archive, "is broken", cache)
+
+    def test_damaged_archive_is_told(self, archive, cache):
+        data = bytearray(archive.read_bytes())
+        data[len(data) // 2] ^= 1
+        archive.write_bytes(data)
+        self.refused(archive, "is broken", cache)
+
+    def test_changed_file_is_told(self, archive, cache):
+        rebuild(archive, lambda members: [*members[:-1], (members[-1][0], b"other")])
+        self.refused(archive, "sum does not agree", cache)
+
+    def test_missing_member_is_told(self, archive, cache):
+        rebuild(archive, lambda members: members[:-1])
+        self.refused(archive, "lacks 1 files", cache)
+
+    def test_member_that_is_not_listed_is_told(self, archive, cache):
+        rebuild(archive, lambda members: [*members, (named("data/more.xml"), b"<x/>")])
+        self.refused(archive, "not in its list", cache)
+
+    @pytest.mark.parametrize(
+        "name", ["../evil", "data/../../evil", "/tmp/evil", "evil", "data/..\\evil"]
+    )
+    def test_member_outside_the_pack_is_told(self, archive, cache, tmp_path, name):
+        rebuild(archive, lambda all_: [*with_sum(all_, name, b"!"), (named(name), b"!")])
+        self.refused(archive, "outside the pack", cache)
+        assert not (tmp_path / "evil").exists()
+
+    @pytest.mark.parametrize("kind", [tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.FIFOTYPE])
+    def test_member_that_is_no_plain_file_is_told(self, archive, cache, kind):
+        link = named("data/link", kind, "/etc/passwd")
+        rebuild(archive, lambda all_: [*with_sum(all_, "data/link", b""), (link, b"")])
+        self.refused(archive, "no plain file", cache)
+
+    @staticmethod
+    def refused(archive, match, cache):
+        clean()
+        with pytest.raises(AssetError, match=match):
+            install(archive=archive)
+        assert visible(cache) == [] if cache.exists() else True
+
+
+class TestCommandLine:
+    @pytest.mark.usefixtures("system")
+    def test_status_succeeds_where_data_is(self, capsys):
+        assert main(["assets", "status", "--names"]) == 0
+        assert "alps, beach" in capsys.readouterr().out
+
+    @pytest.mark.usefixtures("cache")
+    def test_status_fails_where_none_is(self, capsys):
+        assert main(["assets", "status"]) == 1
+        assert "stkzoo assets install" in capsys.readouterr().err
+
+    @pytest.mark.usefixtures("system")
+    def test_install_says_where_the_data_is(self, capsys):
+        assert main(["assets", "install"]) == 0
+        assert str(places.headless_folder()) in capsys.readouterr().out
+
+    @pytest.mark.usefixtures("system")
+    def test_pack_writes_the_file(self, tmp_path):
+        assert main(["assets", "pack", "--output", str(tmp_path / "pack.tar.xz")]) == 0
+        assert tarfile.is_tarfile(tmp_path / "pack.tar.xz")
+
+    def test_clean_removes_nothing_without_a_yes(self, headless, monkeypatch):
+        monkeypatch.setattr(sys, "stdin", io.StringIO("n\n"))
+        assert main(["assets", "clean"]) == 1
+        assert headless.exists()
+
+    def test_clean_removes_with_a_yes(self, headless):
+        assert main(["assets", "clean", "--yes"]) == 0
+        assert not headless.exists()
+
+    @pytest.mark.parametrize("words", [[], ["assets"], ["asets"], ["assets", "install", "-x"]])
+    def test_bad_usage_is_2(self, words, capsys):
+        assert main(words) == 2
+        assert "usage: stkzoo" in capsys.readouterr().err
+
+    def test_help_is_0(self, capsys):
+        assert main(["assets", "install", "--help"]) == 0
+        assert "examples:" in capsys.readouterr().out
+
+    @pytest.mark.usefixtures("cache")
+    def test_error_is_one_message_without_a_traceback(self):
+        command = [sys.executable, "-m", "stkzoo", "assets", "install", "--from", "missing"]
+        process = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert (process.returncode, process.stdout) == (1, "")
+        assert process.stderr == "stkzoo: there is no file 'missing'.\n"

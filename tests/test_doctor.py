@@ -1,0 +1,77 @@
+import json
+
+import pytest
+
+from stkzoo.cli import main
+from stkzoo.engine.assets import places
+
+
+@pytest.fixture
+def no_data(tmp_path, monkeypatch):
+    """A machine without the game's data."""
+    monkeypatch.setenv("STKZOO_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "other caches"))
+    monkeypatch.delenv("SUPERTUXKART_DATADIR", raising=False)
+    monkeypatch.setattr(places, "SYSTEM_FOLDERS", ())
+
+
+def report(capsys):
+    code = main(["doctor", "--json"])
+    answer = json.loads(capsys.readouterr().out)
+    return code, answer, {check["name"]: check for check in answer["checks"]}
+
+
+def test_succeeds_where_a_race_can_run(capsys):
+    code, answer, checks = report(capsys)
+    assert (code, answer["ready"]) == (0, True)
+    assert checks["engine starts"]["found"] == "and sees its 21 tracks"
+
+
+@pytest.mark.usefixtures("no_data")
+def test_fails_without_data_and_names_the_remedy(capsys):
+    code, answer, checks = report(capsys)
+    assert (code, answer["ready"]) == (1, False)
+    assert checks["race data"]["remedy"] == "stkzoo assets install"
+
+
+@pytest.mark.usefixtures("no_data")
+def test_engine_that_cannot_start_is_told(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("SUPERTUXKART_DATADIR", str(broken_data(tmp_path / "broken")))
+    code, _, checks = report(capsys)
+    assert code == 1
+    assert checks["race data"]["ok"]
+    assert not checks["engine starts"]["ok"]
+
+
+def test_what_races_can_do_without_does_not_fail(monkeypatch, capsys):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    code, _, checks = report(capsys)
+    assert not checks["display"]["ok"]
+    assert code == 0
+
+
+@pytest.mark.usefixtures("no_data")
+def test_every_missing_thing_has_a_remedy(capsys):
+    _, _, checks = report(capsys)
+    assert all(check["remedy"] for check in checks.values() if not check["ok"])
+
+
+def test_installed_extra_is_found(capsys):
+    assert report(capsys)[2]["extra [sb3]"]["ok"]
+
+
+def test_table_ends_with_the_verdict(capsys):
+    assert main(["doctor"]) == 0
+    assert capsys.readouterr().out.strip().endswith("A headless race can run here.")
+
+
+def broken_data(root):
+    """Data in whose shape nothing is wrong, but of no use to the engine."""
+    data = root / "data"
+    for name in ("skins/classic", "ttf", "tracks/alps", "karts/gnu"):
+        (data / name).mkdir(parents=True)
+    for name in ("stk_config.xml", "tracks/alps/track.xml", "karts/gnu/kart.xml"):
+        (data / name).write_text("<x/>")
+    (data / "supertuxkart.1.5").touch()
+    return root
