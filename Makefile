@@ -11,7 +11,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 help:
 	@echo "make race    set everything up and watch a race of four karts in the terminal"
 	@echo "make test    set everything up and run all tests"
-	@echo "make check   lint, format and types, as the tests' machine sees them"
+	@echo "make check   lint, format and types"
 	@echo "make bench   measure speed and memory"
 	@echo "make docs    run the examples of the documentation"
 	@echo "make clean   remove what was built here; the game's data stays"
@@ -49,8 +49,9 @@ clean:
 $(VENV)/.made:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { \
 		echo "stkzoo needs Python 3.10 or newer: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
-	@rm -rf $(VENV)
-	@if $(PYTHON) -c 'import ensurepip, venv' 2>/dev/null; then \
+	@if $(BIN)/python -m pip --version >/dev/null 2>&1; then \
+		echo "using the environment in $(VENV)"; \
+	elif $(PYTHON) -c 'import ensurepip, venv' 2>/dev/null; then \
 		$(PYTHON) -m venv $(VENV); \
 	elif $(PYTHON) -c 'import virtualenv' 2>/dev/null; then \
 		$(PYTHON) -m virtualenv --quiet $(VENV); \

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Job", "Leaf", "Moment", "Recording", "ReferenceProcess", "flatten", "inner_spaces"]
+__all__ = ["Job", "Leaf", "Moment", "Recording", "ReferenceProcess", "flatten", "inner_spaces", "serve"]
 
 #: The action stream accepts a drawn action whose throttle, brake and rescue are unhelpful
 #: with these probabilities; else the karts would stand.
@@ -55,7 +55,12 @@ class Job:
     @property
     def is_multi(self) -> bool:
         """Whether the id is the dictionary of agents."""
-        return "multi" in self.env_id
+        return "multi-full" in self.env_id
+
+    @property
+    def is_polar(self) -> bool:
+        """Whether positions are angles and a distance."""
+        return "full" not in self.env_id
 
 
 class Leaf(NamedTuple):
@@ -148,7 +153,8 @@ class ReferenceProcess:
         }
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-W", "ignore", __file__],
+                [sys.executable, "-W", "ignore", "-c", f"from {__name__} import serve; serve()"],
+                cwd=Path(__file__).parents[1],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
@@ -189,7 +195,8 @@ class ReferenceProcess:
 # ---------------------------------------------------------- inside the other interpreter
 
 
-def _serve() -> None:
+def serve() -> None:
+    """Runs the jobs that come in by lines of JSON; the other interpreter's main function."""
     replies = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # the engine's chatter
     from pystk2_gymnasium.pystk_process import DirectSTKInterface
@@ -319,8 +326,3 @@ def _accepted(space: Any, changes: list[Any], random: np.random.Generator) -> An
         ):
             return action
 
-
-if __name__ == "__main__":
-    from benchmarks import parity_reference  # so that pickles name the importable module
-
-    parity_reference._serve()

@@ -19,6 +19,8 @@ from stkzoo.wrappers import (
     OnlyContinuousActionsWrapper,
     PolarObservations,
 )
+from stkzoo.wrappers.actions import read_actions
+from stkzoo.wrappers.batch import split
 
 #: The wrappers of each registered view, innermost first.
 VIEWS = {
@@ -63,6 +65,16 @@ def wrap(env, view):
     return env
 
 
+def wrap_as_reference(env, view):
+    """Like :func:`wrap`, with the reference's wrappers."""
+    modules = [import_reference("stk_wrappers"), import_reference("wrappers")]
+    for wrapper in VIEWS[view]:
+        name = wrapper.__name__
+        module = next(module for module in modules if hasattr(module, name))
+        env = getattr(module, name)(env)
+    return env
+
+
 class ScriptedEnv(gym.Env):
     """Returns what the given functions return."""
 
@@ -72,7 +84,7 @@ class ScriptedEnv(gym.Env):
         self._reset = reset
         self._step = step
 
-    def reset(self, *, seed=None, options=None):
+    def reset(self, *, seed=None, options=None):  # noqa: ARG002
         super().reset(seed=seed)
         return self._reset()
 
@@ -170,18 +182,11 @@ class SmallRace(ParallelEnv):
         return self._spaces[agent][1]
 
     def _observe(self, agents):
-        sampled = {}
-        for agent in agents:
-            batch = random_batch(self._rng, 1)
-            sampled[agent] = {
-                key: tuple(value[0])
-                if isinstance(self._spaces[agent][0][key], spaces.Sequence)
-                else (str(value[0]) if key == "kart_type" else value[0])
-                for key, value in batch.items()
-            }
-        return sampled
+        return {
+            agent: split(self._spaces[agent][0], random_batch(self._rng, 1))[0] for agent in agents
+        }
 
-    def reset(self, seed=None, options=None):
+    def reset(self, seed=None, options=None):  # noqa: ARG002
         self._rng = np.random.default_rng(seed)
         self.agents = list(self.possible_agents)
         self.steps = 0
@@ -190,12 +195,7 @@ class SmallRace(ParallelEnv):
     def step(self, actions):
         acted = self.agents
         for agent in acted:
-            assert self.action_space(agent).contains(
-                {
-                    k: np.asarray(v) if k in ("steer", "acceleration") else v
-                    for k, v in actions[agent].items()
-                }
-            )
+            read_actions(self.action_space(agent), [actions[agent]], [agent])
         self.last_actions = actions
         self.steps += 1
         ended = {
@@ -230,7 +230,7 @@ class MultiEnv(gym.Env):
     def _numbered(self, values):
         return {self.numbers[agent]: value for agent, value in values.items()}
 
-    def reset(self, *, seed=None, options=None):
+    def reset(self, *, seed=None, options=None):  # noqa: ARG002
         super().reset(seed=seed)
         observations, infos = self.race.reset(seed)
         self.last_observations = self._numbered(observations)

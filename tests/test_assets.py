@@ -268,6 +268,18 @@ class TestInstalling:
         assert install().source == "headless pack"
 
     @pytest.mark.usefixtures("cache")
+    @pytest.mark.parametrize("place", ["headless", "system"])
+    @pytest.mark.usefixtures("headless")
+    def test_takes_what_the_environment_names(self, cache, monkeypatch, place):
+        (cache / place).rename(cache.parent / "named")
+        monkeypatch.setenv("SUPERTUXKART_DATADIR", str(cache.parent / "named"))
+        assert install().root == cache.parent / "named"
+
+    def test_environment_naming_a_bad_folder_is_told(self, cache, monkeypatch):
+        monkeypatch.setenv("SUPERTUXKART_DATADIR", str(cache))
+        with pytest.raises(AssetError, match="SUPERTUXKART_DATADIR"):
+            install()
+
     def test_unknown_source_is_refused(self):
         with pytest.raises(ConfigError, match="Did you mean 'debian'"):
             install(source="debain")

@@ -56,7 +56,7 @@ class Counter(gym.ObservationWrapper):
         self.count = 0
         return super().reset(seed=seed, options=options)
 
-    def observation(self, observation):
+    def observation(self, _):
         self.count += 1
         return self.count
 
@@ -316,7 +316,7 @@ def test_a_number_that_misses_its_bound_by_rounding_is_clipped():
 
 def test_every_live_agent_must_have_an_action():
     chains = make_chains(None, None)
-    with pytest.raises(ActionError, match="no action for agent 'kart_1'.*'kart_0'") as caught:
+    with pytest.raises(ActionError, match=r"no action for agent 'kart_1'.*'kart_0'") as caught:
         chains.decode({"kart_0": STEADY}, ["kart_0", "kart_1"])
     assert caught.value.agent == "kart_1"
 

@@ -61,6 +61,11 @@ def test_installed_extra_is_found(capsys):
     assert report(capsys)[2]["extra [sb3]"]["ok"]
 
 
+def test_table_names_the_extras(capsys):
+    main(["doctor"])
+    assert "[sb3]" in capsys.readouterr().out
+
+
 def test_table_ends_with_the_verdict(capsys):
     assert main(["doctor"]) == 0
     assert capsys.readouterr().out.strip().endswith("A headless race can run here.")

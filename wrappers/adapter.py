@@ -152,7 +152,7 @@ class GymAgentAdapter(
         return {f"original/{agent}": copy.deepcopy(observations[agent]) for agent in known}
 
 
-class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any, Any]):  # type: ignore[misc]
+class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any, Any]):
     """:class:`MonoAgentWrapperAdapter` around a PettingZoo ``ParallelEnv``.
 
     An agent whose wrapper ends its episode early leaves ``agents``; its kart stays in the

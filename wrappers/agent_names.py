@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from typing import TypeVar
 
@@ -30,10 +29,9 @@ def find_agent(name: object, agents: Iterable[str]) -> str:
     agents = list(agents)
     if isinstance(name, str) and name in agents:
         return name
-    wanted = _number(name)
-    if wanted is not None:
+    if isinstance(name, (int, str)) and not isinstance(name, bool) and str(name).isdecimal():
         for agent in agents:
-            if _number(agent) == wanted:
+            if agent.rpartition("_")[2] == str(int(name)):
                 return agent
     raise unknown_name("agent", name, agents)
 
@@ -52,11 +50,3 @@ def by_agent(values: Mapping[object, Value], agents: Iterable[str]) -> dict[str,
             raise ConfigError(f"agent {agent!r} is named twice; the second time as {name!r}.")
         found[agent] = value
     return found
-
-
-def _number(name: object) -> int | None:
-    """The number in a name: ``2`` for ``2``, ``"2"`` and ``"kart_2"``."""
-    if isinstance(name, bool) or not isinstance(name, (int, str)):
-        return None
-    match = re.fullmatch(r"(?:\w*_)?(\d+)", str(name))
-    return int(match[1]) if match else None

@@ -62,6 +62,7 @@ class _Situation:
     angle: float  # of the aim, positive to the right [rad]
     wheel: float  # wanted share of full lock, not clipped, positive to the right
     bends: FloatArray  # curvature of the line ahead at _CURVE_MARKS, positive to the right [1/m]
+    full_lock: float  # curvature of the kart's way at full lock [1/m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,8 +103,10 @@ class HeuristicDriver:
         turn = math.atan(rules.wheel_base * 2.0 * math.sin(angle) / distance)
         if abs(angle) > math.pi / 2:
             turn = math.copysign(math.pi / 4, angle)
-        wheel = rules.steer_gain * turn / max(float(observation["max_steer_angle"][0]), 0.02)
-        return _Situation(speed, angle, wheel, _bends(line.at(_CURVE_MARKS)))
+        max_turn = max(float(observation["max_steer_angle"][0]), 0.02)
+        wheel = rules.steer_gain * turn / max_turn
+        full_lock = math.tan(max_turn) / rules.wheel_base
+        return _Situation(speed, angle, wheel, _bends(line.at(_CURVE_MARKS)), full_lock)
 
     def _race(
         self, state: DriverState, now: _Situation, observation: Mapping[str, Any]
@@ -138,7 +141,7 @@ class HeuristicDriver:
         side = int(np.sign(now.bends[0]))
         if (
             now.speed > rules.drift_start_speed
-            and abs(now.bends[:3]).max() > rules.drift_curvature
+            and rules.drift_min_turn < self._turn_share(now) * side < rules.drift_max_turn
             and rules.drift_min_steer < now.wheel * side < rules.drift_max_steer
             and self._curve_time(now, side) > rules.drift_min_time
         ):
@@ -149,11 +152,18 @@ class HeuristicDriver:
         inwards = now.wheel * state.drift_side
         has_bonus = state.drift_steps * rules.step_size > rules.drift_bonus_time
         return (
-            now.speed < rules.drift_stop_speed
+            state.drift_steps * rules.step_size > rules.drift_max_time
+            or now.speed < rules.drift_stop_speed
             or inwards > rules.drift_tight_steer
             or inwards < (rules.drift_bonus_steer if has_bonus else rules.drift_counter_steer)
             or self._curve_time(now, state.drift_side) < rules.drift_end_time
         )
+
+    def _turn_share(self, now: _Situation) -> float:
+        """The share of full lock that the near curve takes on average, positive to the right."""
+        length = now.speed * self.parameters.drift_look_time
+        near = now.bends[: max(int(length / _CURVE_MARKS[1]) + 1, 2)]
+        return float(near.mean()) / now.full_lock
 
     def _curve_time(self, now: _Situation, side: int) -> float:
         """How long the line goes on bending to a side [s]."""

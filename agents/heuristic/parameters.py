@@ -23,7 +23,9 @@ class DriverParameters:
         brake_angle: brake when the aim is farther off than this [rad].
         brake_speed: but only above this speed [m/s].
         drift_start_speed: no drift starts below this speed [m/s].
-        drift_curvature: nor in a wider curve than this [1/m].
+        drift_min_turn: nor where the curve takes less than this share of full lock,
+        drift_max_turn: nor where it takes more, on average over
+        drift_look_time: this time ahead [s],
         drift_min_time: nor for a curve that lasts less than this [s].
         drift_min_steer: nor while steering less than this into the curve.
         drift_max_steer: nor more, for then the kart slides off.
@@ -32,6 +34,7 @@ class DriverParameters:
         drift_tight_steer: or when steering more than this would be needed,
         drift_counter_steer: or less than this (negative is out of the curve),
         drift_bonus_steer: or less than this once the drift has earned its boost.
+        drift_max_time: a drift lasts no longer than this [s].
         drift_bonus_time: time of drifting that earns a boost [s].
         curve_curvature: a curve lasts while the line bends more than this [1/m].
         nitro_curvature: nitro is used where the line bends less than this [1/m] and
@@ -62,8 +65,11 @@ class DriverParameters:
     brake_angle: float = 0.9
     brake_speed: float = 8.0
     drift_start_speed: float = 13.0
-    drift_curvature: float = 0.015
-    drift_min_time: float = 1.0
+    drift_min_turn: float = 0.2
+    drift_max_turn: float = 0.65
+    drift_look_time: float = 1.2
+    drift_max_time: float = 9.0
+    drift_min_time: float = 1.4
     drift_min_steer: float = 0.15
     drift_max_steer: float = 0.9
     drift_stop_speed: float = 11.0

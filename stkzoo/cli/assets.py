@@ -129,21 +129,25 @@ def _add_clean(actions: argparse._SubParsersAction[Any]) -> None:
 def _status(arguments: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     from stkzoo.cli.console import megabytes
     from stkzoo.engine.assets import find_assets, survey
 
-    console = Console()
-    table = Table("place", "folder", "what is there", "size", title="The game's data")
+    table = Table("place", title="The game's data")
+    table.add_column("folder", overflow="fold")
+    table.add_column("what is there", overflow="fold")
+    table.add_column("size", justify="right", no_wrap=True)
     for report in survey():
         size = megabytes(report.measure()) if report.assets else ""
-        table.add_row(report.source, str(report.path), _describe(report), size)
-    console.print(table)
+        texts = (report.source, str(report.path), _describe(report), size)
+        table.add_row(*map(Text, texts))
+    Console().print(table)
     assets = find_assets()
-    console.print(f"Headless races use the {assets.source}: {assets.root}", soft_wrap=True)
+    print(f"Headless races use the {assets.source}: {assets.root}")
     if arguments.names:
-        console.print(f"Tracks: {', '.join(assets.tracks)}", soft_wrap=True)
-        console.print(f"Karts: {', '.join(assets.karts)}", soft_wrap=True)
+        print(f"Tracks: {', '.join(assets.tracks)}")
+        print(f"Karts: {', '.join(assets.karts)}")
     return 0
 
 

@@ -89,23 +89,31 @@ def _check_race_data() -> tuple[Finding, Assets | None]:
     try:
         assets = find_assets()
     except AssetError as error:
-        return Finding("race data", False, str(error), "stkzoo assets install", required=True), None
+        remedy = _data_remedy("stkzoo assets install")
+        return Finding("race data", False, str(error), remedy, required=True), None
     found = f"{len(assets.tracks)} tracks, {len(assets.karts)} karts in {assets.root}"
     return Finding("race data", True, found, required=True), assets
+
+
+def _data_remedy(command: str) -> str:
+    """The command that mends the data; it has no effect while a variable overrules it."""
+    return f"unset {DATADIR_VARIABLE}; {command}" if os.environ.get(DATADIR_VARIABLE) else command
 
 
 def _check_start(assets: Assets | None) -> Finding:
     name = "engine starts"
     if assets is None:
-        return Finding(name, False, "not tried: no data", "stkzoo assets install", required=True)
+        remedy = _data_remedy("stkzoo assets install")
+        return Finding(name, False, "not tried: no data", remedy, required=True)
+    remedy = _data_remedy("stkzoo assets install --force")
     code, text = _probe(_PROBE, {DATADIR_VARIABLE: str(assets.root)})
     lines = [line.split()[1:] for line in text.splitlines() if line.startswith("tracks:")]
     if code != 0 or not lines:
         found = f"it ended with {code}: {_last_line(text)}"
-        return Finding(name, False, found, "stkzoo assets install --force", required=True)
+        return Finding(name, False, found, remedy, required=True)
     if tuple(sorted(lines[-1])) != assets.tracks:
         found = f"it sees {len(lines[-1])} tracks where stkzoo sees {len(assets.tracks)}"
-        return Finding(name, False, found, "stkzoo assets install --force", required=True)
+        return Finding(name, False, found, remedy, required=True)
     return Finding(name, True, f"and sees its {len(assets.tracks)} tracks", required=True)
 
 
@@ -134,16 +142,15 @@ def _last_line(text: str) -> str:
 def _check_pack(assets: Assets | None) -> Finding:
     ok = assets is not None and assets.headless
     found = "in use: races start faster" if ok else "not in use: races start slower"
-    if os.environ.get(DATADIR_VARIABLE) and not ok:
-        return Finding("headless pack", ok, found, f"unset {DATADIR_VARIABLE}")
-    return Finding("headless pack", ok, found, "stkzoo assets pack")
+    return Finding("headless pack", ok, found, _data_remedy("stkzoo assets pack"))
 
 
 def _check_full_data() -> Finding:
     try:
         assets = find_assets(graphics=True)
     except AssetError as error:
-        return Finding("full data", False, str(error).splitlines()[0], "stkzoo assets install")
+        remedy = _data_remedy("stkzoo assets install")
+        return Finding("full data", False, str(error).splitlines()[0], remedy)
     return Finding("full data", True, f"{assets.root} ({assets.source})")
 
 

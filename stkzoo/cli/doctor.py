@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from stkzoo.cli.diagnosis import Finding
 
 __all__ = ["add_parser"]
 
@@ -44,7 +47,7 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0 if ready else 1
 
 
-def _write_json(findings: list[Any], ready: bool) -> None:
+def _write_json(findings: list[Finding], ready: bool) -> None:
     import json
     from dataclasses import asdict
 
@@ -52,25 +55,21 @@ def _write_json(findings: list[Any], ready: bool) -> None:
     print(json.dumps(report, indent=2))
 
 
-def _write_table(findings: list[Any], ready: bool) -> None:
+def _write_table(findings: list[Finding], ready: bool) -> None:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     console = Console()
-    table = Table("", "check", "found", "remedy")
+    table = Table("", "check")
+    table.add_column("found", overflow="fold")
+    table.add_column("remedy", overflow="fold")
     for finding in findings:
         verdict = "ok" if finding.ok else "missing" if finding.required else "without"
         colour = "green" if finding.ok else "red" if finding.required else "yellow"
         remedy = "" if finding.ok else finding.remedy
-        table.add_row(
-            f"[{colour}]{verdict}[/]", finding.name, *map(_plain, (finding.found, remedy))
-        )
+        texts = (Text(text) for text in (finding.name, finding.found, remedy))
+        table.add_row(Text(verdict, colour), *texts)
     console.print(table)
     last = "A headless race can run here." if ready else "No race can run here yet: see above."
     console.print(last)
-
-
-def _plain(text: str) -> str:
-    from rich.markup import escape
-
-    return escape(text)

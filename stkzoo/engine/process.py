@@ -29,6 +29,7 @@ from stkzoo.errors import EngineCrashed, EngineTimeout
 
 __all__ = [
     "START_TIMEOUT",
+    "WINDOW_START_TIMEOUT",
     "Log",
     "RaceProcess",
     "can_fork",
@@ -37,7 +38,10 @@ __all__ = [
     "start_race_process",
 ]
 
+#: Seconds that a process may take to start, and a headless race to stand on its grid.
 START_TIMEOUT = 60.0
+#: The same for a race in a window: without a graphics card, shaders take minutes.
+WINDOW_START_TIMEOUT = 300.0
 #: A request that still runs after this many seconds ends the engine process from inside.
 _SELF_DESTRUCT_SECONDS = 600
 _LOG_TAIL_BYTES = 4096

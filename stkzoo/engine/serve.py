@@ -40,6 +40,7 @@ def serve(connection: socket.socket, *, self_destruct_after: int) -> None:
             elif kind == wire.BEGIN:
                 if race is not None:
                     race.stop()
+                    race = None  # the engine counts a race until its object is gone
                 race = GameRace(RaceSetup.from_json(data))
                 wire.send(connection, wire.OK, *race.begin().to_frames())
             else:

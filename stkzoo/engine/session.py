@@ -19,6 +19,7 @@ import numpy.typing as npt
 from stkzoo.engine import wire
 from stkzoo.engine.process import (
     START_TIMEOUT,
+    WINDOW_START_TIMEOUT,
     Log,
     RaceProcess,
     engine_environment,
@@ -70,6 +71,7 @@ class WorkerSession:
         self._root = root
         self._graphics = graphics
         self._timeout = timeout
+        self._start_timeout = START_TIMEOUT if graphics == "none" else WINDOW_START_TIMEOUT
         self._process: RaceProcess | None = None
         self._owner = os.getpid()
 
@@ -117,7 +119,7 @@ class WorkerSession:
         process = self._process
         if process is None:
             raise ApiOrderError("the race is over or its process has ended; call reset() first")
-        timeout = START_TIMEOUT if kind == wire.BEGIN else self._timeout
+        timeout = self._start_timeout if kind == wire.BEGIN else self._timeout
         try:
             process.connection.settimeout(timeout)
             wire.send(process.connection, kind, data)

@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
-from stkzoo.env.views import agent_named
+from stkzoo.errors import ConfigError
 from stkzoo.mdp.rewards import Reward, as_reward
 from stkzoo.mdp.transition import Transition, progress_of
+from stkzoo.wrappers.agent_names import by_agent, find_agent
 
 __all__ = ["EpisodeRecord", "rewards_of_agents"]
 
@@ -20,11 +21,18 @@ FloatArray = npt.NDArray[np.float64]
 
 def rewards_of_agents(choice: object, agents: Sequence[str]) -> dict[str, Reward]:
     """Every agent's reward; see :mod:`stkzoo.mdp.rewards` for what can be chosen."""
-    if isinstance(choice, Mapping) and choice:
-        named = {agent_named(name, agents): part for name, part in choice.items()}
-        if None not in named:
-            return {agent: as_reward(named.get(agent)) for agent in agents}
+    if isinstance(choice, Mapping) and any(_is_agent(name, agents) for name in choice):
+        chosen = by_agent(choice, agents)
+        return {agent: as_reward(chosen.get(agent)) for agent in agents}
     return dict.fromkeys(agents, as_reward(choice))
+
+
+def _is_agent(name: object, agents: Sequence[str]) -> bool:
+    try:
+        find_agent(name, agents)
+    except ConfigError:
+        return False
+    return True
 
 
 class EpisodeRecord:

@@ -20,8 +20,9 @@ from stkzoo.wrappers import (
     OnlyContinuousActionsWrapper,
     PolarObservations,
 )
+from stkzoo.wrappers.agent_names import by_agent
 
-__all__ = ["VIEWS", "View", "agent_named", "views_of_agents"]
+__all__ = ["VIEWS", "View", "views_of_agents"]
 
 View = Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]]
 
@@ -70,16 +71,6 @@ VIEWS: dict[str, View] = {
 }
 
 
-def agent_named(name: object, agents: Sequence[str]) -> str | None:
-    """The agent that a user means by its id, its number as a string, or its number."""
-    if isinstance(name, str) and name in agents:
-        return name
-    text = str(name)
-    if not isinstance(name, bool) and text.isdecimal() and int(text) < len(agents):
-        return agents[int(text)]
-    return None
-
-
 def views_of_agents(choice: object, agents: Sequence[str]) -> dict[str, View]:
     """The view of every agent.
 
@@ -90,13 +81,8 @@ def views_of_agents(choice: object, agents: Sequence[str]) -> dict[str, View]:
     """
     if not isinstance(choice, Mapping):
         return dict.fromkeys(agents, _view(choice))
-    views: dict[str, View] = dict.fromkeys(agents, full)
-    for name, view in choice.items():
-        agent = agent_named(name, agents)
-        if agent is None:
-            raise unknown_name("agent in view", name, agents)
-        views[agent] = _view(view)
-    return views
+    chosen = {agent: _view(view) for agent, view in by_agent(choice, agents).items()}
+    return {**dict.fromkeys(agents, full), **chosen}
 
 
 def _view(choice: object) -> View:

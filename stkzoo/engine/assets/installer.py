@@ -11,7 +11,9 @@ from stkzoo.engine.assets.debian import fetch_debian
 from stkzoo.engine.assets.find import find_assets, find_assets_or_none
 from stkzoo.engine.assets.headless import build_headless
 from stkzoo.engine.assets.places import (
+    DATADIR_VARIABLE,
     cache_folder,
+    environment_place,
     full_folder,
     headless_folder,
     overlay_folder,
@@ -43,8 +45,9 @@ def install(
 ) -> Assets:
     """Makes the game's data usable: takes what is there, gets what is not.
 
-    At the end the headless pack is built. Safe to call from several programs at once
-    and to interrupt at any moment.
+    At the end the headless pack is built. Data that ``SUPERTUXKART_DATADIR`` names is
+    taken as it is. Safe to call from several programs at once and to interrupt at any
+    moment.
 
     Args:
         source: ``"debian"``: from the package of Debian and Ubuntu; ``"upstream"``: by
@@ -67,6 +70,8 @@ def install(
         clear_leftovers(cache_folder())
         if archive is not None:
             _take_archive(archive, progress)
+        elif environment_place() is not None and not replace:
+            progress.note(f"{DATADIR_VARIABLE} names the data; there is nothing to get")
         else:
             full = _full_assets(source, replace, progress)
             _ensure_pack(full, replace, progress)

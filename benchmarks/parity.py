@@ -1,0 +1,214 @@
+"""Runs the same races here and in pystk2-gymnasium 0.10.0 and compares every step.
+
+    python -m benchmarks.parity --steps 300
+
+Each race is drawn by stkzoo (seed, grid places), then run by both on the same actions:
+keys, types, shapes, values, rewards, ends and infos are compared at every step. What may
+differ stands in ``benchmarks.parity_compare.INTENDED``; anything else ends the command
+with exit code 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+from rich.console import Console
+from rich.progress import track as progress_bar
+from rich.table import Table
+
+from benchmarks.parity_compare import INTENDED, TOLERANCE, Comparison, RaceContext, compare
+from benchmarks.parity_reference import (
+    Job,
+    Moment,
+    Recording,
+    ReferenceProcess,
+    flatten,
+    inner_spaces,
+)
+from stkzoo import AgentSpec
+from stkzoo.engine.assets import find_assets
+
+__all__ = ["ENV_IDS", "TRACKS", "compare_race", "jobs_for", "main", "reference_process"]
+
+ENV_IDS = (
+    "supertuxkart/full-v0",
+    "supertuxkart/simple-v0",
+    "supertuxkart/flattened-v0",
+    "supertuxkart/flattened_continuous_actions-v0",
+    "supertuxkart/flattened_multidiscrete-v0",
+    "supertuxkart/flattened_discrete-v0",
+    "supertuxkart/multi-full-v0",
+)
+#: With forks: hacienda, cocoa_temple and stk_enterprise; without: lighthouse and olivermath.
+TRACKS = ("lighthouse", "hacienda", "cocoa_temple", "stk_enterprise", "olivermath")
+
+_RESULTS = Path(__file__).parent / "results" / "parity.json"
+_NUM_KART = 4
+
+
+def reference_process() -> ReferenceProcess:
+    """Starts the reference on the game's data that stkzoo uses."""
+    return ReferenceProcess(find_assets().root)
+
+
+def jobs_for(
+    env_ids: Sequence[str] = ENV_IDS, tracks: Sequence[str] = TRACKS, steps: int = 300
+) -> Iterator[Job]:
+    """All races: every id on every track, driven by actions and by the game's AI.
+
+    The dictionary of agents has two agents and one AI agent in one race, and then AI
+    agents alone. The AI agent starts in front of the others, because the reference hands
+    actions to the wrong karts otherwise (D01).
+    """
+    for env_id in env_ids:
+        teams = [(False,), (True,)]
+        if "multi-full" in env_id:
+            teams = [(False, False, False), (True, False, False), (True, True, True)]
+        for track in tracks:
+            for use_ai in teams:
+                yield Job(env_id, track, steps, _NUM_KART, use_ai)
+
+
+def compare_race(job: Job, reference: ReferenceProcess) -> tuple[Job, Comparison]:
+    """Runs one race on both sides; returns it with what was drawn, and the comparison."""
+    env = _make(job)
+    try:
+        first = env.reset(seed=_seed(job))
+        race = env.unwrapped.core.race
+        job = replace(job, engine_seed=race.seed, kart_indices=race.kart_indices)
+        theirs = reference.run(job)
+        ours, context = _record(env, job, first, theirs.actions)
+    finally:
+        env.close()
+    return job, compare(ours, theirs, context)
+
+
+def _seed(job: Job) -> int:
+    return ENV_IDS.index(job.env_id) * 100 + sum(map(ord, job.track)) % 97
+
+
+def _make(job: Job) -> gymnasium.Env[Any, Any]:
+    is_mixed = job.is_multi and any(job.use_ai)
+    specs = [
+        AgentSpec(use_ai=is_ai, rank_start=place if is_mixed else None)
+        for place, is_ai in enumerate(job.use_ai)
+    ]
+    agents: dict[str, Any] = {"agents": specs} if job.is_multi else {"agent": specs[0]}
+    return gymnasium.make(
+        job.env_id,
+        disable_env_checker=True,
+        max_episode_steps=job.steps,
+        track=job.track,
+        num_kart=job.num_kart,
+        **agents,
+    )
+
+
+def _record(
+    env: gymnasium.Env[Any, Any], job: Job, first: tuple[Any, Any], actions: Sequence[Any]
+) -> tuple[Recording, RaceContext]:
+    core = env.unwrapped.core  # type: ignore[attr-defined]
+    karts = list(job.kart_indices)
+    observation, info = first
+    moments = [Moment(flatten(observation), 0.0, False, False, flatten(info))]
+    nodes = [core.snapshot.karts["node"][karts].tolist()]
+    finished = [[False] * len(karts)]
+    for action in actions:
+        finished.append(core.snapshot.karts["has_finished_race"][karts].astype(bool).tolist())
+        observation, reward, terminated, truncated, info = env.step(action)
+        ends = bool(terminated), bool(truncated)
+        moments.append(Moment(flatten(observation), float(reward), *ends, flatten(info)))
+        nodes.append(core.snapshot.karts["node"][karts].tolist())
+        if any(ends):
+            break
+    recording = Recording(
+        moments, inner_spaces(env.observation_space), inner_spaces(env.action_space)
+    )
+    return recording, RaceContext(job, core.track_map, nodes, finished)
+
+
+# ------------------------------------------------------------------------- the command
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns its exit code."""
+    options = _parser().parse_args(arguments)
+    console = Console(width=None if sys.stdout.isatty() else 150)
+    jobs = list(jobs_for(options.ids, options.tracks, options.steps))
+    results = []
+    with reference_process() as reference:
+        for job in progress_bar(jobs, "races in both", console=console):
+            results.append(compare_race(job, reference))  # noqa: PERF401 - with progress
+    console.print(_table(results))
+    _print_legend(console, results)
+    _save(options.output, results)
+    undocumented = [(job, text) for job, result in results for text in result.undocumented]
+    for job, text in undocumented:
+        console.print(f"undocumented: {_title(job)}: {text}", soft_wrap=True, markup=False)
+    return 1 if undocumented else 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.parity", description=__doc__)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("--ids", nargs="+", choices=ENV_IDS, default=ENV_IDS, metavar="ID")
+    parser.add_argument("--tracks", nargs="+", default=TRACKS, metavar="TRACK")
+    parser.add_argument("--steps", type=int, default=300, help="steps a race (default 300)")
+    parser.add_argument("--output", type=Path, default=_RESULTS, help="JSON file to write")
+    return parser
+
+
+def _title(job: Job) -> str:
+    return f"{job.env_id} {job.track} {_drivers(job)}"
+
+
+def _drivers(job: Job) -> str:
+    names = ("action", "AI")
+    return " ".join(names[is_ai] for is_ai in job.use_ai)
+
+
+def _table(results: Sequence[tuple[Job, Comparison]]) -> Table:
+    table = Table(title="stkzoo and pystk2-gymnasium 0.10.0, step by step")
+    for name in ("id", "track", "agents driven by"):
+        table.add_column(name, no_wrap=True)
+    for name in ("steps", "largest error"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("intended differences")
+    table.add_column("others", justify="right")
+    for job, result in results:
+        table.add_row(
+            job.env_id.removeprefix("supertuxkart/"),
+            job.track,
+            _drivers(job),
+            str(result.steps),
+            f"{result.max_error:.1e}",
+            " ".join(sorted(result.intended)),
+            f"[red]{len(result.undocumented)}[/]" if result.undocumented else "0",
+        )
+    return table
+
+
+def _print_legend(console: Console, results: Sequence[tuple[Job, Comparison]]) -> None:
+    met = {code for _, result in results for code in result.intended}
+    for entry in INTENDED:
+        if entry.code in met:
+            console.print(f"  [bold]{entry.code}[/]: {entry.why}", highlight=False)
+    worst = max((result for _, result in results), key=lambda result: result.max_error)
+    console.print(f"Largest error {worst.max_error:.1e} ({worst.worst}), allowed {TOLERANCE:.0e}.")
+
+
+def _save(path: Path, results: Sequence[tuple[Job, Comparison]]) -> None:
+    rows = [{**asdict(job), **vars(result)} for job, result in results]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps({"tolerance": TOLERANCE, "races": rows}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,433 @@
+"""Two recordings of one race, compared entry by entry; what may differ stands in ``INTENDED``."""
+
+from __future__ import annotations
+
+import heapq
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from benchmarks.parity_reference import Job, Leaf, Recording
+from stkzoo.engine.track import TrackMap
+
+__all__ = ["INTENDED", "TOLERANCE", "Comparison", "Intended", "RaceContext", "compare"]
+
+#: Largest error allowed, relative to the number's size, or to 1 (m, rad, s) where it is
+#: smaller. The floor: tracks reach 1 km from the world's origin, where neighbouring float32
+#: numbers lie 6e-5 m apart, and both sides subtract two of them in another order.
+TOLERANCE = 1e-4
+
+_POSITIONS = {"items_position", "karts_position", "center_path", "paths_start", "paths_end"}
+_PATHS = {"paths_distance", "paths_width", "paths_start", "paths_end"}
+
+
+@dataclass(frozen=True)
+class RaceContext:
+    """What the comparison knows of the race beside the two recordings.
+
+    Attributes:
+        job: the race.
+        track: its track.
+        nodes: for each moment, the track node of each agent's kart.
+        finished: for each moment, whether each agent had finished before it.
+    """
+
+    job: Job
+    track: TrackMap
+    nodes: Sequence[Sequence[int]]
+    finished: Sequence[Sequence[bool]]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One entry that is not the same.
+
+    Attributes:
+        aspect: ``missing`` or ``extra`` in ours, ``space``, ``type``, ``value`` or ``order``.
+        path: the entry, ``observation/...``, ``info/...``, ``reward`` and so on.
+        step: number of the moment; -1 for spaces.
+        text: what both sides have.
+        ours: our value, where there is one.
+        theirs: the reference's value, where there is one.
+    """
+
+    aspect: str
+    path: str
+    step: int
+    text: str
+    ours: npt.NDArray[np.float64] | None = None
+    theirs: npt.NDArray[np.float64] | None = None
+
+    @property
+    def agent(self) -> int:
+        """Number of the agent whose entry it is."""
+        match = re.search(r"/(\d+)(/|$)", self.path)
+        return int(match[1]) if match else 0
+
+
+Check = Callable[[Difference, RaceContext], bool]
+
+
+@dataclass(frozen=True)
+class Intended:
+    """A difference that is meant to be.
+
+    Attributes:
+        code: its short name in reports; D numbers are defects of the reference.
+        why: the reason.
+        aspects: the kinds of difference it covers.
+        path: regular expression for the whole path.
+        env_id: regular expression for a part of the id.
+        needs_ai: only where the game drives an agent.
+        check: what must hold of the two values all the same.
+    """
+
+    code: str
+    why: str
+    aspects: str
+    path: str
+    env_id: str = ""
+    needs_ai: bool = False
+    check: Check = lambda _difference, _context: True
+
+    def covers(self, difference: Difference, context: RaceContext) -> bool:
+        """Whether this is the reason for the difference."""
+        return (
+            difference.aspect in self.aspects.split()
+            and re.fullmatch(self.path, difference.path) is not None
+            and re.search(self.env_id, context.job.env_id) is not None
+            and (not self.needs_ai or any(context.job.use_ai))
+            and self.check(difference, context)
+        )
+
+
+def _had_finished(difference: Difference, context: RaceContext) -> bool:
+    finished = context.finished[difference.step]
+    return finished[difference.agent] and difference.ours is not None and difference.ours == 0
+
+
+def _some_had_finished(difference: Difference, context: RaceContext) -> bool:
+    return any(context.finished[difference.step])
+
+
+def _is_one_step_up(difference: Difference, _: RaceContext) -> bool:
+    if difference.ours is None or difference.theirs is None:
+        return False
+    return bool(np.all(np.isin(difference.ours - difference.theirs, (0, 1))))
+
+
+def _is_number_of_choices(difference: Difference, context: RaceContext) -> bool:
+    """Whether our number stands for their choices, up to one step of each discretised one."""
+    if difference.ours is None or difference.theirs is None:
+        return False
+    counts = (5, 2, 2, 2, 2, 2, 7)
+    choices = np.array(np.unravel_index(int(difference.ours), counts, order="F"), float)
+    apart = choices - difference.theirs
+    return bool(np.isin(apart[[0, 6]], (0, 1)).all() and not apart[1:6].any())
+
+
+#: Every difference that is meant to be. ``compare`` reports all others as undocumented.
+INTENDED = (
+    Intended(
+        "D08",
+        "the flattened views have no text entry, so that learners take them",
+        "missing space",
+        r"(observation|observation_space)/kart_type",
+        "flattened",
+    ),
+    Intended(
+        "D15",
+        "kart names with an underscore are in the space",
+        "space",
+        r"observation_space/(\d+/)?kart_type",
+    ),
+    Intended(
+        "D15",
+        "up to 9 power-ups are in the space; the game gives more than 5",
+        "space",
+        r"observation_space/((\d+/)?powerup_count|discrete)",
+    ),
+    Intended(
+        "D09",
+        "an AI agent's own action is in the declared space of every view",
+        "space",
+        r"observation_space/(action.*|)",
+        needs_ai=True,
+    ),
+    Intended(
+        "D09",
+        "the continuous view of an AI agent keeps its observation beside the action",
+        "extra",
+        r"observation/(continuous|discrete)(/.*)?",
+        "flattened_continuous_actions",
+        needs_ai=True,
+    ),
+    Intended(
+        "D09",
+        "the discrete view gives an AI agent's action as the number of its action space",
+        "type value",
+        r"observation/action",
+        "flattened_discrete",
+        needs_ai=True,
+        check=_is_number_of_choices,
+    ),
+    Intended(
+        "D07",
+        "numbers become the nearest step, not the one below",
+        "value",
+        r"observation/action",
+        "flattened_multidiscrete",
+        needs_ai=True,
+        check=_is_one_step_up,
+    ),
+    Intended(
+        "type",
+        "an AI agent's buttons are the space's whole numbers, not bool",
+        "type",
+        r"observation/(\d+/)?action(/(brake|drift|fire|nitro|rescue|discrete))?",
+        needs_ai=True,
+    ),
+    Intended(
+        "type",
+        "item types are int64 as in the space, not int32",
+        "type",
+        r"observation/(\d+/)?items_type",
+    ),
+    Intended(
+        "type",
+        "a distance of 0 is the number 0.0, not the int 0",
+        "type",
+        r"info/(infos/\d+/)?distance",
+        check=lambda difference, _: difference.ours == 0 and difference.theirs == 0,
+    ),
+    Intended(
+        "D16",
+        "track segments come nearest first along the track",
+        "order",
+        r"observation/((\d+/)?|continuous/)paths_.*",
+    ),
+    Intended(
+        "D05",
+        "a finished agent is not paid again",
+        "value",
+        r"info/reward/\d+",
+        "multi-full",
+        check=_had_finished,
+    ),
+    Intended(
+        "D05",
+        "a finished agent is not paid again, so the sum is less",
+        "value",
+        r"reward",
+        "multi-full",
+        check=_some_had_finished,
+    ),
+    Intended(
+        "D06",
+        "info says for every agent whether it is done",
+        "extra",
+        r"info/done/\d+",
+        "multi-full",
+    ),
+    Intended(
+        "info",
+        "infos have more entries, and the same ones from reset on",
+        "extra",
+        r"info/(infos/\d+/)?(lap|finish_time|(episode/)?reward/[a-z]+|episode/(return|length))",
+    ),
+    Intended(
+        "info",
+        "reset gives the infos of a step",
+        "extra",
+        r"info/((infos/\d+/)?(position|distance)|(reward|terminated)/\d+)",
+        check=lambda difference, _: difference.step == 0,
+    ),
+)
+
+
+@dataclass
+class Comparison:
+    """What came of comparing two recordings.
+
+    Attributes:
+        steps: how many steps were compared.
+        max_error: the largest error of a number, relative to its size or to 1.
+        worst: the path of that number.
+        intended: how often each code of :data:`INTENDED` was met.
+        undocumented: the first of each difference that nothing in the table covers.
+    """
+
+    steps: int = 0
+    max_error: float = 0.0
+    worst: str = ""
+    intended: Counter[str] = field(default_factory=Counter)
+    undocumented: list[str] = field(default_factory=list)
+
+
+def compare(ours: Recording, theirs: Recording, context: RaceContext) -> Comparison:
+    """Compares two recordings of one race on the same actions."""
+    comparer = _Comparer(context, theirs.layout)
+    comparer.compare_spaces("observation_space", ours.observation_space, theirs.observation_space)
+    comparer.compare_spaces("action_space", ours.action_space, theirs.action_space)
+    comparer.compare_moments(ours, theirs)
+    return comparer.result
+
+
+class _Comparer:
+    def __init__(
+        self, context: RaceContext, layout: dict[str, list[tuple[str, tuple[int, ...]]]]
+    ) -> None:
+        self.result = Comparison()
+        self._context = context
+        self._layout = layout
+        self._reported: set[tuple[str, str]] = set()
+
+    def compare_spaces(self, name: str, ours: dict[str, str], theirs: dict[str, str]) -> None:
+        for key in sorted(ours.keys() | theirs.keys()):
+            if ours.get(key) != theirs.get(key):
+                text = f"ours {ours.get(key)}, theirs {theirs.get(key)}"
+                self._note(Difference("space", f"{name}/{key}", -1, text))
+
+    def compare_moments(self, ours: Recording, theirs: Recording) -> None:
+        if len(ours.moments) != len(theirs.moments):
+            text = f"ours {len(ours.moments)} moments, theirs {len(theirs.moments)}"
+            self._note(Difference("value", "length", len(ours.moments) - 1, text))
+        for step, (our, their) in enumerate(zip(ours.moments, theirs.moments, strict=False)):
+            self._compare_leaves("observation", step, our.observation, their.observation)
+            self._compare_leaves("info", step, our.info, their.info)
+            for name in ("reward", "terminated", "truncated"):
+                values = (Leaf("", np.array(getattr(side, name))) for side in (our, their))
+                self._compare_leaf(name, step, *values)
+            self.result.steps = step
+
+    def _compare_leaves(
+        self, part: str, step: int, ours: dict[str, Leaf], theirs: dict[str, Leaf]
+    ) -> None:
+        if "" in theirs:  # the reference's continuous view of an AI agent is its action alone
+            theirs = {"action": theirs[""]}
+        for key in ours.keys() - theirs.keys():
+            self._note(Difference("extra", f"{part}/{key}", step, ours[key].kind))
+        for key in theirs.keys() - ours.keys():
+            self._note(Difference("missing", f"{part}/{key}", step, theirs[key].kind))
+        for key in ours.keys() & theirs.keys():
+            for path, our, their in self._entries(f"{part}/{key}", ours[key], theirs[key]):
+                self._compare_leaf(path, step, our, their)
+
+    def _entries(self, path: str, ours: Leaf, theirs: Leaf) -> list[tuple[str, Leaf, Leaf]]:
+        """The inner entries of flattened vectors; anything else as it is."""
+        inner = self._layout.get(path.removeprefix("observation/"), [])
+        if not inner or ours.kind != theirs.kind:
+            return [(path, ours, theirs)]
+        entries = []
+        begin = 0
+        for name, shape in inner:
+            end = begin + int(np.prod(shape))
+            parts = (Leaf(s.kind, s.values[begin:end].reshape(shape)) for s in (ours, theirs))
+            entries.append((f"{path}/{name}", *parts))
+            begin = end
+        return entries
+
+    def _compare_leaf(self, path: str, step: int, ours: Leaf, theirs: Leaf) -> None:
+        if ours.kind != theirs.kind:
+            text = f"ours {ours.kind}, theirs {theirs.kind}"
+            self._note(self._difference("type", path, step, text, ours, theirs))
+        name = path.rsplit("/", 1)[-1]
+        if name in _PATHS:
+            theirs, is_reordered = self._in_our_order(path, step, ours, theirs)
+            if is_reordered:
+                self._note(Difference("order", path, step, "another order of segments"))
+        if ours.values.shape != theirs.values.shape:
+            text = f"ours {ours.values.shape}, theirs {theirs.values.shape}"
+            self._note(self._difference("value", path, step, text, ours, theirs))
+        elif ours.values.dtype.kind == "U":
+            if ours.values != theirs.values:
+                text = f"ours {ours.values}, theirs {theirs.values}"
+                self._note(Difference("value", path, step, text))
+        else:
+            is_polar = name in _POSITIONS and self._context.job.is_polar
+            is_vector = name in _POSITIONS or name in ("front", "velocity")
+            error = _error(ours.values, theirs.values, is_polar, is_vector)
+            if error > TOLERANCE:
+                text = f"error {error:.2g}: ours {ours.values}, theirs {theirs.values}"
+                self._note(self._difference("value", path, step, text, ours, theirs))
+            elif error > self.result.max_error:
+                self.result.max_error, self.result.worst = error, path
+
+    def _in_our_order(
+        self, path: str, step: int, ours: Leaf, theirs: Leaf
+    ) -> tuple[Leaf, bool]:
+        """The reference's rows where ours stand; rows of other segments take our values."""
+        context = self._context
+        agent = Difference("", path, step, "").agent
+        node = context.nodes[step][agent]
+        limit = len(theirs.values)
+        our_order = context.track.nodes_ahead(np.array([node]))[0, :limit].tolist()
+        their_order = _order_of_reference(context.track, node)[:limit]
+        if our_order == their_order or len(ours.values) != limit:
+            return theirs, False
+        rows = ours.values.copy()
+        for row, segment in enumerate(our_order):
+            if segment in their_order:
+                rows[row] = theirs.values[their_order.index(segment)]
+        return Leaf(theirs.kind, rows), True
+
+    @staticmethod
+    def _difference(
+        aspect: str, path: str, step: int, text: str, ours: Leaf, theirs: Leaf
+    ) -> Difference:
+        sides = (side.values.astype(np.float64) for side in (ours, theirs))
+        return Difference(aspect, path, step, text, *sides)
+
+    def _note(self, difference: Difference) -> None:
+        for intended in INTENDED:
+            if intended.covers(difference, self._context):
+                self.result.intended[intended.code] += 1
+                return
+        kind = difference.aspect, difference.path
+        if kind not in self._reported:
+            self._reported.add(kind)
+            self.result.undocumented.append(
+                f"{difference.path} ({difference.aspect}), first at step {difference.step}: "
+                f"{difference.text}"
+            )
+
+
+def _error(
+    ours: npt.NDArray[np.generic],
+    theirs: npt.NDArray[np.generic],
+    is_polar: bool,
+    is_vector: bool,
+) -> float:
+    """The largest error, relative to a number's size (a vector's length), or to 1."""
+    a, b = ours.astype(np.float64), theirs.astype(np.float64)
+    if a.size == 0:
+        return 0.0
+    if not is_polar:
+        size = np.linalg.norm(b, axis=-1, keepdims=True) if is_vector else np.abs(b)
+        return float(np.max(np.abs(a - b) / np.maximum(size, 1.0)))
+    # An angle is undefined where its arm vanishes, so it is weighed by the distance.
+    distance = b[..., 2]
+    turns = np.abs((a[..., :2] - b[..., :2] + np.pi) % (2 * np.pi) - np.pi)
+    arc = turns * np.minimum(distance, 1.0)[..., None]
+    radial = np.abs(a[..., 2] - distance) / np.maximum(distance, 1.0)
+    return float(max(arc.max(), radial.max()))
+
+
+def _order_of_reference(track: TrackMap, start: int) -> list[int]:
+    """The order in which the reference lists segments, where nearer ones than half a lap tie."""
+    ends = track.path_distance[:, 1]
+    order: dict[int, None] = {}
+    queue = [(0.0, start)]
+    while queue:
+        _, node = heapq.heappop(queue)
+        if node in order:
+            continue
+        order[node] = None
+        for following in track.successors[node]:
+            gap = abs(float(ends[following] - ends[start]))
+            heapq.heappush(queue, (max(gap, track.length / 2), following))
+    return list(order)

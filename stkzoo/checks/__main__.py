@@ -1,0 +1,132 @@
+"""``python -m stkzoo.checks module:callable``: all checks, a line each."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from stkzoo.checks.factory import EnvFactory, bind, load_factory, takes
+from stkzoo.checks.runner import CHECKS, Outcome, run_check
+from stkzoo.env.views import VIEWS
+from stkzoo.errors import ConfigError, unknown_name
+
+__all__ = ["main"]
+
+_BAD_USAGE = 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command.
+
+    Args:
+        arguments: the command line; the process's own by default.
+
+    Returns:
+        The exit code: 0 if nothing failed, else 1; 2 if the command makes no sense.
+    """
+    options = _parser().parse_args(arguments)
+    out = Console(soft_wrap=True, highlight=False, markup=False)
+    try:
+        variants = _variants(options.environment, options.view, options.track)
+        names = _check_names(options.check)
+    except ConfigError as error:
+        Console(stderr=True, soft_wrap=True).print(str(error), markup=False, highlight=False)
+        return _BAD_USAGE
+    outcomes = _run(variants, names, None if options.json else out)
+    if options.json:
+        out.print(json.dumps(outcomes, indent=2))
+    return int(any(outcome["status"] == "failed" for outcome in outcomes))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m stkzoo.checks",
+        description="Checks a PettingZoo ParallelEnv: spaces, ends, memory, determinism, manners.",
+        epilog="Exit code: 0 if nothing failed, 1 if something did, 2 for a bad command line.",
+    )
+    parser.add_argument(
+        "environment", help="module:callable that makes it, such as stkzoo.race_v0:parallel_env"
+    )
+    parser.add_argument(
+        "--view", nargs="+", metavar="NAME", help="views to check (default: all registered ones)"
+    )
+    parser.add_argument(
+        "--track", nargs="+", metavar="NAME", help="tracks to check on (default: one short track)"
+    )
+    parser.add_argument(
+        "--check", nargs="+", metavar="NAME", help=f"checks to run, of: {', '.join(CHECKS)}"
+    )
+    parser.add_argument("--json", action="store_true", help="print the outcomes as JSON")
+    return parser
+
+
+def _variants(
+    target: str, views: Sequence[str] | None, tracks: Sequence[str] | None
+) -> dict[str, EnvFactory]:
+    """The factories to check, by what to call them; ``""`` where there is no choice."""
+    variants = {"": load_factory(target)}
+    if views is None and takes(variants[""], "view"):
+        views = list(VIEWS)
+    for keyword, values in (("view", views), ("track", tracks)):
+        variants = {
+            " ".join(filter(None, (name, str(value or "")))): (
+                make if value is None else bind(make, keyword, value)
+            )
+            for name, make in variants.items()
+            for value in (values or [None])
+        }
+    for view in views or ():
+        if view not in VIEWS:
+            raise unknown_name("view", view, VIEWS)
+    return variants
+
+
+def _check_names(chosen: Sequence[str] | None) -> list[str]:
+    for name in chosen or ():
+        if name not in CHECKS:
+            raise unknown_name("check", name, CHECKS)
+    return list(chosen or CHECKS)
+
+
+def _run(
+    variants: dict[str, EnvFactory], names: Sequence[str], out: Console | None
+) -> list[dict[str, object]]:
+    outcomes: list[dict[str, object]] = []
+    console = out or Console(stderr=True)
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=console,
+        transient=True,
+        auto_refresh=False,
+        disable=not console.is_terminal,
+    ) as progress:
+        task = progress.add_task("", total=len(variants) * len(names))
+        for variant, make_env in variants.items():
+            for name in names:
+                progress.update(task, description=f"{variant} {name}".strip(), refresh=True)
+                outcome = run_check(CHECKS[name], make_env)
+                outcomes.append({"variant": variant, "check": name, **asdict(outcome)})
+                if out is not None:
+                    out.print(_line(variant, name, outcome))
+                progress.advance(task)
+    return outcomes
+
+
+def _line(variant: str, name: str, outcome: Outcome) -> str:
+    verdict = outcome.status if outcome.status != "failed" else "FAILED"
+    reason = f": {outcome.why}" if outcome.why else ""
+    title = " ".join(filter(None, (f"[{variant}]" if variant else "", name.replace("_", " "))))
+    return f"{title} ({outcome.seconds:.1f} s): {verdict}{reason}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,225 @@
+"""Checks that a seed means one race and no other, wherever and whenever it is run."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import random
+import signal
+from contextlib import closing
+from typing import Any
+
+import cloudpickle
+import numpy as np
+
+from stkzoo.checks.factory import EnvFactory, short_race, whole_race
+from stkzoo.checks.failure import CheckFailed, NotApplicable
+from stkzoo.checks.play import Env, RandomPolicy, Step, play
+from stkzoo.checks.processes import descendants, run_fresh
+from stkzoo.checks.trace import Trace, check_equal, fingerprint, first_difference, trace
+
+__all__ = [
+    "check_envs_in_turn_do_not_meet",
+    "check_global_random_state_is_left_alone",
+    "check_other_seed_differs",
+    "check_pickled_copies_play_the_same_race",
+    "check_seed_repeats_after_a_killed_worker",
+    "check_seed_repeats_in_a_fresh_process",
+    "check_seed_repeats_in_one_env",
+    "check_seed_repeats_in_two_envs",
+    "check_unseeded_resets_continue_the_stream",
+]
+
+_SEED = 13
+_FEW_STEPS = 20
+
+
+def check_seed_repeats_in_one_env(make_env: EnvFactory) -> None:
+    """Three whole races of one environment with one seed are the same, another in between.
+
+    Raises:
+        CheckFailed: they differ; the text names step, agent and key.
+    """
+    with closing(whole_race(make_env)()) as env:
+        first = trace(play(env, _SEED))
+        second = trace(play(env, _SEED))
+        trace(play(env, _SEED + 1, max_steps=_FEW_STEPS))
+        third = trace(play(env, _SEED))
+    check_equal(first, second, "two races of one environment with one seed")
+    check_equal(first, third, "races before and after one of another seed")
+
+
+def check_seed_repeats_in_two_envs(make_env: EnvFactory) -> None:
+    """Whole races of two environments with one seed are the same.
+
+    Raises:
+        CheckFailed: they differ.
+    """
+    first, second = (_one_race(whole_race(make_env), _SEED) for _ in range(2))
+    check_equal(first, second, "races of two environments with one seed")
+
+
+def check_seed_repeats_in_a_fresh_process(make_env: EnvFactory) -> None:
+    """A whole race is the same in a new interpreter with another order of hashes.
+
+    Raises:
+        CheckFailed: it differs.
+    """
+    make = whole_race(make_env)
+    there = run_fresh(_one_race, make, _SEED).result
+    check_equal(_one_race(make, _SEED), there, "races here and in a fresh process")
+
+
+def check_seed_repeats_after_a_killed_worker(make_env: EnvFactory) -> None:
+    """A whole race is the same after the game's process was killed, in a race or after one.
+
+    Raises:
+        CheckFailed: it differs.
+        NotApplicable: the environment starts no process.
+    """
+    before = descendants()
+    with closing(whole_race(make_env)()) as env:
+        made = descendants()
+        expected = trace(play(env, _SEED))
+        workers = descendants() - made or made - before
+        if not workers:
+            raise NotApplicable("the environment starts no process of its own")
+        _kill(workers)
+        made = descendants()
+        trace(play(env, _SEED + 1, max_steps=_FEW_STEPS))
+        _kill(descendants() - made)
+        actual = trace(play(env, _SEED))
+    check_equal(expected, actual, "races before and after a killed worker process")
+
+
+def check_other_seed_differs(make_env: EnvFactory) -> None:
+    """Races of three seeds with the same actions are three races.
+
+    Raises:
+        CheckFailed: two are the same.
+    """
+    with closing(whole_race(make_env)()) as env:
+        traces = {seed: trace(play(env, seed)) for seed in range(_SEED, _SEED + 3)}
+    for one, other in itertools.combinations(traces, 2):
+        if first_difference(traces[one], traces[other]) is None:
+            raise CheckFailed(
+                f"seeds {one} and {other} gave the same race bit by bit; expected a seed to matter"
+            )
+
+
+def check_unseeded_resets_continue_the_stream(make_env: EnvFactory) -> None:
+    """``reset(seed)``, ``reset()``, ``reset()`` repeats as a whole, and its races differ.
+
+    Raises:
+        CheckFailed: it does not, or all three races are the same.
+    """
+    with closing(short_race(make_env)()) as env:
+        once, again = (_three_races(env) for _ in range(2))
+    for number, (first, second) in enumerate(zip(once, again, strict=True)):
+        check_equal(first, second, f"races number {number} of reset(seed), reset(), reset()")
+    if once[0] == once[1] == once[2]:
+        raise CheckFailed(
+            "reset() without a seed started the same race again and again; expected it to go "
+            "on with the random stream"
+        )
+
+
+def check_global_random_state_is_left_alone(make_env: EnvFactory) -> None:
+    """Neither ``random`` nor ``numpy.random`` is drawn from or seeded.
+
+    Raises:
+        CheckFailed: the state of one of them has changed.
+    """
+    before = _global_states()
+    with closing(short_race(make_env)()) as env:
+        _check_global_states(before, "the environment was made")
+        for seed in (_SEED, None):
+            for step in play(env, seed):
+                _check_global_states(before, f"step {step.number} after reset(seed={seed})")
+    _check_global_states(before, "close()")
+
+
+def check_envs_in_turn_do_not_meet(make_env: EnvFactory) -> None:
+    """Two environments stepped in turn play the races that each plays alone.
+
+    Raises:
+        CheckFailed: they do not.
+    """
+    make = whole_race(make_env)
+    alone = [_one_race(make, seed) for seed in (_SEED, _SEED + 1)]
+    with closing(make()) as left, closing(make()) as right:
+        in_turn: tuple[Trace, Trace] = [], []
+        for steps in itertools.zip_longest(play(left, _SEED), play(right, _SEED + 1)):
+            for record, step in zip(in_turn, steps, strict=True):
+                record.extend(trace([step]) if step is not None else [])
+    for expected, actual in zip(alone, in_turn, strict=True):
+        check_equal(expected, actual, "races alone and in turn with another environment's")
+
+
+def check_pickled_copies_play_the_same_race(make_env: EnvFactory) -> None:
+    """Copies by cloudpickle, before a reset and in mid-race, play the same whole race.
+
+    The race that a copy was taken from goes on undisturbed.
+
+    Raises:
+        CheckFailed: they do not, or there is no copy.
+    """
+    make = whole_race(make_env)
+    with closing(make()) as env:
+        with closing(_copy(env, "before its first reset")) as copy:
+            expected = trace(play(copy, _SEED))
+        original: Trace = []
+        for step in play(env, _SEED):
+            original.extend(trace([step]))
+            if step.number == _FEW_STEPS:
+                with closing(_copy(env, "in mid-race")) as copy:
+                    check_equal(
+                        expected,
+                        trace(play(copy, _SEED)),
+                        "races of copies taken before the first reset and in mid-race",
+                    )
+    check_equal(expected, original, "races of a pickled copy and of its original")
+
+
+def _one_race(make: EnvFactory, seed: int) -> Trace:
+    with closing(make()) as env:
+        return trace(play(env, seed))
+
+
+def _three_races(env: Env) -> list[Trace]:
+    policy = RandomPolicy(env)
+    seeds = (_SEED, None, None)
+    return [trace(play(env, seed, max_steps=_FEW_STEPS, policy=policy)) for seed in seeds]
+
+
+def _copy(env: Env, when: str) -> Any:
+    try:
+        return cloudpickle.loads(cloudpickle.dumps(env))
+    except Exception as error:
+        raise CheckFailed(
+            f"the environment cannot be copied by cloudpickle {when}: {error!r}; expected a "
+            "copy, as vector environments make them"
+        ) from error
+
+
+def _kill(pids: frozenset[int]) -> None:
+    for pid in pids:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+
+
+def _global_states() -> dict[str, str]:
+    return {
+        "random": fingerprint(random.getstate()),
+        "numpy.random": fingerprint(np.random.get_state()),  # noqa: NPY002 - the very thing
+    }
+
+
+def _check_global_states(before: dict[str, str], when: str) -> None:
+    for name, state in _global_states().items():
+        if state != before[name]:
+            raise CheckFailed(
+                f"the global state of {name} has changed by the time of: {when}; expected the "
+                "environment to use its own np_random"
+            )

@@ -1,0 +1,107 @@
+"""Fresh interpreters to play in, and the processes that an environment has started."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cloudpickle
+
+from stkzoo.checks.failure import CheckFailed, NotApplicable
+
+__all__ = ["FreshRun", "descendants", "main", "run_fresh"]
+
+_TIMEOUT = 600.0
+_CHILD = "import sys; from stkzoo.checks.processes import main; main(sys.argv[1])"
+
+
+@dataclass(frozen=True, slots=True)
+class FreshRun:
+    """What a fresh interpreter made of a function.
+
+    Attributes:
+        result: what the function returned.
+        output: everything that was written to the standard streams.
+    """
+
+    result: Any
+    output: str
+
+
+def run_fresh(function: Callable[..., Any], *arguments: Any) -> FreshRun:
+    """Calls a function in a new interpreter, with another order of hashes.
+
+    Args:
+        function: what to call; it and the arguments are sent by cloudpickle.
+        *arguments: its arguments.
+
+    Raises:
+        CheckFailed: the function raised there.
+    """
+    with tempfile.TemporaryDirectory(prefix="stkzoo-check-") as folder:
+        Path(folder, "call").write_bytes(cloudpickle.dumps((function, arguments)))
+        run = subprocess.run(  # noqa: S603 - our own interpreter on our own code
+            [sys.executable, "-c", _CHILD, folder],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env=_environment(),
+            timeout=_TIMEOUT,
+            check=False,
+        )
+        output = run.stdout.decode(errors="replace").strip()
+        answer = Path(folder, "answer")
+        if run.returncode != 0 or not answer.exists():
+            raise CheckFailed(f"a fresh process ended with code {run.returncode}: {output}")
+        succeeded, result = pickle.loads(answer.read_bytes())  # noqa: S301 - written below
+    if not succeeded:
+        raise CheckFailed(f"in a fresh process: {result}")
+    return FreshRun(result, output)
+
+
+def main(folder: str) -> None:
+    """The fresh interpreter's side of :func:`run_fresh`."""
+    function, arguments = pickle.loads(Path(folder, "call").read_bytes())  # noqa: S301
+    try:
+        answer = True, function(*arguments)
+    except Exception:  # noqa: BLE001 - it is the caller who must hear of it
+        answer = False, traceback.format_exc()
+    Path(folder, "answer").write_bytes(pickle.dumps(answer))
+
+
+def descendants() -> frozenset[int]:
+    """Ids of all living processes below this one.
+
+    Raises:
+        NotApplicable: the system does not tell.
+    """
+    parents: dict[int, int] = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            status = Path(folder, "stat").read_text(errors="replace")
+        except OSError:  # it has ended in the meantime
+            continue
+        state, parent = status.rpartition(")")[2].split()[:2]
+        if state not in "ZX":
+            parents[int(folder.name)] = int(parent)
+    if os.getpid() not in parents:
+        raise NotApplicable("this system has no /proc that tells of processes")
+    found: set[int] = set()
+    while (
+        new := {pid for pid, parent in parents.items() if parent in {os.getpid(), *found}} - found
+    ):
+        found |= new
+    return frozenset(found)
+
+
+def _environment() -> dict[str, str]:
+    path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
+    return {**os.environ, "PYTHONPATH": path, "PYTHONHASHSEED": "1"}

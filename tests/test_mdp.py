@@ -1,0 +1,224 @@
+"""Observations, rewards and the track's order, on snapshots made by hand and by the game."""
+
+import numpy as np
+import pytest
+
+from stkzoo import race_v0
+from stkzoo.config import AgentSpec
+from stkzoo.engine.snapshot import HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
+from stkzoo.engine.track import TrackMap, decode_track, encode_track
+from stkzoo.errors import ConfigError
+from stkzoo.mdp.geometry import rotation_matrices
+from stkzoo.mdp.observations import KartObserver
+from stkzoo.mdp.rewards import REWARDS, Reward, as_reward
+from stkzoo.mdp.state import KART_FEATURES, state_space
+from stkzoo.mdp.transition import Transition
+
+
+def make_snapshot(num_kart=2, num_items=0, **fields):
+    header = np.zeros(1, HEADER_DTYPE)
+    header["num_kart"], header["num_items"] = num_kart, num_items
+    karts = np.zeros(num_kart, KART_DTYPE)
+    karts["rotation"][:, 0] = 1
+    karts["position"] = np.arange(1, num_kart + 1)
+    for name, value in fields.items():
+        karts[name] = value
+    return Snapshot(header[0], karts, np.zeros(num_items, ITEM_DTYPE))
+
+
+def forked_track():
+    """Node 0 forks into 1 and into 2, 3; both join in 4, which leads back to 0."""
+    begin = np.array([0, 10, 10, 15, 30], np.float32)
+    return decode_track(
+        encode_track(
+            40.0,
+            np.zeros((5, 2, 3), np.float32),
+            np.ones((5, 1), np.float32),
+            np.stack([begin, begin + 5], axis=1),
+            [[1, 2], [4], [3], [4], [0]],
+        )
+    )
+
+
+def test_a_snapshot_survives_its_bytes():
+    snapshot = make_snapshot(3, 2, speed=[1, 2, 3])
+    again = Snapshot.from_bytes(snapshot.to_bytes())
+    assert again.to_bytes() == snapshot.to_bytes()
+    assert again.karts["speed"].tolist() == [1, 2, 3]
+    assert len(again.items) == 2
+
+
+def test_nodes_ahead_come_by_driving_distance():
+    ahead = forked_track().nodes_ahead(np.array([0, 1]))
+    assert ahead.tolist() == [[0, 1, 2, 3, 4], [1, 4, 0, 2, 3]]
+
+
+def test_a_branch_that_was_not_taken_comes_a_lap_later():
+    assert forked_track().nodes_ahead(np.array([2])).tolist() == [[2, 3, 4, 0, 1]]
+
+
+def test_nodes_ahead_stop_at_max_paths():
+    assert forked_track().nodes_ahead(np.array([4]), 2).tolist() == [[4, 0]]
+
+
+def test_equal_tracks_share_one_map():
+    assert forked_track() is forked_track()
+
+
+def test_a_tracks_arrays_cannot_be_changed():
+    with pytest.raises(ValueError, match="read-only"):
+        forked_track().path_distance[:] = 0
+
+
+def test_a_node_that_cannot_be_reached_still_stands_at_the_end():
+    track = TrackMap(
+        length=20,
+        path_nodes=np.zeros((3, 2, 3), np.float32),
+        path_width=np.ones((3, 1), np.float32),
+        path_distance=np.array([[0, 5], [5, 9], [10, 15]], np.float32),
+        successors=[[2], [2], [0]],
+    )
+    assert track.nodes_ahead(np.array([0])).tolist() == [[0, 2, 1]]
+
+
+def test_rotation_matrices_are_rotations():
+    quaternions = np.random.default_rng(0).normal(size=(50, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    matrices = rotation_matrices(quaternions)
+    assert np.allclose(matrices @ matrices.transpose(0, 2, 1), np.eye(3))
+    assert np.allclose(np.linalg.det(matrices), 1)
+
+
+def test_after_steering_right_a_point_that_was_ahead_lies_to_the_left():
+    """Pins the sign of x on the real game: +x is right."""
+    with race_v0.parallel_env(num_kart=1, track="lighthouse") as env:
+        env.reset(seed=0)
+        drive = {"brake": 0, "drift": 0, "fire": 0, "nitro": 0, "rescue": 0}
+        for _ in range(30):
+            env.step({"kart_0": {"acceleration": 1.0, "steer": 0.0, **drive}})
+        record = env.snapshot.karts[0]
+        to_world = rotation_matrices(record["rotation"]).T
+        landmark = record["location"] + to_world @ np.array([0, 0, 30], np.float32)
+        for _ in range(5):
+            env.step({"kart_0": {"acceleration": 1.0, "steer": 1.0, **drive}})
+        record = env.snapshot.karts[0]
+        seen = rotation_matrices(record["rotation"]) @ (landmark - record["location"])
+        assert seen[0] < -1
+
+
+def test_what_lies_in_front_comes_first_and_then_what_lies_behind():
+    snapshot = make_snapshot(5, location=[[0, 0, z] for z in (0, -2, 7, -9, 3)])
+    batch = KartObserver(forked_track(), ["tux"] * 5, None).observe(snapshot, np.array([0]))
+    assert batch["karts_position"][0, :, 2].tolist() == [3, 7, -2, -9]
+
+
+def test_a_lone_kart_sees_no_others():
+    batch = KartObserver(forked_track(), ["tux"], 3).observe(make_snapshot(1), np.array([0]))
+    assert batch["karts_position"].shape == (1, 0, 3)
+    assert batch["items_position"].shape == (1, 0, 3)
+    assert batch["paths_start"].shape == (1, 3, 3)
+
+
+def transition(before, after, race_length=100.0):
+    return Transition(
+        make_snapshot(len(before["position"]), **before),
+        make_snapshot(len(after["position"]), **after),
+        race_length,
+    )
+
+
+def test_the_default_reward_is_the_documented_formula():
+    before = {"position": [1, 2], "overall_distance": [50.0, -100.0], "has_finished_race": [0, 0]}
+    after = {"position": [1, 2], "overall_distance": [60.0, 2.0], "has_finished_race": [1, 0]}
+    terms = REWARDS["default"](transition(before, after))
+    totals = sum(terms.values())
+    assert np.allclose(totals, [10 / 10 + 0.5 * 10 - 0.1 + 10, 2 / 10 + 0 - 0.1])
+
+
+def test_the_jump_at_the_start_line_is_no_progress():
+    before = {"position": [1], "overall_distance": [-880.0]}
+    after = {"position": [1], "overall_distance": [3.0]}
+    assert REWARDS["default"](transition(before, after))["progress"].tolist() == [0.3]
+
+
+def test_a_finish_is_paid_in_one_step_only():
+    moment = {"position": [1], "overall_distance": [100.0], "has_finished_race": [1]}
+    terms = REWARDS["default"](transition(moment, moment))
+    assert terms["finish"].tolist() == [0]
+
+
+def test_terms_can_be_reweighed_dropped_and_added():
+    reward = as_reward({"time": 2.0, "rank": 0, "bonus": lambda step: np.ones(step.num_kart)})
+    moment = {"position": [1], "overall_distance": [5.0]}
+    values = reward(transition(moment, moment))
+    assert {name: value.tolist() for name, value in values.items()} == {
+        "progress": [0.0],
+        "rank": [0.0],
+        "time": [-0.2],
+        "finish": [0.0],
+        "bonus": [1.0],
+    }
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [
+        ("placment", "Did you mean 'placement'"),
+        (3, "reward is 3"),
+        ({"tme": 1.0}, "Did you mean 'time'"),
+        ({"time": "much"}, "'much'"),
+        ({"time": float("nan")}, "nan"),
+    ],
+)
+def test_a_reward_that_cannot_be_is_refused(choice, message):
+    with pytest.raises(ConfigError, match=message):
+        as_reward(choice)
+
+
+def test_a_term_of_the_wrong_shape_is_refused():
+    reward = Reward({"scalar": lambda _: 1.0})
+    moment = {"position": [1, 2]}
+    with pytest.raises(ConfigError, match=r"'scalar'.*2 finite numbers"):
+        reward(transition(moment, moment))
+
+
+def test_agents_may_have_rewards_of_their_own():
+    with race_v0.parallel_env(
+        num_kart=2, track="olivermath", reward={"kart_0": "placement", 1: {"time": 3.0}}
+    ) as env:
+        _, infos = env.reset(seed=1)
+        assert set(infos["kart_0"]) == set(infos["kart_1"])
+        actions = {agent: env.action_space(agent).sample() for agent in env.agents}
+        _, rewards, _, _, infos = env.step(actions)
+        assert infos["kart_0"]["reward/time"] == 0
+        assert infos["kart_1"]["reward/time"] == pytest.approx(-0.3)
+        for agent, info in infos.items():
+            terms = [value for name, value in info.items() if name.startswith("reward/")]
+            assert rewards[agent] == pytest.approx(sum(terms))
+
+
+def test_episode_sums_add_up_over_a_whole_race():
+    agents = [AgentSpec(use_ai=True), AgentSpec(use_ai=True)]
+    with race_v0.parallel_env(agents=agents, num_kart=2, track="olivermath") as env:
+        env.reset(seed=3)
+        returns = dict.fromkeys(env.possible_agents, 0.0)
+        last = {}
+        while env.agents:
+            _, rewards, _, _, infos = env.step({})
+            for agent, reward in rewards.items():
+                returns[agent] += reward
+                last[agent] = infos[agent]
+        for agent in env.possible_agents:
+            assert last[agent]["episode/return"] == pytest.approx(returns[agent])
+            assert last[agent]["finish_time"] > 10
+
+
+def test_the_state_is_as_long_as_its_space_says_and_tells_agents_first():
+    with race_v0.parallel_env(agents=1, num_kart=3, track="olivermath") as env:
+        env.reset(seed=1)
+        state = env.state()
+        assert env.state_space == state_space(3)
+        assert env.state_space.contains(state)
+        kart = env.race.kart_indices[0]
+        assert state[4:7].tolist() == env.snapshot.karts["location"][kart].tolist()
+        assert len(state) == 4 + 3 * sum(size for _, size in KART_FEATURES)
