@@ -70,20 +70,20 @@ def _variants(
     target: str, views: Sequence[str] | None, tracks: Sequence[str] | None
 ) -> dict[str, EnvFactory]:
     """The factories to check, by what to call them; ``""`` where there is no choice."""
-    variants = {"": load_factory(target)}
-    if views is None and takes(variants[""], "view"):
-        views = list(VIEWS)
-    for keyword, values in (("view", views), ("track", tracks)):
-        variants = {
-            " ".join(filter(None, (name, str(value or "")))): (
-                make if value is None else bind(make, keyword, value)
-            )
-            for name, make in variants.items()
-            for value in (values or [None])
-        }
-    for view in views or ():
+    make_env = load_factory(target)
+    if views is None:
+        views = list(VIEWS) if takes(make_env, "view") else []
+    for view in views:
         if view not in VIEWS:
             raise unknown_name("view", view, VIEWS)
+    variants = {"": make_env}
+    for keyword, values in (("view", views), ("track", tracks or [])):
+        if values:
+            variants = {
+                f"{name} {value}".strip(): bind(make, keyword, value)
+                for name, make in variants.items()
+                for value in values
+            }
     return variants
 
 

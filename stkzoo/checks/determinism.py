@@ -10,12 +10,12 @@ import signal
 from contextlib import closing
 from typing import Any
 
-import cloudpickle
+import cloudpickle  # type: ignore[import-untyped]
 import numpy as np
 
 from stkzoo.checks.factory import EnvFactory, short_race, whole_race
 from stkzoo.checks.failure import CheckFailed, NotApplicable
-from stkzoo.checks.play import Env, RandomPolicy, Step, play
+from stkzoo.checks.play import Env, RandomPolicy, play
 from stkzoo.checks.processes import descendants, run_fresh
 from stkzoo.checks.trace import Trace, check_equal, fingerprint, first_difference, trace
 
@@ -36,18 +36,16 @@ _FEW_STEPS = 20
 
 
 def check_seed_repeats_in_one_env(make_env: EnvFactory) -> None:
-    """Three whole races of one environment with one seed are the same, another in between.
+    """Whole races of one environment with one seed are the same, after another seed too.
 
     Raises:
         CheckFailed: they differ; the text names step, agent and key.
     """
     with closing(whole_race(make_env)()) as env:
         first = trace(play(env, _SEED))
-        second = trace(play(env, _SEED))
         trace(play(env, _SEED + 1, max_steps=_FEW_STEPS))
-        third = trace(play(env, _SEED))
+        second = trace(play(env, _SEED))
     check_equal(first, second, "two races of one environment with one seed")
-    check_equal(first, third, "races before and after one of another seed")
 
 
 def check_seed_repeats_in_two_envs(make_env: EnvFactory) -> None:
@@ -99,7 +97,7 @@ def check_other_seed_differs(make_env: EnvFactory) -> None:
     Raises:
         CheckFailed: two are the same.
     """
-    with closing(whole_race(make_env)()) as env:
+    with closing(short_race(make_env)()) as env:
         traces = {seed: trace(play(env, seed)) for seed in range(_SEED, _SEED + 3)}
     for one, other in itertools.combinations(traces, 2):
         if first_difference(traces[one], traces[other]) is None:
@@ -212,7 +210,7 @@ def _kill(pids: frozenset[int]) -> None:
 def _global_states() -> dict[str, str]:
     return {
         "random": fingerprint(random.getstate()),
-        "numpy.random": fingerprint(np.random.get_state()),  # noqa: NPY002 - the very thing
+        "numpy.random": fingerprint(np.random.get_state()),
     }
 
 

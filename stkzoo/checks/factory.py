@@ -21,7 +21,7 @@ EnvFactory: TypeAlias = Callable[..., ParallelEnv[Any, Any, Any]]
 #: A track on which the game's own drivers need some 300 steps.
 _TRACK = "olivermath"
 _SHORT_RACE_STEPS = 60
-_WHOLE_RACE_STEPS = 500
+_WHOLE_RACE_STEPS = 380
 
 
 def load_factory(target: str) -> EnvFactory:

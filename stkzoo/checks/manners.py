@@ -109,7 +109,7 @@ class _Misbehaving(RandomPolicy):
 def _expect_refusal(env: Env, actions: dict[Any, Any], agent: Any, what: str) -> None:
     try:
         env.step(actions)
-    except Exception as error:  # noqa: BLE001 - any error is a refusal
+    except Exception as error:
         if str(agent) not in str(error):
             raise CheckFailed(
                 f"{what} of agent {agent!r} was refused with {error!r}, expected a text that "

@@ -121,7 +121,8 @@ def play(
             )
         actions = policy(step)
         results = _dicts("step", env.step(dict(actions)), len(PARTS))
-        step = Step(step.number + 1, step.agents, actions, *results, tuple(env.agents))
+        parts = dict(zip(PARTS, results, strict=True))
+        step = Step(step.number + 1, step.agents, actions, agents=tuple(env.agents), **parts)
         yield step
 
 

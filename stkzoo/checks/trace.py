@@ -73,8 +73,8 @@ def _fingerprints(path: str, value: Any) -> Iterator[tuple[str, str]]:
 
 def _update(digest: Any, value: Any) -> None:
     if isinstance(value, (np.ndarray, np.generic)):
-        digest.update(f"{type(value).__name__} {value.dtype} {value.shape} ".encode())
-        digest.update(value.tobytes())
+        kind = type(value).__name__
+        digest.update(f"{kind} {value.dtype.str} {value.shape} ".encode() + value.tobytes())
     elif isinstance(value, Mapping):
         digest.update(f"dict {len(value)} ".encode())
         for key, entry in value.items():

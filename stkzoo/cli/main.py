@@ -16,7 +16,7 @@ __all__ = ["COMMANDS", "build_parser", "main"]
 #: with ``add_parser(subparsers)``, which sets ``run``: a function of the parsed
 #: arguments that returns the exit code. It is light to import: what is heavy is
 #: imported when it runs.
-COMMANDS = ("assets", "doctor")
+COMMANDS = ("race", "assets", "doctor")
 
 _EPILOG = """\
 first steps:
