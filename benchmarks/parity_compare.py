@@ -357,9 +357,7 @@ class _Comparer:
             elif error > self.result.max_error:
                 self.result.max_error, self.result.worst = error, path
 
-    def _in_our_order(
-        self, path: str, step: int, ours: Leaf, theirs: Leaf
-    ) -> tuple[Leaf, bool]:
+    def _in_our_order(self, path: str, step: int, ours: Leaf, theirs: Leaf) -> tuple[Leaf, bool]:
         """The reference's rows where ours stand; rows of other segments take our values."""
         context = self._context
         agent = Difference("", path, step, "").agent

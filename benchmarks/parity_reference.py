@@ -21,7 +21,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Job", "Leaf", "Moment", "Recording", "ReferenceProcess", "flatten", "inner_spaces", "serve"]
+__all__ = [
+    "Job",
+    "Leaf",
+    "Moment",
+    "Recording",
+    "ReferenceProcess",
+    "flatten",
+    "inner_spaces",
+    "serve",
+]
 
 #: The action stream accepts a drawn action whose throttle, brake and rescue are unhelpful
 #: with these probabilities; else the karts would stand.
@@ -243,9 +252,7 @@ def _record(job: Job) -> Recording:
         recording.actions.append(action)
         observation, reward, terminated, truncated, info = env.step(action)
         recording.moments.append(
-            Moment(
-                flatten(observation), float(reward), bool(terminated), truncated, flatten(info)
-            )
+            Moment(flatten(observation), float(reward), bool(terminated), truncated, flatten(info))
         )
         if terminated:
             break
@@ -325,4 +332,3 @@ def _accepted(space: Any, changes: list[Any], random: np.random.Generator) -> An
             and (not base["rescue"] or random.random() < _KEEP_RESCUE)
         ):
             return action
-

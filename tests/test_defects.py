@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from itertools import pairwise
 
 import gymnasium as gym
 import numpy as np
@@ -88,7 +89,9 @@ def test_d01_actions_reach_the_kart_of_their_agent(kinds):
             for _ in range(UNTIL_MOVING):
                 env.step(idle(env) | {driver: action(throttle=1.0)})
             driven = np.linalg.norm(env.snapshot.karts["location"] - start, axis=1)
-            by_agent = dict(zip(env.possible_agents, driven[list(env.race.kart_indices)]))
+            by_agent = dict(
+                zip(env.possible_agents, driven[list(env.race.kart_indices)], strict=True)
+            )
             assert max(players, key=by_agent.get) == driver
             assert by_agent[driver] > 10
 
@@ -133,7 +136,7 @@ def test_d02_agents_start_where_they_ask_to(places):
         for seed in range(3):
             env.reset(seed=seed)
             taken = env.race.kart_indices
-            assert all(place in (None, kart) for place, kart in zip(places, taken))
+            assert all(place in (None, kart) for place, kart in zip(places, taken, strict=True))
             assert len(set(taken)) == len(taken)
 
 
@@ -258,7 +261,7 @@ def test_d06_a_better_finish_never_earns_less_under_the_placement_reward(history
         racing = [a for k, a in enumerate(agents) if not after.karts["has_finished_race"][k]]
         before = after
     by_rank = [earned[agents[kart]] for kart in np.argsort(after.karts["position"])]
-    assert all(better >= worse - 1e-9 for better, worse in zip(by_rank, by_rank[1:]))
+    assert all(better >= worse - 1e-9 for better, worse in pairwise(by_rank))
 
 
 def test_d06_the_placement_reward_pays_a_real_race_in_the_order_of_its_finish():
@@ -372,11 +375,19 @@ def test_d10_a_seed_gives_the_same_race_to_the_finish_with_bots():
 
     with race_v0.parallel_env(agents=specs("aa"), num_kart=4, track=SHORT_TRACK) as env:
         first, second, third = (trajectory(env) for _ in range(3))
-        env.reset(seed=4)
-        other = env.snapshot.to_bytes()
     assert len(first) > 200
     assert first == second == third
-    assert other != first[0]
+
+
+def test_d10_another_seed_gives_another_race():
+    with race_v0.parallel_env(agents=specs("aa"), num_kart=4, track=SHORT_TRACK) as env:
+        ends = []
+        for seed in (3, 4):
+            env.reset(seed=seed)
+            for _ in range(100):
+                env.step({})
+            ends.append(env.snapshot.to_bytes())
+        assert ends[0] != ends[1]
 
 
 # ------------------------------------------------------------------------------------ D12
@@ -508,7 +519,7 @@ def test_d14_reward_wrappers_change_the_reward_of_their_agent(make):
         agents = list(env.reset(seed=0)[0])
         _, reward, _, _, info = env.step({agent: action() for agent in agents})
         env.close()
-        return list((info["reward"] if "reward" in info else reward).values())
+        return list(info.get("reward", reward).values())
 
     plain = rewards(make())
     wrapped = rewards(MonoAgentWrapperAdapter(make(), wrapper_factories={"1": TenfoldReward}))
@@ -655,7 +666,7 @@ def test_d18_two_environments_step_in_turn_as_each_does_alone():
 
     with parallel_race() as one, parallel_race() as two:
         alone = [next(moments) for moments in [race(one, 1)] for _ in range(60)]
-        pairs = zip(race(one, 1), race(two, 2), range(60))
+        pairs = zip(race(one, 1), race(two, 2), range(60), strict=False)
         in_turn = [moment for moment, _, _ in pairs]
     assert in_turn == alone
 
@@ -840,6 +851,12 @@ def test_options_that_cannot_be_are_refused_and_the_race_goes_on(running_race, o
         running_race.reset(options=options)
     running_race.step(idle(running_race))
     assert running_race.snapshot.header["aux_ticks"] > ticks
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "1", True])
+def test_a_seed_that_cannot_be_is_refused(running_race, seed):
+    with pytest.raises(ConfigError, match=f"seed is {seed!r}"):
+        running_race.reset(seed=seed)
 
 
 def test_specs_changed_after_construction_are_checked_at_reset():

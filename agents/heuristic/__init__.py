@@ -30,9 +30,7 @@ player_name = "heuristic"
 create_state = DriverState
 
 
-def get_actor(
-    module_dir: object, observation_space: Any, action_space: Any
-) -> HeuristicDriver:
+def get_actor(module_dir: object, observation_space: Any, action_space: Any) -> HeuristicDriver:
     """The driver; it needs none of the arguments, which every driver is given.
 
     Args:

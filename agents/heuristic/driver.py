@@ -108,15 +108,12 @@ class HeuristicDriver:
         full_lock = math.tan(max_turn) / rules.wheel_base
         return _Situation(speed, angle, wheel, _bends(line.at(_CURVE_MARKS)), full_lock)
 
-    def _race(
-        self, state: DriverState, now: _Situation, observation: Mapping[str, Any]
-    ) -> Action:
+    def _race(self, state: DriverState, now: _Situation, observation: Mapping[str, Any]) -> Action:
         rules = self.parameters
         self._choose_drift(state, now)
         too_sharp = abs(now.angle) > rules.brake_angle and now.speed > rules.brake_speed
         is_straight = (
-            abs(now.bends[:5]).max() < rules.nitro_curvature
-            and abs(now.wheel) < rules.nitro_steer
+            abs(now.bends[:5]).max() < rules.nitro_curvature and abs(now.wheel) < rules.nitro_steer
         )
         can_fire = observation["powerup_count"] > 0 and abs(now.angle) < rules.straight_angle
         return _action(

@@ -48,6 +48,7 @@ class DriverParameters:
         item_edge: an item to collect lies at least this far from the road's edge [m].
         dodge_reach: a bad item nearer than this is dodged [m],
         dodge_width: if the way passes it by less than this [m].
+        dodge_weight: metres of detour that a metre too near to a bad item is worth.
         stuck_speed: slower than this is standing still [m/s].
         stuck_time: after standing so long, back out [s].
         reverse_time: for so long [s].
@@ -74,7 +75,7 @@ class DriverParameters:
     drift_max_steer: float = 0.9
     drift_stop_speed: float = 11.0
     drift_end_time: float = 0.2
-    drift_tight_steer: float = 2.5
+    drift_tight_steer: float = 1.3
     drift_counter_steer: float = -0.35
     drift_bonus_steer: float = -0.1
     drift_bonus_time: float = 1.1
@@ -88,8 +89,9 @@ class DriverParameters:
     item_min_ahead: float = 3.0
     item_swerve: float = 0.25
     item_edge: float = 0.8
-    dodge_reach: float = 18.0
+    dodge_reach: float = 25.0
     dodge_width: float = 1.3
+    dodge_weight: float = 8.0
     stuck_speed: float = 1.5
     stuck_time: float = 0.8
     reverse_time: float = 1.0

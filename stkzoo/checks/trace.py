@@ -82,7 +82,17 @@ def _update(digest: Any, value: Any) -> None:
             _update(digest, entry)
     elif isinstance(value, Sequence) and not isinstance(value, (str, bytes)):
         digest.update(f"{type(value).__name__} {len(value)} ".encode())
-        for entry in value:
-            _update(digest, entry)
+        _update_all(digest, value)
     else:
         digest.update(f"{type(value).__name__} {value!r} ".encode())
+
+
+def _update_all(digest: Any, values: Sequence[Any]) -> None:
+    forms = {(value.dtype, value.shape) for value in values if type(value) is np.ndarray}
+    if len(forms) == 1 and all(type(value) is np.ndarray for value in values):
+        ((dtype, shape),) = forms  # long lists of like arrays, at once
+        digest.update(f"each {dtype.str} {shape} ".encode())
+        digest.update(b"".join([value.tobytes() for value in values]))
+    else:
+        for value in values:
+            _update(digest, value)

@@ -154,11 +154,13 @@ def _headline(result: RaceResult) -> str:
 
 def _table(result: RaceResult, is_plain: bool) -> Table:
     from rich import box
+    from rich.markup import escape
     from rich.table import Table
 
     table = Table(box=None if is_plain else box.ROUNDED, pad_edge=not is_plain)
     for name in ("rank", "driver", "kart", "time [s]", "distance [m]", "reward"):
-        table.add_column(name, justify="left" if name in ("driver", "kart") else "right")
+        is_text = name in ("driver", "kart")
+        table.add_column(escape(name), justify="left" if is_text else "right")
     for row in result.agents:
         time_text = "not finished" if row.finish_time is None else f"{row.finish_time:.2f}"
         table.add_row(
@@ -191,15 +193,14 @@ class _ProgressBar:
 
         console = Console(stderr=True)
         self._bars = Progress(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description:<19}"),
             BarColumn(),
-            TextColumn("{task.completed:.0f} of {task.total:.0f} m"),
-            TextColumn("{task.fields[speed]:.0f} x real time"),
+            TextColumn("{task.fields[way]}"),
             console=console,
             transient=True,
             disable=not (console.is_terminal and sys.stdout.isatty()),
         )
-        self._task = self._bars.add_task("starting the game", total=1.0, speed=0.0)
+        self._task = self._bars.add_task("starting the game", total=1.0, way="")
         self._begin = time.monotonic()
 
     def __enter__(self) -> _ProgressBar:
@@ -223,8 +224,9 @@ class _ProgressBar:
         is_won = leader >= progress.race_length
         self._bars.update(
             self._task,
-            description="won; waiting for the others" if is_won else "the leader",
+            description="the others come in" if is_won else "the leader",
             total=progress.race_length,
             completed=leader,
-            speed=progress.race_time / elapsed,
+            way=f"{leader:4.0f} of {progress.race_length:.0f} m, "
+            f"{progress.race_time / elapsed:3.0f} x real time",
         )

@@ -9,7 +9,8 @@ import numpy as np
 
 from stkzoo.config import AgentSpec
 from stkzoo.engine.setup import KartSetup, RaceSetup
-from stkzoo.env.options import RaceOptions, camera_mode
+from stkzoo.env.options import MAX_CAMERAS, RaceOptions, camera_mode
+from stkzoo.names import CameraMode
 
 __all__ = ["RaceInfo", "draw_race"]
 
@@ -42,21 +43,29 @@ def draw_race(
     agents: Sequence[AgentSpec],
     tracks: Sequence[str],
     num_cameras: int,
+    has_window: bool,
     random: np.random.Generator,
 ) -> tuple[RaceSetup, RaceInfo]:
-    """Draws what is left to chance: the track, the engine's seed and the free grid places."""
+    """Draws what is left to chance: the track, the engine's seed and the free grid places.
+
+    In a window for which neither ``num_cameras`` nor an agent asks for a camera, those
+    agents get one that the game's AI does not drive; if there are none, the first agent.
+    """
     track = tracks[int(random.integers(len(tracks)))]
     seed = int(random.integers(2**16))
     kart_indices = _draw_places(agents, options.num_kart, random)
     karts = [KartSetup()] * options.num_kart
-    for agent, index in zip(agents, kart_indices, strict=True):
+    cameras = [camera_mode(agent) for agent in agents]
+    if has_window and not num_cameras and CameraMode.ON not in cameras:
+        cameras = _with_cameras(agents, cameras)
+    for agent, index, camera in zip(agents, kart_indices, cameras, strict=True):
         karts[index] = KartSetup(
             is_bot=agent.use_ai,
             reports_control=agent.use_ai,
             kart=agent.kart,
             name=agent.name,
             color=float(agent.color),
-            camera_mode=int(camera_mode(agent)),
+            camera_mode=int(camera),
         )
     setup = RaceSetup(
         track=track,
@@ -77,6 +86,14 @@ def draw_race(
         kart_indices=kart_indices,
     )
     return setup, info
+
+
+def _with_cameras(agents: Sequence[AgentSpec], modes: Sequence[CameraMode]) -> list[CameraMode]:
+    seen = [row for row, agent in enumerate(agents) if not agent.use_ai][:MAX_CAMERAS] or [0]
+    return [
+        CameraMode.ON if mode is CameraMode.AUTO and row in seen else mode
+        for row, mode in enumerate(modes)
+    ]
 
 
 def _draw_places(

@@ -65,7 +65,7 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], EzPickle):
         return self.core.options.num_kart
 
     @property
-    def default_track(self) -> str | tuple[str, ...] | None:
+    def default_track(self) -> str | Sequence[str] | None:
         """The track that was asked for; ``None`` for any."""
         return self.core.options.track
 

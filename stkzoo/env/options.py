@@ -12,13 +12,15 @@ from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.names import CameraMode
 from stkzoo.tracks import SPLITS
 
-__all__ = ["RaceOptions", "check_agents"]
+__all__ = ["MAX_CAMERAS", "RaceOptions", "camera_mode", "check_agents", "check_num_cameras"]
 
 #: The game's physics takes coarser steps badly, and a race has no use for them.
 _MAX_STEP_SIZE = 1.0
 _MAX_KARTS = 256
 _MAX_LAPS = 1000
-_MAX_CAMERAS = 8
+#: As many views as the game's window can be split into.
+MAX_CAMERAS = 8
+_ENGINE_TIMEOUTS = 1e-3, 1e6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +40,7 @@ class RaceOptions:
     """
 
     num_kart: int = 3
-    track: str | tuple[str, ...] | None = None
+    track: str | Sequence[str] | None = None
     laps: int = 1
     difficulty: int = 2
     reverse: bool = False
@@ -64,6 +66,10 @@ class RaceOptions:
 
     def changed(self, options: Mapping[str, Any]) -> RaceOptions:
         """These options with those of ``options`` that are known."""
+        if not isinstance(options, Mapping):
+            raise ConfigError(
+                f"options is {options!r}, expected a dict from names of options to values"
+            )
         names = {field.name for field in fields(self)}
         return replace(self, **{name: value for name, value in options.items() if name in names})
 
@@ -79,7 +85,7 @@ class RaceOptions:
         if self.track is None or self.track == "all":
             return tuple(known)
         if isinstance(self.track, str):
-            chosen = SPLITS.get(self.track, (self.track,))
+            chosen: Sequence[str] = SPLITS.get(self.track, (self.track,))
         else:
             chosen = self.track
         if not chosen:
@@ -87,7 +93,7 @@ class RaceOptions:
         for name in chosen:
             if name not in known:
                 raise unknown_name("track", name, [*known, *SPLITS])
-        return chosen
+        return tuple(chosen)
 
 
 def check_agents(agents: Sequence[AgentSpec], num_kart: int, karts: Sequence[str]) -> None:
@@ -136,7 +142,19 @@ def camera_mode(agent: AgentSpec) -> CameraMode:
 
 def check_num_cameras(value: int) -> None:
     """Checks how many cameras the game's window shows."""
-    _check_whole("num_cameras", value, 0, _MAX_CAMERAS)
+    _check_whole("num_cameras", value, 0, MAX_CAMERAS)
+
+
+def check_engine_timeout(value: float) -> None:
+    """Checks how long the game may take for one step [s]."""
+    _check_real("engine_timeout", value, *_ENGINE_TIMEOUTS)
+
+
+def checked_seed(seed: int | None) -> int | None:
+    """The seed as Python's own number."""
+    if seed is not None:
+        _check_whole("seed", seed, 0)
+    return seed if seed is None else int(seed)
 
 
 def _check_whole(name: str, value: object, low: int, high: int | None = None) -> None:

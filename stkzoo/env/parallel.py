@@ -24,7 +24,13 @@ from stkzoo.env.episode import Episode
 from stkzoo.env.graphics import graphics_setting
 from stkzoo.env.grid import RaceInfo, draw_race
 from stkzoo.env.infos import rewards_of_agents
-from stkzoo.env.options import RaceOptions, check_agents, check_num_cameras
+from stkzoo.env.options import (
+    RaceOptions,
+    check_agents,
+    check_engine_timeout,
+    check_num_cameras,
+    checked_seed,
+)
 from stkzoo.env.views import views_of_agents
 from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
@@ -99,7 +105,7 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
         EzPickle.__init__(self, **arguments)
         self.options = RaceOptions(
             num_kart=num_kart,
-            track=track if track is None or isinstance(track, str) else tuple(track),
+            track=track,
             laps=laps,
             difficulty=difficulty,
             reverse=reverse,
@@ -109,6 +115,7 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
         )
         self.specs = _specs(agents, num_kart)
         check_num_cameras(num_cameras)
+        check_engine_timeout(engine_timeout)
         self.render_mode = _checked_render_mode(render_mode, self.metadata["render_modes"])
         self._num_cameras = num_cameras
         self._graphics = graphics_setting(render_mode, graphics_config)
@@ -162,11 +169,14 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
             Observations and infos by agent.
         """
         if seed is not None or self._np_random is None:
-            self._np_random, _ = seeding.np_random(seed)
+            self._np_random, _ = seeding.np_random(checked_seed(seed))
         options_now = self._options_now(options or {})
         self._check_specs()
         tracks = options_now.tracks(self._assets.tracks)
-        setup, race = draw_race(options_now, self.specs, tracks, self._num_cameras, self._np_random)
+        has_window = self.render_mode == "human"
+        setup, race = draw_race(
+            options_now, self.specs, tracks, self._num_cameras, has_window, self._np_random
+        )
         self.agents, self._episode = [], None  # in case the start fails
         start = self._session.start(setup)
         self._episode = Episode(options_now, setup, race, start, self._rewards)
@@ -324,7 +334,7 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
 def _specs(agents: Sequence[AgentSpec] | int | None, num_kart: int) -> list[AgentSpec]:
     if agents is None:
         agents = num_kart
-    if isinstance(agents, int) and not isinstance(agents, bool):
+    if isinstance(agents, (int, np.integer)) and not isinstance(agents, bool):
         return [AgentSpec() for _ in range(agents)]
     if isinstance(agents, Sequence) and not isinstance(agents, str):
         return list(agents)

@@ -86,6 +86,9 @@ def run_race(
     """
     if not drivers:
         raise ConfigError("no drivers; name at least one, such as 'heuristic'")
+    _check_whole("seed", seed, 0)
+    if max_steps is not None:
+        _check_whole("max_steps", max_steps, 1)
     crew = [find_driver(driver) if isinstance(driver, str) else driver for driver in drivers]
     with RaceParallelEnv(
         agents=[AgentSpec(use_ai=driver.is_game_ai, name=driver.name) for driver in crew],
@@ -121,6 +124,7 @@ class _Run:
         self._steps = 0
 
     def to_the_end(self, max_steps: int | None) -> RaceResult:
+        """Steps until everybody has finished, or the limit."""
         limit = self._patience() if max_steps is None else max_steps
         self._tell()
         while self._env.agents and self._steps < limit:
@@ -189,6 +193,11 @@ class _Run:
         )
 
 
+def _check_whole(name: str, value: object, low: int) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or value < low:
+        raise ConfigError(f"{name} is {value!r}, expected a whole number of {low} or more")
+
+
 class _failures_of:  # noqa: N801 - a context manager reads as a phrase
     """Turns whatever a driver's code raises into an :class:`AgentError` that names the agent."""
 
@@ -198,7 +207,9 @@ class _failures_of:  # noqa: N801 - a context manager reads as a phrase
     def __enter__(self) -> None:
         return None
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: Any) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, _: Any
+    ) -> None:
         if isinstance(error, Exception) and not isinstance(error, StkzooError):
             raise AgentError(
                 f"driver {self._driver.name!r} of {self._agent} failed: "

@@ -1,0 +1,425 @@
+"""Code written for pystk2-gymnasium runs on stkzoo; each case in an interpreter of its own."""
+
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+TAKE_OVER = "import stkzoo.compat\nassert stkzoo.compat.install(replace=True)\n"
+
+PRELUDE = """
+import warnings
+import gymnasium as gym
+import numpy as np
+import pystk2_gymnasium
+
+def action(throttle=1.0):
+    return dict(acceleration=np.array([throttle], np.float32), steer=np.array([0.0], np.float32),
+                brake=0, drift=0, fire=0, nitro=0, rescue=0)
+"""
+
+
+def run_python(code):
+    """What a fresh interpreter prints; warnings are errors there too."""
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def on_stkzoo(code):
+    return run_python(TAKE_OVER + PRELUDE + textwrap.dedent(code))
+
+
+def on_reference(code):
+    return run_python(textwrap.dedent(code))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from pystk2_gymnasium.envs import AgentSpec, STKRaceMultiEnv, STKRaceEnv, Phase",
+        "from pystk2_gymnasium import AgentSpec",
+        "from pystk2_gymnasium.definitions import CameraMode, AgentSpec",
+        "from pystk2_gymnasium.definitions import ActionObservationWrapper, AgentException",
+        "from pystk2_gymnasium.stk_wrappers import ConstantSizedObservations, PolarObservations",
+        "from pystk2_gymnasium.stk_wrappers import DiscreteActionsWrapper",
+        "from pystk2_gymnasium.stk_wrappers import OnlyContinuousActionsWrapper",
+        "from pystk2_gymnasium.wrappers import FlattenerWrapper, SpaceFlattener",
+        "from pystk2_gymnasium.wrappers import MonoAgentWrapperAdapter",
+        "from pystk2_gymnasium.wrappers import FlattenMultiDiscreteActions",
+        "from pystk2_gymnasium.utils import rotate, rotate_batch, Discretizer, max_enum_value",
+        "from pystk2_gymnasium.vecenv import make_stkrace_vec",
+        "from pystk2_gymnasium import make_stkrace_vec, MonoAgentWrapperAdapter, FlattenerWrapper",
+        "import pystk2_gymnasium.envs as envs; envs.BaseSTKRaceEnv",
+    ],
+)
+def test_an_import_line_resolves_to_stkzoo(line):
+    origin = "[m for m in sys.modules if m.startswith('pystk2_gymnasium')]"
+    files = f"{{sys.modules[m].__name__.split('.')[0] for m in {origin}}}"
+    assert run_python(f"{TAKE_OVER}import sys\n{line}\nprint({files})") == "{'stkzoo'}"
+
+
+def test_where_the_reference_is_installed_it_stays():
+    code = "import stkzoo.compat, importlib.util as u\nprint(stkzoo.compat.install())\n"
+    assert run_python(f"{code}print(u.find_spec('pystk2_gymnasium').name)").split() == [
+        "False",
+        "pystk2_gymnasium",
+    ]
+
+
+def test_where_the_reference_is_missing_importing_compat_is_enough():
+    code = """
+    import sys
+
+    class WithoutReference:
+        def __init__(self, finder):
+            self.finder = finder
+
+        def find_spec(self, name, path=None, target=None):
+            if name.partition(".")[0] != "pystk2_gymnasium":
+                return self.finder.find_spec(name, path, target)
+
+    sys.meta_path[:] = map(WithoutReference, sys.meta_path)
+    import stkzoo.compat
+    from pystk2_gymnasium.envs import STKRaceEnv
+    print(STKRaceEnv.__module__)
+    """
+    assert on_reference(code) == "stkzoo.env.single"
+
+
+def test_installing_twice_is_harmless():
+    assert run_python(f"{TAKE_OVER}print(stkzoo.compat.install())") == "True"
+
+
+def test_a_race_of_several_agents_runs():
+    code = """
+    from pystk2_gymnasium.envs import AgentSpec, STKRaceMultiEnv
+
+    agents = [AgentSpec(use_ai=False, name="Alpha"), AgentSpec(use_ai=False, name="Beta")]
+    env = STKRaceMultiEnv(agents=agents, track="lighthouse", num_kart=4, laps=1, difficulty=0,
+                          render_mode=None, max_paths=5, use_subprocess=False)
+    observations, info = env.reset(seed=42)
+    for _ in range(30):
+        observations, reward, terminated, truncated, info = env.step(
+            {"0": action(), "1": action(0.5)}
+        )
+    print(sorted(observations), terminated, truncated, len(env.kart_indices))
+    print(sorted(info["infos"]["0"])[:1], sorted(info["reward"]), sorted(info["terminated"]))
+    print(len(observations["0"]["paths_start"]))
+    env.close()
+    """
+    assert on_stkzoo(code).splitlines() == [
+        "['0', '1'] False False 2",
+        "['distance'] ['0', '1'] ['0', '1']",
+        "5",
+    ]
+
+
+def test_fields_of_a_spec_may_be_set_after_construction():
+    code = """
+    from pystk2_gymnasium.definitions import AgentSpec, CameraMode
+
+    agents = [AgentSpec(), AgentSpec()]
+    for place, spec in enumerate(agents):
+        spec.rank_start = place
+        spec.name = f"agent {place}"
+        spec.camera_mode = CameraMode.ON
+        spec.kart = "sara_the_racer"
+    env = gym.make("supertuxkart/multi-full-v0", agents=agents, num_kart=2, track="lighthouse")
+    observations, _ = env.reset(seed=1)
+    print(env.unwrapped.kart_indices, observations["1"]["kart_type"])
+    env.close()
+    """
+    assert on_stkzoo(code) == "[0, 1] sara_the_racer"
+
+
+def test_a_hash_that_users_give_to_specs_does_no_harm():
+    code = """
+    from pystk2_gymnasium.envs import AgentSpec, STKRaceMultiEnv
+
+    AgentSpec.__hash__ = lambda self: hash((self.name, self.rank_start))
+    env = STKRaceMultiEnv(agents=[AgentSpec(rank_start=1, name="a"), AgentSpec(rank_start=0)],
+                          num_kart=3, track="lighthouse")
+    env.reset(seed=1)
+    print(env.kart_indices)
+    env.close()
+    """
+    assert on_stkzoo(code) == "[1, 0]"
+
+
+def test_camera_modes_of_pystk2_are_understood():
+    code = """
+    import pystk2
+    from pystk2_gymnasium import AgentSpec
+
+    spec = AgentSpec(camera_mode=pystk2.PlayerConfig.CameraMode.ON)
+    env = gym.make("supertuxkart/full-v0", agent=spec, track="lighthouse")
+    env.reset(seed=1)
+    env.close()
+    print("raced")
+    """
+    assert on_stkzoo(code) == "raced"
+
+
+def test_the_race_can_be_read_from_the_unwrapped_environment():
+    code = """
+    env = gym.make("supertuxkart/multi-full-v0", agents=[pystk2_gymnasium.AgentSpec()] ,
+                   num_kart=3, track="lighthouse")
+    env.reset(seed=1)
+    base = env.unwrapped
+    print(base.default_track, base.current_track, base.num_kart)
+    print(len(base.track.successors) == len(base.track.path_nodes), base.track.length > 100)
+    before = [np.array(kart.location) for kart in base.world.karts]
+    for _ in range(60):
+        env.step({"0": action()})
+    kart = base.world.karts[base.kart_indices[0]]
+    print(np.linalg.norm(kart.location - before[kart.id]) > 5)
+    print(kart.has_finished_race, kart.position in (1, 2, 3), kart.finished_laps, kart.node >= 0)
+    print(kart.powerup.num, kart.attachment.type.name, len(base.world_update().items) > 0)
+    env.close()
+    """
+    assert on_stkzoo(code).splitlines() == [
+        "lighthouse lighthouse 3",
+        "True True",
+        "True",
+        "False True 0 True",
+        "0 NOTHING True",
+    ]
+
+
+def test_a_world_of_an_earlier_step_is_not_changed_by_later_ones():
+    code = """
+    env = gym.make("supertuxkart/full-v0", num_kart=2, track="lighthouse")
+    env.reset(seed=1)
+    world = env.unwrapped.world
+    ticks, time = world.aux_ticks, [kart.location.copy() for kart in world.karts]
+    for _ in range(60):
+        env.step(action())
+    print(ticks == world.aux_ticks, np.array_equal(time, [k.location for k in world.karts]))
+    env.close()
+    """
+    assert on_stkzoo(code) == "True True"
+
+
+def test_tracks_are_known_before_a_race():
+    code = """
+    from pystk2_gymnasium.envs import BaseSTKRaceEnv, STKRaceEnv
+
+    print("lighthouse" in STKRaceEnv.TRACKS, BaseSTKRaceEnv.TRACKS == STKRaceEnv.TRACKS)
+    env = STKRaceEnv(track=STKRaceEnv.TRACKS[0])
+    print(env.TRACKS == STKRaceEnv.TRACKS, env.current_track)
+    """
+    assert on_stkzoo(code).splitlines() == ["True True", "True None"]
+
+
+@pytest.mark.parametrize(
+    ("wrap", "observation", "chosen"),
+    [
+        ("FlattenerWrapper(PolarObservations(ConstantSizedObservations(env)))", "dict", "dict"),
+        (
+            "FlattenerWrapper(OnlyContinuousActionsWrapper("
+            "PolarObservations(ConstantSizedObservations(env))))",
+            "dict",
+            "ndarray",
+        ),
+        (
+            "FlattenMultiDiscreteActions(FlattenerWrapper(DiscreteActionsWrapper("
+            "ConstantSizedObservations(env, state_items=3, state_paths=10, add_mask=True), "
+            "acceleration_steps=3, steer_steps=9)))",
+            "dict",
+            "int64",
+        ),
+    ],
+)
+def test_agents_have_chains_of_wrappers_of_their_own(wrap, observation, chosen):
+    code = f"""
+    from pystk2_gymnasium import AgentSpec, MonoAgentWrapperAdapter
+    from pystk2_gymnasium.stk_wrappers import (
+        ConstantSizedObservations, DiscreteActionsWrapper, OnlyContinuousActionsWrapper,
+        PolarObservations,
+    )
+    from pystk2_gymnasium.wrappers import FlattenerWrapper, FlattenMultiDiscreteActions
+
+    env = MonoAgentWrapperAdapter(
+        gym.make("supertuxkart/multi-full-v0", agents=[AgentSpec(), AgentSpec()], num_kart=3,
+                 track="lighthouse"),
+        keep_original=True,
+        wrapper_factories={{"0": lambda env: {wrap}, "1": lambda env: env}},
+    )
+    observations, _ = env.reset(seed=1)
+    for _ in range(10):
+        actions = {{key: env.action_space[key].sample() for key in "01"}}
+        observations, *_ = env.step(actions)
+    print(sorted(observations), env.observation_space.contains(observations))
+    print(type(observations["0"]).__name__, type(actions["0"]).__name__)
+    env.close()
+    """
+    assert on_stkzoo(code).splitlines() == [
+        "['0', '1', 'original/0', 'original/1'] True",
+        f"{observation} {chosen}",
+    ]
+
+
+def test_a_users_own_wrapper_of_actions_and_observations_runs():
+    code = """
+    import copy
+    from pystk2_gymnasium.definitions import ActionObservationWrapper
+
+    class Steered(ActionObservationWrapper):
+        def __init__(self, env, **kwargs):
+            super().__init__(env, **kwargs)
+            self._action_space = gym.spaces.Discrete(3)
+            self._observation_space = copy.deepcopy(self.env.observation_space)
+            self._observation_space["is_slow"] = gym.spaces.Discrete(2)
+
+        def action(self, choice):
+            return {**action(), "steer": np.array([choice - 1.0], np.float32)}
+
+        def observation(self, observation):
+            return {**observation, "is_slow": int(observation["velocity"][2] < 1)}
+
+    env = Steered(gym.make("supertuxkart/simple-v0", track="lighthouse"))
+    env.reset(seed=1)
+    for _ in range(60):
+        observation, *_ = env.step(1)
+    print(env.observation_space.contains(observation), observation["is_slow"])
+    env.close()
+    """
+    assert on_stkzoo(code) == "True 0"
+
+
+def test_a_failing_wrapper_is_an_agent_exception_with_its_key():
+    code = """
+    from pystk2_gymnasium import AgentException, AgentSpec, MonoAgentWrapperAdapter
+
+    class Broken(gym.ObservationWrapper):
+        def observation(self, observation):
+            raise RuntimeError("no idea")
+
+    env = MonoAgentWrapperAdapter(
+        gym.make("supertuxkart/multi-full-v0", agents=[AgentSpec(), AgentSpec()], num_kart=2,
+                 track="lighthouse"),
+        wrapper_factories={"0": lambda env: env, "1": Broken},
+    )
+    try:
+        env.reset(seed=1)
+    except AgentException as error:
+        print(error.key, "no idea" in str(error))
+    env.close()
+    """
+    assert on_stkzoo(code) == "1 True"
+
+
+def test_spaces_can_be_flattened_by_hand():
+    code = """
+    from pystk2_gymnasium.wrappers import SpaceFlattener
+
+    env = gym.make("supertuxkart/simple-v0", track="lighthouse")
+    flattener = SpaceFlattener(env.observation_space)
+    observation, _ = env.reset(seed=1)
+    print(flattener.discrete_keys, flattener.only_discrete, flattener.only_continuous)
+    print(len(flattener.discrete(observation)), sorted(flattener.space))
+    env.close()
+    """
+    assert on_stkzoo(code).splitlines() == [
+        "['attachment', 'items_type', 'jumping', 'phase', 'powerup_count', 'powerup_type'] "
+        "False False",
+        "10 ['continuous', 'discrete']",
+    ]
+
+
+def test_phases_are_those_of_observations():
+    code = """
+    from pystk2_gymnasium.envs import Phase
+
+    env = gym.make("supertuxkart/full-v0", track="lighthouse")
+    observation, _ = env.reset(seed=1)
+    seen = [Phase(observation["phase"]).name]
+    for _ in range(35):
+        observation, *_ = env.step(action())
+        seen.append(Phase(observation["phase"]).name)
+    print(*dict.fromkeys(seen))
+    env.close()
+    """
+    assert on_stkzoo(code) == "READY_PHASE SET_PHASE GO_PHASE RACE_PHASE"
+
+
+def test_an_ai_agent_shows_its_action():
+    code = """
+    env = gym.make("supertuxkart/full-v0", track="lighthouse",
+                   agent=pystk2_gymnasium.AgentSpec(use_ai=True))
+    env.reset(seed=1)
+    for _ in range(60):
+        observation, *_ = env.step(action(0.0))
+    print(observation["action"]["acceleration"].shape, observation["velocity"][2] > 1)
+    env.close()
+    """
+    assert on_stkzoo(code) == "(1,) True"
+
+
+@pytest.mark.parametrize("env_id", ["supertuxkart/simple-v0", "supertuxkart/full-v0"])
+def test_vector_environments_are_made(env_id):
+    code = f"""
+    from pystk2_gymnasium import make_stkrace_vec
+
+    env = make_stkrace_vec(num_envs=2, env_id="{env_id}", context="fork",
+                           env_kwargs={{"track": "lighthouse", "num_kart": 2}})
+    env.reset(seed=1)
+    _, rewards, *_ = env.step(env.action_space.sample())
+    print(rewards.shape)
+    env.close()
+    """
+    assert on_stkzoo(code) == "(2,)"
+
+
+ROTATIONS = """
+import numpy as np
+random = np.random.default_rng(0)
+for kind in (np.float32, np.float64):
+    q = random.normal(size=4).astype(kind)
+    q /= np.linalg.norm(q)
+    vectors = random.normal(size=(5, 3)).astype(kind)
+    turned = [rotate(vectors[0], q), *rotate_batch(vectors, q)]
+    print(*(row.dtype for row in turned))
+    print(*(f"{number:.4f}" for row in turned for number in row))
+"""
+
+
+def test_rotations_are_those_of_the_reference():
+    code = "from pystk2_gymnasium.utils import rotate, rotate_batch\n" + ROTATIONS
+    assert on_stkzoo(code) == on_reference(code)
+
+
+def test_enumerations_have_the_size_that_the_reference_tells():
+    code = """
+    from enum import Enum
+    import pystk2
+    from pystk2_gymnasium.envs import Phase
+    from pystk2_gymnasium.utils import max_enum_value
+
+    class Own(Enum):
+        ONE = 1
+        SEVEN = 7
+
+    print(*map(max_enum_value, (pystk2.Powerup, pystk2.Attachment, pystk2.Item, Phase, Own)))
+    """
+    assert on_stkzoo(code) == on_reference(code)
+
+
+def test_steps_stand_for_the_numbers_of_the_reference():
+    code = """
+    from gymnasium import spaces
+    from pystk2_gymnasium.utils import Discretizer
+
+    for low, count in ((-1, 7), (0, 5)):
+        steps = Discretizer(spaces.Box(low, 1, (1,)), count)
+        print(steps.space, steps.values, steps.min_value, steps.max_value)
+        print(*(f"{steps.continuous(k):.6f}" for k in range(count)))
+    """
+    assert on_stkzoo(code) == on_reference(code)

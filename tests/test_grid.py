@@ -1,0 +1,78 @@
+"""Where agents start and which of them the game's window follows."""
+
+import numpy as np
+import pytest
+
+from stkzoo import AgentSpec, CameraMode, race_v0
+from stkzoo.env.grid import draw_race
+from stkzoo.env.options import RaceOptions
+from stkzoo.errors import ConfigError
+
+
+def draw(agents, num_kart=4, num_cameras=0, has_window=False, seed=0):
+    options = RaceOptions(num_kart=num_kart)
+    random = np.random.default_rng(seed)
+    return draw_race(options, agents, ["lighthouse"], num_cameras, has_window, random)
+
+
+def cameras(agents, **options):
+    setup, race = draw(agents, **options)
+    return [CameraMode(setup.karts[index].camera_mode) for index in race.kart_indices]
+
+
+def test_chosen_places_are_kept_and_free_ones_are_drawn():
+    agents = [AgentSpec(rank_start=2), AgentSpec(), AgentSpec(rank_start=0)]
+    places = {draw(agents, seed=seed)[1].kart_indices for seed in range(20)}
+    assert places == {(2, 1, 0), (2, 3, 0)}
+
+
+def test_every_kart_has_a_setup_and_bots_fill_the_grid():
+    setup, race = draw([AgentSpec(name="me"), AgentSpec(use_ai=True)])
+    assert len(setup.karts) == 4
+    assert [setup.karts[index].is_bot for index in race.kart_indices] == [False, True]
+    assert sum(kart.is_bot for kart in setup.karts) == 3
+
+
+def test_the_window_follows_the_agents_that_the_ai_does_not_drive():
+    agents = [AgentSpec(use_ai=True), AgentSpec(), AgentSpec()]
+    assert cameras(agents, has_window=True) == [CameraMode.AUTO, CameraMode.ON, CameraMode.ON]
+
+
+def test_the_window_shows_at_most_eight_of_many_like_agents():
+    shown = cameras([AgentSpec() for _ in range(12)], num_kart=12, has_window=True)
+    assert shown.count(CameraMode.ON) == 8
+
+
+def test_the_window_follows_somebody_when_the_ai_drives_all():
+    agents = [AgentSpec(use_ai=True), AgentSpec(use_ai=True)]
+    assert cameras(agents, has_window=True) == [CameraMode.ON, CameraMode.AUTO]
+
+
+@pytest.mark.parametrize(
+    ("agents", "options"),
+    [
+        ([AgentSpec(), AgentSpec(camera_mode=CameraMode.ON)], {}),
+        ([AgentSpec(), AgentSpec()], {"num_cameras": 1}),
+    ],
+)
+def test_cameras_that_are_asked_for_are_left_alone(agents, options):
+    expected = [agent.camera_mode for agent in agents]
+    assert cameras(agents, has_window=True, **options) == expected
+
+
+def test_a_window_without_a_display_is_refused(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(ConfigError, match="xvfb-run"):
+        race_v0.parallel_env(render_mode="human")
+
+
+def test_agent_specs_may_be_changed_until_the_next_reset():
+    spec = AgentSpec()
+    with race_v0.parallel_env(agents=[spec], num_kart=2, track="olivermath") as env:
+        spec.kart, spec.rank_start = "gnu", 1
+        env.reset(seed=0)
+        assert env.race.kart_types == ("tux", "gnu")
+        spec.use_ai = True
+        with pytest.raises(ConfigError, match="make a new environment"):
+            env.reset()

@@ -1,0 +1,79 @@
+"""The heuristic driver in real races."""
+
+import statistics
+
+import pytest
+
+from stkzoo import AgentSpec, race_v0
+from stkzoo.agents import heuristic
+from stkzoo.race import run_race
+
+SEEDS = (1, 2, 3)
+
+
+def races(seeds=SEEDS, drivers=("heuristic", "ai", "ai", "ai"), track="lighthouse"):
+    return [run_race(drivers, track=track, seed=seed) for seed in seeds]
+
+
+def times(results, driver):
+    return [row.finish_time for result in results for row in result.agents if row.driver == driver]
+
+
+@pytest.mark.parametrize("track", ["olivermath", "minigolf", "zengarden"])
+def test_finishes_alone(track):
+    assert run_race(["heuristic"], track=track, seed=5).is_finished
+
+
+def test_finishes_the_other_way_round():
+    assert run_race(["heuristic"], track="lighthouse", reverse=True, seed=5).is_finished
+
+
+def test_is_far_ahead_of_chance():
+    result = run_race(["random", "heuristic"], track="olivermath", seed=1, max_steps=300)
+    distances = {row.driver: row.distance for row in result.agents}
+    assert distances["heuristic"] > 3 * distances["random"]
+
+
+def test_is_faster_than_the_median_bot():
+    results = races()
+    assert statistics.mean(times(results, "heuristic")) < 0.97 * statistics.median(
+        times(results, "ai")
+    )
+
+
+def test_acts_within_its_space_on_every_step():
+    with race_v0.parallel_env(num_kart=2, track="minigolf", max_cycles=None) as env:
+        observations, _ = env.reset(seed=4)
+        agents = list(env.agents)
+        actors = {
+            agent: heuristic.get_actor(None, env.observation_space(agent), env.action_space(agent))
+            for agent in agents
+        }
+        states = {agent: heuristic.create_state() for agent in agents}
+        while env.agents:
+            actions = {a: actors[a](states[a], observations[a]) for a in env.agents}
+            assert all(action in env.action_space(a) for a, action in actions.items())
+            observations, *_ = env.step(actions)
+    assert agents == ["kart_0", "kart_1"]
+
+
+def test_leaves_the_observation_as_it_is():
+    with race_v0.parallel_env(agents=[AgentSpec()], num_kart=3, track="xr591") as env:
+        observation = env.reset(seed=0)[0]["kart_0"]
+        for part in observation.values():
+            for array in part if isinstance(part, tuple) else [part]:
+                if hasattr(array, "flags"):
+                    array.flags.writeable = False
+        action = heuristic.HeuristicDriver()(heuristic.create_state(), observation)
+        assert action in env.action_space("kart_0")
+
+
+def test_backs_out_and_then_calls_the_rescue_when_it_is_held():
+    with race_v0.parallel_env(num_kart=1, track="lighthouse") as env:
+        observation = env.reset(seed=0)[0]["kart_0"]
+    held = {**observation, "phase": 3, "velocity": 0 * observation["velocity"]}
+    driver, state = heuristic.HeuristicDriver(), heuristic.create_state()
+    actions = [driver(state, held) for _ in range(40)]
+    pedals = ["rescue" if a["rescue"] else "brake" if a["brake"] else "go" for a in actions]
+    order = [now for now, before in zip(pedals, ["", *pedals]) if now != before]
+    assert order[:4] == ["go", "brake", "go", "rescue"]
