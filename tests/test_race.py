@@ -15,10 +15,10 @@ def result():
 
 
 def failing_driver(step):
-    def make_actor(observation_space, action_space, seed):
+    def make_actor(_, action_space, __):
         calls = iter(range(1000))
 
-        def act(observation):
+        def act(_):
             if next(calls) == step:
                 raise ZeroDivisionError("no way")
             return action_space.sample()
@@ -64,9 +64,9 @@ def test_everybody_drives_all_laps():
 
 
 def test_whoever_never_moves_does_not_hang_the_race():
-    def stand(observation_space, action_space, seed):
+    def stand(_, action_space, __):
         action = {key: space.sample() * 0 for key, space in action_space.items()}
-        return lambda observation: action
+        return lambda _: action
 
     result = run_race([Driver("parked", stand)], track="olivermath")
     assert not result.is_finished
@@ -118,7 +118,7 @@ def test_demo_says_where_to_go_next(capsys):
     assert "Where to go next" in capsys.readouterr().out
 
 
-def test_command_writes_json(tmp_path, capsys):
+def test_command_writes_json(tmp_path):
     file = tmp_path / "result.json"
     assert main(["race", "ai", "--track", "olivermath", "--json", str(file)]) == 0
     assert RaceResult.from_json(file.read_text()).agents[0].driver == "ai"

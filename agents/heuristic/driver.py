@@ -216,7 +216,7 @@ def _aim(line: CentreLine, speed: float, rules: DriverParameters) -> FloatArray:
     beside = np.abs(np.outer(x, z) - np.outer(z, x)) / np.maximum(lengths, 0.1)[:, None]
     is_blocked = ((beside > room) & np.tri(len(between), k=-1, dtype=bool)).any(axis=1)
     choices = np.flatnonzero(~is_blocked | (between <= nearest))
-    return points[choices[-1]] if len(choices) else points[0]
+    return np.array(points[choices[-1] if len(choices) else 0])
 
 
 def _bends(points: FloatArray) -> FloatArray:

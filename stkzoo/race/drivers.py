@@ -89,7 +89,8 @@ def _driver_of(name: str, module: ModuleType) -> Driver:
     def make_actor(
         observation_space: spaces.Space[Any], action_space: spaces.Space[Any], _: int
     ) -> Actor:
-        actor, state = get_actor(folder, observation_space, action_space), create_state()
+        actor = get_actor(folder, observation_space, action_space)
+        state: Any = create_state()
         return lambda observation: actor(state, observation)
 
     return Driver(name, make_actor, _view_of(module.env_name))

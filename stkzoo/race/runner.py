@@ -117,7 +117,7 @@ class _Run:
         self._env, self._seed, self._listener = env, seed, listener
         self._drivers = dict(zip(env.possible_agents, crew, strict=True))
         self._observations, self._infos = env.reset(seed=seed)
-        assert env.track_map is not None
+        assert env.track_map is not None  # noqa: S101 - since reset
         self._length = env.track_map.length * env.options.laps
         self._actors = self._make_actors()
         self._rewards = dict.fromkeys(env.possible_agents, 0.0)
@@ -166,7 +166,7 @@ class _Run:
 
     def _result(self) -> RaceResult:
         race = self._env.race
-        assert race is not None
+        assert race is not None  # noqa: S101 - since reset
         rows = [self._agent_result(agent) for agent in self._env.possible_agents]
         return RaceResult(
             track=race.track,
