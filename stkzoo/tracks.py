@@ -1,7 +1,7 @@
 """The fixed split of the game's race tracks, so that "unseen tracks" means one thing.
 
-The six test tracks were chosen before anything was trained on them: two short and four
-long ones, with and without forks, easy and hard for simple drivers. ``black_forest`` is a
+The six test tracks are short and long ones, with and without forks, easy and hard for
+simple drivers; nothing that learns may be trained or tuned on them. ``black_forest`` is a
 training track although a lap takes four times as long as the shortest one's.
 """
 

@@ -1,18 +1,21 @@
 """The heuristic driver in real races."""
 
+import copy
 import statistics
 
 import pytest
+from gymnasium.utils.env_checker import data_equivalence
 
 from stkzoo import AgentSpec, race_v0
 from stkzoo.agents import heuristic
 from stkzoo.race import run_race
 
-SEEDS = (1, 2, 3)
+SEEDS = range(1, 7)
 
 
-def races(seeds=SEEDS, drivers=("heuristic", "ai", "ai", "ai"), track="lighthouse"):
-    return [run_race(drivers, track=track, seed=seed) for seed in seeds]
+def races():
+    drivers = ["heuristic", "ai", "ai", "ai"]
+    return [run_race(drivers, track="lighthouse", seed=seed) for seed in SEEDS]
 
 
 def times(results, driver):
@@ -34,11 +37,9 @@ def test_is_far_ahead_of_chance():
     assert distances["heuristic"] > 3 * distances["random"]
 
 
-def test_is_faster_than_the_median_bot():
+def test_is_on_average_faster_than_the_median_bot():
     results = races()
-    assert statistics.mean(times(results, "heuristic")) < 0.97 * statistics.median(
-        times(results, "ai")
-    )
+    assert statistics.mean(times(results, "heuristic")) < statistics.median(times(results, "ai"))
 
 
 def test_acts_within_its_space_on_every_step():
@@ -60,12 +61,9 @@ def test_acts_within_its_space_on_every_step():
 def test_leaves_the_observation_as_it_is():
     with race_v0.parallel_env(agents=[AgentSpec()], num_kart=3, track="xr591") as env:
         observation = env.reset(seed=0)[0]["kart_0"]
-        for part in observation.values():
-            for array in part if isinstance(part, tuple) else [part]:
-                if hasattr(array, "flags"):
-                    array.flags.writeable = False
-        action = heuristic.HeuristicDriver()(heuristic.create_state(), observation)
-        assert action in env.action_space("kart_0")
+        before = copy.deepcopy(observation)
+        heuristic.HeuristicDriver()(heuristic.create_state(), observation)
+        assert data_equivalence(observation, before)
 
 
 def test_backs_out_and_then_calls_the_rescue_when_it_is_held():

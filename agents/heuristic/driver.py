@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.heuristic.items import aim_for_items
-from stkzoo.agents.heuristic.line import CentreLine
-from stkzoo.agents.heuristic.parameters import DriverParameters
+from stkzoo import PowerupType
+
+from .items import aim_for_items
+from .line import CentreLine
+from .parameters import DriverParameters
 
 __all__ = ["DriverState", "HeuristicDriver"]
 
@@ -115,7 +117,7 @@ class HeuristicDriver:
         is_straight = (
             abs(now.bends[:5]).max() < rules.nitro_curvature and abs(now.wheel) < rules.nitro_steer
         )
-        can_fire = observation["powerup_count"] > 0 and abs(now.angle) < rules.straight_angle
+        can_fire = abs(now.angle) < rules.straight_angle and self._has_use_for_powerup(observation)
         return _action(
             acceleration=0.0 if too_sharp else 1.0,
             steer=_drift_steer(state.drift_side, now.wheel) if state.drift_side else now.wheel,
@@ -124,6 +126,14 @@ class HeuristicDriver:
             nitro=is_straight and now.speed > rules.nitro_min_speed,
             fire=can_fire and state.steps % rules.fire_every == 0,
         )
+
+    def _has_use_for_powerup(self, observation: Mapping[str, Any]) -> bool:
+        """Whether there is something to fire; the switch would spoil good items close ahead."""
+        if observation["powerup_type"] == PowerupType.SWITCH and observation["items_position"]:
+            nearest = observation["items_position"][0]
+            if 0.0 < nearest[2] < self.parameters.item_reach:
+                return False
+        return bool(observation["powerup_count"] > 0)
 
     # ------------------------------------------------------------------ drifting
 

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.heuristic.line import CentreLine
-from stkzoo.agents.heuristic.parameters import DriverParameters
-from stkzoo.names import ItemType
+from stkzoo import ItemType
+
+from .line import CentreLine
+from .parameters import DriverParameters
 
 __all__ = ["aim_for_items"]
 
@@ -97,7 +98,7 @@ def _dodge(
 def _aside(spots: FloatArray, aim: FloatArray) -> FloatArray:
     """How far the spots ``(M, 3)`` lie beside the straight way to the aim, ``(M,)`` [m]."""
     slope = aim[0] / max(aim[2], 1.0)
-    return np.abs(spots[:, 0] - slope * spots[:, 2])
+    return np.asarray(np.abs(spots[:, 0] - slope * spots[:, 2]))
 
 
 def _room(spots: FloatArray, line: CentreLine) -> FloatArray:
@@ -111,4 +112,4 @@ def _room(spots: FloatArray, line: CentreLine) -> FloatArray:
     x, _, z = end - begin
     x0, _, z0 = line.points[nearest]
     beside = np.abs((spots[:, 0] - x0) * z - (spots[:, 2] - z0) * x) / max(np.hypot(x, z), 1e-6)
-    return line.half_widths[nearest] - beside
+    return np.asarray(line.half_widths[nearest] - beside)

@@ -16,6 +16,10 @@ FloatArray = npt.NDArray[np.float64]
 #: Segments looked at; the shortest ones of all tracks make 100 m with 50, twice that at forks.
 _MAX_SEGMENTS = 96
 
+#: Nothing farther away is of use [m]; but a few segments must be left.
+_REACH = 110.0
+_MIN_SEGMENTS = 4
+
 #: Segments of one branch touch; entering and leaving a side branch is a jump [m].
 _TOUCHING = 0.3
 
@@ -45,9 +49,10 @@ class CentreLine:
         At a fork it keeps to the branch whose segments touch, which is the main road, or
         the side road that the kart is in.
         """
-        starts = _vectors(observation["paths_start"], 3)
-        ends = _vectors(observation["paths_end"], 3)
-        widths = _vectors(observation["paths_width"], 1)[:, 0]
+        starts = _vectors(observation["paths_start"][:_MAX_SEGMENTS], 3)
+        starts = starts[: _count_near(starts)]
+        ends = _vectors(observation["paths_end"][: len(starts)], 3)
+        widths = _vectors(observation["paths_width"][: len(starts)], 1)[:, 0]
         chain = _touching_chain(starts, ends)
         points = np.stack([starts[chain], ends[chain]], axis=1).reshape(-1, 3)
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -65,8 +70,13 @@ class CentreLine:
 
 
 def _vectors(sequence: Any, size: int) -> FloatArray:
-    first = sequence[:_MAX_SEGMENTS]
-    return np.concatenate(first).reshape(-1, size).astype(np.float64)
+    return np.concatenate(sequence, dtype=np.float64).reshape(-1, size)
+
+
+def _count_near(starts: FloatArray) -> int:
+    """How many segments to look at: those before the road first leaves the neighbourhood."""
+    is_far = (starts * starts).sum(axis=1) > _REACH**2
+    return max(int(is_far.argmax()), _MIN_SEGMENTS) if is_far.any() else len(starts)
 
 
 def _share_passed(points: FloatArray) -> float:

@@ -122,17 +122,19 @@ def ai_actions(snapshot: Snapshot, karts: IntArray) -> Batch:
 
 
 def _center_path(ends: FloatArray) -> Batch:
-    """The way to the centre line of the segment whose start and end are ``(A, 2, 3)``.
+    """The way from the centre line of the segment whose start and end are ``(A, 2, 3)``.
 
-    ``center_path`` is the vector from the kart to the nearest point of the (endless) line,
-    ``center_path_distance`` its length, positive when the line is to the right.
+    ``center_path`` is the vector to the kart from the nearest point of the (endless) line,
+    ``center_path_distance`` its length, negative when the line is to the right.
     """
     start, along = ends[:, 0], ends[:, 0] - ends[:, 1]
     length_squared = (along * along).sum(-1, keepdims=True)
     share = (along * start).sum(-1, keepdims=True) / np.where(length_squared > 0, length_squared, 1)
-    to_line = np.where(length_squared > 0, share * along - start, 0).astype(np.float32)
-    distance = np.linalg.norm(to_line, axis=-1) * np.sign(to_line[:, 0])
-    return {"center_path": to_line, "center_path_distance": distance[:, None].astype(np.float32)}
+    from_line = np.where(length_squared > 0, share * along - start, 0).astype(np.float32)
+    # Not np.sign: a line straight ahead is as far away as it is.
+    side = np.where(from_line[:, 0] < 0, -1, 1)
+    distance = np.linalg.norm(from_line, axis=-1) * side
+    return {"center_path": from_line, "center_path_distance": distance[:, None].astype(np.float32)}
 
 
 def _items(snapshot: Snapshot, positions: FloatArray) -> Batch:

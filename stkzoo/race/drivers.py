@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import importlib
-import importlib.util
 import pkgutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +13,6 @@ from typing import Any
 
 from gymnasium import spaces
 
-import stkzoo.agents
 from stkzoo.errors import AgentError, unknown_name
 
 __all__ = ["Actor", "ActorMaker", "Driver", "driver_names", "find_driver"]
@@ -24,6 +22,8 @@ Actor = Callable[[Any], Any]
 
 #: Makes the actor of one race from its observation space, action space and a seed.
 ActorMaker = Callable[[spaces.Space[Any], spaces.Space[Any], int], Actor]
+
+_AGENTS = "stkzoo.agents"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +48,8 @@ class Driver:
 
 def driver_names() -> list[str]:
     """All names that :func:`find_driver` knows."""
-    agents = [module.name for module in pkgutil.iter_modules(stkzoo.agents.__path__)]
-    return ["ai", "random", *sorted(agents)]
+    folder = importlib.import_module(_AGENTS).__path__
+    return ["ai", "random", *sorted(module.name for module in pkgutil.iter_modules(folder))]
 
 
 def find_driver(name: str) -> Driver:
@@ -70,7 +70,7 @@ def find_driver(name: str) -> Driver:
     if name not in driver_names():
         raise unknown_name("driver", name, driver_names())
     try:
-        module = importlib.import_module(f"stkzoo.agents.{name}")
+        module = importlib.import_module(f"{_AGENTS}.{name}")
         return _driver_of(name, module)
     except (ImportError, AttributeError) as error:
         raise AgentError(f"driver {name!r} cannot be loaded: {error}", name) from error
