@@ -35,7 +35,15 @@ from benchmarks.parity_reference import (
 from stkzoo import AgentSpec
 from stkzoo.engine.assets import find_assets
 
-__all__ = ["ENV_IDS", "TRACKS", "compare_race", "jobs_for", "main", "reference_process"]
+__all__ = [
+    "ENV_IDS",
+    "TRACKS",
+    "compare_race",
+    "jobs_for",
+    "main",
+    "record_race",
+    "reference_process",
+]
 
 ENV_IDS = (
     "supertuxkart/full-v0",
@@ -46,8 +54,8 @@ ENV_IDS = (
     "supertuxkart/flattened_discrete-v0",
     "supertuxkart/multi-full-v0",
 )
-#: With forks: hacienda, cocoa_temple and stk_enterprise; without: lighthouse and olivermath.
-TRACKS = ("lighthouse", "hacienda", "cocoa_temple", "stk_enterprise", "olivermath")
+#: The last three have forks.
+TRACKS = ("lighthouse", "hacienda", "cocoa_temple", "olivermath", "stk_enterprise")
 
 _RESULTS = Path(__file__).parent / "results" / "parity.json"
 _NUM_KART = 4
@@ -68,7 +76,7 @@ def jobs_for(
     actions to the wrong karts otherwise (D01).
     """
     for env_id in env_ids:
-        teams = [(False,), (True,)]
+        teams: list[tuple[bool, ...]] = [(False,), (True,)]
         if "multi-full" in env_id:
             teams = [(False, False, False), (True, False, False), (True, True, True)]
         for track in tracks:
@@ -78,16 +86,22 @@ def jobs_for(
 
 def compare_race(job: Job, reference: ReferenceProcess) -> tuple[Job, Comparison]:
     """Runs one race on both sides; returns it with what was drawn, and the comparison."""
+    ours, theirs, context = record_race(job, reference)
+    return context.job, compare(ours, theirs, context)
+
+
+def record_race(job: Job, reference: ReferenceProcess) -> tuple[Recording, Recording, RaceContext]:
+    """One race as we saw it, as the reference saw it, and what is known of it besides."""
     env = _make(job)
     try:
         first = env.reset(seed=_seed(job))
-        race = env.unwrapped.core.race
+        race = env.unwrapped.core.race  # type: ignore[attr-defined]
         job = replace(job, engine_seed=race.seed, kart_indices=race.kart_indices)
         theirs = reference.run(job)
         ours, context = _record(env, job, first, theirs.actions)
     finally:
         env.close()
-    return job, compare(ours, theirs, context)
+    return ours, theirs, context
 
 
 def _seed(job: Job) -> int:

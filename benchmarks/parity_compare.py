@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -105,9 +106,12 @@ class Intended:
         )
 
 
-def _had_finished(difference: Difference, context: RaceContext) -> bool:
-    finished = context.finished[difference.step]
-    return finished[difference.agent] and difference.ours is not None and difference.ours == 0
+def _agent_had_finished(difference: Difference, context: RaceContext) -> bool:
+    return context.finished[difference.step][difference.agent]
+
+
+def _is_not_paid_again(difference: Difference, context: RaceContext) -> bool:
+    return _agent_had_finished(difference, context) and difference.ours == 0
 
 
 def _some_had_finished(difference: Difference, context: RaceContext) -> bool:
@@ -120,7 +124,7 @@ def _is_one_step_up(difference: Difference, _: RaceContext) -> bool:
     return bool(np.all(np.isin(difference.ours - difference.theirs, (0, 1))))
 
 
-def _is_number_of_choices(difference: Difference, context: RaceContext) -> bool:
+def _is_number_of_choices(difference: Difference, _: RaceContext) -> bool:
     """Whether our number stands for their choices, up to one step of each discretised one."""
     if difference.ours is None or difference.theirs is None:
         return False
@@ -211,12 +215,24 @@ INTENDED = (
         r"observation/((\d+/)?|continuous/)paths_.*",
     ),
     Intended(
+        "tie",
+        "things that are equally far away, up to rounding, may change places",
+        "order",
+        r"observation/((\d+/)?|continuous/|discrete/)(items|karts)_.*",
+    ),
+    Intended(
+        "tie",
+        "a line straight ahead is to the left or to the right, up to rounding",
+        "order",
+        r"observation/((\d+/)?|continuous/)center_path_distance",
+    ),
+    Intended(
         "D05",
         "a finished agent is not paid again",
         "value",
         r"info/reward/\d+",
         "multi-full",
-        check=_had_finished,
+        check=_is_not_paid_again,
     ),
     Intended(
         "D05",
@@ -238,6 +254,14 @@ INTENDED = (
         "infos have more entries, and the same ones from reset on",
         "extra",
         r"info/(infos/\d+/)?(lap|finish_time|(episode/)?reward/[a-z]+|episode/(return|length))",
+    ),
+    Intended(
+        "info",
+        "the infos of a finished agent stay those of its finish",
+        "value",
+        r"info/infos/\d+/(distance|position)",
+        "multi-full",
+        check=_agent_had_finished,
     ),
     Intended(
         "info",
@@ -284,6 +308,7 @@ class _Comparer:
         self.result = Comparison()
         self._context = context
         self._layout = layout
+        self._orders: dict[int, tuple[list[int], list[int]]] = {}
         self._reported: set[tuple[str, str]] = set()
 
     def compare_spaces(self, name: str, ours: dict[str, str], theirs: dict[str, str]) -> None:
@@ -313,9 +338,13 @@ class _Comparer:
             self._note(Difference("extra", f"{part}/{key}", step, ours[key].kind))
         for key in theirs.keys() - ours.keys():
             self._note(Difference("missing", f"{part}/{key}", step, theirs[key].kind))
-        for key in ours.keys() & theirs.keys():
-            for path, our, their in self._entries(f"{part}/{key}", ours[key], theirs[key]):
-                self._compare_leaf(path, step, our, their)
+        by_agent: dict[str, list[tuple[str, Leaf, Leaf]]] = {}
+        for key in sorted(ours.keys() & theirs.keys()):
+            agent = key.partition("/")[0] if self._context.job.is_multi else ""
+            entries = by_agent.setdefault(agent, [])
+            entries.extend(self._entries(f"{part}/{key}", ours[key], theirs[key]))
+        for entries in by_agent.values():
+            self._compare_entries(step, entries)
 
     def _entries(self, path: str, ours: Leaf, theirs: Leaf) -> list[tuple[str, Leaf, Leaf]]:
         """The inner entries of flattened vectors; anything else as it is."""
@@ -326,10 +355,43 @@ class _Comparer:
         begin = 0
         for name, shape in inner:
             end = begin + int(np.prod(shape))
-            parts = (Leaf(s.kind, s.values[begin:end].reshape(shape)) for s in (ours, theirs))
-            entries.append((f"{path}/{name}", *parts))
+            our, their = (
+                Leaf(side.kind, side.values[begin:end].reshape(shape)) for side in (ours, theirs)
+            )
+            entries.append((f"{path}/{name}", our, their))
             begin = end
         return entries
+
+    def _compare_entries(self, step: int, entries: list[tuple[str, Leaf, Leaf]]) -> None:
+        """Compares entries of one agent, once things that are equally far away are matched."""
+        moves: dict[str, npt.NDArray[np.intp]] = {}
+        for path, ours, theirs in entries:
+            group, _, name = path.rpartition("/")[-1].partition("_")
+            if name == "position":
+                moves[group] = _matched_rows(ours.values, theirs.values, self._context.job.is_polar)
+        for path, ours, theirs in entries:
+            rows = moves.get(path.rpartition("/")[-1].partition("_")[0])
+            if rows is not None and len(rows) == len(theirs.values):
+                if (rows != np.arange(len(rows))).any():
+                    self._note(Difference("order", path, step, "another order of near ties"))
+                theirs = Leaf(theirs.kind, theirs.values[rows])
+            if path.endswith("center_path_distance"):
+                theirs = self._on_our_side(path, step, entries, ours, theirs)
+            self._compare_leaf(path, step, ours, theirs)
+
+    def _on_our_side(
+        self, path: str, step: int, entries: list[tuple[str, Leaf, Leaf]], ours: Leaf, theirs: Leaf
+    ) -> Leaf:
+        """The reference's distance with our sign, where the line is neither left nor right."""
+        line = path.removesuffix("_distance")
+        vector = next(their.values for name, _, their in entries if name == line)
+        is_polar = self._context.job.is_polar
+        length = vector[2] if is_polar else np.linalg.norm(vector)
+        sideways = length * abs(np.sin(vector[0])) if is_polar else abs(vector[0])
+        if sideways > TOLERANCE or np.sign(ours.values) == np.sign(theirs.values):
+            return theirs
+        self._note(Difference("order", path, step, "another side of a line straight ahead"))
+        return Leaf(theirs.kind, np.copysign(length, ours.values))
 
     def _compare_leaf(self, path: str, step: int, ours: Leaf, theirs: Leaf) -> None:
         if ours.kind != theirs.kind:
@@ -350,21 +412,20 @@ class _Comparer:
         else:
             is_polar = name in _POSITIONS and self._context.job.is_polar
             is_vector = name in _POSITIONS or name in ("front", "velocity")
-            error = _error(ours.values, theirs.values, is_polar, is_vector)
+            errors = _errors(ours.values, theirs.values, is_polar, is_vector)
+            error = float(errors.max(initial=0.0))
             if error > TOLERANCE:
-                text = f"error {error:.2g}: ours {ours.values}, theirs {theirs.values}"
+                text = f"error {error:.2g}: {_worst_row(errors, ours.values, theirs.values)}"
                 self._note(self._difference("value", path, step, text, ours, theirs))
             elif error > self.result.max_error:
                 self.result.max_error, self.result.worst = error, path
 
     def _in_our_order(self, path: str, step: int, ours: Leaf, theirs: Leaf) -> tuple[Leaf, bool]:
         """The reference's rows where ours stand; rows of other segments take our values."""
-        context = self._context
         agent = Difference("", path, step, "").agent
-        node = context.nodes[step][agent]
         limit = len(theirs.values)
-        our_order = context.track.nodes_ahead(np.array([node]))[0, :limit].tolist()
-        their_order = _order_of_reference(context.track, node)[:limit]
+        orders = self._orders_from(self._context.nodes[step][agent])
+        our_order, their_order = (order[:limit] for order in orders)
         if our_order == their_order or len(ours.values) != limit:
             return theirs, False
         rows = ours.values.copy()
@@ -372,6 +433,14 @@ class _Comparer:
             if segment in their_order:
                 rows[row] = theirs.values[their_order.index(segment)]
         return Leaf(theirs.kind, rows), True
+
+    def _orders_from(self, node: int) -> tuple[list[int], list[int]]:
+        """The segments from a node on, in our order and in the reference's."""
+        if node not in self._orders:
+            track = self._context.track
+            ours = track.nodes_ahead(np.array([node]))[0].tolist()
+            self._orders[node] = ours, _order_of_reference(track, node)
+        return self._orders[node]
 
     @staticmethod
     def _difference(
@@ -394,25 +463,56 @@ class _Comparer:
             )
 
 
-def _error(
-    ours: npt.NDArray[np.generic],
-    theirs: npt.NDArray[np.generic],
-    is_polar: bool,
-    is_vector: bool,
-) -> float:
-    """The largest error, relative to a number's size (a vector's length), or to 1."""
+def _errors(
+    ours: npt.NDArray[Any], theirs: npt.NDArray[Any], is_polar: bool, is_vector: bool
+) -> npt.NDArray[np.float64]:
+    """The error of each number, relative to its size (for a vector its length), or to 1."""
     a, b = ours.astype(np.float64), theirs.astype(np.float64)
-    if a.size == 0:
-        return 0.0
     if not is_polar:
-        size = np.linalg.norm(b, axis=-1, keepdims=True) if is_vector else np.abs(b)
-        return float(np.max(np.abs(a - b) / np.maximum(size, 1.0)))
-    # An angle is undefined where its arm vanishes, so it is weighed by the distance.
-    distance = b[..., 2]
+        size = np.linalg.norm(b, axis=-1, keepdims=True) if is_vector and b.size else np.abs(b)
+        return np.asarray(np.abs(a - b) / np.maximum(size, 1.0))
     turns = np.abs((a[..., :2] - b[..., :2] + np.pi) % (2 * np.pi) - np.pi)
-    arc = turns * np.minimum(distance, 1.0)[..., None]
-    radial = np.abs(a[..., 2] - distance) / np.maximum(distance, 1.0)
-    return float(max(arc.max(), radial.max()))
+    radial = np.abs(a[..., 2:] - b[..., 2:]) / np.maximum(b[..., 2:], 1.0)
+    return np.concatenate([turns * np.minimum(_arms(b), 1.0), radial], axis=-1)
+
+
+def _worst_row(
+    errors: npt.NDArray[np.float64], ours: npt.NDArray[Any], theirs: npt.NDArray[Any]
+) -> str:
+    if errors.ndim == 0:
+        return f"ours {ours}, theirs {theirs}"
+    row = int(np.unravel_index(np.argmax(errors), errors.shape)[0])
+    return f"in row {row}, ours {ours[row]}, theirs {theirs[row]}"
+
+
+def _arms(polar: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Length of the two arms that turn by the two angles, ``(..., 2)`` [m].
+
+    An angle is as good as undefined where its arm vanishes: straight above, for the first.
+    """
+    (sin_x, sin_y), (cos_x, cos_y) = (
+        np.moveaxis(turn(polar[..., :2]), -1, 0) for turn in (np.sin, np.cos)
+    )
+    direction = np.stack([sin_x * np.abs(cos_y), sin_y * np.abs(cos_x), cos_x * cos_y], axis=-1)
+    length = np.maximum(np.linalg.norm(direction, axis=-1, keepdims=True), 1e-12)
+    x, y, z = np.moveaxis(direction / length * polar[..., 2:], -1, 0)
+    return np.stack([np.hypot(x, z), np.hypot(y, z)], axis=-1)
+
+
+def _matched_rows(
+    ours: npt.NDArray[Any], theirs: npt.NDArray[Any], is_polar: bool
+) -> npt.NDArray[np.intp]:
+    """For each of our rows the reference's row that is equal to it, among near ties."""
+    rows = np.arange(len(theirs))
+    if ours.shape != theirs.shape:
+        return rows
+    distances = theirs[:, 2] if is_polar else np.linalg.norm(theirs, axis=-1)
+    for row in np.flatnonzero(_errors(ours, theirs, is_polar, True).max(axis=-1) > TOLERANCE):
+        is_tie = np.abs(distances - distances[row]) <= 1e-6 * distances[row]
+        for other in np.flatnonzero(is_tie):
+            if _errors(ours[row], theirs[other], is_polar, True).max() <= TOLERANCE:
+                rows[row] = other
+    return rows if len(set(rows.tolist())) == len(rows) else np.arange(len(theirs))
 
 
 def _order_of_reference(track: TrackMap, start: int) -> list[int]:

@@ -106,9 +106,9 @@ class Recording:
         layout: for flattened vectors, the inner entries by vector: name, shape.
     """
 
-    moments: list[Moment] = field(default_factory=list)
-    observation_space: dict[str, str] = field(default_factory=dict)
-    action_space: dict[str, str] = field(default_factory=dict)
+    moments: list[Moment]
+    observation_space: dict[str, str]
+    action_space: dict[str, str]
     actions: list[Any] = field(default_factory=list)
     layout: dict[str, list[tuple[str, tuple[int, ...]]]] = field(default_factory=dict)
 
@@ -156,12 +156,11 @@ class ReferenceProcess:
             **os.environ,
             "SUPERTUXKART_DATADIR": str(data),
             "HOME": self._folder.name,
-            "NUMBA_DISABLE_JIT": "1",
             "OPENBLAS_NUM_THREADS": "1",
             "OMP_NUM_THREADS": "1",
         }
         with self._log.open("wb") as log:
-            self._process = subprocess.Popen(
+            self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and words
                 [sys.executable, "-W", "ignore", "-c", f"from {__name__} import serve; serve()"],
                 cwd=Path(__file__).parents[1],
                 stdin=subprocess.PIPE,
@@ -180,8 +179,8 @@ class ReferenceProcess:
         output = Path(self._folder.name, "recording")
         output.unlink(missing_ok=True)
         process = self._process
-        assert process.stdin is not None
-        assert process.stdout is not None
+        if process.stdin is None or process.stdout is None:
+            raise RuntimeError("the reference was closed; make a new ReferenceProcess")
         process.stdin.write(json.dumps({"output": str(output), "job": asdict(job)}) + "\n")
         process.stdin.flush()
         if process.stdout.readline().strip() != "0":
@@ -210,6 +209,7 @@ def serve() -> None:
     os.dup2(2, 1)  # the engine's chatter
     from pystk2_gymnasium.pystk_process import DirectSTKInterface
 
+    _compile_rotations()
     DirectSTKInterface(with_graphics=False)
     for line in sys.stdin:
         request = json.loads(line)
@@ -218,6 +218,15 @@ def serve() -> None:
             _run_child(Job(**request["job"]), Path(request["output"]))
         _, status = os.waitpid(child, 0)
         replies.write(f"{status}\n")
+
+
+def _compile_rotations() -> None:
+    """Lets the reference's compiler run here, once for all children."""
+    from pystk2_gymnasium.utils import rotate, rotate_batch
+
+    quaternion = np.zeros(4, np.float32)
+    rotate(np.zeros(3, np.float32), quaternion)
+    rotate_batch(np.zeros((2, 3), np.float32), quaternion)
 
 
 def _run_child(job: Job, output: Path) -> None:

@@ -1,0 +1,214 @@
+"""Same seed, same race: every track driven to the finish again and again, compared bit by bit.
+
+Three agents (the heuristic driver with seeded noise) race three of the game's bots. The
+race of one seed is driven three times in one environment, once in another and once in a
+fresh program; all observations, rewards, ends, infos and the global state must be the same
+bits at every step. A race of another seed must differ.
+
+    python benchmarks/determinism.py
+    python benchmarks/determinism.py --track zengarden lighthouse --seed 3
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from stkzoo import RaceParallelEnv, race_v0
+from stkzoo.agents.heuristic import create_state, get_actor
+from stkzoo.checks import Step, Trace, first_difference, play, trace
+from stkzoo.checks.processes import run_fresh
+from stkzoo.checks.trace import fingerprint
+from stkzoo.tracks import SPLITS
+
+RESULTS = Path(__file__).parent / "results" / "determinism.json"
+NUM_AGENTS = 3
+NUM_KART = 6
+MAX_STEPS = 4000
+#: The driver needs to see some way ahead, not the whole track at every step.
+MAX_PATHS = 60
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came of one track; each comparison is empty, or says where two races part.
+
+    Attributes:
+        track: the track's name.
+        steps: length of the race.
+        finished: how many agents crossed the finish line.
+        same_env: differences between the races of one environment.
+        other_env: differences from the race of another environment.
+        fresh_program: differences from the race of a fresh program.
+        other_seed_differs: whether another seed gave another race.
+        seconds: how long all races took.
+    """
+
+    track: str
+    steps: int
+    finished: int
+    same_env: str
+    other_env: str
+    fresh_program: str
+    other_seed_differs: bool
+    seconds: float
+
+    @property
+    def is_right(self) -> bool:
+        """Whether the track kept all promises."""
+        differences = self.same_env or self.other_env or self.fresh_program
+        return not differences and self.other_seed_differs and self.finished == NUM_AGENTS
+
+
+class NoisyDrivers:
+    """A heuristic driver for each agent, with noise on the wheel and random shots."""
+
+    def __init__(self, seed: int = 0) -> None:
+        self._drive = get_actor(None, None, None)
+        self._seed = seed
+
+    def __call__(self, step: Step) -> dict[str, Any]:
+        """Actions by agent."""
+        if step.number == 0:
+            self._states = {agent: create_state() for agent in step.agents}
+            self._random = {
+                agent: np.random.default_rng([self._seed, i]) for i, agent in enumerate(step.agents)
+            }
+        return {agent: self._act(agent, step.observations[agent]) for agent in step.agents}
+
+    def _act(self, agent: str, observation: Any) -> dict[str, Any]:
+        action = dict(self._drive(self._states[agent], observation))
+        random = self._random[agent]
+        steer = np.asarray(action["steer"], np.float32) + random.normal(0.0, 0.05)
+        action["steer"] = np.clip(steer, -1.0, 1.0).astype(np.float32)
+        action["fire"] = int(random.random() < 0.1)
+        return action
+
+
+def make_env(track: str) -> RaceParallelEnv:
+    """The race of one track."""
+    return race_v0.parallel_env(
+        agents=NUM_AGENTS,
+        num_kart=NUM_KART,
+        track=track,
+        max_paths=MAX_PATHS,
+        max_cycles=MAX_STEPS,
+    )
+
+
+def drive(env: RaceParallelEnv, seed: int) -> tuple[Trace, int]:
+    """One race to the finish: its fingerprints, and how many agents finished."""
+    finished = 0
+
+    def steps() -> Iterator[Step]:
+        nonlocal finished
+        for step in play(env, seed, policy=NoisyDrivers()):
+            finished += sum(step.terminations.values())
+            states.append(fingerprint(env.state()))
+            yield step
+
+    states: list[str] = []
+    record = trace(steps())
+    for step, state in zip(record, states, strict=True):
+        step["state()"] = state
+    return record, finished
+
+
+def drive_alone(track: str, seed: int) -> Trace:
+    """One race in an environment of its own."""
+    with closing(make_env(track)) as env:
+        return drive(env, seed)[0]
+
+
+def examine(track: str, seed: int) -> Result:
+    """All races of one track."""
+    start = time.perf_counter()
+    with closing(make_env(track)) as env:
+        first, finished = drive(env, seed)
+        again = [drive(env, seed)[0] for _ in range(2)]
+        other_seed = drive(env, seed + 1)[0]
+    return Result(
+        track=track,
+        steps=len(first) - 1,
+        finished=finished,
+        same_env="; ".join(filter(None, (first_difference(first, race) for race in again))),
+        other_env=first_difference(first, drive_alone(track, seed)) or "",
+        fresh_program=first_difference(first, run_fresh(drive_alone, track, seed).result) or "",
+        other_seed_differs=first_difference(first, other_seed) is not None,
+        seconds=round(time.perf_counter() - start, 2),
+    )
+
+
+def main() -> int:
+    """Runs the command; returns its exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--track", nargs="+", choices=SPLITS["all"], default=SPLITS["all"], metavar="NAME"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="seed of the races (default: 1)")
+    parser.add_argument("--output", type=Path, default=RESULTS, help="where the JSON goes")
+    options = parser.parse_args()
+    results = list(_with_progress(options.track, options.seed))
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    report = {"seed": options.seed, "tracks": [asdict(result) for result in results]}
+    options.output.write_text(json.dumps(report, indent=2) + "\n")
+    console = Console()
+    console.print(_table(results))
+    console.print(f"written to {options.output}", markup=False, highlight=False, soft_wrap=True)
+    return int(not all(result.is_right for result in results))
+
+
+def _with_progress(tracks: list[str], seed: int) -> Iterator[Result]:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        task = progress.add_task("", total=len(tracks))
+        for track in tracks:
+            progress.update(task, description=track)
+            result = examine(track, seed)
+            verdict = "as it should be" if result.is_right else "NOT the same race"
+            progress.console.print(f"{track} ({result.seconds:.0f} s): {verdict}", highlight=False)
+            progress.advance(task)
+            yield result
+
+
+def _table(results: list[Result]) -> Table:
+    title = "Same seed, same race: 3 agents, 3 bots, to the finish"
+    table = Table(title=title, box=box.SIMPLE, padding=(0, 1, 0, 0))
+    table.add_column("track", no_wrap=True)
+    for name in ("steps", "finished", "one env", "other env", "fresh program", "other seed"):
+        table.add_column(name)
+    for result in results:
+        table.add_row(
+            result.track,
+            str(result.steps),
+            f"{result.finished}/{NUM_AGENTS}",
+            result.same_env or "same",
+            result.other_env or "same",
+            result.fresh_program or "same",
+            "differs" if result.other_seed_differs else "SAME",
+        )
+    return table
+
+
+if __name__ == "__main__":
+    sys.exit(main())

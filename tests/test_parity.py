@@ -1,0 +1,103 @@
+"""The same races here and in pystk2-gymnasium 0.10.0: equal but for what is meant to differ."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.parity import ENV_IDS, compare_race, jobs_for, record_race, reference_process
+from benchmarks.parity_compare import compare
+from benchmarks.parity_reference import Leaf
+
+STEPS = 120
+
+
+@pytest.fixture(scope="module")
+def reference():
+    with reference_process() as process:
+        yield process
+
+
+@pytest.mark.parametrize("track", ["lighthouse", "olivermath"])
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_races_are_those_of_the_reference(reference, env_id, track):
+    for job in jobs_for([env_id], [track], STEPS):
+        _, result = compare_race(job, reference)
+        assert result.undocumented == []
+        assert result.steps == STEPS
+
+
+def test_a_race_to_the_finish_is_that_of_the_reference_up_to_repeated_pay(reference):
+    *_, job = jobs_for(["supertuxkart/multi-full-v0"], ["olivermath"], 300)
+    _, result = compare_race(job, reference)
+    assert result.undocumented == []
+    assert result.steps < 300
+    assert result.intended["D05"] > 0
+
+
+@pytest.fixture(scope="module")
+def recordings(reference):
+    job, *_ = jobs_for(["supertuxkart/full-v0"], ["lighthouse"], 5)
+    return record_race(job, reference)
+
+
+def changed(recording, step, **parts):
+    """The recording with other parts of one moment."""
+    moments = list(recording.moments)
+    moments[step] = moments[step]._replace(**parts)
+    return replace(recording, moments=moments)
+
+
+def test_an_equal_recording_has_no_differences(recordings):
+    ours, theirs, context = recordings
+    assert compare(ours, theirs, context).undocumented == []
+
+
+@pytest.mark.parametrize(
+    ("key", "leaf"),
+    [
+        ("velocity", lambda leaf: leaf._replace(values=leaf.values + np.float32(2e-4))),
+        ("paths_start", lambda leaf: leaf._replace(values=leaf.values[::-1])),
+        ("items_type", lambda leaf: leaf._replace(values=leaf.values + 1)),
+        ("energy", lambda leaf: leaf._replace(kind="array float64 (1,)")),
+        ("karts_position", lambda leaf: leaf._replace(values=leaf.values[:-1])),
+        ("kart_type", lambda _: Leaf("str", np.array("nolok"))),
+        ("phase", lambda leaf: leaf._replace(values=leaf.values + 1)),
+    ],
+)
+def test_a_changed_entry_is_reported(recordings, key, leaf):
+    ours, theirs, context = recordings
+    observation = ours.moments[3].observation
+    observation = {**observation, key: leaf(observation[key])}
+    result = compare(changed(ours, 3, observation=observation), theirs, context)
+    assert [text.partition(" ")[0] for text in result.undocumented] == [f"observation/{key}"]
+    assert "at step 3" in result.undocumented[0]
+
+
+def test_a_missing_entry_is_reported(recordings):
+    ours, theirs, context = recordings
+    observation = dict(ours.moments[3].observation)
+    del observation["front"]
+    result = compare(changed(ours, 3, observation=observation), theirs, context)
+    assert len(result.undocumented) == 1
+    assert "observation/front (missing)" in result.undocumented[0]
+
+
+@pytest.mark.parametrize("parts", [{"reward": 7.0}, {"terminated": True}, {"truncated": True}])
+def test_another_reward_or_end_is_reported(recordings, parts):
+    ours, theirs, context = recordings
+    result = compare(changed(ours, 3, **parts), theirs, context)
+    assert [text.partition(" ")[0] for text in result.undocumented] == list(parts)
+
+
+def test_a_shorter_race_is_reported(recordings):
+    ours, theirs, context = recordings
+    result = compare(replace(ours, moments=ours.moments[:-1]), theirs, context)
+    assert result.undocumented[0].startswith("length")
+
+
+def test_another_space_is_reported(recordings):
+    ours, theirs, context = recordings
+    spaces = {**ours.action_space, "steer": "Box(-2.0, 2.0, (1,), float32)"}
+    result = compare(replace(ours, action_space=spaces), theirs, context)
+    assert result.undocumented[0].startswith("action_space/steer")
