@@ -6,6 +6,7 @@ import functools
 import json
 import os
 import random
+import re
 import subprocess
 import sys
 import threading
@@ -19,7 +20,7 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from stkzoo import race_v0
-from stkzoo.checks import CHECKS, CheckFailed, load_factory, play, run_check, trace
+from stkzoo.checks import CHECKS, load_factory, play, run_check, trace
 from stkzoo.env.views import VIEWS
 from stkzoo.errors import ConfigError
 
@@ -62,8 +63,8 @@ class ToyRace(ParallelEnv):
             self.rng, _ = seeding.np_random(seed)
         return self.rng.uniform(0.3, 1.5, 3)
 
-    def reset(self, seed=None, options=None):
-        self.speeds = dict(zip(self.possible_agents, self.draw(seed), strict=True))
+    def reset(self, seed=None, options=None):  # noqa: ARG002
+        self.speeds = dict(zip(self.possible_agents, self.draw(seed).tolist(), strict=True))
         self.distances = dict.fromkeys(self.possible_agents, 0.0)
         self.steps = 0
         self.agents = list(self.possible_agents)
@@ -135,7 +136,7 @@ class ToyRaceWithWorker(ToyRace):
 
 
 class NewSpaceEachTime(ToyRace):
-    def action_space(self, agent):
+    def action_space(self, agent):  # noqa: ARG002
         return self.make_action_space()
 
 
@@ -201,7 +202,7 @@ class WholeRewards(ToyRace):
 
 
 class PaysOnAndOn(ToyRace):
-    def rewards(self, agents):
+    def rewards(self, agents):  # noqa: ARG002
         return super().rewards(self.possible_agents)
 
 
@@ -225,7 +226,8 @@ class RaisesAfterTheEnd(ToyRace):
 class ListensToTheDeparted(ToyRace):
     def step(self, actions):
         for agent in set(actions) - set(self.agents):
-            self.speeds["racer_0"] *= 1 + float(actions[agent]["gas"][0])
+            gas = float(actions[agent]["gas"][0])
+            self.speeds = {racer: speed * (1 + gas) for racer, speed in self.speeds.items()}
         return super().step(actions)
 
 
@@ -242,7 +244,8 @@ class LateInfos(ToyRace):
 
 class OneInfo(ToyRace):
     def infos(self, agents):
-        return dict.fromkeys(agents, {"steps": self.steps})
+        info = {"steps": self.steps}
+        return dict.fromkeys(agents, info)
 
 
 class SharedRows(ToyRace):
@@ -281,8 +284,8 @@ class TakesAnything(ToyRace):
         pass
 
     def step(self, actions):
-        gas = {"gas": np.zeros(1), "gear": 0}
-        return super().step({agent: gas for agent in self.agents})
+        coast = {"gas": np.zeros(1), "gear": 0}
+        return super().step(dict.fromkeys(self.agents, coast) | dict.fromkeys(actions, coast))
 
 
 class NamelessErrors(ToyRace):
@@ -360,7 +363,7 @@ class MissesItsWorker(ToyRaceWithWorker):
 
 
 class DeafToSeeds(ToyRace):
-    def draw(self, seed):
+    def draw(self, seed):  # noqa: ARG002
         return super().draw(0)
 
 
@@ -448,7 +451,7 @@ BROKEN = [
     (NamesInInfos, "infos_are_plain_numbers", r"infos\['racer_0'\]\['track'\] is 'toytown'"),
     (LateInfos, "infos_are_plain_numbers", "step 3.*'late'"),
     (OneInfo, "infos_are_plain_numbers", "handed out before"),
-    (SharedRows, "results_share_no_memory", "racer_1.*shares memory with.*racer_0"),
+    (SharedRows, "results_share_no_memory", "racer_.*shares memory with.*racer_"),
     (ReusedArray, "results_share_no_memory", "step 1.*shares memory with step 0"),
     (ReusedArray, "results_are_the_callers_own", "step 1 changed what step 0 had returned"),
     (OwnArrayHandedOut, "results_are_the_callers_own", "overwritten by the caller differ"),
@@ -463,16 +466,16 @@ BROKEN = [
     (CountsEnvs, "seed_repeats_in_two_envs", "first at step 0 in observations"),
     (DependsOnHashes, "seed_repeats_in_a_fresh_process", "first at step 0 in observations"),
     (MissesItsWorker, "seed_repeats_after_a_killed_worker", "killed worker process differ"),
-    (DeafToSeeds, "other_seed_differs", "seeds 13 and 14 gave the same race"),
+    (DeafToSeeds, "other_seed_differs", "gave the same race"),
     (FreshEntropy, "unseeded_resets_continue_the_stream", "races number 1"),
     (AlwaysTheSame, "unseeded_resets_continue_the_stream", "same race again and again"),
     (DrawsGlobally, "global_random_state_is_left_alone", "numpy.random has changed.*step 0"),
     (SeedsGlobally, "global_random_state_is_left_alone", "state of random has changed.*step 0"),
-    (OneStreamForAll, "envs_in_turn_do_not_meet", "first at step 0"),
+    (OneStreamForAll, "envs_in_turn_do_not_meet", "in turn with another environment's differ"),
     (Unpicklable, "pickled_copies_play_the_same_race", "cannot be copied"),
     (ForgetfulCopy, "pickled_copies_play_the_same_race", "pickled copy and of its original differ"),
     (Endless, "agents_leave_when_done", "has no end"),
-    (FourResults, "agents_leave_when_done", r"step\(\) returned tuple of 4, expected 5 dicts"),
+    (FourResults, "agents_leave_when_done", r"step\(\) returned 4 values, expected a tuple of 5"),
 ]
 
 
@@ -482,11 +485,7 @@ BROKEN = [
 def test_a_check_finds_what_is_broken_and_says_where(broken, name, why):
     outcome = run_check(CHECKS[name], broken)
     assert outcome.status == "failed"
-    pytest.raises(CheckFailed, _raise, outcome.why).match(f"(?s){why}")
-
-
-def _raise(why):
-    raise CheckFailed(why)
+    assert re.search(why, outcome.why, re.DOTALL), outcome.why
 
 
 def test_every_check_is_shown_to_find_something():
@@ -496,7 +495,7 @@ def test_every_check_is_shown_to_find_something():
 @pytest.mark.parametrize("name", CHECKS)
 def test_an_environment_that_keeps_the_rules_passes(name):
     outcome = run_check(CHECKS[name], ToyRaceWithWorker)
-    assert (outcome.status, outcome.why) == ("passed", "")
+    assert outcome.status == "passed", outcome.why
 
 
 def test_killing_a_worker_is_not_applicable_without_one():
@@ -528,7 +527,7 @@ RACE_CASES = [
 @pytest.mark.parametrize(("view", "name"), RACE_CASES)
 def test_the_race_passes(view, name):
     outcome = run_check(CHECKS[name], functools.partial(race_v0.parallel_env, view=view))
-    assert (outcome.status, outcome.why) == ("passed", "")
+    assert outcome.status == "passed", outcome.why
 
 
 # ---------------------------------------------------------------- the command
@@ -568,16 +567,12 @@ def test_the_command_takes_all_registered_views_by_default():
 
 
 def test_the_command_fails_on_another_environment_and_says_why():
-    run = _command("pettingzoo.butterfly.pistonball.pistonball:parallel_env", "--check", "x")
-    assert run.returncode == 2
-    broken = _command(
+    run = _command(
         "pettingzoo.test.example_envs.generated_agents_parallel_v0:parallel_env",
-        "--check",
-        "agents_leave_when_done",
+        *("--check", "agents_leave_when_done"),
     )
-    assert broken.returncode == 1
-    assert "agents leave when done" in broken.stdout
-    assert "FAILED: " in broken.stdout
+    assert run.returncode == 1
+    assert re.match(r"agents leave when done \(.*\): FAILED: .*possible_agents", run.stdout)
 
 
 @pytest.mark.parametrize(
@@ -590,6 +585,7 @@ def test_the_command_fails_on_another_environment_and_says_why():
         (["stkzoo.race_v0:parallel_env", "--view", "simpel"], "Did you mean 'simple'"),
         (["stkzoo.race_v0:parallel_env", "--check", "silence"], "unknown check"),
         (["stkzoo.config:AgentSpec", "--track", "mines"], "takes no 'track'"),
+        (["stkzoo.race_v0:parallel_env", "--track", "lighthous"], "Did you mean 'lighthouse'"),
     ],
 )
 def test_a_command_that_makes_no_sense_exits_with_2(arguments, why):

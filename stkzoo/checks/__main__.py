@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from stkzoo.checks.factory import EnvFactory, bind, load_factory, takes
 from stkzoo.checks.runner import CHECKS, Outcome, run_check
 from stkzoo.env.views import VIEWS
-from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.errors import ConfigError, StkzooError, unknown_name
 
 __all__ = ["main"]
 
@@ -35,9 +35,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         variants = _variants(options.environment, options.view, options.track)
         names = _check_names(options.check)
-    except ConfigError as error:
+        for make_env in variants.values():
+            make_env().close()
+    except StkzooError as error:
         Console(stderr=True, soft_wrap=True).print(str(error), markup=False, highlight=False)
-        return _BAD_USAGE
+        return _BAD_USAGE if isinstance(error, ConfigError) else 1
     outcomes = _run(variants, names, None if options.json else out)
     if options.json:
         out.print(json.dumps(outcomes, indent=2))

@@ -133,7 +133,7 @@ def _spoiling(steps: Iterator[Step]) -> Iterator[Step]:
 
 
 def _overlaps(arrays: list[tuple[str, np.ndarray[Any, Any]]]) -> Iterator[tuple[Any, Any]]:
-    """Pairs of arrays that share memory."""
+    """Pairs of arrays that share memory, the later one first."""
     spans = sorted(
         (*np.lib.array_utils.byte_bounds(array), number)
         for number, (_, array) in enumerate(arrays)
@@ -144,5 +144,5 @@ def _overlaps(arrays: list[tuple[str, np.ndarray[Any, Any]]]) -> Iterator[tuple[
         active = [(other_end, other) for other_end, other in active if other_end > start]
         for _, other in active:
             if np.shares_memory(arrays[number][1], arrays[other][1]):
-                yield arrays[other], arrays[number]
+                yield arrays[max(number, other)], arrays[min(number, other)]
         active.append((end, number))

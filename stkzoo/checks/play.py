@@ -128,7 +128,8 @@ def play(
 
 def _dicts(method: str, result: Any, count: int) -> tuple[dict[Any, Any], ...]:
     if not isinstance(result, tuple) or len(result) != count:
-        raise CheckFailed(f"{method}() returned {type(result).__name__}, expected {count} dicts")
+        what = f"{len(result)} values" if isinstance(result, tuple) else type(result).__name__
+        raise CheckFailed(f"{method}() returned {what}, expected a tuple of {count} dicts")
     for number, part in enumerate(result):
         if not isinstance(part, dict):
             raise CheckFailed(

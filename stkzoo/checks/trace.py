@@ -23,7 +23,7 @@ def trace(steps: Iterable[Step]) -> Trace:
 
 
 def fingerprint(value: Any) -> str:
-    """A short hash of a value's type and bits: equal for no two values that differ at all."""
+    """A hash of a value's types and bits, through dicts, tuples and lists, 16 hex digits."""
     digest = hashlib.blake2b(digest_size=8)
     _update(digest, value)
     return digest.hexdigest()

@@ -1,0 +1,40 @@
+"""Every track of the game can be raced on, both ways round."""
+
+from __future__ import annotations
+
+import functools
+
+import pytest
+
+from stkzoo import race_v0
+from stkzoo.checks import play
+from stkzoo.checks.membership import fault_in
+from stkzoo.engine.assets import find_assets
+from stkzoo.tracks import SPLITS
+
+NUM_STEPS = 60
+
+
+@pytest.mark.parametrize("reverse", [False, True], ids=["forward", "reverse"])
+@pytest.mark.parametrize("track", SPLITS["all"])
+def test_a_track_can_be_raced_on(track, reverse):
+    # max_paths: on the longest track the full view of everything ahead is large.
+    make = functools.partial(race_v0.parallel_env, track=track, reverse=reverse, max_paths=50)
+    top_speed = 0.0
+    with make(num_kart=2) as env:
+        for step in play(env, 1, max_steps=NUM_STEPS, policy=full_throttle):
+            for agent, observation in step.observations.items():
+                assert fault_in(env.observation_space(agent), observation, agent) is None
+            top_speed = max(top_speed, env.snapshot.karts["speed"].max())
+        assert step.number == NUM_STEPS
+        assert env.race.track == track
+    assert top_speed > 5.0
+
+
+def test_the_split_names_all_tracks_of_the_game():
+    assert set(SPLITS["all"]) == set(find_assets().tracks)
+
+
+def full_throttle(step):
+    buttons = dict.fromkeys(("brake", "drift", "fire", "nitro", "rescue"), 0)
+    return {agent: {"acceleration": [1.0], "steer": [0.0], **buttons} for agent in step.agents}

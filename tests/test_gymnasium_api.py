@@ -1,0 +1,142 @@
+"""Gymnasium's and Stable-Baselines3's own checkers, vectors, specs and copies of all ids."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import cloudpickle
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+from stkzoo import make_stkrace_vec
+from stkzoo.checks.trace import fingerprint
+
+SINGLE_IDS = [
+    f"supertuxkart/{name}-v0"
+    for name in (
+        "full",
+        "simple",
+        "flattened",
+        "flattened_continuous_actions",
+        "flattened_multidiscrete",
+        "flattened_discrete",
+    )
+]
+IDS = [*SINGLE_IDS, "supertuxkart/multi-full-v0"]
+# Stable-Baselines3 takes no Dict actions.
+SB3_IDS = SINGLE_IDS[3:]
+VECTOR_IDS = ["supertuxkart/full-v0", "supertuxkart/flattened_discrete-v0"]
+# Distances in metres and speeds have no natural bounds.
+UNBOUNDED = "ignore:.*A Box observation space (minimum|maximum) value is -?infinity:UserWarning"
+# Acceleration goes from 0 to 1; braking is another control.
+ASYMMETRIC = "ignore:We recommend you to use a symmetric and normalized Box action:UserWarning"
+OPTIONS = {"track": "olivermath", "num_kart": 3}
+
+
+def race(env, steps=30, seed=7):
+    """Fingerprints of a few steps with actions of a fixed seed."""
+    observation, info = env.reset(seed=seed)
+    prints = [fingerprint([observation, info])]
+    space = copy.deepcopy(env.action_space)
+    space.seed(1)
+    prints.extend(fingerprint(env.step(space.sample())) for _ in range(steps))
+    return prints
+
+
+@pytest.mark.filterwarnings(UNBOUNDED)
+@pytest.mark.parametrize("env_id", IDS)
+def test_check_env_passes_without_another_warning(env_id):
+    with gym.make(env_id, **OPTIONS) as env:
+        # The only mode, "human", needs a display.
+        check_env(env.unwrapped, skip_render_check=True)
+
+
+@pytest.mark.filterwarnings(ASYMMETRIC)
+@pytest.mark.parametrize("env_id", SB3_IDS)
+def test_sb3_check_env_passes_without_another_warning(env_id):
+    with gym.make(env_id, **OPTIONS) as env:
+        sb3_check_env(env)
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_a_whole_race_passes_the_passive_checker(env_id):
+    with gym.make(env_id, **OPTIONS, max_episode_steps=60) as env:
+        observation, _ = env.reset(seed=1)
+        is_over = False
+        while not is_over:
+            assert observation in env.observation_space
+            observation, _, terminated, truncated, _ = env.step(env.action_space.sample())
+            is_over = terminated or truncated
+        assert observation in env.observation_space
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_the_episode_is_cut_at_1500_steps(env_id):
+    assert gym.spec(env_id).max_episode_steps == 1500
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_a_spec_goes_through_json_and_makes_the_same_race(env_id):
+    with gym.make(env_id, **OPTIONS) as env:
+        spec = gym.envs.registration.EnvSpec.from_json(env.spec.to_json())
+        with gym.make(spec) as again:
+            assert race(again) == race(env)
+
+
+@pytest.mark.parametrize("library", [pickle, cloudpickle])
+@pytest.mark.parametrize("env_id", IDS)
+def test_a_pickled_env_drives_the_same_race(env_id, library):
+    with gym.make(env_id, **OPTIONS) as env:
+        expected = race(env)
+        with library.loads(library.dumps(env.unwrapped)) as again:
+            assert race(again) == expected
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_a_deep_copy_drives_the_same_race(env_id):
+    with gym.make(env_id, **OPTIONS) as env, copy.deepcopy(env) as again:
+        assert race(again) == race(env)
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+@pytest.mark.parametrize("env_id", VECTOR_IDS)
+def test_make_vec_drives_two_races_at_once(env_id, mode):
+    kwargs = {"shared_memory": False} if (env_id, mode) == (VECTOR_IDS[0], "async") else {}
+    envs = gym.make_vec(
+        env_id, num_envs=2, vectorization_mode=mode, vector_kwargs=kwargs, **OPTIONS
+    )
+    observations, _ = envs.reset(seed=3)
+    for _ in range(5):
+        observations, rewards, *_ = envs.step(envs.action_space.sample())
+    assert observations in envs.observation_space
+    assert rewards.shape == (2,)
+    envs.close()
+
+
+def test_sync_and_async_vectors_drive_the_same_races():
+    make = [lambda: gym.make("supertuxkart/flattened_discrete-v0", **OPTIONS)] * 2
+    results = []
+    for kind in (SyncVectorEnv, AsyncVectorEnv):
+        envs = kind(make)
+        record = [envs.reset(seed=11)]
+        actions = np.random.default_rng(1).integers(0, 7, (40, 2))
+        record.extend(envs.step(action) for action in actions)
+        results.append(fingerprint(record))
+        envs.close()
+    assert results[0] == results[1]
+
+
+@pytest.mark.parametrize("env_id", ["supertuxkart/full-v0", "supertuxkart/flattened-v0"])
+def test_make_stkrace_vec_drives_two_races_at_once(env_id):
+    envs = make_stkrace_vec(2, env_id, env_kwargs=OPTIONS)
+    observations, _ = envs.reset(seed=3)
+    for _ in range(5):
+        observations, rewards, *_ = envs.step(envs.action_space.sample())
+    assert observations in envs.observation_space
+    assert rewards.shape == (2,)
+    envs.close()

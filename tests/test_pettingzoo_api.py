@@ -1,0 +1,134 @@
+"""PettingZoo's own tests, with every warning of theirs that is not answered here an error."""
+
+from __future__ import annotations
+
+import functools
+
+import pettingzoo
+import pytest
+from pettingzoo.test import (
+    api_test,
+    max_cycles_test,
+    parallel_api_test,
+    parallel_seed_test,
+    seed_test,
+)
+from pettingzoo.test.state_test import state_test
+from pettingzoo.utils.wrappers import OrderEnforcingWrapper
+
+from stkzoo import RaceParallelEnv, race_v0
+from stkzoo.env.views import VIEWS
+
+BUILT_IN_VIEWS = tuple(VIEWS)
+
+# PettingZoo's tests would rather have no Dict spaces: ours have parts of several kinds.
+NOT_AN_ARRAY = "ignore:Observation is not a NumPy array:UserWarning"
+DICT_OBSERVATIONS = "ignore:Observation space for each agent probably should be:UserWarning"
+DICT_ACTIONS = "ignore:Action space for each agent probably should be:UserWarning"
+# The state has metres and seconds in it, which have no natural bounds.
+UNBOUNDED_STATE = "ignore:Environment's (minimum|maximum) state space value is:UserWarning"
+
+make = functools.partial(race_v0.parallel_env, num_kart=3, track="olivermath")
+make_aec = functools.partial(race_v0.env, num_kart=3, track="olivermath")
+
+
+@pytest.mark.parametrize("view", BUILT_IN_VIEWS)
+def test_parallel_api(view):
+    with make(view=view) as env:
+        parallel_api_test(env, num_cycles=1000)
+
+
+@pytest.mark.parametrize("view", BUILT_IN_VIEWS)
+def test_parallel_seeds(view):
+    parallel_seed_test(functools.partial(make, view=view, max_cycles=60), num_cycles=100)
+
+
+@pytest.mark.filterwarnings(NOT_AN_ARRAY, DICT_OBSERVATIONS, DICT_ACTIONS)
+@pytest.mark.parametrize("factory", [race_v0.env, race_v0.raw_env])
+@pytest.mark.parametrize("view", BUILT_IN_VIEWS)
+def test_aec_api(view, factory):
+    env = factory(num_kart=3, track="olivermath", view=view, max_cycles=100)
+    api_test(env, num_cycles=120)
+    env.close()
+
+
+@pytest.mark.parametrize("factory", [race_v0.env, race_v0.raw_env])
+def test_aec_seeds(factory):
+    make_short = functools.partial(factory, num_kart=3, track="olivermath", max_cycles=60)
+    seed_test(make_short, num_cycles=100)
+
+
+def test_max_cycles_holds_in_both_forms():
+    max_cycles_test(race_v0)
+
+
+@pytest.mark.filterwarnings(UNBOUNDED_STATE)
+def test_state_of_both_forms():
+    with make() as parallel:
+        aec = make_aec()
+        state_test(aec, parallel)
+        aec.close()
+
+
+def test_render_of_the_aec_form_warns_without_a_mode():
+    env = make_aec()
+    env.reset(seed=1)
+    with pytest.warns(UserWarning, match="render"):
+        assert env.render() is None
+    env.close()
+
+
+def test_the_aec_form_keeps_the_order_of_calls():
+    assert isinstance(make_aec(), OrderEnforcingWrapper)
+
+
+def test_the_aec_form_is_the_same_race():
+    with make(view="simple", max_cycles=30) as parallel:
+        observations, _ = parallel.reset(seed=5)
+        actions = {a: parallel.action_space(a).sample() for a in parallel.agents}
+        while parallel.agents:
+            observations, *_ = parallel.step(actions)
+    aec = make_aec(view="simple", max_cycles=30)
+    aec.reset(seed=5)
+    last = {}
+    for agent in aec.agent_iter():
+        observation, _, terminated, truncated, _ = aec.last()
+        last[agent] = observation
+        aec.step(None if terminated or truncated else actions[agent])
+    aec.close()
+    for agent, observation in observations.items():
+        assert (observation["velocity"] == last[agent]["velocity"]).all()
+
+
+def test_the_registry_makes_the_parallel_form():
+    env = pettingzoo.make("parallel", "supertuxkart/race-v0", num_kart=2)
+    assert isinstance(env.unwrapped, RaceParallelEnv)
+    assert env.possible_agents == ["kart_0", "kart_1"]
+    env.close()
+
+
+def test_the_registry_makes_the_aec_form_and_forwards_max_cycles():
+    env = pettingzoo.make("aec", "supertuxkart/race_v0", num_kart=2, max_cycles=3)
+    env.reset(seed=1)
+    steps = [agent for agent in env.agent_iter() if env.step(_action(env, agent)) is None]
+    assert steps.count("kart_0") == 3 + 1
+    env.close()
+
+
+def _action(env, agent):
+    is_over = env.terminations[agent] or env.truncations[agent]
+    return None if is_over else env.action_space(agent).sample()
+
+
+def test_the_module_exports_the_three_forms():
+    assert race_v0.__all__ == ["env", "parallel_env", "raw_env"]
+
+
+@pytest.mark.parametrize("factory", [race_v0.parallel_env, race_v0.env])
+def test_metadata_says_what_pettingzoo_asks_for(factory):
+    env = factory(num_kart=1)
+    assert env.metadata["name"] == "race_v0"
+    assert env.metadata["is_parallelizable"] is True
+    assert "human" in env.metadata["render_modes"]
+    assert str(env) == "race_v0"
+    env.close()

@@ -1,0 +1,116 @@
+"""Stable-Baselines3 learns: from single ids, and from a whole race through SuperSuit."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import pytest
+import supersuit
+from gymnasium.wrappers import FilterObservation, FlattenObservation
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from stkzoo import AgentSpec, race_v0
+from stkzoo.env.views import VIEWS
+
+OPTIONS = {"track": "olivermath", "num_kart": 3}
+LEARNING = {"n_steps": 64, "batch_size": 32, "n_epochs": 1, "device": "cpu", "seed": 1}
+
+
+def box_view(env):
+    """A view with Box observations, as SuperSuit wants them, and Box actions."""
+    return FlatActions(FlattenObservation(VIEWS["flattened_continuous_actions"](env)))
+
+
+class FlatActions(gym.ActionWrapper):
+    """The one array that is left of the actions, without its dict."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        self.action_space = gym.spaces.flatten_space(env.action_space)
+
+    def action(self, action):
+        return gym.spaces.unflatten(self.env.action_space, action)
+
+
+def discrete_box_view(env):
+    return FlattenObservation(VIEWS["flattened_discrete"](env))
+
+
+def discrete_box_view_without_the_ai_action(env):
+    env = VIEWS["flattened_discrete"](env)
+    if "action" in env.observation_space.spaces:
+        env = FilterObservation(env, ["continuous", "discrete"])
+    return FlattenObservation(env)
+
+
+def weights(model):
+    return {name: value.clone() for name, value in model.policy.state_dict().items()}
+
+
+def changed(before, model):
+    return any((before[name] != value).any() for name, value in model.policy.state_dict().items())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["flattened_multidiscrete", "flattened_discrete", "flattened_continuous_actions"]
+)
+def test_ppo_learns_from_a_single_id(name):
+    with gym.make(f"supertuxkart/{name}-v0", **OPTIONS) as env:
+        model = PPO("MultiInputPolicy", env, **LEARNING)
+        before = weights(model)
+        model.learn(256)
+        assert changed(before, model)
+        assert model.num_timesteps == 256
+
+
+@pytest.mark.slow
+def test_ppo_learns_from_two_races_in_one_process():
+    def make():
+        return gym.make("supertuxkart/flattened_discrete-v0", **OPTIONS)
+
+    envs = DummyVecEnv([make, make])
+    model = PPO("MultiInputPolicy", envs, **LEARNING)
+    before = weights(model)
+    model.learn(256)
+    assert changed(before, model)
+    envs.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("num_cpus", [0, 2])
+@pytest.mark.parametrize("view", [box_view, discrete_box_view])
+def test_ppo_learns_by_self_play_through_supersuit(view, num_cpus):
+    env = race_v0.parallel_env(num_kart=3, track="olivermath", max_cycles=50, view=view)
+    env = supersuit.black_death_v3(env)
+    env = supersuit.pettingzoo_env_to_vec_env_v1(env)
+    envs = supersuit.concat_vec_envs_v1(env, 2, num_cpus=num_cpus, base_class="stable_baselines3")
+    model = PPO("MlpPolicy", envs, **{**LEARNING, "seed": None})
+    before = weights(model)
+    model.learn(6 * 64)
+    assert envs.num_envs == 6
+    assert changed(before, model)
+    envs.close()
+
+
+def test_a_kart_that_finishes_early_is_black_until_the_race_ends():
+    env = race_v0.parallel_env(
+        agents=[AgentSpec(), AgentSpec(use_ai=True)],
+        num_kart=2,
+        track="olivermath",
+        max_cycles=330,
+        view=discrete_box_view_without_the_ai_action,
+    )
+    envs = supersuit.pettingzoo_env_to_vec_env_v1(supersuit.black_death_v3(env))
+    envs.reset(seed=1)
+    black, num_steps, is_over = 0, 0, [False, False]
+    while not any(is_over):
+        observations, rewards, terminated, truncated, _ = envs.step([0, 0])
+        black += not observations[1].any()
+        assert observations[1].any() or rewards[1] == 0
+        is_over = [bool(t) or bool(u) for t, u in zip(terminated, truncated, strict=True)]
+        num_steps += 1
+    assert 0 < black < num_steps
+    assert num_steps == 331  # SuperSuit notices the end one step late
+    assert all(is_over)
+    envs.close()
