@@ -70,8 +70,9 @@ class WorkerSession:
     def __init__(self, root: Path, graphics: str = "none", timeout: float = 30.0) -> None:
         self._root = root
         self._graphics = graphics
-        self._timeout = timeout
-        self._start_timeout = START_TIMEOUT if graphics == "none" else WINDOW_START_TIMEOUT
+        start_timeout = START_TIMEOUT if graphics == "none" else WINDOW_START_TIMEOUT
+        self._timeouts = {wire.BEGIN: start_timeout, wire.ACT: timeout}
+        self._asked: bytes | None = None  # the kind of a request whose answer is to come
         self._process: RaceProcess | None = None
         self._owner = os.getpid()
 
@@ -82,27 +83,44 @@ class WorkerSession:
 
     def start(self, setup: RaceSetup) -> RaceStart:
         """See :meth:`Session.start`."""
+        self.start_async(setup)
+        return self.start_wait()
+
+    def step(self, controls: Controls) -> Snapshot:
+        """See :meth:`Session.step`."""
+        self.step_async(controls)
+        return self.step_wait()
+
+    def start_async(self, setup: RaceSetup) -> None:
+        """Asks for a race; :meth:`start_wait` gives it."""
         if self._owner != os.getpid() or self._graphics == "none":
             self.close()
         if self._process is None:
             self._process = start_race_process(self._root, self._graphics)
             self._owner = os.getpid()
-        kart_types, track, snapshot = self._request(wire.BEGIN, setup.to_json(), replies=3)
-        return RaceStart.from_frames(kart_types, track, snapshot)
+        self._send(wire.BEGIN, setup.to_json())
 
-    def step(self, controls: Controls) -> Snapshot:
-        """See :meth:`Session.step`."""
+    def start_wait(self) -> RaceStart:
+        """The race that :meth:`start_async` asked for."""
+        return RaceStart.from_frames(*self._receive(wire.BEGIN, replies=3))
+
+    def step_async(self, controls: Controls) -> None:
+        """Asks for a step; the game takes it while the caller goes on."""
         if self._owner != os.getpid():
             raise ApiOrderError(
                 f"this race belongs to process {self._owner}, from which this process "
                 f"({os.getpid()}) was forked; call reset() to start one here"
             )
-        (reply,) = self._request(wire.ACT, controls.tobytes(), replies=1)
+        self._send(wire.ACT, controls.tobytes())
+
+    def step_wait(self) -> Snapshot:
+        """The moment after the step that :meth:`step_async` asked for."""
+        (reply,) = self._receive(wire.ACT, replies=1)
         return Snapshot.from_bytes(reply)
 
     def close(self) -> None:
         """See :meth:`Session.close`."""
-        process, self._process = self._process, None
+        process, self._process, self._asked = self._process, None, None
         if process is None:
             return
         if self._owner == os.getpid():
@@ -115,44 +133,63 @@ class WorkerSession:
         with contextlib.suppress(Exception):  # the interpreter may be half gone
             self.close()
 
-    def _request(self, kind: bytes, data: bytes, replies: int) -> list[bytes]:
-        process = self._process
-        if process is None:
-            raise ApiOrderError("the race is over or its process has ended; call reset() first")
-        timeout = self._start_timeout if kind == wire.BEGIN else self._timeout
-        try:
-            process.connection.settimeout(timeout)
+    def _send(self, kind: bytes, data: bytes) -> None:
+        process = self._living()
+        if self._asked is not None:
+            raise ApiOrderError("the answer to the request before has not been waited for")
+        with self._ending_what_fails(process):
+            process.connection.settimeout(self._timeouts[kind])
             wire.send(process.connection, kind, data)
-            return [self._receive(process) for _ in range(replies)]
+        self._asked = kind
+
+    def _receive(self, kind: bytes, replies: int) -> list[bytes]:
+        process = self._living()
+        if self._asked != kind:
+            raise ApiOrderError("there is no request to wait for")
+        self._asked = None
+        with self._ending_what_fails(process):
+            return [_read_reply(process) for _ in range(replies)]
+
+    def _living(self) -> RaceProcess:
+        if self._process is None:
+            raise ApiOrderError("the race is over or its process has ended; call reset() first")
+        return self._process
+
+    @contextlib.contextmanager
+    def _ending_what_fails(self, process: RaceProcess) -> Iterator[None]:
+        """Ends the process after any failure, for its stream of answers is in disorder."""
+        try:
+            yield
         except TimeoutError:
+            seconds = process.connection.gettimeout()
             _, log = self._end(process)
-            message = f"the game gave no answer in {timeout:g} s and was ended; call reset()"
+            message = f"the game gave no answer in {seconds:g} s and was ended; call reset()"
             raise EngineTimeout(message, log) from None
         except (EOFError, OSError):
             how, log = self._end(process)
             message = f"the game's process {how}; call reset() to start a new one"
             raise EngineCrashed(message, log) from None
-        except BaseException:  # the answer to this request would be taken for the next one's
+        except BaseException:
             self._end(process)
             raise
 
     def _end(self, process: RaceProcess) -> tuple[str, str]:
         """Ends the process; says how it ended and what it wrote last."""
-        self._process = None
+        self._process, self._asked = None, None
         how, log = process.end(), process.log.tail()
         process.log.close()
         return how, log
 
-    @staticmethod
-    def _receive(process: RaceProcess) -> bytes:
-        kind, data = wire.receive(process.connection)
-        if kind == wire.ERROR:
-            error = json.loads(data)
-            raise EngineError(
-                f"the game refused: {error['type']}: {error['message']}\n{error['traceback']}",
-                process.log.tail(),
-            )
-        return data
+
+def _read_reply(process: RaceProcess) -> bytes:
+    kind, data = wire.receive(process.connection)
+    if kind == wire.ERROR:
+        error = json.loads(data)
+        raise EngineError(
+            f"the game refused: {error['type']}: {error['message']}\n{error['traceback']}",
+            process.log.tail(),
+        )
+    return data
 
 
 #: The session that holds the engine of this process, if any.
