@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.engine.reader import WorldReader
 from stkzoo.engine.setup import KartSetup, RaceSetup
-from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
+from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, Snapshot
 from stkzoo.engine.track import encode_track
 from stkzoo.errors import EngineError
 from stkzoo.names import AttachmentType, ItemType, Phase, PowerupType
@@ -106,6 +107,7 @@ class GameRace:
         self._race = pystk2.Race(_race_config(pystk2, setup))
         self._race.start()
         self._world = pystk2.WorldState()
+        self._reader: WorldReader | None = None
         self._track = pystk2.Track()
 
     def begin(self) -> RaceStart:
@@ -161,62 +163,17 @@ class GameRace:
 
     def _read(self, running: bool) -> Snapshot:
         world = self._world
-        all_karts, all_items = world.karts, world.items
-        karts = np.zeros(len(all_karts), KART_DTYPE)
-        for row, kart in enumerate(all_karts):
-            karts[row] = _kart_record(kart)
+        if self._reader is None:
+            self._reader = WorldReader(world)
+        karts, items = self._reader.read()
         for row in self._reporting:
             action = self._race.get_kart_action(row)
             karts[row]["control"] = [float(getattr(action, name)) for name in CONTROLS]
-        items = np.array(
-            [(item.location, item.size, item.type.value, item.id) for item in all_items],
-            ITEM_DTYPE,
-        )
         phase = self._phases.get(world.phase, Phase.RACE_PHASE)
         header = np.array(
             [(world.time, world.aux_ticks, phase, len(karts), len(items), running)], HEADER_DTYPE
         )
         return Snapshot(header[0], karts, items)
-
-
-_ZERO_CONTROL = (0.0,) * len(CONTROLS)
-
-
-def _kart_record(kart: Any) -> tuple[Any, ...]:
-    """The fields of ``KART_DTYPE`` in its order."""
-    powerup, attachment = kart.powerup, kart.attachment
-    return (
-        kart.location,
-        kart.rotation,
-        kart.front,
-        kart.velocity,
-        kart.velocity_lc,
-        kart.angular_velocity,
-        kart.size,
-        kart.speed,
-        kart.max_steer_angle,
-        kart.wheel_base,
-        kart.energy,
-        kart.skeed_factor,
-        kart.shield_time,
-        attachment.time_left,
-        kart.distance_down_track,
-        kart.overall_distance,
-        kart.finish_time,
-        kart.lap_time,
-        kart.node,
-        kart.position,
-        kart.finished_laps,
-        powerup.type.value,
-        powerup.num,
-        attachment.type.value,
-        kart.lives,
-        kart.has_finished_race,
-        kart.race_result,
-        kart.jumping,
-        kart.is_on_road,
-        _ZERO_CONTROL,
-    )
 
 
 def _race_config(pystk2: Any, setup: RaceSetup) -> Any:
