@@ -116,8 +116,11 @@ def _resized(value: Any, space: spaces.Space[Any]) -> tuple[npt.NDArray[Any], in
     rows = np.asarray(value, space.dtype)
     axis = max(rows.ndim - 1 - len(entry), 0)
     lead = rows.shape[:axis]
-    rows = rows.reshape(*lead, rows.shape[axis], *entry)
     length = min(rows.shape[axis], size)
+    kept = (slice(None),) * axis + (slice(length),)
+    if length == size:
+        return rows[kept].copy(), length
     resized = np.zeros((*lead, size, *entry), space.dtype)
-    np.moveaxis(resized, axis, 0)[:length] = np.moveaxis(rows, axis, 0)[:length]
+    if length:  # an empty list of vectors does not know their length
+        resized[kept] = rows[kept]
     return resized, length

@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium import spaces
+from numpy.typing import NDArray
 
 from stkzoo.errors import ConfigError
 
 __all__ = ["SpaceFlattener"]
+
+Number = TypeVar("Number", np.float32, np.int64)
+
+
+class _Part(NamedTuple):
+    """One entry of the space: its key, shape and number of values."""
+
+    key: str
+    shape: tuple[int, ...]
+    size: int
 
 
 class SpaceFlattener:
@@ -54,6 +64,8 @@ class SpaceFlattener:
         self.only_continuous = not self._choices
         self.only_discrete = not self._boxes
         self.space = self._flat_space()
+        self._box_parts = _parts(self._boxes)
+        self._choice_parts = _parts(self._choices)
 
     def _flat_space(self) -> spaces.Space[Any]:
         if self.only_continuous:
@@ -78,21 +90,13 @@ class SpaceFlattener:
             starts.extend(np.ravel(part.start))
         return spaces.MultiDiscrete(counts, dtype=np.int64, start=starts)
 
-    def continuous(self, value: Mapping[str, Any]) -> npt.NDArray[np.float32]:
+    def continuous(self, value: Mapping[str, Any]) -> NDArray[np.float32]:
         """The numbers of a value of the space, ``(..., n)`` float32."""
-        columns = [
-            _columns(np.asarray(value[key], np.float32), box.shape)
-            for key, box in self._boxes.items()
-        ]
-        return np.concatenate(columns, axis=-1)
+        return _joined(value, self._box_parts, np.float32)
 
-    def discrete(self, value: Mapping[str, Any]) -> npt.NDArray[np.int64]:
+    def discrete(self, value: Mapping[str, Any]) -> NDArray[np.int64]:
         """The choices of a value of the space, ``(..., m)`` int64."""
-        columns = [
-            _columns(np.asarray(value[key], np.int64), part.shape or ())
-            for key, part in self._choices.items()
-        ]
-        return np.concatenate(columns, axis=-1)
+        return _joined(value, self._choice_parts, np.int64)
 
     def flatten(self, value: Mapping[str, Any]) -> Any:
         """A value of the given space as a value of ``self.space``."""
@@ -107,34 +111,43 @@ class SpaceFlattener:
         value: dict[str, Any] = {}
         if not self.only_discrete:
             numbers = np.asarray(flat if self.only_continuous else flat["continuous"])
-            value.update(_entries(numbers, self._boxes))
+            value.update(_entries(numbers, self._box_parts))
         if not self.only_continuous:
             choices = np.asarray(flat if self.only_discrete else flat["discrete"])
-            value.update(_entries(choices, self._choices))
+            value.update(_entries(choices, self._choice_parts))
         return value
 
 
-def _columns(array: npt.NDArray[Any], shape: tuple[int, ...]) -> npt.NDArray[Any]:
-    """``(..., *shape)`` as ``(..., n)``; a bare number stands for one entry."""
-    lead = array.shape[: max(array.ndim - len(shape), 0)]
-    return array.reshape(*lead, int(np.prod(shape)))
+def _parts(parts: Mapping[str, spaces.Space[Any]]) -> list[_Part]:
+    shapes = {key: part.shape or () for key, part in parts.items()}
+    return [_Part(key, shape, int(np.prod(shape))) for key, shape in shapes.items()]
 
 
-def _entries(array: npt.NDArray[Any], parts: Mapping[str, spaces.Space[Any]]) -> dict[str, Any]:
+def _joined(value: Mapping[str, Any], parts: list[_Part], dtype: type[Number]) -> NDArray[Number]:
+    """Entries ``(..., *shape)`` side by side as ``(..., n)``; a bare number is one entry."""
+    columns = []
+    for part in parts:
+        array = np.asarray(value[part.key], dtype)
+        lead = array.shape[: max(array.ndim - len(part.shape), 0)]
+        columns.append(array.reshape(*lead, part.size))
+    return np.concatenate(columns, axis=-1)
+
+
+def _entries(array: NDArray[Any], parts: list[_Part]) -> dict[str, Any]:
     """``(..., n)`` cut up into ``(..., *shape)``, one piece for each part."""
-    expected = sum(int(np.prod(part.shape or ())) for part in parts.values())
+    expected = sum(part.size for part in parts)
     if array.ndim == 0 or array.shape[-1] != expected:
+        names = ", ".join(part.key for part in parts)
         raise ValueError(
-            f"got an array of shape {array.shape} for {', '.join(parts)}; "
+            f"got an array of shape {array.shape} for {names}; "
             f"expected {expected} values on its last axis."
         )
     entries: dict[str, Any] = {}
     begin = 0
-    for key, part in parts.items():
-        shape = part.shape or ()
-        end = begin + int(np.prod(shape))
-        entries[key] = array[..., begin:end].reshape((*array.shape[:-1], *shape))[()]
-        begin = end
+    for part in parts:
+        piece = array[..., begin : begin + part.size]
+        entries[part.key] = piece.reshape((*array.shape[:-1], *part.shape))[()]
+        begin += part.size
     return entries
 
 

@@ -70,8 +70,8 @@ class TrackMap:
         Returns:
             ``(A, P)`` indices; the first column is ``nodes``.
         """
-        for node in np.unique(nodes[~self._is_ordered[nodes]]):
-            self._order[node] = self._order_from(int(node))
+        for node in set(nodes[~self._is_ordered[nodes]].tolist()):
+            self._order[node] = self._order_from(node)
             self._is_ordered[node] = True
         return self._order[nodes, :max_paths]
 

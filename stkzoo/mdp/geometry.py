@@ -10,6 +10,35 @@ __all__ = ["rotation_matrices", "to_kart_frame"]
 FloatArray = npt.NDArray[np.float32]
 
 
+def _product_weights() -> FloatArray:
+    """``(16, 9)``: how the matrix's entries are made of the products of w, x, y, z."""
+    w, x, y, z = range(4)
+    squares = {
+        (0, 0): {w: 1, x: 1, y: -1, z: -1},
+        (1, 1): {w: 1, x: -1, y: 1, z: -1},
+        (2, 2): {w: 1, x: -1, y: -1, z: 1},
+    }
+    mixed = {
+        (0, 1): ((x, y, 2), (w, z, -2)),
+        (0, 2): ((x, z, 2), (w, y, 2)),
+        (1, 0): ((x, y, 2), (w, z, 2)),
+        (1, 2): ((y, z, 2), (w, x, -2)),
+        (2, 0): ((x, z, 2), (w, y, -2)),
+        (2, 1): ((y, z, 2), (w, x, 2)),
+    }
+    weights = np.zeros((4, 4, 3, 3), np.float32)
+    for (row, column), signs in squares.items():
+        for part, sign in signs.items():
+            weights[part, part, row, column] = sign
+    for (row, column), terms in mixed.items():
+        for first, second, factor in terms:
+            weights[first, second, row, column] = factor
+    return weights.reshape(16, 9)
+
+
+_FROM_PRODUCTS = _product_weights()
+
+
 def rotation_matrices(quaternions: FloatArray) -> FloatArray:
     """Matrices of the quaternions ``(..., 4)`` in the order w, x, y, z.
 
@@ -19,18 +48,10 @@ def rotation_matrices(quaternions: FloatArray) -> FloatArray:
     Returns:
         ``(..., 3, 3)`` of the same type.
     """
-    w, x, y, z = np.moveaxis(quaternions, -1, 0)
-    matrices = np.empty((*quaternions.shape[:-1], 3, 3), quaternions.dtype)
-    matrices[..., 0, 0] = w * w + x * x - y * y - z * z
-    matrices[..., 0, 1] = 2 * (x * y - w * z)
-    matrices[..., 0, 2] = 2 * (x * z + w * y)
-    matrices[..., 1, 0] = 2 * (x * y + w * z)
-    matrices[..., 1, 1] = w * w - x * x + y * y - z * z
-    matrices[..., 1, 2] = 2 * (y * z - w * x)
-    matrices[..., 2, 0] = 2 * (x * z - w * y)
-    matrices[..., 2, 1] = 2 * (y * z + w * x)
-    matrices[..., 2, 2] = w * w - x * x - y * y + z * z
-    return matrices
+    products = quaternions[..., :, None] * quaternions[..., None, :]
+    flat = products.reshape(*quaternions.shape[:-1], 16)
+    matrices: FloatArray = flat @ _FROM_PRODUCTS.astype(quaternions.dtype, copy=False)
+    return matrices.reshape(*quaternions.shape[:-1], 3, 3)
 
 
 def to_kart_frame(points: FloatArray, locations: FloatArray, matrices: FloatArray) -> FloatArray:

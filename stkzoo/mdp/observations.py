@@ -52,20 +52,42 @@ class KartObserver:
             karts: ``(A,)`` indices of the observing karts.
         """
         records = snapshot.karts[karts]
-        locations = records["location"]
-        matrices = rotation_matrices(records["rotation"])
-
-        def seen(points: FloatArray) -> FloatArray:
-            return to_kart_frame(points, locations, matrices)
-
+        ahead = self._track.nodes_ahead(records["node"], self._max_paths)
+        front, own_node, items, others, ahead_ends = self._seen(snapshot, records, karts, ahead)
         return {
             **self._own_state(snapshot, records, self._kart_types[karts]),
-            "front": seen(records["front"][:, None])[:, 0],
-            **_center_path(seen(self._track.path_nodes[records["node"]])),
-            **_items(snapshot, seen(snapshot.items["location"][None])),
-            **_karts(seen(snapshot.karts["location"][self._others[karts]])),
-            **self._paths(records["node"], seen),
+            "front": front[:, 0],
+            **_center_path(own_node),
+            **_items(snapshot, items),
+            "karts_position": _in_order(others, _nearest_first(others)),
+            "paths_distance": self._track.path_distance[ahead],
+            "paths_width": self._track.path_width[ahead],
+            "paths_start": ahead_ends[:, ::2],
+            "paths_end": ahead_ends[:, 1::2],
         }
+
+    def _seen(
+        self, snapshot: Snapshot, records: Any, karts: IntArray, ahead: IntArray
+    ) -> list[FloatArray]:
+        """Everything that has a place, in the karts' frames, all turned at once.
+
+        Returns:
+            ``(A, n, 3)`` float32 each: the kart's front, the two ends of its track segment,
+            the items, the other karts, and the ends of the segments ahead, start and end in
+            turn.
+        """
+        nodes, count = self._track.path_nodes, len(records)
+        groups = (
+            records["front"][:, None],
+            nodes[records["node"]],
+            np.broadcast_to(snapshot.items["location"], (count, len(snapshot.items), 3)),
+            snapshot.karts["location"][self._others[karts]],
+            nodes[ahead].reshape(count, -1, 3),
+        )
+        points = np.concatenate(groups, axis=1)
+        seen = to_kart_frame(points, records["location"], rotation_matrices(records["rotation"]))
+        ends = np.cumsum([group.shape[1] for group in groups]).tolist()
+        return [seen[:, begin:end] for begin, end in zip([0, *ends], ends, strict=False)]
 
     @staticmethod
     def _own_state(snapshot: Snapshot, records: Any, kart_types: npt.NDArray[np.str_]) -> Batch:
@@ -94,18 +116,6 @@ class KartObserver:
             "jumping": whole("jumping"),
             "distance_down_track": column("distance_down_track"),
             "velocity": records["velocity_lc"].copy(),
-        }
-
-    def _paths(self, nodes: IntArray, seen: Any) -> Batch:
-        track = self._track
-        ahead = track.nodes_ahead(nodes, self._max_paths)
-        ends = seen(track.path_nodes[ahead].reshape(len(nodes), -1, 3))
-        ends = ends.reshape(*ahead.shape, 2, 3)
-        return {
-            "paths_distance": track.path_distance[ahead],
-            "paths_width": track.path_width[ahead],
-            "paths_start": ends[:, :, 0],
-            "paths_end": ends[:, :, 1],
         }
 
 
@@ -140,14 +150,13 @@ def _center_path(ends: FloatArray) -> Batch:
 def _items(snapshot: Snapshot, positions: FloatArray) -> Batch:
     order = _nearest_first(positions)
     return {
-        "items_position": np.take_along_axis(positions, order[..., None], axis=1),
+        "items_position": _in_order(positions, order),
         "items_type": snapshot.items["type"][order].astype(np.int64),
     }
 
 
-def _karts(positions: FloatArray) -> Batch:
-    order = _nearest_first(positions)
-    return {"karts_position": np.take_along_axis(positions, order[..., None], axis=1)}
+def _in_order(positions: FloatArray, order: IntArray) -> FloatArray:
+    return positions[np.arange(len(order))[:, None], order]
 
 
 def _nearest_first(positions: FloatArray) -> IntArray:
