@@ -27,6 +27,20 @@ def rewards_of_agents(choice: object, agents: Sequence[str]) -> dict[str, Reward
     return dict.fromkeys(agents, as_reward(choice))
 
 
+def _groups(
+    rewards: Mapping[str, Reward], karts: Mapping[str, int]
+) -> list[tuple[Reward, list[int], list[int]]]:
+    """Agents that share a reward: the reward, their rows and their karts."""
+    groups: list[tuple[Reward, list[int], list[int]]] = []
+    for row, (agent, reward) in enumerate(rewards.items()):
+        group = next((known for known in groups if known[0] is reward), None)
+        if group is None:
+            groups.append(group := (reward, [], []))
+        group[1].append(row)
+        group[2].append(karts[agent])
+    return groups
+
+
 def _is_agent(name: object, agents: Sequence[str]) -> bool:
     try:
         find_agent(name, agents)
@@ -47,13 +61,9 @@ class EpisodeRecord:
     def __init__(
         self, rewards: Mapping[str, Reward], kart_indices: Sequence[int], race_length: float
     ) -> None:
+        self._agents = tuple(rewards)
         self._karts = dict(zip(rewards, kart_indices, strict=True))
-        self._groups: list[tuple[Reward, list[str]]] = []
-        for agent, reward in rewards.items():
-            members = next((m for known, m in self._groups if known is reward), None)
-            if members is None:
-                self._groups.append((reward, members := []))
-            members.append(agent)
+        self._groups = _groups(rewards, self._karts)
         names = sorted({name for reward in rewards.values() for name in reward.terms})
         self._columns = {name: column for column, name in enumerate(names)}
         self._rows = {agent: row for row, agent in enumerate(rewards)}
@@ -65,17 +75,15 @@ class EpisodeRecord:
     def step(self, before: Snapshot, after: Snapshot, agents: Sequence[str]) -> dict[str, float]:
         """Adds one step and returns the rewards of the agents that were still racing."""
         transition = Transition(before, after, self._race_length)
-        self._last[:] = 0.0
-        for reward, members in self._groups:
-            present = [agent for agent in members if agent in agents]
-            karts = [self._karts[agent] for agent in present]
-            rows = [self._rows[agent] for agent in present]
+        for reward, rows, karts in self._groups:
             for name, values in reward(transition).items():
                 self._last[rows, self._columns[name]] = values[karts]
+        if len(agents) < len(self._agents):
+            self._last[[agent not in agents for agent in self._agents]] = 0.0
         self._sums += self._last
         self._length += 1
-        totals = self._last.sum(axis=1)
-        return {agent: float(totals[self._rows[agent]]) for agent in agents}
+        totals = dict(zip(self._agents, self._last.sum(axis=1).tolist(), strict=True))
+        return {agent: totals[agent] for agent in agents}
 
     def infos(self, snapshot: Snapshot, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Fresh infos of some agents: plain numbers under the same keys from reset on.

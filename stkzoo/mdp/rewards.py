@@ -88,10 +88,16 @@ class Reward:
 
     def __call__(self, step: Transition) -> dict[str, FloatArray]:
         """The weighted value of each term, ``(K,)`` float64 by name."""
-        return {
-            name: _checked(name, term(step), step.num_kart) * self.weights.get(name, 1.0)
-            for name, term in self.terms.items()
-        }
+        values = {}
+        for name, term in self.terms.items():
+            value = np.asarray(term(step), np.float64)
+            if value.shape != (step.num_kart,) or not np.isfinite(value).all():
+                raise ConfigError(
+                    f"reward term {name!r} returned {value!r}, expected {step.num_kart} finite "
+                    "numbers, one a kart"
+                )
+            values[name] = value * self.weights[name] if name in self.weights else value
+        return values
 
     def adapted(self, changes: Mapping[str, float | RewardTerm]) -> Reward:
         """This reward with other weights (numbers) and further or other terms (functions)."""
@@ -132,13 +138,3 @@ def as_reward(choice: object) -> Reward:
         f"reward is {choice!r}, expected one of {', '.join(REWARDS)}, a mapping from terms to "
         "weights or functions, a Reward, or a mapping from agents to these"
     )
-
-
-def _checked(name: str, values: FloatArray, num_kart: int) -> FloatArray:
-    values = np.asarray(values, np.float64)
-    if values.shape != (num_kart,) or not np.isfinite(values).all():
-        raise ConfigError(
-            f"reward term {name!r} returned {values!r}, expected {num_kart} finite numbers, "
-            "one a kart"
-        )
-    return values

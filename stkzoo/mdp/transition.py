@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -41,12 +42,12 @@ class Transition:
         """Number of karts, K."""
         return len(self.after.karts)
 
-    @property
+    @cached_property
     def distance_before(self) -> FloatArray:
         """``(K,)`` driven before the step [m]."""
         return progress_of(self.before)
 
-    @property
+    @cached_property
     def distance(self) -> FloatArray:
         """``(K,)`` driven after the step [m]."""
         return progress_of(self.after)
@@ -57,7 +58,7 @@ class Transition:
         ranks: npt.NDArray[np.int32] = self.after.karts["position"]
         return ranks
 
-    @property
+    @cached_property
     def finishes(self) -> npt.NDArray[np.bool_]:
         """``(K,)`` whether the kart finished the race in this step."""
         after, before = self.after.karts, self.before.karts
