@@ -7,13 +7,13 @@ kart's own frame: x right, y up, z forward [m].
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.engine.snapshot import CONTROLS, Snapshot
+from stkzoo.engine.snapshot import CONTROLS, KART_DTYPE, Snapshot
 from stkzoo.engine.track import TrackMap
 from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
 from stkzoo.mdp.spaces import POWERUP_COUNT_LIMIT
@@ -55,7 +55,8 @@ class KartObserver:
         ahead = self._track.nodes_ahead(records["node"], self._max_paths)
         front, own_node, items, others, ahead_ends = self._seen(snapshot, records, karts, ahead)
         return {
-            **self._own_state(snapshot, records, self._kart_types[karts]),
+            "kart_type": self._kart_types[karts],
+            **_own_state(snapshot, records),
             "front": front[:, 0],
             **_center_path(own_node),
             **_items(snapshot, items),
@@ -89,34 +90,55 @@ class KartObserver:
         ends = np.cumsum([group.shape[1] for group in groups]).tolist()
         return [seen[:, begin:end] for begin, end in zip([0, *ends], ends, strict=False)]
 
-    @staticmethod
-    def _own_state(snapshot: Snapshot, records: Any, kart_types: npt.NDArray[np.str_]) -> Batch:
-        count = len(records)
 
-        def column(name: str) -> FloatArray:
-            values: FloatArray = records[name][:, None].copy()
-            return values
+#: What a kart knows of itself: the observation's keys and the fields of ``KART_DTYPE``.
+_NUMBERS = {
+    "attachment_time_left": "attachment_time_left",
+    "max_steer_angle": "max_steer_angle",
+    "energy": "energy",
+    "skeed_factor": "skeed_factor",
+    "shield_time": "shield_time",
+    "distance_down_track": "distance_down_track",
+    "velocity": "velocity_lc",
+}
+_CHOICES = {
+    "powerup_type": "powerup_type",
+    "powerup_count": "powerup_num",
+    "attachment": "attachment_type",
+    "jumping": "jumping",
+}
 
-        def whole(name: str) -> npt.NDArray[np.int64]:
-            values: npt.NDArray[np.int64] = records[name].astype(np.int64)
-            return values
 
-        return {
-            "kart_type": kart_types,
-            "aux_ticks": np.full((count, 1), snapshot.header["aux_ticks"], np.float32),
-            "phase": np.full(count, snapshot.phase, np.int64),
-            "powerup_type": whole("powerup_type"),
-            "powerup_count": np.minimum(whole("powerup_num"), POWERUP_COUNT_LIMIT),
-            "attachment": whole("attachment_type"),
-            "attachment_time_left": column("attachment_time_left"),
-            "max_steer_angle": column("max_steer_angle"),
-            "energy": column("energy"),
-            "skeed_factor": column("skeed_factor"),
-            "shield_time": column("shield_time"),
-            "jumping": whole("jumping"),
-            "distance_down_track": column("distance_down_track"),
-            "velocity": records["velocity_lc"].copy(),
-        }
+def _words_of(fields: Iterable[str]) -> tuple[list[int], list[slice]]:
+    """Where fields stand in a record seen as 4-byte words, and then in a row of just these."""
+    words: list[int] = []
+    places: list[slice] = []
+    for field in fields:
+        part = (KART_DTYPE.fields or {})[field]
+        begin, count = part[1] // 4, part[0].itemsize // 4
+        places.append(slice(len(words), len(words) + count))
+        words.extend(range(begin, begin + count))
+    return words, places
+
+
+_NUMBER_WORDS, _NUMBER_PLACES = _words_of(_NUMBERS.values())
+_CHOICE_WORDS, _ = _words_of(_CHOICES.values())
+
+
+def _own_state(snapshot: Snapshot, records: Any) -> Batch:
+    count = len(records)
+    numbers = records.view(np.float32).reshape(count, -1)[:, _NUMBER_WORDS]
+    choices = records.view(np.int32).reshape(count, -1)[:, _CHOICE_WORDS].astype(np.int64)
+    state: Batch = {
+        "aux_ticks": np.full((count, 1), snapshot.header["aux_ticks"], np.float32),
+        "phase": np.full(count, snapshot.phase, np.int64),
+    }
+    for key, place in zip(_NUMBERS, _NUMBER_PLACES, strict=True):
+        state[key] = numbers[:, place]
+    for column, key in enumerate(_CHOICES):
+        state[key] = choices[:, column]
+    np.minimum(state["powerup_count"], POWERUP_COUNT_LIMIT, out=state["powerup_count"])
+    return state
 
 
 def ai_actions(snapshot: Snapshot, karts: IntArray) -> Batch:
