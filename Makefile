@@ -32,9 +32,7 @@ check: $(VENV)/.dev
 
 bench: $(VENV)/.dev
 	$(BIN)/stkzoo assets install
-	@set -e; for program in benchmarks/bench_*.py; do \
-		echo "== $$program"; $(BIN)/python $$program; \
-	done
+	$(BIN)/python -m benchmarks.bench_all $(ARGS)
 
 docs: $(VENV)/.dev
 	$(BIN)/stkzoo assets install

@@ -50,6 +50,8 @@ if TYPE_CHECKING:
     from stkzoo.env.multi import STKRaceMultiEnv
     from stkzoo.env.parallel import RaceParallelEnv
     from stkzoo.env.single import STKRaceEnv
+    from stkzoo.env.state import RaceState
+    from stkzoo.env.vec.env import RaceVectorEnv
     from stkzoo.env.vector import make_stkrace_vec
     from stkzoo.mdp.rewards import Reward
 
@@ -82,6 +84,8 @@ __all__ = [
     "PowerupType",
     "ProtocolError",
     "RaceParallelEnv",
+    "RaceState",
+    "RaceVectorEnv",
     "RemoteError",
     "Reward",
     "STKRaceEnv",
@@ -94,6 +98,8 @@ __all__ = [
 #: Names that are loaded when they are first used.
 _LAZY = {
     "RaceParallelEnv": "stkzoo.env.parallel",
+    "RaceState": "stkzoo.env.state",
+    "RaceVectorEnv": "stkzoo.env.vec.env",
     "Reward": "stkzoo.mdp.rewards",
     "STKRaceEnv": "stkzoo.env.single",
     "STKRaceMultiEnv": "stkzoo.env.multi",

@@ -19,7 +19,12 @@ from gymnasium.wrappers import (
 
 from stkzoo.errors import ActionError, AgentException, ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
-from stkzoo.wrappers import AgentChains, DiscreteActionsWrapper, PolarObservations
+from stkzoo.wrappers import (
+    AgentChains,
+    ConstantSizedObservations,
+    DiscreteActionsWrapper,
+    PolarObservations,
+)
 from stkzoo.wrappers.batch import split
 from tests.generic_env import VIEWS, assert_same, kart_env, random_batch, wrap
 
@@ -658,3 +663,32 @@ def test_chains_pickle_in_the_middle_of_a_race(is_mid_step):
 def test_chains_around_no_agents_decode_nothing():
     chains = make_chains(None)
     assert chains.decode({}, [])["steer"].shape == (0, 1)
+
+
+class TestPathsUsed:
+    """How many track segments have to be made for the chains."""
+
+    @staticmethod
+    def chains(**factories):
+        agents = list(factories)
+        return AgentChains(
+            {agent: kart_observation_space() for agent in agents},
+            {agent: kart_action_space() for agent in agents},
+            factories,
+        )
+
+    def test_is_the_most_that_any_chain_looks_at(self):
+        chains = self.chains(
+            a=lambda env: PolarObservations(ConstantSizedObservations(env, state_paths=3)),
+            b=lambda env: ConstantSizedObservations(env, state_paths=8),
+        )
+        assert chains.paths_used == 8
+
+    def test_is_all_when_one_agent_sees_everything(self):
+        assert self.chains(a=ConstantSizedObservations, b=None).paths_used is None
+
+    def test_is_all_for_a_users_own_kind_of_wrapper(self):
+        class Mine(ConstantSizedObservations):
+            pass
+
+        assert self.chains(a=Mine).paths_used is None

@@ -14,7 +14,9 @@ from stkzoo.wrappers.action_observation import ActionObservationWrapper
 from stkzoo.wrappers.actions import read_actions
 from stkzoo.wrappers.batch import space_identity, split
 from stkzoo.wrappers.batched import BatchedWrapper
+from stkzoo.wrappers.constant_size import ConstantSizedObservations
 from stkzoo.wrappers.handover import ParkedStep
+from stkzoo.wrappers.memory import Memory
 from stkzoo.wrappers.mono_env import AgentStep, MonoAgentEnv
 
 __all__ = ["AgentChain", "WrapperFactory", "agent_failures"]
@@ -94,6 +96,13 @@ class AgentChain:
             space_identity(self.base_action_space),
             tuple(w.batch_identity() for w in self._wrappers if isinstance(w, BatchedWrapper)),
         )
+
+    def paths_used(self) -> int | None:
+        """How many track segments the chain looks at; ``None`` is all."""
+        innermost = self._wrappers[-1] if self._wrappers else None
+        if isinstance(innermost, ConstantSizedObservations) and innermost.keeps_batch_promise():
+            return innermost.state_paths
+        return None
 
     def reset(
         self,
@@ -194,6 +203,42 @@ class AgentChain:
         if self._parked is not None:
             self._parked.abandon()
             self._parked = None
+
+    def memory(self) -> Memory | None:
+        """What the wrappers remember between steps; ``None`` if they are pure functions.
+
+        Raises:
+            AgentException: they hold something that cannot be copied.
+        """
+        if self.is_batched:
+            return None
+        self.abandon()
+        with agent_failures(self.agent, "have their state copied"):
+            return Memory.of([*self._wrappers, self._mono])
+
+    def check_memory(self, memory: Memory | None) -> None:
+        """Checks that :meth:`recall` can take a memory.
+
+        Raises:
+            AgentException: it is one of other wrappers.
+        """
+        with agent_failures(self.agent, "take over a saved state"):
+            if self.is_batched != (memory is None):
+                raise TypeError("they are of another kind than the state's")
+            if memory is not None:
+                memory.check([*self._wrappers, self._mono])
+
+    def recall(self, memory: Memory | None) -> None:
+        """Makes the wrappers remember what :meth:`memory` gave, here or in an equal chain.
+
+        Raises:
+            AgentException: it is one of other wrappers.
+        """
+        self.abandon()
+        self.check_memory(memory)
+        if memory is not None:
+            with agent_failures(self.agent, "take over a saved state"):
+                memory.give_to([*self._wrappers, self._mono])
 
     def close(self) -> None:
         """Forgets a begun step and closes the wrappers."""

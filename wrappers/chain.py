@@ -15,6 +15,7 @@ from stkzoo.errors import ActionError, ConfigError
 from stkzoo.wrappers.actions import read_actions
 from stkzoo.wrappers.agent_chain import AgentChain, WrapperFactory, agent_failures
 from stkzoo.wrappers.batch import split, take
+from stkzoo.wrappers.memory import Memory
 
 __all__ = ["AgentChains"]
 
@@ -42,6 +43,7 @@ class AgentChains:
     Attributes:
         observation_spaces: each agent's observation space, after its wrappers.
         action_spaces: each agent's action space, before its wrappers.
+        paths_used: how many track segments the chains look at; ``None`` is all.
 
     Args:
         observation_spaces: each agent's base observation space.
@@ -79,6 +81,7 @@ class AgentChains:
             agent: chain.identity() if chain.is_batched else agent
             for agent, chain in self._chains.items()
         }
+        self.paths_used = _most([chain.paths_used() for chain in self._chains.values()])
         self._ignored = frozenset(ignored)
         self._plan_key: tuple[str, ...] | None = None
         self._plan: list[_Group] = []
@@ -213,6 +216,32 @@ class AgentChains:
             {agent: results[agent][4] for agent in agents},
         )
 
+    def memory(self) -> dict[str, Memory | None]:
+        """What each agent's wrappers remember between steps, as a value.
+
+        Raises:
+            AgentException: a wrapper holds something that cannot be copied.
+        """
+        return {agent: chain.memory() for agent, chain in self._chains.items()}
+
+    def check_memory(self, memory: Mapping[str, Memory | None]) -> None:
+        """Checks that :meth:`recall` can take a memory.
+
+        Raises:
+            AgentException: an agent's wrappers are others.
+        """
+        for agent, chain in self._chains.items():
+            chain.check_memory(memory[agent])
+
+    def recall(self, memory: Mapping[str, Memory | None]) -> None:
+        """Makes the wrappers remember what :meth:`memory` gave, here or in equal chains.
+
+        Raises:
+            AgentException: an agent's wrappers are others.
+        """
+        for agent, chain in self._chains.items():
+            chain.recall(memory[agent])
+
     def close(self) -> None:
         """Closes all wrappers."""
         for chain in self._chains.values():
@@ -310,6 +339,11 @@ def _shared_space(action_spaces: Mapping[str, spaces.Space[Any]]) -> spaces.Dict
     if not isinstance(first, spaces.Dict) or any(space != first for space in found):
         raise ConfigError(f"agents need one Dict space for all base actions, but have {found!r}.")
     return first
+
+
+def _most(counts: Sequence[int | None]) -> int | None:
+    known = [count for count in counts if count is not None]
+    return max(known, default=None) if len(known) == len(counts) else None
 
 
 def _zeros(space: spaces.Dict, count: int) -> dict[str, npt.NDArray[Any]]:

@@ -4,6 +4,10 @@ Every child is the first race of its process, which is what makes a race repeat 
 bit (the engine carries hidden random state from one race to the next). The mother has
 never run a race, holds no graphics and runs no threads, so that forking it is safe.
 
+A race's process can make copies of itself (:mod:`stkzoo.engine.offspring`), which become
+children of the mother too: she ends and reaps them like all others, once the program has
+told her of them.
+
 It talks with the program over one packet socket: a JSON object a packet, with the
 child's socket and log file handed over as file descriptors.
 """
@@ -23,6 +27,7 @@ import time
 import traceback
 from typing import Any, NoReturn
 
+from stkzoo.engine import offspring
 from stkzoo.engine.race import init_engine
 from stkzoo.engine.serve import serve
 
@@ -34,7 +39,6 @@ READY = b"ready"
 _POLL_SECONDS = 0.5
 #: How long a child whose connection broke may take to end by itself.
 _GRACE_SECONDS = 0.2
-_PR_SET_PDEATHSIG = 1
 
 
 def main(control_fd: int, self_destruct_after: int) -> None:
@@ -46,15 +50,15 @@ def main(control_fd: int, self_destruct_after: int) -> None:
     init_engine("none")
     control.send(READY)
     try:
-        _Mother(control, libc, self_destruct_after).run()
+        _Mother(control, self_destruct_after).run()
     finally:
         shutil.rmtree(os.environ["HOME"], ignore_errors=True)
 
 
 class _Mother:
-    def __init__(self, control: socket.socket, libc: ctypes.CDLL, self_destruct_after: int):
+    def __init__(self, control: socket.socket, self_destruct_after: int):
         self._control = control
-        self._libc = libc
+        self._pid = os.getpid()
         self._self_destruct_after = self_destruct_after
         self._program = os.getppid()
         self._living: set[int] = set()
@@ -83,6 +87,8 @@ class _Mother:
             self._reply(status=self._end(request["pid"]))
         elif request["do"] == "drop":
             self._drop(request["pid"])
+        elif request["do"] == "adopt":
+            self._adopt(request["pid"])
         return True
 
     def _reply(self, **values: int | None) -> None:
@@ -100,17 +106,23 @@ class _Mother:
     def _run_child(self, session_fd: int, log_fd: int) -> NoReturn:
         status = 1
         try:
-            self._libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-            os.dup2(log_fd, 1)
-            os.dup2(log_fd, 2)
-            self._control.close()
-            session = socket.socket(fileno=session_fd)
-            serve(session, self_destruct_after=self._self_destruct_after)
+            offspring.die_with(self._pid)
+            session = offspring.move_to(self._control, session_fd, log_fd)
+            serve(session, self_destruct_after=self._self_destruct_after, mother=self._pid)
             status = 0
         except BaseException:  # noqa: BLE001 - nothing of the mother may run in the child
             traceback.print_exc()
         finally:
             os._exit(status)
+
+    def _adopt(self, pid: int) -> None:
+        """Takes charge of a copy that a child has made of itself."""
+        with contextlib.suppress(ChildProcessError):  # it has ended and was reaped
+            ended, status = os.waitpid(pid, os.WNOHANG)
+            if ended:
+                self._statuses[pid] = status
+            else:
+                self._living.add(pid)
 
     def _end(self, pid: int) -> int | None:
         """Makes sure that a child is gone; its wait status, if it is one of ours."""
@@ -132,13 +144,18 @@ class _Mother:
         self._statuses.pop(pid, None)
 
     def _reap(self) -> None:
-        for pid in tuple(self._living):
-            ended, status = os.waitpid(pid, os.WNOHANG)
-            if ended:
-                self._living.discard(pid)
-                if pid not in self._dropped:
-                    self._statuses[pid] = status
-                self._dropped.discard(pid)
+        while True:
+            try:
+                pid, status = os.waitpid(-1, os.WNOHANG)
+            except ChildProcessError:
+                return
+            if not pid:
+                return
+            # Others are copies that nobody has told of, and nobody will ask about.
+            if pid in self._living and pid not in self._dropped:
+                self._statuses[pid] = status
+            self._living.discard(pid)
+            self._dropped.discard(pid)
 
 
 def _unbuffer_output(libc: ctypes.CDLL) -> None:

@@ -24,8 +24,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any
 
+from stkzoo.engine import wire
 from stkzoo.engine.mother import READY
-from stkzoo.errors import EngineCrashed, EngineTimeout
+from stkzoo.errors import EngineCrashed, EngineError, EngineTimeout
 
 __all__ = [
     "START_TIMEOUT",
@@ -75,7 +76,9 @@ class Log:
         return self._file.fileno()
 
     def tail(self) -> str:
-        """The last lines written."""
+        """The last lines written; nothing once the file is closed."""
+        if self._file.closed:
+            return ""
         start = max(0, os.fstat(self.fileno()).st_size - _LOG_TAIL_BYTES)
         # Not through the file object: the writer shares its position.
         return os.pread(self.fileno(), _LOG_TAIL_BYTES, start).decode(errors="replace").strip()
@@ -106,6 +109,36 @@ class RaceProcess:
     def drop(self) -> None:
         """Ends the process without waiting for it, and frees what belongs to it."""
         raise NotImplementedError
+
+    def reply(self) -> bytes:
+        """Waits for one answer of the process.
+
+        Raises:
+            EngineError: the game refused what it was asked for.
+            EOFError: the process is gone.
+            TimeoutError: the connection's time-out passed.
+        """
+        kind, data = wire.receive(self.connection)
+        if kind == wire.ERROR:
+            error = json.loads(data)
+            raise EngineError(
+                f"the game refused: {error['type']}: {error['message']}\n{error['traceback']}",
+                self.log.tail(),
+            )
+        return data
+
+    def fork(self) -> RaceProcess:
+        """A copy of the process as it is now; call it between two requests.
+
+        Raises:
+            EngineError: no copy could be made; the process is as before.
+            EOFError: the process is gone.
+            TimeoutError: the connection's time-out passed.
+        """
+        raise EngineError(
+            "a race's state can be saved and copied only where races are forked: on Linux, "
+            "without a window, and with STKZOO_START_METHOD not set to spawn"
+        )
 
     def _free(self) -> None:
         self.connection.close()
@@ -210,6 +243,11 @@ class Mother:
         with contextlib.suppress(OSError):
             self._control.send(json.dumps({"do": "drop", "pid": pid}).encode())
 
+    def adopt(self, pid: int) -> None:
+        """Tells the mother of a copy that one of her children has made of itself."""
+        with contextlib.suppress(OSError):  # a mother that is gone has ended the copy too
+            self._control.send(json.dumps({"do": "adopt", "pid": pid}).encode())
+
     def close(self) -> None:
         """Ends the mother and with her all her children."""
         self._control.close()
@@ -272,6 +310,43 @@ class _ForkedRace(RaceProcess):
     def drop(self) -> None:
         self._mother.drop_child(self.pid)
         self._free()
+
+    def fork(self) -> RaceProcess:
+        with contextlib.ExitStack() as on_failure:
+            ours, theirs, log = _connection_and_log()
+            on_failure.callback(ours.close)
+            on_failure.callback(log.close)
+            with theirs:
+                wire.send(self.connection, wire.FORK)
+                wire.send_files(self.connection, [theirs.fileno(), log.fileno()])
+            pid = int(self.reply())
+            ours.settimeout(self.connection.gettimeout())
+            self._mother.adopt(pid)
+            on_failure.callback(self._mother.drop_child, pid)
+            try:
+                wire.receive(ours)
+            except (EOFError, OSError):
+                message = "a copy of the game's process ended before it could answer"
+                raise EngineCrashed(message, log.tail()) from None
+            on_failure.pop_all()
+        return _ForkedRace(ours, pid, log, self._mother)
+
+
+def _connection_and_log() -> tuple[socket.socket, socket.socket, Log]:
+    """What a copy of a process needs: both ends of a connection, and a log."""
+    try:
+        with contextlib.ExitStack() as on_failure:
+            ends = socket.socketpair()
+            for end in ends:
+                on_failure.callback(end.close)
+            log = Log()
+            on_failure.pop_all()
+    except OSError as error:
+        raise EngineError(
+            f"there is no room for a copy of the game's process: {error}; close() some saved "
+            "states, or raise the system's limit on open files (ulimit -n)"
+        ) from error
+    return *ends, log
 
 
 class _SpawnedRace(RaceProcess):

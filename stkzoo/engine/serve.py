@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import socket
 import traceback
 
 import numpy as np
 
-from stkzoo.engine import wire
+from stkzoo.engine import offspring, wire
 from stkzoo.engine.race import GameRace
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS
@@ -17,7 +18,9 @@ from stkzoo.engine.snapshot import CONTROLS
 __all__ = ["serve"]
 
 
-def serve(connection: socket.socket, *, self_destruct_after: int) -> None:
+def serve(
+    connection: socket.socket, *, self_destruct_after: int, mother: int | None = None
+) -> None:
     """Serves requests until the other end quits or is gone.
 
     Args:
@@ -25,6 +28,8 @@ def serve(connection: socket.socket, *, self_destruct_after: int) -> None:
         self_destruct_after: seconds after which a single request that is still running
             ends this process, so that a game which hangs cannot outlive a program that
             can no longer end it.
+        mother: process id of the parent, if it is a mother process, whose children copies
+            of this process become; without her, there are no copies.
     """
     race: GameRace | None = None
     while True:
@@ -43,13 +48,34 @@ def serve(connection: socket.socket, *, self_destruct_after: int) -> None:
                     race = None  # the engine counts a race until its object is gone
                 race = GameRace(RaceSetup.from_json(data))
                 wire.send(connection, wire.OK, *race.begin().to_frames())
+            elif kind == wire.FORK and mother is not None:
+                connection = _fork(connection, mother)
             else:
                 return
-        except BrokenPipeError:
+        except (EOFError, BrokenPipeError):
             return
         except Exception as error:  # noqa: BLE001 - it is the program that must hear of it
             wire.send(connection, wire.ERROR, _describe(error))
         _set_alarm(0)
+
+
+def _fork(connection: socket.socket, mother: int) -> socket.socket:
+    """Copies this process; returns the connection to serve, a new one in the copy."""
+    session_fd, log_fd = wire.receive_files(connection, 2)
+    try:
+        pid = offspring.fork_beside(mother)
+    except OSError:
+        os.close(session_fd)
+        os.close(log_fd)
+        raise
+    if pid:
+        os.close(session_fd)
+        os.close(log_fd)
+        wire.send(connection, wire.OK, str(pid).encode())
+    else:
+        connection = offspring.move_to(connection, session_fd, log_fd)
+        wire.send(connection, wire.OK)
+    return connection
 
 
 def _set_alarm(seconds: int) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import json
 import os
 import shutil
 import tempfile
@@ -42,14 +41,39 @@ class Session(Protocol):
         """Starts a race and ends the one before; returns once karts stand on the grid."""
 
     def step(self, controls: Controls) -> Snapshot:
-        """Advances the race by one step.
+        """:meth:`step_async` and :meth:`step_wait` in one."""
+
+    def step_async(self, controls: Controls) -> None:
+        """Asks for one step, which a process of its own takes while the caller goes on.
 
         Args:
             controls: ``(P, 7)`` float32, as in :meth:`stkzoo.engine.race.GameRace.step`.
 
         Raises:
+            ApiOrderError: there is no race, or a step is under way.
+            EngineCrashed: the game's process died.
+        """
+
+    def step_wait(self) -> Snapshot:
+        """The moment after the step that :meth:`step_async` asked for.
+
+        Raises:
             EngineCrashed: the game's process died.
             EngineTimeout: it gave no answer in time and was ended.
+        """
+
+    def branch(self) -> Session:
+        """A session of its own whose race is a copy of this one's present moment.
+
+        Raises:
+            EngineError: races cannot be copied here, or the game's process has failed.
+        """
+
+    def resume(self, other: Session) -> None:
+        """Ends this session's race and goes on with a copy of another's present moment.
+
+        Raises:
+            EngineError: as for :meth:`branch`; this session's race goes on.
         """
 
     def close(self) -> None:
@@ -65,13 +89,19 @@ class WorkerSession:
             fresh process each, whose results repeat bit for bit; with a window one
             process is kept from race to race.
         timeout: seconds that one step may take.
+
+    Attributes:
+        what: what an error calls the process.
+        remedy: what an error says to do when it has ended.
     """
 
     def __init__(self, root: Path, graphics: str = "none", timeout: float = 30.0) -> None:
+        self.what = "the game's process"
+        self.remedy = "call reset() to start a new one"
         self._root = root
         self._graphics = graphics
         start_timeout = START_TIMEOUT if graphics == "none" else WINDOW_START_TIMEOUT
-        self._timeouts = {wire.BEGIN: start_timeout, wire.ACT: timeout}
+        self._timeouts = {wire.BEGIN: start_timeout, wire.ACT: timeout, wire.FORK: timeout}
         self._asked: bytes | None = None  # the kind of a request whose answer is to come
         self._process: RaceProcess | None = None
         self._owner = os.getpid()
@@ -105,18 +135,28 @@ class WorkerSession:
         return RaceStart.from_frames(*self._receive(wire.BEGIN, replies=3))
 
     def step_async(self, controls: Controls) -> None:
-        """Asks for a step; the game takes it while the caller goes on."""
-        if self._owner != os.getpid():
-            raise ApiOrderError(
-                f"this race belongs to process {self._owner}, from which this process "
-                f"({os.getpid()}) was forked; call reset() to start one here"
-            )
+        """See :meth:`Session.step_async`."""
+        self._require_own()
         self._send(wire.ACT, controls.tobytes())
 
     def step_wait(self) -> Snapshot:
-        """The moment after the step that :meth:`step_async` asked for."""
+        """See :meth:`Session.step_wait`."""
         (reply,) = self._receive(wire.ACT, replies=1)
         return Snapshot.from_bytes(reply)
+
+    def branch(self) -> WorkerSession:
+        """See :meth:`Session.branch`."""
+        branch = WorkerSession(self._root, self._graphics, self._timeouts[wire.ACT])
+        branch._process = self._fork()
+        return branch
+
+    def resume(self, other: Session) -> None:
+        """See :meth:`Session.resume`."""
+        if self._graphics != "none" or not isinstance(other, WorkerSession):
+            raise EngineError(_NO_COPIES)
+        process = other._fork()
+        self.close()
+        self._process, self._owner = process, os.getpid()
 
     def close(self) -> None:
         """See :meth:`Session.close`."""
@@ -133,10 +173,23 @@ class WorkerSession:
         with contextlib.suppress(Exception):  # the interpreter may be half gone
             self.close()
 
+    def _fork(self) -> RaceProcess:
+        """A copy of the race's process."""
+        self._require_own()
+        process = self._idle()
+        with self._ending_what_fails(process, spared=EngineError):
+            process.connection.settimeout(self._timeouts[wire.FORK])
+            return process.fork()
+
+    def _require_own(self) -> None:
+        if self._owner != os.getpid():
+            raise ApiOrderError(
+                f"this race belongs to process {self._owner}, from which this process "
+                f"({os.getpid()}) was forked; call reset() to start one here"
+            )
+
     def _send(self, kind: bytes, data: bytes) -> None:
-        process = self._living()
-        if self._asked is not None:
-            raise ApiOrderError("the answer to the request before has not been waited for")
+        process = self._idle()
         with self._ending_what_fails(process):
             process.connection.settimeout(self._timeouts[kind])
             wire.send(process.connection, kind, data)
@@ -148,26 +201,41 @@ class WorkerSession:
             raise ApiOrderError("there is no request to wait for")
         self._asked = None
         with self._ending_what_fails(process):
-            return [_read_reply(process) for _ in range(replies)]
+            return [process.reply() for _ in range(replies)]
+
+    def _idle(self) -> RaceProcess:
+        process = self._living()
+        if self._asked is not None:
+            raise ApiOrderError("the answer to the request before has not been waited for")
+        return process
 
     def _living(self) -> RaceProcess:
         if self._process is None:
-            raise ApiOrderError("the race is over or its process has ended; call reset() first")
+            raise ApiOrderError(f"{self.what} has ended or there is none; {self.remedy}")
         return self._process
 
     @contextlib.contextmanager
-    def _ending_what_fails(self, process: RaceProcess) -> Iterator[None]:
-        """Ends the process after any failure, for its stream of answers is in disorder."""
+    def _ending_what_fails(
+        self, process: RaceProcess, spared: type[Exception] | tuple[()] = ()
+    ) -> Iterator[None]:
+        """Ends the process after any failure, for its stream of answers is in disorder.
+
+        Args:
+            process: the process.
+            spared: a failure that leaves the stream in order.
+        """
         try:
             yield
+        except spared:
+            raise
         except TimeoutError:
             seconds = process.connection.gettimeout()
             _, log = self._end(process)
-            message = f"the game gave no answer in {seconds:g} s and was ended; call reset()"
+            message = f"{self.what} gave no answer in {seconds:g} s and was ended; {self.remedy}"
             raise EngineTimeout(message, log) from None
         except (EOFError, OSError):
             how, log = self._end(process)
-            message = f"the game's process {how}; call reset() to start a new one"
+            message = f"{self.what} {how}; {self.remedy}"
             raise EngineCrashed(message, log) from None
         except BaseException:
             self._end(process)
@@ -181,16 +249,11 @@ class WorkerSession:
         return how, log
 
 
-def _read_reply(process: RaceProcess) -> bytes:
-    kind, data = wire.receive(process.connection)
-    if kind == wire.ERROR:
-        error = json.loads(data)
-        raise EngineError(
-            f"the game refused: {error['type']}: {error['message']}\n{error['traceback']}",
-            process.log.tail(),
-        )
-    return data
-
+#: Why a race in this process or in a window cannot be saved and copied.
+_NO_COPIES = (
+    "a race's state can be saved and copied only while it runs without a window in a process "
+    "of its own; leave use_subprocess at True and render_mode at None"
+)
 
 #: The session that holds the engine of this process, if any.
 _holder: weakref.ref[LocalSession] | None = None
@@ -208,6 +271,7 @@ class LocalSession:
         self._root = root
         self._graphics = graphics
         self._race: GameRace | None = None
+        self._controls: Controls | None = None
 
     def start(self, setup: RaceSetup) -> RaceStart:
         """See :meth:`Session.start`."""
@@ -220,13 +284,33 @@ class LocalSession:
 
     def step(self, controls: Controls) -> Snapshot:
         """See :meth:`Session.step`."""
+        self.step_async(controls)
+        return self.step_wait()
+
+    def step_async(self, controls: Controls) -> None:
+        """See :meth:`Session.step_async`; nothing moves before :meth:`step_wait` here."""
         if self._race is None:
             raise ApiOrderError("there is no race; call reset() first")
+        self._controls = controls
+
+    def step_wait(self) -> Snapshot:
+        """See :meth:`Session.step_wait`."""
+        controls, self._controls = self._controls, None
+        if self._race is None or controls is None:
+            raise ApiOrderError("there is no request to wait for")
         return self._race.step(controls)
+
+    def branch(self) -> Session:
+        """See :meth:`Session.branch`; refused here."""
+        raise EngineError(_NO_COPIES)
+
+    def resume(self, other: Session) -> None:  # noqa: ARG002 - the interface
+        """See :meth:`Session.resume`; refused here."""
+        raise EngineError(_NO_COPIES)
 
     def close(self) -> None:
         """See :meth:`Session.close`."""
-        race, self._race = self._race, None
+        race, self._race, self._controls = self._race, None, None
         if race is not None:
             race.stop()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -51,13 +52,28 @@ class Episode:
         self.race = replace(race, kart_types=start.kart_types)
         self.track_map = decode_track(start.track)
         self.snapshot = start.snapshot
-        self.record = EpisodeRecord(rewards, race.kart_indices, self.track_map.length * race.laps)
-        self._max_cycles = options.max_cycles
-        self._num_steps = 0
         self._kart_of = dict(zip(rewards, race.kart_indices, strict=True))
         self._is_player = np.array([not kart.is_bot for kart in setup.karts])
         self._reports_control = any(kart.reports_control for kart in setup.karts)
-        self._observer = KartObserver(self.track_map, start.kart_types, options.max_paths)
+        self._start(options, rewards)
+
+    def copy(self) -> Episode:
+        """A copy of this moment; either goes on without touching the other."""
+        twin = copy.copy(self)
+        shared = {id(reward): reward for reward in self._rewards.values()}
+        twin.record = copy.deepcopy(self.record, shared)
+        return twin
+
+    def anew(self, options: RaceOptions, rewards: Mapping[str, Reward]) -> Episode:
+        """An episode that starts at this moment of this race.
+
+        Args:
+            options: of which ``max_cycles`` and ``max_paths`` count.
+            rewards: every agent's reward, in agent order.
+        """
+        twin = copy.copy(self)
+        twin._start(options, rewards)
+        return twin
 
     def controls(
         self, actions: Mapping[str, npt.NDArray[Any]], agents: Sequence[str]
@@ -82,10 +98,15 @@ class Episode:
         self._num_steps += 1
         return rewards
 
-    def observe(self, agents: Sequence[str]) -> dict[str, Any]:
-        """What some agents see now in the ``full`` view, in batch form."""
+    def observe(self, agents: Sequence[str], paths_used: int | None = None) -> dict[str, Any]:
+        """What some agents see now in the ``full`` view, in batch form.
+
+        Args:
+            agents: the agents.
+            paths_used: make no more track segments than this.
+        """
         karts = self._karts(agents)
-        batch = self._observer.observe(self.snapshot, karts)
+        batch = self._observer.observe(self.snapshot, karts, paths_used)
         if self._reports_control:
             batch["action"] = ai_actions(self.snapshot, karts)
         return batch
@@ -110,6 +131,15 @@ class Episode:
         bots = [kart for kart in range(len(self.snapshot.karts)) if kart not in agents]
         order = np.array([*agents, *bots], np.intp)
         return race_state(self.snapshot, order, self.track_map.length, self.race.laps)
+
+    def _start(self, options: RaceOptions, rewards: Mapping[str, Reward]) -> None:
+        """Starts all counts at zero."""
+        self._rewards = rewards
+        race_length = self.track_map.length * self.race.laps
+        self.record = EpisodeRecord(rewards, self.race.kart_indices, race_length)
+        self._num_steps = 0
+        self._max_cycles = options.max_cycles
+        self._observer = KartObserver(self.track_map, self.race.kart_types, options.max_paths)
 
     def _karts(self, agents: Sequence[str]) -> npt.NDArray[np.intp]:
         return np.array([self._kart_of[agent] for agent in agents], np.intp)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+import contextlib
+from collections.abc import Iterator, Sequence
+from typing import Any, TypeVar
 
 import gymnasium as gym
 from gymnasium.utils import EzPickle
@@ -13,10 +14,13 @@ from stkzoo.engine.assets import find_assets
 from stkzoo.engine.process import can_fork, start_mother
 from stkzoo.engine.track import TrackMap
 from stkzoo.env.parallel import RaceParallelEnv
+from stkzoo.env.state import RaceState
 from stkzoo.env.world import WorldView
 from stkzoo.errors import ApiOrderError
 
 __all__ = ["GymnasiumRaceEnv"]
+
+_Self = TypeVar("_Self", bound="GymnasiumRaceEnv")
 
 
 class _TrackNames:
@@ -97,6 +101,48 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], EzPickle):
     def close(self) -> None:
         """Ends the game's process; ``reset`` may be called again."""
         self.core.close()
+
+    def save_state(self) -> RaceState:
+        """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.save_state`.
+
+        What wrappers around this environment count, as ``TimeLimit`` does, is not in it.
+        """
+        state = self.core.save_state()
+        state.front = self._front()
+        return state
+
+    def restore_state(self, state: RaceState) -> None:
+        """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.restore_state`."""
+        self.core.restore_state(state)
+        self._go_on(state.front)
+
+    def clone(self: _Self) -> _Self:
+        """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.clone`."""
+        make: Any = type(self)
+        twin: _Self = make(*self._ezpickle_args, **self._ezpickle_kwargs)
+        twin.core.follow(self.core)
+        twin._go_on(self._front())
+        return twin
+
+    @contextlib.contextmanager
+    def lookahead(self: _Self) -> Iterator[_Self]:
+        """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.lookahead`."""
+        branch = self.clone()
+        try:
+            yield branch
+        finally:
+            branch.close()
+
+    def _go_on(self, front: Any) -> None:
+        self.np_random = self.core.np_random
+        self._recall(front)
+
+    def _front(self) -> Any:
+        """What this environment remembers beside the core, as a value."""
+        return None
+
+    def _recall(self, front: Any) -> None:
+        """Remembers what :meth:`_front` gave; with ``None``, what the core knows."""
 
     def _seed_core(self, seed: int | None) -> None:
         """Makes the core draw from this environment's stream, as Gymnasium seeds it."""

@@ -54,10 +54,12 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
         """Starts a race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`."""
         self._seed_core(seed)
         observations, infos = self.core.reset(options=options)
-        self._terminated = dict.fromkeys(observations, False)
-        self._truncated = dict.fromkeys(observations, False)
-        self._infos = infos
-        return self._by_number(observations), self._info(dict.fromkeys(observations, 0.0))
+        self._recall(None)
+        self._infos.update(infos)
+        return (
+            self._by_number({**self._observe_departed(observations), **observations}),
+            self._info(dict.fromkeys(self.core.possible_agents, 0.0)),
+        )
 
     def step(
         self, action: Mapping[str, Any]
@@ -81,6 +83,17 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
             any(truncations.values()),
             self._info({agent: rewards.get(agent, 0.0) for agent in self.core.possible_agents}),
         )
+
+    def _front(self) -> Any:
+        return dict(self._terminated), dict(self._truncated), dict(self._infos)
+
+    def _recall(self, front: Any) -> None:
+        agents = self.core.possible_agents
+        self._terminated = {agent: agent not in self.core.agents for agent in agents}
+        self._truncated = dict.fromkeys(agents, False)
+        self._infos = self.core.infos(agents)
+        if front is not None:
+            self._terminated, self._truncated, self._infos = map(dict, front)
 
     def _remember(
         self,

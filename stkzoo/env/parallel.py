@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import copy
 import logging
 import warnings
-from collections.abc import Mapping, Sequence
+import weakref
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -31,6 +34,7 @@ from stkzoo.env.options import (
     check_num_cameras,
     checked_seed,
 )
+from stkzoo.env.state import Moment, RaceState, check_max_snapshots
 from stkzoo.env.views import views_of_agents
 from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
@@ -68,6 +72,8 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
         use_subprocess: run the game in a process of its own (the default). In this
             process there can be one race at a time, and with bots only the first repeats.
         engine_timeout: seconds that the game may take for one step.
+        max_snapshots: how many states saved by this environment may be open at a time;
+            each is a process of about a megabyte and two open files.
 
     Raises:
         ConfigError: an argument cannot be.
@@ -100,6 +106,7 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
         max_cycles: int | None = 1500,
         graphics_config: Any = None,
         engine_timeout: float = 30.0,
+        max_snapshots: int = 100,
     ) -> None:
         arguments = {name: value for name, value in locals().items() if name != "self"}
         EzPickle.__init__(self, **arguments)
@@ -116,6 +123,7 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
         self.specs = _specs(agents, num_kart)
         check_num_cameras(num_cameras)
         check_engine_timeout(engine_timeout)
+        check_max_snapshots(max_snapshots)
         self.render_mode = _checked_render_mode(render_mode, self.metadata["render_modes"])
         self._num_cameras = num_cameras
         self._graphics = graphics_setting(render_mode, graphics_config)
@@ -144,6 +152,9 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
             self._assets, use_subprocess, self._graphics, float(engine_timeout)
         )
         self._episode: Episode | None = None
+        self._asked: Episode | None = None  # whose step is under way
+        self._max_snapshots = max_snapshots
+        self._states: weakref.WeakSet[RaceState] = weakref.WeakSet()
 
     # ------------------------------------------------------------------ PettingZoo's API
 
@@ -163,7 +174,10 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
         Args:
             seed: starts the environment's random stream anew; ``None`` goes on with it.
             options: fields of :class:`~stkzoo.env.options.RaceOptions` for this episode
-                alone, except ``num_kart``; others are ignored with a log line.
+                alone, except ``num_kart``; others are ignored with a log line. ``state``
+                is a :class:`~stkzoo.env.state.RaceState`: the episode starts at that moment
+                of that race, with the agents that were racing, and counts from zero; of
+                the other options only ``max_cycles`` and ``max_paths`` go with it.
 
         Returns:
             Observations and infos by agent.
@@ -172,18 +186,18 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
             self._np_random, _ = seeding.np_random(checked_seed(seed))
         options_now = self._options_now(options or {})
         self._check_specs()
-        tracks = options_now.tracks(self._assets.tracks)
-        has_window = self.render_mode == "human"
-        setup, race = draw_race(
-            options_now, self.specs, tracks, self._num_cameras, has_window, self._np_random
-        )
-        self.agents, self._episode = [], None  # in case the start fails
-        start = self._session.start(setup)
-        self._episode = Episode(options_now, setup, race, start, self._rewards)
-        agents = list(self.possible_agents)
+        state = (options or {}).get("state")
+        if state is None:
+            agents = list(self.possible_agents)
+            self._episode = self._new_race(options_now, self._np_random)
+        else:
+            agents = self._racing_agents(state, options or {})
+            state.resume_in(self._session)
+            self._episode = state.moment.episode.anew(options_now, self._rewards)
+        self.agents, self._asked = [], None  # in case a wrapper fails
         result = self._chains.reset(
             agents,
-            self._episode.observe(agents),
+            self._episode.observe(agents, self._chains.paths_used),
             self._episode.infos(agents),
             seed=seed,
             options=dict(options or {}),
@@ -207,15 +221,49 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
             ApiOrderError: before the first ``reset``.
             EngineError: the game died or hangs; ``reset`` starts anew.
         """
+        self.step_async(actions)
+        return self.step_wait()
+
+    def step_async(self, actions: Mapping[str, Any]) -> None:
+        """Asks for a step, which the game takes while the caller goes on.
+
+        With the game in this process (``use_subprocess=False``) nothing moves before
+        :meth:`step_wait`.
+
+        Args:
+            actions: as for :meth:`step`.
+
+        Raises:
+            ActionError: an action is missing or cannot be; the race has not moved.
+            ApiOrderError: before the first ``reset``, or twice without :meth:`step_wait`.
+            EngineError: the game died or hangs; ``reset`` starts anew.
+        """
         episode, agents = self._running("step"), self.agents
+        if self._asked is episode:
+            raise ApiOrderError("step_async() twice without step_wait(); call step_wait() first")
+        controls = episode.controls(self._chains.decode(actions, agents), agents)
+        if agents:
+            self._session.step_async(controls)
+        self._asked = episode
+
+    def step_wait(self) -> StepResult:
+        """What came of the step that :meth:`step_async` asked for; see :meth:`step`.
+
+        Raises:
+            ApiOrderError: without :meth:`step_async`.
+            EngineError: the game died or hangs; ``reset`` starts anew.
+        """
+        episode, self._asked = self._asked, None
+        if episode is None or episode is not self._episode:
+            raise ApiOrderError("step_wait() without step_async(); call step_async() first")
+        agents = self.agents
         if not agents:
             return {}, {}, {}, {}, {}
-        controls = episode.controls(self._chains.decode(actions, agents), agents)
-        rewards = episode.advance(self._session.step(controls), agents)
+        rewards = episode.advance(self._session.step_wait(), agents)
         terminations = episode.terminations(agents)
         result: StepResult = self._chains.step(
             agents,
-            episode.observe(agents),
+            episode.observe(agents, self._chains.paths_used),
             rewards,
             terminations,
             episode.truncations(terminations),
@@ -238,7 +286,7 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
 
     def close(self) -> None:
         """Ends the game's process; ``reset`` may be called again."""
-        self.agents, self._episode = [], None
+        self.agents, self._episode, self._asked = [], None, None
         self._session.close()
         self._chains.close()
 
@@ -299,7 +347,132 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
         """
         return self._running("observe_batch").observe(agents)
 
+    # ------------------------------------------------------------------ state as a value
+
+    def save_state(self) -> RaceState:
+        """Keeps this moment of the race; the race itself goes on as if nothing had been.
+
+        Raises:
+            ApiOrderError: before the first ``reset``, or with ``max_snapshots`` states open.
+            AgentException: an agent's wrapper holds something that cannot be copied.
+            EngineError: races are not forked here, or the game died.
+        """
+        self._running("save_state")
+        if self.num_snapshots >= self._max_snapshots:
+            raise ApiOrderError(
+                f"{self.num_snapshots} saved states of this environment are open, as many as "
+                "max_snapshots allows; close() some or raise max_snapshots"
+            )
+        moment = self._moment()
+        state = RaceState(self._session.branch(), moment)
+        self._states.add(state)
+        return state
+
+    def restore_state(self, state: RaceState) -> None:
+        """Goes on from a saved moment, with everything as it was then.
+
+        That includes the counts of the episode, the reward that it was saved with, what
+        wrappers remember and the random stream, so that the resets that follow repeat too.
+        The race that was running here ends.
+
+        Raises:
+            ApiOrderError: the state was closed.
+            ConfigError: the state is of an environment with other karts or agents.
+            EngineError: races are not forked here, or the state's process was ended; this
+                environment's race goes on.
+        """
+        self._check_moment(_checked_state(state).moment)
+        state.resume_in(self._session)
+        self._go_on_from(state.moment)
+
+    def clone(self) -> RaceParallelEnv:
+        """An environment of its own that goes on from this moment.
+
+        Raises:
+            ApiOrderError: before the first ``reset``.
+            AgentException: an agent's wrapper holds something that cannot be copied.
+            EngineError: races are not forked here, or the game died.
+        """
+        self._running("clone")
+        make: Any = type(self)
+        twin: RaceParallelEnv = make(*self._ezpickle_args, **self._ezpickle_kwargs)
+        twin.follow(self)
+        return twin
+
+    def follow(self, other: RaceParallelEnv) -> None:
+        """Goes on from where another environment is now, like a clone of it.
+
+        Raises: as :meth:`restore_state`.
+        """
+        other._running("clone")
+        moment = other._moment()
+        self._check_moment(moment)
+        self._session.resume(other._session)
+        self.options = other.options
+        self._go_on_from(moment)
+
+    @contextlib.contextmanager
+    def lookahead(self) -> Iterator[RaceParallelEnv]:
+        """A clone to try things in, closed at the end; this environment stays where it is.
+
+        Raises: as :meth:`clone`.
+        """
+        branch = self.clone()
+        try:
+            yield branch
+        finally:
+            branch.close()
+
+    @property
+    def num_snapshots(self) -> int:
+        """How many states that this environment saved are open."""
+        return sum(state.is_open for state in self._states)
+
+    def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
+        """The present infos of some agents, racing or not, before their wrappers."""
+        return self._running("infos").infos(agents)
+
     # ------------------------------------------------------------------ helpers
+
+    def _new_race(self, options: RaceOptions, random: np.random.Generator) -> Episode:
+        tracks = options.tracks(self._assets.tracks)
+        has_window = self.render_mode == "human"
+        setup, race = draw_race(options, self.specs, tracks, self._num_cameras, has_window, random)
+        self.agents, self._episode, self._asked = [], None, None  # in case the start fails
+        return Episode(options, setup, race, self._session.start(setup), self._rewards)
+
+    def _racing_agents(self, state: object, options: Mapping[str, Any]) -> list[str]:
+        """The agents of an episode that starts from a state."""
+        moment = _checked_state(state).moment
+        moment.check_karts(self.options.num_kart, self.possible_agents, self._ai_agents)
+        fixed = set(RaceOptions.__dataclass_fields__) - {"max_cycles", "max_paths", "num_kart"}
+        if fixed & set(options):
+            raise ConfigError(
+                f"options have a state and {', '.join(sorted(fixed & set(options)))}, which the "
+                "state's race has already; leave out one or the other"
+            )
+        if not moment.agents:
+            raise ApiOrderError("the state was saved when all agents had left; nobody can act")
+        return list(moment.agents)
+
+    def _moment(self) -> Moment:
+        if self._asked is not None:
+            raise ApiOrderError("a step is under way; call step_wait() first")
+        episode = self._running("save_state").copy()
+        random = copy.deepcopy(self.np_random)
+        memory = self._chains.memory()
+        return Moment(episode, tuple(self.agents), frozenset(self._ai_agents), random, memory)
+
+    def _check_moment(self, moment: Moment) -> None:
+        moment.check_karts(self.options.num_kart, self.possible_agents, self._ai_agents)
+        self._chains.check_memory(moment.memory)
+
+    def _go_on_from(self, moment: Moment) -> None:
+        self._asked = None
+        self._chains.recall(moment.memory)
+        self._episode = moment.episode.copy()
+        self.agents = list(moment.agents)
+        self._np_random = copy.deepcopy(moment.random)
 
     def _running(self, method: str) -> Episode:
         if self._episode is None:
@@ -325,7 +498,7 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
                 f"options ask for {episode.num_kart} karts in an environment of "
                 f"{self.options.num_kart}; make another environment for that"
             )
-        unknown = set(options) - set(RaceOptions.__dataclass_fields__)
+        unknown = set(options) - set(RaceOptions.__dataclass_fields__) - {"state"}
         if unknown:
             logger.warning("reset() ignores unknown options: %s", ", ".join(map(str, unknown)))
         return episode
@@ -339,6 +512,12 @@ def _specs(agents: Sequence[AgentSpec] | int | None, num_kart: int) -> list[Agen
     if isinstance(agents, Sequence) and not isinstance(agents, str):
         return list(agents)
     raise ConfigError(f"agents is {agents!r}, expected a list of AgentSpec or a number of agents")
+
+
+def _checked_state(state: object) -> RaceState:
+    if not isinstance(state, RaceState):
+        raise ConfigError(f"state is {state!r}, expected what save_state() returned")
+    return state
 
 
 def _checked_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:

@@ -44,15 +44,17 @@ class KartObserver:
             np.intp,
         ).reshape(num_kart, num_kart - 1)
 
-    def observe(self, snapshot: Snapshot, karts: IntArray) -> Batch:
+    def observe(self, snapshot: Snapshot, karts: IntArray, paths_used: int | None = None) -> Batch:
         """The observations of some karts, in batch form.
 
         Args:
             snapshot: the moment.
             karts: ``(A,)`` indices of the observing karts.
+            paths_used: make no more segments than this, because nobody looks at them.
         """
         records = snapshot.karts[karts]
-        ahead = self._track.nodes_ahead(records["node"], self._max_paths)
+        limits = [limit for limit in (self._max_paths, paths_used) if limit is not None]
+        ahead = self._track.nodes_ahead(records["node"], min(limits, default=None))
         front, own_node, items, others, ahead_ends = self._seen(snapshot, records, karts, ahead)
         return {
             "kart_type": self._kart_types[karts],
@@ -113,9 +115,10 @@ def _words_of(fields: Iterable[str]) -> tuple[list[int], list[slice]]:
     """Where fields stand in a record seen as 4-byte words, and then in a row of just these."""
     words: list[int] = []
     places: list[slice] = []
+    layout = dict(KART_DTYPE.fields or {})
     for field in fields:
-        part = (KART_DTYPE.fields or {})[field]
-        begin, count = part[1] // 4, part[0].itemsize // 4
+        part, offset, *_ = layout[field]
+        begin, count = offset // 4, part.itemsize // 4
         places.append(slice(len(words), len(words) + count))
         words.extend(range(begin, begin + count))
     return words, places

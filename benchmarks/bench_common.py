@@ -1,0 +1,311 @@
+"""What the benchmark commands share: arguments, figures, facts of the host, tables, files."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import json
+import os
+import platform
+import statistics
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import rich.table
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from benchmarks.bench_driver import Times
+
+__all__ = [
+    "KARTS",
+    "RESULTS",
+    "VIEWS",
+    "Table",
+    "add_driving",
+    "cores",
+    "figures",
+    "host_facts",
+    "parser",
+    "print_tables",
+    "progress_bar",
+    "quantiles",
+    "save",
+    "spread",
+]
+
+RESULTS = Path(__file__).parent / "results"
+KARTS = (1, 3, 10, 20)
+VIEWS = ("full", "simple", "flattened", "flattened_discrete")
+
+#: Tables are not squeezed into less, even where the terminal is narrower.
+_TABLE_WIDTH = 200
+_PACKAGES = ("stkzoo", "PySuperTuxKart2", "pystk2-gymnasium", "numpy", "numba", "gymnasium")
+
+
+def parser(
+    doc: str | None,
+    name: str,
+    *,
+    steps: int,
+    karts: Sequence[int],
+    track: str = "lighthouse",
+    cores: int | Sequence[int] = 1,
+) -> argparse.ArgumentParser:
+    """The arguments that all commands have.
+
+    Args:
+        doc: the command's module docstring.
+        name: of the file in ``benchmarks/results`` that it writes by default, less suffix.
+        steps: default of ``--steps``.
+        karts: default of ``--karts``.
+        track: default of ``--track``.
+        cores: default of ``--cores``; the command takes several if these are.
+    """
+    made = argparse.ArgumentParser(
+        prog=f"python -m benchmarks.bench_{name}",
+        description=doc,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    made.add_argument(
+        "--steps",
+        type=_positive,
+        default=steps,
+        metavar="N",
+        help=f"measured steps of each contender (default: {steps})",
+    )
+    made.add_argument(
+        "--karts",
+        type=_positive,
+        nargs="+",
+        default=list(karts),
+        metavar="K",
+        help=f"numbers of karts (default: {' '.join(map(str, karts))})",
+    )
+    made.add_argument("--track", default=track, help=f"the track (default: {track})")
+    made.add_argument(
+        "--cores",
+        type=_whole,
+        nargs=None if isinstance(cores, int) else "+",
+        default=cores,
+        metavar="N",
+        help=f"cores for a contender and its processes, 0 for all (default: {cores})",
+    )
+    output = RESULTS / f"{name}.json"
+    made.add_argument("--output", type=Path, default=output, help="where the JSON goes")
+    return made
+
+
+def add_driving(words: argparse.ArgumentParser) -> None:
+    """Adds ``--driving`` to a command that compares steps."""
+    words.add_argument(
+        "--driving",
+        choices=("heuristic", "random"),
+        default="heuristic",
+        help="recorded driving of the heuristic agent, or random actions (default: heuristic)",
+    )
+
+
+def cores(number: int) -> tuple[int, ...]:
+    """The last so many cores of those that this process may use; none, for any, if 0."""
+    if not number or not hasattr(os, "sched_getaffinity"):
+        return ()
+    return tuple(sorted(os.sched_getaffinity(0))[-number:])
+
+
+def quantiles(values: Iterable[float]) -> dict[str, float]:
+    """Median and the 10 and 90 % quantiles.
+
+    Raises:
+        ValueError: there are no values.
+    """
+    ordered = sorted(values)
+    if not ordered:
+        raise ValueError("there are no values, expected at least one measured step")
+    cuts = statistics.quantiles(ordered, n=10, method="inclusive") if len(ordered) > 1 else []
+    low, high = (cuts[0], cuts[-1]) if cuts else (ordered[0], ordered[0])
+    return {"median": statistics.median(ordered), "p10": low, "p90": high}
+
+
+def figures(times: Times, bare: Times | None = None) -> dict[str, Any]:
+    """One contender's figures.
+
+    Args:
+        times: of the contender.
+        bare: of the bare engine in the same run, if it ran.
+
+    Returns:
+        Quantiles of ``step`` and ``engine`` (inside ``Race.step``) in microseconds; of
+        ``ratio`` (``step / engine``) and ``overhead`` (``step - engine``, microseconds),
+        both step by step; and the number ``to_bare``, the median of ``step`` over that of
+        the bare engine.
+    """
+    pairs = [(t, e) for t, e in zip(times["total"], times["engine"], strict=True) if e]
+    found: dict[str, Any] = {"step": quantiles(1e6 * t for t in times["total"])}
+    if pairs:
+        found["engine"] = quantiles(1e6 * e for _, e in pairs)
+        found["ratio"] = quantiles(t / e for t, e in pairs)
+        found["overhead"] = quantiles(1e6 * (t - e) for t, e in pairs)
+    if bare is not None:
+        found["to_bare"] = statistics.median(times["total"]) / statistics.median(bare["engine"])
+    return found
+
+
+def host_facts() -> dict[str, Any]:
+    """What a reader must know of the machine; nothing that names it."""
+    return {
+        "cpu": _cpu(),
+        "cores": os.cpu_count(),
+        "memory_gib": round(_memory_bytes() / 2**30, 1),
+        "system": f"{platform.system()} {platform.machine()}",
+        "load_at_start": [round(load, 2) for load in _LOAD],
+        "python": platform.python_version(),
+        "packages": {name: _version(name) for name in _PACKAGES},
+    }
+
+
+def save(
+    output: Path, name: str, settings: argparse.Namespace, results: Sequence[Mapping[str, Any]]
+) -> None:
+    """Writes the results as JSON, with the command and the facts of the host.
+
+    Args:
+        output: the file.
+        name: of the benchmark, as its module without ``bench_``.
+        settings: the command's arguments.
+        results: what was measured; floats are rounded to five digits that count.
+    """
+    arguments = {k: v for k, v in vars(settings).items() if k != "output"}
+    report = {
+        "benchmark": name,
+        "command": _command(name, arguments),
+        "host": host_facts(),
+        "settings": arguments,
+        "results": results,
+    }
+    output.parent.mkdir(parents=True, exist_ok=True)
+    output.write_text(json.dumps(_rounded(report), indent=1) + "\n")
+    Console().print(f"written to {output}", markup=False, highlight=False, soft_wrap=True)
+
+
+@dataclass(frozen=True)
+class Table:
+    """One table of a report.
+
+    Attributes:
+        title: what it shows, with units.
+        columns: headings; the first column is text, the others are figures.
+        rows: cells as text.
+        note: a line below it.
+    """
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    note: str = ""
+
+    def to_markdown(self) -> str:
+        """The table for a Markdown page."""
+        rule = [":--", *["--:"] * (len(self.columns) - 1)]
+        lines = [" | ".join(cells) for cells in (self.columns, rule, *self.rows)]
+        parts = [f"**{self.title}**", "\n".join(f"| {line} |" for line in lines), self.note]
+        return "\n\n".join(filter(None, parts)) + "\n"
+
+
+def print_tables(tables: Iterable[Table]) -> None:
+    """Prints tables on the terminal."""
+    console = Console()
+    console.width = max(_TABLE_WIDTH, console.width)
+    for table in tables:
+        shown = rich.table.Table(
+            title=table.title, caption=table.note or None, box=box.SIMPLE, padding=(0, 1, 0, 0)
+        )
+        for number, column in enumerate(table.columns):
+            shown.add_column(column, justify="right" if number else "left", no_wrap=True)
+        for row in table.rows:
+            shown.add_row(*row)
+        console.print(shown)
+
+
+def spread(found: Mapping[str, float] | None, digits: int = 0) -> str:
+    """A median with its quantiles, ``"52 (49..60)"``; ``"-"`` for none."""
+    if found is None:
+        return "-"
+    median, low, high = (f"{found[key]:.{digits}f}" for key in ("median", "p10", "p90"))
+    return f"{median} ({low}..{high})"
+
+
+@contextmanager
+def progress_bar(total: int) -> Iterator[tuple[Progress, Any]]:
+    """A progress bar on the standard error stream, and its task."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        yield progress, progress.add_task("", total=total)
+
+
+_LOAD = os.getloadavg() if hasattr(os, "getloadavg") else ()
+
+
+def _positive(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text} is less than 1")
+    return number
+
+
+def _whole(text: str) -> int:
+    number = int(text)
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"{text} is less than 0")
+    return number
+
+
+def _command(name: str, arguments: Mapping[str, Any]) -> str:
+    words = ["python", "-m", f"benchmarks.bench_{name}"]
+    for key, value in arguments.items():
+        parts = value if isinstance(value, list) else [value]
+        words += [f"--{key.replace('_', '-')}", *map(str, parts)]
+    return " ".join(words)
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _cpu() -> str:
+    if sys.platform == "linux":
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor()
+
+
+def _memory_bytes() -> int:
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return 0
+
+
+def _rounded(value: Any) -> Any:
+    """Floats with five digits that count: no more is known of them."""
+    if isinstance(value, float):
+        return float(f"{value:.5g}")
+    if isinstance(value, Mapping):
+        return {key: _rounded(part) for key, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_rounded(part) for part in value]
+    return value

@@ -1,0 +1,195 @@
+"""The interpreter of one contender: it answers requests and measures what they take.
+
+:class:`benchmarks.bench_driver.Contender` starts this module and sends requests by lines of
+JSON; nothing heavy is imported here before it is asked for, so that imports can be timed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TextIO
+
+from benchmarks.bench_runners import runner_for
+from benchmarks.bench_timing import CLOCK_VARIABLE, Clock, time_the_engine
+
+__all__ = ["serve"]
+
+#: A request that lasts longer ends the process: nobody may be left to end it.
+_MAX_REQUEST_SECONDS = 900
+
+
+class _Server:
+    """Answers requests; every method is one."""
+
+    def __init__(self, spec: dict[str, Any]) -> None:
+        self._clock = Clock()
+        os.environ[CLOCK_VARIABLE] = self._clock.path
+        time_the_engine(self._clock)
+        self._runner = runner_for(spec)
+        self._num_kart = spec["num_kart"]
+
+    def load(self) -> float:
+        """Seconds of the import."""
+        return _seconds(self._runner.load)
+
+    def make(self) -> float:
+        """Seconds of making the environment."""
+        return _seconds(self._runner.make)
+
+    def reset(
+        self,
+        track: str,
+        seed: int,
+        race: dict[str, Any] | None = None,
+        controls: list[list[list[int]]] | None = None,
+    ) -> float:
+        """Seconds of one reset; steps will follow ``controls``, or random ones."""
+        seconds = _seconds(self._runner.reset, track, seed, race)
+        from benchmarks.bench_controls import RandomControls, RecordedControls
+
+        self._controls = (
+            RecordedControls(controls) if controls else RandomControls(self._num_kart, seed)
+        )
+        return seconds
+
+    def record(self, track: str, seed: int, count: int) -> list[list[list[int]]]:
+        """How the heuristic driver drives the agents of a race; bots' karts have zeros."""
+        from benchmarks.bench_controls import on_grid, to_action
+        from stkzoo.agents.heuristic import create_state, get_actor
+
+        env, drive = self._runner.env, get_actor(None, None, None)  # type: ignore[attr-defined]
+        observations, _ = env.reset(seed=seed, options={"track": track})
+        states = {agent: create_state() for agent in env.agents}
+        rows = []
+        for _ in range(count):
+            row = [[0] * 7 for _ in range(self._num_kart)]
+            actions = {}
+            for agent, kart in zip(env.agents, env.race.kart_indices, strict=True):
+                row[kart] = on_grid(drive(states[agent], observations[agent]))
+                actions[agent] = to_action("full", row[kart])
+            observations, *_ = env.step(actions)
+            rows.append(row)
+        return rows
+
+    def race(self) -> dict[str, Any]:
+        """What was drawn for the present race."""
+        return self._runner.race()
+
+    def steps(self, count: int) -> dict[str, list[float | None]]:
+        """Takes steps; seconds of each, in all, inside ``Race.step`` and ``GameRace.step``."""
+        runner, clock = self._runner, self._clock
+        times: dict[str, list[float | None]] = {"total": [], "engine": [], "game": []}
+        for _ in range(count):
+            action = runner.action(self._controls.next())
+            start = time.perf_counter()
+            self.last = runner.step(action)
+            times["total"].append(time.perf_counter() - start)
+            times["engine"].append(clock.take(Clock.RACE))
+            times["game"].append(clock.take(Clock.GAME))
+        return times
+
+    def distances(self) -> list[float]:
+        """Where all karts are."""
+        return self._runner.distances()
+
+    def sizes(self) -> dict[str, int]:
+        """How much there is to see."""
+        return self._runner.sizes()
+
+    def profile(self, count: int, top: int) -> str:
+        """Steps under cProfile: the table of the most expensive functions."""
+        import cProfile
+        import io
+        import pstats
+
+        profile = cProfile.Profile()
+        for _ in range(count):
+            action = self._runner.action(self._controls.next())
+            profile.enable()
+            self.last = self._runner.step(action)
+            profile.disable()
+        text = io.StringIO()
+        pstats.Stats(profile, stream=text).strip_dirs().sort_stats("tottime").print_stats(top)
+        return text.getvalue()
+
+    def fork_reset(self, track: str, seed: int) -> float:
+        """Seconds of one reset in a fork of this process."""
+        reader, writer = os.pipe()
+        child = os.fork()
+        if child == 0:
+            status = 1
+            try:
+                seconds = _seconds(self._runner.reset, track, seed, None)
+                os.write(writer, json.dumps(seconds).encode())
+                status = 0
+            finally:
+                os._exit(status)
+        os.close(writer)
+        with os.fdopen(reader) as answer:
+            text = answer.read()
+        os.waitpid(child, 0)
+        return float(json.loads(text))
+
+    def close(self) -> float:
+        """Seconds of closing."""
+        return _seconds(self._runner.close)
+
+
+def _seconds(function: Callable[..., Any], *arguments: Any) -> float:
+    start = time.perf_counter()
+    function(*arguments)
+    return time.perf_counter() - start
+
+
+def _let_forks_die_with_this() -> None:
+    """Lets no process that the reference forks outlive this one."""
+    if sys.platform != "linux":
+        return
+    import ctypes
+
+    prctl = ctypes.CDLL(None).prctl
+    # 1 is PR_SET_PDEATHSIG
+    os.register_at_fork(after_in_child=lambda: prctl(1, signal.SIGKILL))
+
+
+def serve() -> None:
+    """The other interpreter's main function: a request and an answer a line, until EOF."""
+    _let_forks_die_with_this()
+    replies = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)  # what the engine prints
+    spec = json.loads(sys.stdin.readline())
+    if spec["cores"] and hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, spec["cores"])
+    with tempfile.TemporaryDirectory(prefix="stkzoo-bench-") as home:
+        if spec["kind"] == "stkzoo":
+            folder = str(Path(__file__).parent / "bench_instrument")
+            paths = [folder, *filter(None, [os.environ.get("PYTHONPATH")])]
+            os.environ["PYTHONPATH"] = os.pathsep.join(paths)
+        else:
+            os.environ["HOME"] = home  # a player's settings must not change a race
+        _answer_all(_Server(spec), replies)
+
+
+def _answer_all(server: _Server, replies: TextIO) -> None:
+    for line in sys.stdin:
+        if hasattr(signal, "alarm"):
+            signal.alarm(_MAX_REQUEST_SECONDS)  # a game that hangs ends this process
+        request = json.loads(line)
+        answer = getattr(server, request.pop("do"))(**request)
+        try:
+            replies.write(json.dumps(answer) + "\n")
+        except BrokenPipeError:
+            break
+        if hasattr(signal, "alarm"):
+            signal.alarm(0)
+
+
+if __name__ == "__main__":
+    serve()

@@ -1,0 +1,216 @@
+"""Contenders seen from the program that measures them."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from stkzoo.engine.assets import find_assets
+
+__all__ = ["WARMUP", "Contender", "Spec", "Times", "contenders", "race_together", "record_controls"]
+
+#: Steps before the measured ones: the start, and the reference's compiler.
+WARMUP = 40
+
+#: Seconds of every measured step of a contender: ``total`` for the caller, ``engine`` inside
+#: ``pystk2.Race.step``, ``game`` inside stkzoo's ``GameRace.step`` (``None``: not measured).
+Times = dict[str, list[Any]]
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What a contender is.
+
+    Attributes:
+        kind: ``bare`` (the engine alone), ``stkzoo`` or ``reference`` (pystk2-gymnasium).
+        api: ``parallel``, ``multi`` (the id multi-full-v0) or ``single`` (one kart's ids).
+        view: the view, for ``parallel`` and ``single``.
+        num_kart: number of karts.
+        num_agents: how many of them are driven by actions, the rest by the game.
+        subprocess: whether the game runs in a process of its own.
+        cores: cores that the contender may use; any if empty.
+    """
+
+    kind: str
+    api: str = "parallel"
+    view: str = "full"
+    num_kart: int = 3
+    num_agents: int = 3
+    subprocess: bool = False
+    cores: tuple[int, ...] = ()
+
+
+class Contender:
+    """One contender in an interpreter of its own.
+
+    Args:
+        spec: what it is.
+
+    Raises:
+        RuntimeError: a request failed; the text ends with what the process wrote.
+    """
+
+    def __init__(self, spec: Spec) -> None:
+        self.spec = spec
+        self._log: IO[bytes] = tempfile.TemporaryFile(prefix="stkzoo-bench-")  # noqa: SIM115
+        self._process = subprocess.Popen(
+            [sys.executable, "-W", "ignore", "-m", "benchmarks.bench_contenders"],
+            cwd=Path(__file__).parents[1],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            text=True,
+            env=os.environ | (_engine_variables() if spec.kind != "stkzoo" else {}),
+        )
+        self._send(asdict(spec))
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    def ask(self, what: str, **arguments: Any) -> Any:
+        """Sends a request (a method of the contender's server) and waits for its answer."""
+        self._send({"do": what, **arguments})
+        line = self._process.stdout.readline() if self._process.stdout else ""
+        if not line:
+            self._process.wait()
+            raise RuntimeError(f"{self.spec} failed at {what!r}:\n{self._tail()}")
+        return json.loads(line)
+
+    def close(self) -> None:
+        """Ends the interpreter."""
+        try:
+            self._process.communicate(timeout=10.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.communicate()
+        self._log.close()
+
+    def __enter__(self) -> Contender:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def _send(self, message: Mapping[str, Any]) -> None:
+        if self._process.stdin is None:
+            raise RuntimeError("the contender was closed; make a new one")
+        try:
+            self._process.stdin.write(json.dumps(message) + "\n")
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            raise RuntimeError(f"{self.spec} is gone:\n{self._tail()}") from None
+
+    def _tail(self) -> str:
+        self._log.seek(0)
+        return self._log.read().decode(errors="replace")[-3000:]
+
+
+def _engine_variables() -> dict[str, str]:
+    """The same data and calm BLAS that stkzoo gives its engine processes."""
+    return {
+        "SUPERTUXKART_DATADIR": str(find_assets().root),
+        "OPENBLAS_NUM_THREADS": "1",
+        "OMP_NUM_THREADS": "1",
+    }
+
+
+@contextmanager
+def contenders(specs: Mapping[str, Spec]) -> Iterator[dict[str, Contender]]:
+    """Contenders by name, imported and made, one after the other."""
+    with ExitStack() as stack:
+        started = {name: stack.enter_context(Contender(spec)) for name, spec in specs.items()}
+        for contender in started.values():
+            contender.ask("load")
+            contender.ask("make")
+        yield started
+
+
+def race_together(
+    started: Mapping[str, Contender],
+    *,
+    track: str,
+    steps: int,
+    warmup: int = WARMUP,
+    block: int = 20,
+    seed: int = 1,
+    driving: str = "heuristic",
+    advance: Callable[[int], None] | None = None,
+) -> tuple[dict[str, Times], bool]:
+    """Runs the same race in all contenders, a few steps of each in turn.
+
+    Args:
+        started: contenders; one of stkzoo, if there is one, draws the race for all.
+        track: the track.
+        steps: measured steps of each.
+        warmup: steps before them, which are not measured.
+        block: steps of one contender before it is the next one's turn.
+        seed: of the race and the driving.
+        driving: ``heuristic`` repeats recorded sensible driving, ``random`` is erratic.
+        advance: told of every measured step.
+
+    Returns:
+        Times by contender, and whether all ran the same race to the last bit.
+    """
+    some = next(iter(started.values())).spec
+    controls = None
+    if driving == "heuristic":
+        controls = record_controls(track, some.num_kart, some.num_agents, seed, warmup + steps)
+    names = sorted(started, key=lambda name: started[name].spec.kind != "stkzoo")
+    race = None
+    for name in names:
+        started[name].ask("reset", track=track, seed=seed, race=race, controls=controls)
+        race = race or started[name].ask("race")
+    times: dict[str, Times] = {name: {"total": [], "engine": [], "game": []} for name in names}
+    for name in names:
+        started[name].ask("steps", count=warmup)
+    for turn, count in enumerate(_blocks(steps, block)):
+        first = turn % len(names)
+        for name in names[first:] + names[:first]:
+            for part, values in started[name].ask("steps", count=count).items():
+                times[name][part].extend(values)
+            if advance is not None:
+                advance(count)
+    ends = [started[name].ask("distances") for name in names]
+    return times, all(end == ends[0] for end in ends)
+
+
+@functools.cache
+def record_controls(
+    track: str, num_kart: int, num_agents: int, seed: int, count: int
+) -> list[list[list[int]]]:
+    """Driving of a race by the heuristic driver, which all contenders then repeat.
+
+    Karts that drive cost the engine less than karts that stand at a wall: without
+    sensible driving, every ratio to the engine's time would look too good.
+
+    Args:
+        track: the track.
+        num_kart: number of karts.
+        num_agents: how many of them are driven; the game drives the others.
+        seed: of the race.
+        count: number of steps N.
+
+    Returns:
+        ``(N, K, 7)`` whole numbers, as :meth:`benchmarks.bench_controls.Controls.next`.
+    """
+    spec = Spec("stkzoo", "parallel", "full", num_kart, num_agents, subprocess=True)
+    with Contender(spec) as recorder:
+        recorder.ask("load")
+        recorder.ask("make")
+        rows: list[list[list[int]]] = recorder.ask("record", track=track, seed=seed, count=count)
+    return rows
+
+
+def _blocks(steps: int, block: int) -> Sequence[int]:
+    return [min(block, steps - start) for start in range(0, steps, block)]

@@ -1,0 +1,17 @@
+"""Found by Python at its start when a benchmark puts this folder on ``PYTHONPATH``.
+
+It brings the benchmark's clock into the engine processes of stkzoo, which are
+interpreters of their own; see ``benchmarks/bench_timing.py``.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+if "STKZOO_BENCH_CLOCK" in os.environ:
+    _root = str(Path(__file__).resolve().parents[2])
+    sys.path.insert(0, _root)
+    from benchmarks.bench_timing import Clock, time_the_engine
+
+    sys.path.remove(_root)
+    time_the_engine(Clock(os.environ["STKZOO_BENCH_CLOCK"]))

@@ -1,0 +1,164 @@
+"""What a step costs: the bare engine, stkzoo and pystk2-gymnasium, side by side.
+
+    python -m benchmarks.bench_steps
+    python -m benchmarks.bench_steps --karts 3 10 --view full flattened --steps 300
+
+All contenders run the same race on the same actions, a few steps each in turn, so that a
+noisy machine is equally noisy to all; whether the karts ended at the same places, bit for
+bit, stands in the results. A step's ratio is its time over the time that the same step
+spent inside ``pystk2.Race.step``. Compiling and the first steps are not counted.
+
+Three groups: ``parallel`` is stkzoo's ParallelEnv, all karts agents, in each view;
+``multi`` the id multi-full-v0, all karts agents, in stkzoo and the reference; ``single``
+the ids of one kart in each view, the others driven by the game, in both.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from benchmarks.bench_common import (
+    KARTS,
+    VIEWS,
+    Table,
+    add_driving,
+    cores,
+    figures,
+    parser,
+    print_tables,
+    progress_bar,
+    save,
+    spread,
+)
+from benchmarks.bench_driver import Spec, contenders, race_together
+
+GROUPS = ("parallel", "multi", "single")
+
+
+@dataclass(frozen=True)
+class Heat:
+    """Contenders that run together.
+
+    Attributes:
+        group: one of :data:`GROUPS`.
+        view: what all of them observe.
+        num_kart: number of karts.
+        specs: contenders by name.
+    """
+
+    group: str
+    view: str
+    num_kart: int
+    specs: Mapping[str, Spec]
+
+
+def heats(options: argparse.Namespace) -> Iterator[Heat]:
+    """All heats that the options ask for."""
+    pinned = cores(options.cores)
+    for num_kart in options.karts:
+        for group in options.group:
+            if group == "single" and num_kart not in options.single_karts:
+                continue
+            for view in ("full",) if group == "multi" else options.view:
+                specs = _specs(group, view, num_kart, pinned)
+                yield Heat(group, view, num_kart, specs)
+
+
+def _specs(group: str, view: str, num_kart: int, pinned: tuple[int, ...]) -> dict[str, Spec]:
+    def spec(kind: str, subprocess: bool = False) -> Spec:
+        num_agents = 1 if group == "single" else num_kart
+        return Spec(kind, group, view, num_kart, num_agents, subprocess, pinned)
+
+    specs = {
+        "engine": spec("bare"),
+        "stkzoo, in process": spec("stkzoo"),
+        "stkzoo, worker": spec("stkzoo", subprocess=True),
+    }
+    # The reference's fixed-size views fail in a race without other karts.
+    if group == "multi" or (group == "single" and (num_kart > 1 or view == "full")):
+        specs["reference, in process"] = spec("reference")
+        specs["reference, subprocess"] = spec("reference", subprocess=True)
+    return specs
+
+
+def run(heat: Heat, options: argparse.Namespace, advance: Any) -> dict[str, Any]:
+    """Runs one heat; its part of the results."""
+    with contenders(heat.specs) as started:
+        times, is_same = race_together(
+            started,
+            track=options.track,
+            steps=options.steps,
+            driving=options.driving,
+            advance=advance,
+        )
+    return {
+        "group": heat.group,
+        "view": heat.view,
+        "karts": heat.num_kart,
+        "same_race": is_same,
+        "contenders": {name: figures(times[name], times["engine"]) for name in heat.specs},
+    }
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; returns its exit code."""
+    words = parser(__doc__, "steps", steps=300, karts=KARTS)
+    add_driving(words)
+    words.add_argument("--view", nargs="+", choices=VIEWS, default=list(VIEWS))
+    words.add_argument("--group", nargs="+", choices=GROUPS, default=list(GROUPS))
+    words.add_argument(
+        "--single-karts",
+        type=int,
+        nargs="+",
+        default=[1, 3],
+        metavar="K",
+        help="numbers of karts at which the ids of one kart are measured (default: 1 3)",
+    )
+    options = words.parse_args(arguments)
+    todo = list(heats(options))
+    results = []
+    with progress_bar(sum(len(heat.specs) for heat in todo) * options.steps) as (bar, task):
+        for heat in todo:
+            bar.update(task, description=f"{heat.group} {heat.view}, {heat.num_kart} karts")
+            results.append(run(heat, options, lambda count: bar.advance(task, count)))
+    print_tables(tables(results))
+    save(options.output, "steps", options, results)
+    return int(not all(result["same_race"] for result in results))
+
+
+def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
+    """The results, a table for each group."""
+    columns = ("", "view", "karts", "step", "in engine", "ratio", "added", "to bare", "same race")
+    return [
+        Table(
+            f"{group}: one step [µs], median (10..90 %)",
+            columns,
+            [row for result in results if result["group"] == group for row in _rows(result)],
+        )
+        for group in dict.fromkeys(result["group"] for result in results)
+    ]
+
+
+def _rows(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    return [
+        (
+            name,
+            result["view"],
+            str(result["karts"]),
+            spread(found["step"]),
+            spread(found.get("engine")),
+            spread(found.get("ratio"), 3),
+            spread(found.get("overhead")),
+            f"{found['to_bare']:.3f}",
+            "yes" if result["same_race"] else "NO",
+        )
+        for name, found in result["contenders"].items()
+    ]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

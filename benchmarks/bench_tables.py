@@ -1,0 +1,85 @@
+"""Writes ``docs/benchmarks.md`` from the saved results.
+
+python -m benchmarks.bench_tables
+python -m benchmarks.bench_tables --results trial --output page.md
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks import bench_memory, bench_resets, bench_scaling, bench_steps, bench_transport
+from benchmarks.bench_common import RESULTS, Table
+
+PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
+
+_SECTIONS: dict[str, tuple[str, Callable[[Any], Sequence[Table]]]] = {
+    "steps": ("Steps", bench_steps.tables),
+    "transport": ("The worker's transport", bench_transport.tables),
+    "resets": ("Imports and resets", bench_resets.tables),
+    "memory": ("Memory", bench_memory.tables),
+    "scaling": ("More karts, other tracks", bench_scaling.tables),
+}
+
+_HEAD = """# Benchmarks
+
+This page is written by `python -m benchmarks.bench_tables` from `benchmarks/results`;
+`make bench` measures everything anew and writes it. How it is measured, and what each figure
+means, stands in [benchmarks/README.md](../benchmarks/README.md). *Reference* is
+pystk2-gymnasium 0.10.0. Figures are medians, in brackets the 10 and 90 % quantiles.
+"""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; returns its exit code."""
+    words = argparse.ArgumentParser(
+        prog="python -m benchmarks.bench_tables",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    words.add_argument("--results", type=Path, default=RESULTS, help="folder of the JSON files")
+    words.add_argument("--output", type=Path, default=PAGE, help="the page")
+    options = words.parse_args(arguments)
+    reports = {
+        name: json.loads(path.read_text())
+        for name in _SECTIONS
+        if (path := options.results / f"{name}.json").exists()
+    }
+    if not reports:
+        words.error(f"there are no results in {options.results}; run make bench")
+    options.output.write_text(page(reports))
+    print(f"written to {options.output}")
+    return 0
+
+
+def page(reports: Mapping[str, Mapping[str, Any]]) -> str:
+    """The whole page.
+
+    Args:
+        reports: what the benchmarks have saved, by name.
+    """
+    parts = [_HEAD]
+    for name, report in reports.items():
+        title, tables = _SECTIONS[name]
+        parts += [f"## {title}\n", f"```\n{report['command']}\n```\n", _host(report["host"])]
+        parts += [table.to_markdown() for table in tables(report["results"])]
+    return "\n".join(parts)
+
+
+def _host(host: Mapping[str, Any]) -> str:
+    load = host["load_at_start"]
+    packages = ", ".join(f"{name} {version}" for name, version in host["packages"].items())
+    return (
+        f"{host['cpu']}, {host['cores']} cores, {host['memory_gib']} GiB, {host['system']}; "
+        f"Python {host['python']}; {packages}; load before the start "
+        f"{' '.join(map(str, load))}.\n"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

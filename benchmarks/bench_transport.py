@@ -1,0 +1,129 @@
+"""What it costs that the game runs in a process of its own, and nothing else.
+
+    python -m benchmarks.bench_transport
+    python -m benchmarks.bench_transport --cores 0 --karts 3
+
+The same race in process and in the default worker, a few steps each in turn. Step by step:
+
+- ``step``: the worker's step minus the one in process;
+- ``outside the engine``: the same without the time that each spent inside
+  ``pystk2.Race.step``, whose noise is larger than what is sought: the transport's figure;
+- ``outside the child``: of the worker's step, what did not pass inside ``GameRace.step``:
+  the transport and the caller's own work together.
+
+``--cores 1`` holds program and game on one core, where no wake-up crosses cores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from benchmarks.bench_common import (
+    KARTS,
+    VIEWS,
+    Table,
+    add_driving,
+    cores,
+    parser,
+    print_tables,
+    progress_bar,
+    quantiles,
+    save,
+    spread,
+)
+from benchmarks.bench_driver import Spec, Times, contenders, race_together
+
+HERE, THERE = "stkzoo, in process", "stkzoo, worker"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; returns its exit code."""
+    words = parser(__doc__, "transport", steps=300, karts=KARTS, cores=[1, 0])
+    add_driving(words)
+    words.add_argument("--view", nargs="+", choices=VIEWS, default=["flattened"])
+    options = words.parse_args(arguments)
+    todo = [
+        (n, view, karts) for n in options.cores for view in options.view for karts in options.karts
+    ]
+    results = []
+    with progress_bar(2 * len(todo) * options.steps) as (bar, task):
+        for number, view, karts in todo:
+            bar.update(task, description=f"{view}, {karts} karts, cores: {number or 'all'}")
+            advance = functools.partial(bar.advance, task)
+            results.append(measure(number, view, karts, options, advance))
+    print_tables(tables(results))
+    save(options.output, "transport", options, results)
+    return int(not all(result["same_race"] for result in results))
+
+
+def measure(
+    number: int, view: str, karts: int, options: argparse.Namespace, advance: Callable[[int], None]
+) -> dict[str, Any]:
+    """Both contenders on so many cores; their part of the results."""
+    specs = {
+        name: Spec("stkzoo", "parallel", view, karts, karts, name == THERE, cores(number))
+        for name in (HERE, THERE)
+    }
+    with contenders(specs) as started:
+        times, is_same = race_together(
+            started,
+            track=options.track,
+            steps=options.steps,
+            driving=options.driving,
+            advance=advance,
+        )
+    return {
+        "view": view,
+        "karts": karts,
+        "cores": number or "all",
+        "same_race": is_same,
+        **differences(times[HERE], times[THERE]),
+    }
+
+
+def differences(here: Times, there: Times) -> dict[str, Any]:
+    """Quantiles of the worker's extra microseconds; see the top of this file."""
+    outside = {
+        name: _minus(times["total"], times["engine"])
+        for name, times in ((HERE, here), (THERE, there))
+    }
+    found = {
+        "step": _minus(there["total"], here["total"]),
+        "outside_engine": _minus(outside[THERE], outside[HERE]),
+        "outside_child": _minus(there["total"], there["game"]),
+    }
+    return {
+        name: quantiles(1e6 * v for v in values) if values else None
+        for name, values in found.items()
+    }
+
+
+def _minus(left: Sequence[Any], right: Sequence[Any]) -> list[float]:
+    if None in left or None in right:
+        return []
+    return [a - b for a, b in zip(left, right, strict=False)]
+
+
+def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
+    """The results as one table."""
+    columns = ("view", "karts", "cores", "step", "outside the engine", "outside the child")
+    rows = [
+        (
+            result["view"],
+            str(result["karts"]),
+            str(result["cores"]),
+            spread(result["step"]),
+            spread(result["outside_engine"]),
+            spread(result["outside_child"]),
+        )
+        for result in results
+    ]
+    return [Table("what the worker adds to a step [µs], median (10..90 %)", columns, rows)]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

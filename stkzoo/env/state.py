@@ -1,0 +1,168 @@
+"""A race's whole state as a value: saved once, gone on from as often as you like."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, NoReturn
+
+import numpy as np
+
+from stkzoo.engine.session import Session, WorkerSession
+from stkzoo.engine.snapshot import Snapshot
+from stkzoo.env.episode import Episode
+from stkzoo.env.grid import RaceInfo
+from stkzoo.errors import ApiOrderError, ConfigError
+from stkzoo.wrappers.memory import Memory
+
+__all__ = ["Moment", "RaceState", "check_max_snapshots"]
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """What an environment knows beside the game, at one moment; nobody changes it.
+
+    Attributes:
+        episode: the race and its counts.
+        agents: who is still racing.
+        ai_agents: the agents that the game's AI drives.
+        random: the environment's random stream.
+        memory: what the agents' wrappers remember.
+    """
+
+    episode: Episode
+    agents: tuple[str, ...]
+    ai_agents: frozenset[str]
+    random: np.random.Generator
+    memory: Mapping[str, Memory | None]
+
+    def check_karts(self, num_kart: int, agents: Sequence[str], ai_agents: Set[str]) -> None:
+        """Checks that an environment can go on from here.
+
+        Args:
+            num_kart: its number of karts.
+            agents: its agents.
+            ai_agents: those that the game's AI drives.
+
+        Raises:
+            ConfigError: the state is of other karts or agents.
+        """
+        race = self.episode.race
+        saved = len(race.kart_types), len(race.kart_indices), self.ai_agents
+        if saved != (num_kart, len(agents), ai_agents):
+            raise ConfigError(
+                f"the state is of {_described(*saved)}, but this environment has "
+                f"{_described(num_kart, len(agents), ai_agents)}; restore it in one with the same"
+            )
+
+
+class RaceState:
+    """One moment of a race, kept: what ``save_state`` gives and ``restore_state`` takes.
+
+    The game itself stands still in a process of its own, a copy of the race's at that
+    moment, which every restoring copies again; so a state can be restored many times, in
+    the environment that saved it or in others with equal agents, also when that one has
+    been closed. It lives until :meth:`close`, or until nobody refers to it any more, or
+    until the program ends; it cannot be pickled.
+
+    Attributes:
+        front: what the environment around the core remembers, if there is one.
+    """
+
+    def __init__(self, session: Session, moment: Moment) -> None:
+        if isinstance(session, WorkerSession):
+            session.what = f"the process of a saved state ({moment.episode.race.track})"
+            session.remedy = "the state is lost; save another"
+        self.front: Any = None
+        self._session = session
+        self._moment = moment
+        self._is_open = True
+        self._lock = threading.Lock()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the state has not been closed."""
+        return self._is_open
+
+    @property
+    def pid(self) -> int | None:
+        """Id of the process that keeps the game; ``None`` once it has ended."""
+        return self._session.pid if isinstance(self._session, WorkerSession) else None
+
+    @property
+    def race(self) -> RaceInfo:
+        """Names of the race and its karts."""
+        return self._moment.episode.race
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """The agents that were still racing."""
+        return self._moment.agents
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """The moment as the game told it."""
+        return self._moment.episode.snapshot
+
+    @property
+    def moment(self) -> Moment:
+        """What the environment knew beside the game."""
+        return self._moment
+
+    def resume_in(self, session: Session) -> None:
+        """Makes a session go on with a copy of the saved race.
+
+        Raises:
+            ApiOrderError: the state was closed.
+            EngineCrashed: its process was ended from outside.
+            EngineTimeout: its process gave no answer in time.
+            EngineError: the session's races cannot be saved and copied.
+        """
+        if not self._is_open:
+            raise ApiOrderError("the state was closed; save another with save_state()")
+        with self._lock:  # environments in several threads may restore one state
+            session.resume(self._session)
+
+    def close(self) -> None:
+        """Ends the process that keeps the game; may be called again."""
+        self._is_open = False
+        self._session.close()
+
+    def __enter__(self) -> RaceState:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def __reduce__(self) -> NoReturn:
+        raise TypeError(
+            "a RaceState belongs to the program that saved it and cannot be pickled or copied; "
+            "restore it here, with restore_state() or reset(options={'state': ...})"
+        )
+
+    def __repr__(self) -> str:
+        is_open = "" if self._is_open else ", closed"
+        time = float(self.snapshot.header["time"])
+        return f"<RaceState of {self.race.track!r} at {time:.2f} s{is_open}>"
+
+
+def _described(num_kart: int, num_agents: int, ai_agents: Set[str]) -> str:
+    of_ai = f" ({', '.join(sorted(ai_agents))} with use_ai)" if ai_agents else ""
+    return f"{num_kart} karts and {num_agents} agents{of_ai}"
+
+
+def check_max_snapshots(value: object) -> None:
+    """Checks how many saved states an environment may have.
+
+    Raises:
+        ConfigError: it is no whole number of 0 or more.
+    """
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise ConfigError(f"max_snapshots is {value!r}, expected a whole number of 0 or more")

@@ -1,0 +1,1 @@
+"""Many races at once, every agent of every race a slot of one batch."""

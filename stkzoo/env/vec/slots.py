@@ -1,0 +1,223 @@
+"""One race as a row of slots, one for each agent, which start again when all have ended."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.env.vec.ahead import AheadRace
+from stkzoo.errors import EngineCrashed, EngineError, EngineTimeout
+
+__all__ = ["RaceSlots", "SlotSteps"]
+
+logger = logging.getLogger(__name__)
+
+#: How often a race is started anew when the game dies at its start.
+_MAX_STARTS = 3
+
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(slots=True)
+class SlotSteps:
+    """One step of ``S`` slots.
+
+    Attributes:
+        observations: what each slot sees next: after the end of its race the first
+            observation of the next one, and while it idles all zeros.
+        rewards: ``(S,)`` float64, zero for idle slots.
+        terminations: ``(S,)`` bool, whose agent has finished in this step.
+        truncations: ``(S,)`` bool, whose agent was cut short in this step.
+        active: ``(S,)`` bool, whose agent has acted in this step.
+        infos: each slot's info, belonging to its observation; empty while it idles.
+        finals: the last observation and info of the slots that ended in this step.
+        crashed: ``(S,)`` bool, whose race the game's process has left in this step.
+    """
+
+    observations: list[Any]
+    rewards: npt.NDArray[np.float64]
+    terminations: BoolArray
+    truncations: BoolArray
+    active: BoolArray
+    infos: list[dict[str, Any]]
+    finals: dict[int, tuple[Any, dict[str, Any]]]
+    crashed: BoolArray
+
+    @classmethod
+    def idle(cls, idle_obs: Any, count: int) -> SlotSteps:
+        """A step in which no slot takes part."""
+        flags = [np.zeros(count, np.bool_) for _ in range(4)]
+        return cls(
+            observations=[idle_obs] * count,
+            rewards=np.zeros(count),
+            terminations=flags[0],
+            truncations=flags[1],
+            active=flags[2],
+            infos=[{} for _ in range(count)],
+            finals={},
+            crashed=flags[3],
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[SlotSteps]) -> SlotSteps:
+        """The steps of several races as one."""
+        finals: dict[int, tuple[Any, dict[str, Any]]] = {}
+        first = 0
+        for part in parts:
+            finals.update({first + slot: final for slot, final in part.finals.items()})
+            first += len(part.rewards)
+        return cls(
+            observations=[obs for part in parts for obs in part.observations],
+            rewards=np.concatenate([part.rewards for part in parts]),
+            terminations=np.concatenate([part.terminations for part in parts]),
+            truncations=np.concatenate([part.truncations for part in parts]),
+            active=np.concatenate([part.active for part in parts]),
+            infos=[info for part in parts for info in part.infos],
+            finals=finals,
+            crashed=np.concatenate([part.crashed for part in parts]),
+        )
+
+
+class RaceSlots:
+    """The slots of one race.
+
+    Args:
+        race: the race's environment.
+        number: its number among the races, for the log.
+        idle_obs: what slots see whose episode has ended before their race.
+
+    Attributes:
+        race: the race's environment.
+        num_crashes: how often the game died or hung.
+    """
+
+    def __init__(self, race: AheadRace, number: int, idle_obs: Any) -> None:
+        self.race = race
+        self.num_crashes = 0
+        self._number = number
+        self._agents = race.possible_agents
+        self._idle_obs = idle_obs
+        self._last: dict[str, tuple[Any, dict[str, Any]]] = {}  # by agent, observation and info
+        self._returns = np.zeros(len(self._agents))
+        self._num_steps = 0
+        self._failure: EngineError | None = None
+
+    def __len__(self) -> int:
+        return len(self._agents)
+
+    @property
+    def racing(self) -> BoolArray:
+        """``(S,)`` bool: whose agent is in the race now."""
+        racing = self.race.agents
+        return np.array([agent in racing for agent in self._agents], np.bool_)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all agents' episodes have ended, so that :meth:`reset` is due."""
+        return not self._last
+
+    def prepare(self, seed: int | None = None, options: Mapping[str, Any] | None = None) -> None:
+        """Starts the race of the next :meth:`reset` ahead."""
+        self.race.prepare(seed, options)
+
+    def reset(
+        self, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[list[Any], list[dict[str, Any]]]:
+        """A new race: every slot's first observation and info.
+
+        Raises:
+            EngineError: the game died several times in a row.
+        """
+        observations, infos = self._start(seed, options, _MAX_STARTS)
+        self._last = {agent: (observations[agent], infos[agent]) for agent in observations}
+        self._returns[:] = 0.0
+        self._num_steps = 0
+        self._failure = None
+        return (
+            [observations.get(agent, self._idle_obs) for agent in self._agents],
+            [infos.get(agent, {}) for agent in self._agents],
+        )
+
+    def step_async(self, actions: Sequence[Any]) -> None:
+        """Asks for a step; ``actions`` has one for each slot, those of idle ones unread."""
+        try:
+            self.race.step_async(dict(zip(self._agents, actions, strict=True)))
+        except (EngineCrashed, EngineTimeout) as error:
+            self._failure = error
+
+    def step_wait(self) -> SlotSteps:
+        """The step that was asked for."""
+        steps = SlotSteps.idle(self._idle_obs, len(self._agents))
+        steps.active |= self.racing
+        try:
+            if self._failure is not None:
+                raise self._failure
+            result = self.race.step_wait()
+        except (EngineCrashed, EngineTimeout) as error:
+            self._report(error, "its slots are cut short and it is replaced")
+            self._cut_short(steps)
+        else:
+            self._take_in(steps, *result)
+        return steps
+
+    def close(self) -> None:
+        """Ends the race."""
+        self._last = {}
+        self.race.close()
+
+    def _start(
+        self, seed: int | None, options: Mapping[str, Any] | None, attempts: int
+    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        try:
+            return self.race.reset(seed=seed, options=options)
+        except (EngineCrashed, EngineTimeout) as error:
+            if attempts == 1:
+                raise
+            self._report(error, "it is started again")
+        return self._start(seed, options, attempts - 1)
+
+    def _report(self, error: EngineError, consequence: str) -> None:
+        self.num_crashes += 1
+        logger.warning("race %d: %s (%s)", self._number, error.message, consequence)
+
+    def _take_in(
+        self,
+        steps: SlotSteps,
+        observations: Mapping[str, Any],
+        rewards: Mapping[str, float],
+        terminations: Mapping[str, bool],
+        truncations: Mapping[str, bool],
+        infos: Mapping[str, dict[str, Any]],
+    ) -> None:
+        self._num_steps += 1
+        for slot, agent in enumerate(self._agents):
+            if agent not in observations:
+                continue
+            steps.rewards[slot] = rewards[agent]
+            self._returns[slot] += rewards[agent]
+            steps.terminations[slot] = terminations[agent]
+            steps.truncations[slot] = truncations[agent]
+            self._last[agent] = observations[agent], infos[agent]
+            if terminations[agent] or truncations[agent]:
+                steps.finals[slot] = self._final(slot)
+            else:
+                steps.observations[slot], steps.infos[slot] = self._last[agent]
+
+    def _cut_short(self, steps: SlotSteps) -> None:
+        """Ends what the game left undone, where each agent was seen last."""
+        self._num_steps += 1
+        steps.crashed |= True
+        steps.truncations |= steps.active
+        for slot in np.flatnonzero(steps.active).tolist():
+            steps.finals[slot] = self._final(slot)
+
+    def _final(self, slot: int) -> tuple[Any, dict[str, Any]]:
+        """The last observation and info of a slot whose episode ends here."""
+        observation, info = self._last.pop(self._agents[slot])
+        episode = {"r": float(self._returns[slot]), "l": self._num_steps}
+        return observation, {**info, "episode": episode}

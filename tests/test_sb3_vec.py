@@ -1,0 +1,342 @@
+"""Stable-Baselines3 on many races at once, one policy driving all agents."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from stable_baselines3 import DQN, PPO
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+
+from stkzoo import AgentSpec, ConfigError, RaceVectorEnv
+from stkzoo.sb3 import ActiveDictRolloutBuffer, ActiveRolloutBuffer, RaceVecEnv
+
+OPTIONS = {"num_kart": 3, "agents": 2, "track": "olivermath", "max_cycles": 30}
+LEARNING = {"n_steps": 32, "batch_size": 32, "n_epochs": 1, "device": "cpu", "seed": 1}
+BOTS = {"num_kart": 2, "agents": [AgentSpec(use_ai=True)] * 2, "track": "olivermath"}
+
+
+def make(num_races=2, **options):
+    return RaceVecEnv(num_races, **{**OPTIONS, **options})
+
+
+def same(one, other):
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
+    return np.asarray(one).tobytes() == np.asarray(other).tobytes()
+
+
+def weights(model):
+    return {name: value.clone() for name, value in model.policy.state_dict().items()}
+
+
+def changed(before, model):
+    return any((before[name] != value).any() for name, value in model.policy.state_dict().items())
+
+
+def idle_start(envs):
+    """Drives until the first agent has finished; what that step and the next one give."""
+    envs.seed(2)
+    envs.reset()
+    actions = np.zeros(envs.num_envs, np.int64)
+    result = envs.step(actions)
+    while not result[2].any():
+        result = envs.step(actions)
+    return result, envs.step(actions)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "view", ["flattened_multidiscrete", "flattened_discrete", "flattened_continuous_actions"]
+)
+def test_ppo_learns_by_self_play(view):
+    envs = make(view=view)
+    model = PPO("MultiInputPolicy", envs, rollout_buffer_class=ActiveDictRolloutBuffer, **LEARNING)
+    before = weights(model)
+    model.learn(256)
+    assert changed(before, model)
+    assert model.num_timesteps == 256
+    assert {episode["l"] for episode in model.ep_info_buffer} == {30}
+    envs.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "view", ["flattened_multidiscrete", "flattened_discrete", "flattened_continuous_actions"]
+)
+def test_ppo_learns_from_flat_observations(view):
+    envs = make(view=view, flat_observations=True)
+    model = PPO("MlpPolicy", envs, rollout_buffer_class=ActiveRolloutBuffer, **LEARNING)
+    before = weights(model)
+    model.learn(128)
+    assert changed(before, model)
+    envs.close()
+
+
+@pytest.mark.slow
+def test_dqn_learns_by_self_play():
+    envs = make()
+    model = DQN("MultiInputPolicy", envs, buffer_size=400, learning_starts=50, device="cpu")
+    before = weights(model)
+    model.learn(160)
+    assert changed(before, model)
+    envs.close()
+
+
+@pytest.mark.slow
+def test_ppo_learns_from_normalised_races_of_which_some_die():
+    envs = make()
+    normalised = VecNormalize(envs, norm_obs_keys=["continuous"])
+    model = PPO(
+        "MultiInputPolicy", normalised, rollout_buffer_class=ActiveDictRolloutBuffer, **LEARNING
+    )
+    model.learn(128)
+    os.kill(envs.races.races[0]._session.pid, signal.SIGKILL)
+    before = weights(model)
+    model.learn(128, reset_num_timesteps=False)
+    assert changed(before, model)
+    assert envs.num_crashes == 1
+    envs.close()
+
+
+def test_it_is_a_vec_env():
+    envs = make()
+    assert isinstance(envs, VecEnv)
+    assert envs.num_envs == 4
+    assert envs.action_space == spaces.Discrete(1120)
+    assert envs.observation_space == envs.races.single_observation_space
+    envs.close()
+
+
+def test_it_gives_what_the_gymnasium_form_gives():
+    envs, races = make(), RaceVectorEnv(2, **OPTIONS)
+    envs.seed(7)
+    assert same(envs.reset(), races.reset(seed=7)[0])
+    for _ in range(35):
+        actions = races.action_space.sample()
+        observations, rewards, done, _ = envs.step(actions)
+        expected = races.step(actions)
+        assert same(observations, expected[0])
+        assert same(rewards, expected[1].astype(np.float32))
+        assert same(done, expected[2] | expected[3])
+    envs.close()
+    races.close()
+
+
+@pytest.mark.parametrize("flat", [False, True])
+def test_infos_tell_the_end(flat):
+    envs = make(flat_observations=flat)
+    envs.reset()
+    returns = np.zeros(4)
+    for _ in range(30):
+        _, rewards, done, infos = envs.step(np.full(4, 700))
+        returns += rewards
+    assert done.all()
+    for info, value in zip(infos, returns, strict=True):
+        assert info["TimeLimit.truncated"]
+        assert info["terminal_observation"] in envs.observation_space
+        assert info["episode"]["r"] == pytest.approx(value, abs=1e-4)
+        assert info["episode"]["l"] == 30
+        assert info["episode"]["t"] > 0
+    assert [info["episode/length"] for info in envs.reset_infos] == [0] * 4
+    envs.close()
+
+
+def test_an_agent_that_finishes_is_done_and_not_truncated():
+    envs = RaceVecEnv(1, **BOTS)
+    (_, _, done, infos), _ = idle_start(envs)
+    first = int(np.argmax(done))
+    assert not infos[first]["TimeLimit.truncated"]
+    assert infos[first]["active"]
+    assert infos[first]["finish_time"] > 0
+    assert infos[first]["terminal_observation"]["continuous"].any()
+    envs.close()
+
+
+def test_idle_steps_are_episodes_of_nothing():
+    envs = RaceVecEnv(1, **BOTS)
+    (_, _, ended, _), (observations, rewards, done, infos) = idle_start(envs)
+    first = int(np.argmax(ended))
+    assert done.tolist() == ended.tolist()
+    assert rewards[first] == 0
+    assert not observations["continuous"][first].any()
+    assert infos[first].keys() == {"active", "terminal_observation", "TimeLimit.truncated"}
+    assert not infos[first]["active"]
+    assert infos[1 - first]["active"]
+    envs.close()
+
+
+@pytest.mark.slow
+def test_evaluation_counts_races_and_not_idle_steps():
+    envs = RaceVecEnv(1, **BOTS)
+    model = PPO("MultiInputPolicy", envs, device="cpu")
+    _, lengths = evaluate_policy(model, envs, n_eval_episodes=2, return_episode_rewards=True)
+    assert min(lengths) > 100
+    envs.close()
+
+
+@pytest.mark.parametrize(
+    "view", ["flattened_multidiscrete", "flattened_discrete", "flattened_continuous_actions"]
+)
+def test_flat_observations_are_those_of_gymnasium(view):
+    flat, plain = make(view=view, flat_observations=True), make(view=view)
+    for envs in (flat, plain):
+        envs.seed(3)
+    batch, dicts = flat.reset(), plain.reset()
+    rows = [{key: column[slot] for key, column in dicts.items()} for slot in range(4)]
+    expected = [spaces.flatten(plain.observation_space, each) for each in rows]
+    assert same(batch, np.stack(expected))
+    assert flat.observation_space.contains(batch[0])
+    flat.close()
+    plain.close()
+
+
+def test_the_same_seed_gives_the_same_races():
+    envs = make()
+    traces = []
+    for _ in range(2):
+        envs.seed(4)
+        trace = [envs.reset()]
+        trace.extend(envs.step(np.full(4, 700))[0] for _ in range(5))
+        traces.append(trace)
+    assert all(map(same, *traces))
+    envs.close()
+
+
+def test_slots_have_the_seed_of_their_race():
+    envs = make()
+    assert envs.seed(4) == [4, 4, 5, 5]
+    envs.close()
+
+
+def test_a_seed_is_for_one_reset():
+    envs = make()
+    envs.seed(4)
+    first = envs.reset()
+    assert not same(first, envs.reset())
+    envs.close()
+
+
+def test_set_options_are_for_one_reset():
+    envs = make()
+    envs.set_options({"track": "zengarden"})
+    envs.reset()
+    assert {race.track for race in envs.get_attr("race")} == {"zengarden"}
+    envs.reset()
+    assert {race.track for race in envs.get_attr("race")} == {"olivermath"}
+    envs.close()
+
+
+def test_attributes_are_those_of_the_races():
+    envs = make()
+    envs.set_attr("max_cycles", 7, indices=[2, 3])
+    assert envs.get_attr("max_cycles") == [30, 30, 7, 7]
+    assert envs.get_attr("max_cycles", indices=3) == [7]
+    assert not envs.has_attr("no_such_thing")
+    envs.close()
+
+
+def test_a_method_is_called_once_for_each_race():
+    envs = make()
+    calls = []
+    for number, race in enumerate(envs.races.races):
+        race.note = lambda word, number=number: calls.append((number, word)) or number
+    assert envs.env_method("note", "hello") == [0, 0, 1, 1]
+    assert calls == [(0, "hello"), (1, "hello")]
+    envs.close()
+
+
+def test_it_counts_as_monitored_and_as_nothing_else():
+    envs = make()
+    assert envs.env_is_wrapped(Monitor) == [True] * 4
+    assert envs.env_is_wrapped(gym.wrappers.TimeLimit, indices=[0]) == [False]
+    envs.close()
+
+
+@pytest.mark.parametrize("view", ["simple", "flattened"])
+def test_a_view_with_actions_of_several_parts_is_refused(view):
+    with pytest.raises(ConfigError, match="flattened_discrete"):
+        make(view=view)
+
+
+# ---------------------------------------------------------------------- the rollout buffer
+
+#: Three slots over four steps. The first races throughout, the second has finished in the
+#: first step and idles until the third, the third starts anew in the third.
+STARTS = np.array([[1, 0, 0], [0, 1, 0], [0, 1, 1], [0, 1, 0]])
+LAST_DONES = np.array([0, 0, 1])
+REAL = {0, 1, 2, 3, 4, 7, 8, 9, 10, 11}  # slot after slot
+
+
+def filled_buffer(kind, starts=STARTS, last_dones=LAST_DONES):
+    """A buffer whose actions number its steps, slot after slot."""
+    box = spaces.Box(-1, 1, (2,))
+    space = spaces.Dict({"x": box}) if kind is ActiveDictRolloutBuffer else box
+    num_steps, num_slots = starts.shape
+    buffer = kind(num_steps, space, spaces.Discrete(100), "cpu", n_envs=num_slots)
+    for step in range(num_steps):
+        observation = np.zeros((num_slots, 2), np.float32)
+        observation = {"x": observation} if kind is ActiveDictRolloutBuffer else observation
+        action = np.arange(num_slots) * num_steps + step
+        zeros = torch.zeros(num_slots)
+        buffer.add(observation, action, np.ones(num_slots), starts[step], zeros, zeros)
+    buffer.compute_returns_and_advantage(torch.zeros(num_slots), last_dones)
+    return buffer
+
+
+def actions_of(batches):
+    return [int(action) for batch in batches for action in batch.actions[:, 0]]
+
+
+@pytest.mark.parametrize("kind", [ActiveRolloutBuffer, ActiveDictRolloutBuffer])
+def test_the_buffer_gives_real_steps_only(kind):
+    buffer = filled_buffer(kind)
+    for _ in range(2):  # as for two epochs
+        actions = actions_of(buffer.get(3))
+        assert len(actions) == len(REAL)
+        assert set(actions) == REAL
+
+
+def test_the_buffer_gives_batches_of_the_size_asked_for():
+    buffer = filled_buffer(ActiveRolloutBuffer)
+    assert [len(batch.actions) for batch in buffer.get(4)] == [4, 4, 2]
+    assert [len(batch.actions) for batch in buffer.get()] == [10]
+
+
+def test_a_buffer_without_idle_steps_gives_all():
+    starts = np.array([[1, 1], [0, 0], [0, 0]])
+    buffer = filled_buffer(ActiveRolloutBuffer, starts, np.array([1, 0]))
+    assert sorted(actions_of(buffer.get(2))) == list(range(6))
+
+
+@pytest.mark.slow
+def test_no_idle_step_of_a_race_is_learnt_from():
+    envs = RaceVecEnv(1, **BOTS)
+    learning = {**LEARNING, "n_steps": 340, "batch_size": 680}
+    model = PPO("MultiInputPolicy", envs, rollout_buffer_class=ActiveDictRolloutBuffer, **learning)
+    active = []
+    model.learn(
+        680,
+        callback=lambda local, _: active.extend(info["active"] for info in local["infos"]) or True,
+    )
+    (batch,) = model.rollout_buffer.get()
+    assert 0 < len(batch.actions) == sum(active) < 680
+    assert batch.observations["continuous"].any(dim=1).all()
+    envs.close()
+
+
+def test_nothing_but_this_module_imports_stable_baselines3():
+    code = "import stkzoo, stkzoo.env.vec.env, sys; print(*sys.modules)"
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    ).stdout
+    assert not {"stable_baselines3", "torch"} & set(loaded.split())

@@ -1,0 +1,611 @@
+"""Many races as one vector environment: the same races, side by side, in slots."""
+
+import logging
+import os
+import select
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.wrappers import FilterObservation, FlattenObservation
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
+
+from stkzoo import (
+    ActionError,
+    AgentSpec,
+    ApiOrderError,
+    ConfigError,
+    EngineCrashed,
+    RaceVectorEnv,
+    race_v0,
+)
+from stkzoo.engine.session import WorkerSession
+from stkzoo.env.views import VIEWS
+
+OPTIONS = {"num_kart": 3, "agents": 2, "track": "olivermath", "max_cycles": 30}
+NUM_STEPS = 70  # two ends and a piece of a third race
+
+
+def make(num_races=2, **options):
+    return RaceVectorEnv(num_races, **{**OPTIONS, **options})
+
+
+def random_actions(envs, num_steps=NUM_STEPS):
+    envs.action_space.seed(5)
+    return [envs.action_space.sample() for _ in range(num_steps)]
+
+
+def play(envs, actions, seed=1):
+    """What an environment gives, as values that can be compared."""
+    trace = [envs.reset(seed=seed)]
+    trace.extend(envs.step(action) for action in actions)
+    return trace
+
+
+def row(batch, slot):
+    return {key: column[slot] for key, column in batch.items()}
+
+
+def same(one, other):
+    """Whether two results are equal to the bit."""
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
+    if isinstance(one, (list, tuple)):
+        return len(one) == len(other) and all(map(same, one, other))
+    if isinstance(one, np.ndarray) and one.dtype == object:
+        return same(list(one), list(other))
+    if isinstance(one, np.ndarray):
+        return one.dtype == other.dtype and one.tobytes() == other.tobytes()
+    return one == other
+
+
+def pids(envs):
+    return [race._session.pid for race in envs.races]
+
+
+def is_gone(pid, patience=5.0):
+    deadline = time.monotonic() + patience
+    while os.path.exists(f"/proc/{pid}") and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return not os.path.exists(f"/proc/{pid}")
+
+
+def info_of(infos, slot):
+    """One slot's own info out of the arrays."""
+    return {
+        key: values[slot].item()
+        for key, values in infos.items()
+        if not key.startswith("_")
+        and key not in {"active", "crashed", "final_obs", "final_info"}
+        and infos[f"_{key}"][slot]
+    }
+
+
+# ---------------------------------------------------------------------- the same races
+
+
+@pytest.mark.parametrize("prefetch", [False, True])
+@pytest.mark.parametrize("view", ["flattened_discrete", "simple"])
+def test_slots_are_the_agents_of_races_driven_alone(view, prefetch):
+    with_all = make(view=view, prefetch=prefetch)
+    actions = random_actions(with_all)
+    trace = play(with_all, actions)
+    with_all.close()
+    for number in range(2):
+        with race_v0.parallel_env(**OPTIONS, view=view) as race:
+            slots = {agent: number * 2 + n for n, agent in enumerate(race.possible_agents)}
+            observations, infos = race.reset(seed=1 + number)
+            for agent, slot in slots.items():
+                assert same(row(trace[0][0], slot), dict(observations[agent]))
+                assert info_of(trace[0][1], slot) == infos[agent]
+            for action, (batch, rewards, ends, cuts, all_infos) in zip(
+                actions, trace[1:], strict=True
+            ):
+                singles = list(gym.vector.utils.iterate(with_all.action_space, action))
+                result = race.step({agent: singles[slot] for agent, slot in slots.items()})
+                for agent, slot in slots.items():
+                    assert rewards[slot] == result[1][agent]
+                    assert ends[slot] == result[2][agent]
+                    assert cuts[slot] == result[3][agent]
+                if not race.agents:
+                    for agent, slot in slots.items():
+                        assert same(all_infos["final_obs"][slot], dict(result[0][agent]))
+                    result = race.reset()[0], None, None, None, race.infos(race.agents)
+                for agent, slot in slots.items():
+                    assert same(row(batch, slot), dict(result[0][agent]))
+                    assert info_of(all_infos, slot) == result[4][agent]
+
+
+def test_prefetch_changes_no_bit():
+    traces = []
+    for prefetch in (False, True):
+        envs = make(prefetch=prefetch, track=["olivermath", "zengarden"])
+        traces.append(play(envs, random_actions(envs)))
+        envs.close()
+    assert same(traces[0], traces[1])
+
+
+def test_with_prefetch_the_next_race_is_the_one_that_was_started_ahead():
+    envs = make(1, prefetch=True)
+    envs.reset(seed=1)
+    ahead = envs.races[0]._session.next_pid
+    before = pids(envs)
+    for action in random_actions(envs, 30):
+        envs.step(action)
+    assert pids(envs) == [ahead]
+    assert all(map(is_gone, before))
+    envs.close()
+
+
+def test_without_prefetch_no_race_waits():
+    envs = make(1, prefetch=False)
+    envs.reset(seed=1)
+    assert envs.races[0]._session.next_pid is None
+    envs.close()
+
+
+def test_a_race_that_was_started_ahead_and_died_is_started_again():
+    envs = make(1, prefetch=True)
+    actions = random_actions(envs)
+    expected = play(envs, actions)
+    trace = [envs.reset(seed=1)]
+    os.kill(envs.races[0]._session.next_pid, signal.SIGKILL)
+    trace.extend(envs.step(action) for action in actions)
+    assert same(trace, expected)
+    assert envs.num_crashes == 0
+    envs.close()
+
+
+def test_a_seeded_reset_throws_away_what_was_started_ahead():
+    envs = make(1, prefetch=True)
+    actions = random_actions(envs, 5)
+    expected = play(envs, actions, seed=9)
+    play(envs, actions, seed=1)
+    ahead = envs.races[0]._session.next_pid
+    assert same(play(envs, actions, seed=9), expected)
+    assert is_gone(ahead)
+    envs.close()
+
+
+def test_all_races_are_asked_before_one_is_waited_for():
+    envs = make(2)
+    envs.reset(seed=1)
+    os.kill(pids(envs)[0], signal.SIGSTOP)
+    envs.step_async(envs.action_space.sample())
+    connection = envs.races[1]._session._process.connection
+    assert select.select([connection], [], [], 5.0)[0]
+    os.kill(pids(envs)[0], signal.SIGCONT)
+    assert envs.step_wait()[4]["active"].all()
+    envs.close()
+
+
+# ---------------------------------------------------------------------- seeds
+
+
+def test_the_same_seed_gives_the_same_races():
+    envs = make()
+    actions = random_actions(envs, 10)
+    assert same(play(envs, actions, seed=4), play(envs, actions, seed=4))
+    envs.close()
+
+
+def test_another_seed_gives_other_races():
+    envs = make()
+    actions = random_actions(envs, 10)
+    assert not same(play(envs, actions, seed=4), play(envs, actions, seed=5))
+    envs.close()
+
+
+def test_every_race_of_a_seed_is_another():
+    envs = make(4)
+    envs.reset(seed=4)
+    assert len({race.race.seed for race in envs.races}) == 4
+    envs.close()
+
+
+def test_a_list_seeds_race_by_race():
+    envs = make()
+    envs.reset(seed=[8, 3])
+    by_list = [race.race for race in envs.races]
+    envs.reset(seed=3)
+    assert envs.races[0].race == by_list[1]
+    assert envs.races[1].race != by_list[0]
+    envs.close()
+
+
+def test_an_unseeded_reset_goes_on_with_the_streams():
+    envs = make()
+    seeds = []
+    for _ in range(2):
+        envs.reset(seed=3)
+        envs.reset()
+        seeds.append([race.race.seed for race in envs.races])
+    assert seeds[0] == seeds[1]
+    envs.close()
+
+
+def test_options_are_for_the_first_episode_alone():
+    envs = make(1, prefetch=True)
+    envs.reset(seed=1, options={"track": "zengarden", "max_cycles": 3})
+    assert envs.races[0].race.track == "zengarden"
+    for action in random_actions(envs, 3):
+        cuts = envs.step(action)[3]
+    assert cuts.all()
+    assert envs.races[0].race.track == "olivermath"
+    envs.close()
+
+
+# ---------------------------------------------------------------------- ends
+
+
+def test_the_last_observation_and_the_sums_of_an_episode_are_told():
+    envs = make()
+    trace = play(envs, random_actions(envs, 30))
+    _, _, ends, cuts, infos = trace[-1]
+    assert cuts.all()
+    assert not ends.any()
+    returns = sum(step[1] for step in trace[1:])
+    episode = infos["final_info"]["episode"]
+    assert np.array_equal(episode["r"], returns)
+    assert (episode["l"] == 30).all()
+    assert all(obs in envs.single_observation_space for obs in infos["final_obs"])
+    assert (infos["final_info"]["episode/length"] == 30).all()
+    assert (infos["episode/length"] == 0).all()
+    envs.close()
+
+
+class Finishes:
+    """A race of three bots as agents, who finish one after another, and the next one."""
+
+    def __init__(self):
+        envs = RaceVectorEnv(
+            1, agents=[AgentSpec(use_ai=True)] * 3, num_kart=3, track="olivermath", prefetch=True
+        )
+        self.steps = [(*envs.reset(seed=2), envs.racing)]
+        self.results = []
+        action = envs.action_space.sample()
+        while sum(result[2].any() for result in self.results) < 3:
+            self.results.append((*envs.step(action), envs.racing))
+        self.results.append((*envs.step(action), envs.racing))
+        envs.close()
+        self.ends = [
+            next(t for t, result in enumerate(self.results) if result[2][slot]) for slot in range(3)
+        ]
+        self.early = int(np.argmin(self.ends))
+        self.idle = range(min(self.ends) + 1, max(self.ends) + 1)
+
+
+@pytest.fixture(scope="module")
+def finishes():
+    return Finishes()
+
+
+def test_an_agent_that_finishes_is_terminated_once(finishes):
+    terminations = sum(result[2].astype(int) for result in finishes.results)
+    assert terminations.tolist() == [1, 1, 1]
+    assert len(set(finishes.ends)) > 1
+
+
+def test_an_idle_slot_sees_zeros_until_its_race_starts_again(finishes):
+    for step in (min(finishes.ends), *finishes.idle[:-1]):
+        observation = row(finishes.results[step][0], finishes.early)
+        assert not any(np.any(part) for part in observation.values())
+    assert finishes.results[finishes.idle[-1]][0]["continuous"][finishes.early].any()
+
+
+def test_an_idle_slot_is_paid_nothing_and_raises_no_flag(finishes):
+    for step in finishes.idle:
+        _, rewards, ends, cuts, _, _ = finishes.results[step]
+        assert (rewards[finishes.early], ends[finishes.early], cuts[finishes.early]) == (0, 0, 0)
+
+
+def test_only_transitions_of_racing_agents_are_active(finishes):
+    last = max(finishes.ends)
+    for step, result in enumerate(finishes.results):
+        expected = [step <= end or step > last for end in finishes.ends]
+        assert result[4]["active"].tolist() == expected
+
+
+def test_racing_says_who_will_be_active(finishes):
+    for now, later in zip(finishes.results, finishes.results[1:], strict=False):
+        assert np.array_equal(now[5], later[4]["active"])
+
+
+def test_all_slots_of_a_race_start_again_when_its_last_agent_ends(finishes):
+    infos = finishes.results[max(finishes.ends)][4]
+    assert infos["episode/length"].tolist() == [0, 0, 0]
+    assert infos["_episode/length"].all()
+    assert finishes.results[-1][4]["episode/length"].tolist() == [1, 1, 1]
+
+
+def test_the_length_of_an_episode_is_its_agents_own(finishes):
+    for slot, end in enumerate(finishes.ends):
+        infos = finishes.results[end][4]
+        assert infos["final_info"]["episode"]["l"][slot] == end + 1
+
+
+# ---------------------------------------------------------------------- crashes
+
+
+@pytest.mark.parametrize("prefetch", [False, True])
+def test_a_killed_game_is_replaced_and_the_others_go_on(prefetch, caplog):
+    envs = make(prefetch=prefetch)
+    actions = random_actions(envs)
+    expected = play(envs, actions)
+    trace = [envs.reset(seed=1)]
+    for step, action in enumerate(actions):
+        if step == 10:
+            os.kill(pids(envs)[0], signal.SIGKILL)
+        trace.append(envs.step(action))
+    _, rewards, ends, cuts, infos = trace[11]
+    assert cuts.tolist() == [True, True, False, False]
+    assert infos["crashed"].tolist() == [True, True, False, False]
+    assert not ends.any()
+    assert not rewards[:2].any()
+    assert same(infos["final_obs"][0], row(trace[10][0], 0))
+    assert infos["final_info"]["episode"]["l"].tolist() == [11, 11, 0, 0]
+    assert envs.num_crashes == 1
+    assert [record.levelno for record in caplog.records] == [logging.WARNING]
+    assert "race 0" in caplog.text
+    assert "SIGKILL" in caplog.text
+    for one, other in zip(trace, expected, strict=True):
+        assert same(row(one[0], 2), row(other[0], 2))
+    assert trace[-1][4]["active"].all()
+    envs.close()
+
+
+def test_a_hanging_game_is_replaced():
+    envs = make(engine_timeout=0.3)
+    envs.reset(seed=1)
+    os.kill(pids(envs)[1], signal.SIGSTOP)
+    cuts = envs.step(envs.action_space.sample())[3]
+    assert cuts.tolist() == [False, False, True, True]
+    assert envs.num_crashes == 1
+    assert envs.step(envs.action_space.sample())[4]["active"].all()
+    envs.close()
+
+
+@pytest.mark.parametrize("prefetch", [False, True])
+def test_a_killed_mother_is_replaced(prefetch):
+    envs = make(2, prefetch=prefetch)
+    envs.reset(seed=1)
+    status = Path(f"/proc/{pids(envs)[0]}/status").read_text()
+    os.kill(int(status.split("PPid:")[1].split()[0]), signal.SIGKILL)
+    assert all(is_gone(pid) for pid in pids(envs))
+    assert envs.step(envs.action_space.sample())[3].all()
+    assert envs.num_crashes == 2
+    assert not envs.step(envs.action_space.sample())[3].any()
+    envs.close()
+
+
+# ---------------------------------------------------------------------- Gymnasium's ways
+
+
+def test_it_is_a_vector_environment():
+    envs = make()
+    assert isinstance(envs, VectorEnv)
+    assert envs.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    assert (envs.num_races, envs.num_agents, envs.num_envs) == (2, 2, 4)
+    assert envs.single_action_space == gym.spaces.Discrete(1120)
+    assert envs.action_space == gym.spaces.MultiDiscrete([1120] * 4)
+    envs.close()
+
+
+@pytest.mark.parametrize("view", [name for name in VIEWS if name != "full"])
+def test_observations_are_in_the_space_in_every_view(view):
+    envs = make(view=view, max_cycles=3)
+    observations = [step[0] for step in play(envs, random_actions(envs, 4))]
+    assert all(observation in envs.observation_space for observation in observations)
+    envs.close()
+
+
+def test_what_was_given_is_not_written_over():
+    envs = make()
+    observations, _ = envs.reset(seed=1)
+    copies = {key: column.copy() for key, column in observations.items()}
+    for action in random_actions(envs, 35):
+        envs.step(action)
+    assert same(observations, copies)
+    envs.close()
+
+
+def test_a_view_of_ones_own_is_taken():
+    def view(env):
+        env = FilterObservation(VIEWS["flattened_discrete"](env), ["continuous"])
+        return FlattenObservation(env)
+
+    envs = make(view=view)
+    observations, _ = envs.reset(seed=1)
+    assert observations.shape == envs.observation_space.shape
+    assert envs.step(envs.action_space.sample())[0].shape == envs.observation_space.shape
+    envs.close()
+
+
+def test_the_statistics_of_gymnasium_agree():
+    envs = RecordEpisodeStatistics(make())
+    play(envs, random_actions(envs))
+    assert list(envs.length_queue) == [30] * 8
+    envs.close()
+
+
+def test_random_streams_are_those_of_the_races():
+    envs = make()
+    envs.reset(seed=1)
+    assert envs.np_random == tuple(race.np_random for race in envs.races)
+    envs.close()
+
+
+# ---------------------------------------------------------------------- errors
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"view": "full"}, "differ in size"),
+        ({"agents": [AgentSpec(), AgentSpec(use_ai=True)]}, "one view for all agents"),
+        ({"view": {"kart_0": "simple", "kart_1": "flattened"}}, "one view for all agents"),
+        ({"render_mode": "human"}, "render_mode"),
+        ({"use_subprocess": False}, "use_subprocess"),
+        ({"num_races": 0}, "num_races is 0"),
+        ({"prefetch": "yes"}, "prefetch is 'yes'"),
+    ],
+)
+def test_what_cannot_be_is_refused(options, message):
+    with pytest.raises(ConfigError, match=message):
+        make(**options)
+
+
+def test_a_reset_mask_is_refused():
+    envs = make()
+    with pytest.raises(ConfigError, match="reset_mask"):
+        envs.reset(options={"reset_mask": np.ones(4, np.bool_)})
+    envs.close()
+
+
+def test_a_list_of_seeds_of_another_length_is_refused():
+    envs = make()
+    with pytest.raises(ConfigError, match="one a race"):
+        envs.reset(seed=[1, 2, 3])
+    envs.close()
+
+
+@pytest.mark.parametrize("actions", [[0, 0, 0], [0, 0, 0, 0, 0], None, 3])
+def test_another_number_of_actions_is_refused(actions):
+    envs = make()
+    envs.reset(seed=1)
+    with pytest.raises(ActionError, match="4 slots"):
+        envs.step(actions)
+    envs.close()
+
+
+def test_after_a_bad_action_no_race_has_moved():
+    envs = make()
+    expected = play(envs, [[700] * 4])
+    trace = [envs.reset(seed=1)]
+    with pytest.raises(ActionError, match="kart_1 of race 1"):
+        envs.step([700, 700, 700, 1120])
+    trace.append(envs.step([700] * 4))
+    assert same(trace, expected)
+    envs.close()
+
+
+def test_calls_in_the_wrong_order_are_named():
+    envs = make()
+    actions = envs.action_space.sample()
+    with pytest.raises(ApiOrderError, match=r"reset\(\)"):
+        envs.step(actions)
+    with pytest.raises(ApiOrderError, match="step_async"):
+        envs.step_wait()
+    envs.reset(seed=1)
+    envs.step_async(actions)
+    with pytest.raises(ApiOrderError, match="step_wait"):
+        envs.step_async(actions)
+    envs.close()
+    for call in (envs.reset, lambda: envs.step(actions)):
+        with pytest.raises(ApiOrderError, match="close"):
+            call()
+
+
+def test_a_reset_may_come_between_asking_and_waiting():
+    envs = make()
+    actions = random_actions(envs, 5)
+    expected = play(envs, actions)
+    envs.step_async(actions[0])
+    assert same(play(envs, actions), expected)
+    envs.close()
+
+
+def test_a_race_that_will_not_start_is_an_error(monkeypatch):
+    envs = make(1, prefetch=False)
+    envs.reset(seed=1)
+    session = envs.races[0]._session
+
+    def start_and_die(setup):
+        WorkerSession.start(session, setup)
+        os.kill(session.pid, signal.SIGKILL)
+        session.step(np.zeros((2, 7), np.float32))
+
+    monkeypatch.setattr(session, "start", start_and_die)
+    with pytest.raises(EngineCrashed, match="SIGKILL"):
+        envs.reset()
+    assert envs.num_crashes == 2
+    with pytest.raises(ApiOrderError, match="reset"):
+        envs.step(envs.action_space.sample())
+    envs.close()
+
+
+# ---------------------------------------------------------------------- processes
+
+
+@pytest.mark.parametrize("prefetch", [False, True])
+def test_closing_leaves_no_process(prefetch):
+    envs = make(prefetch=prefetch)
+    envs.reset(seed=1)
+    ahead = [race._session.next_pid for race in envs.races]
+    everybody = [pid for pid in (*pids(envs), *ahead) if pid is not None]
+    assert len(everybody) == (4 if prefetch else 2)
+    envs.close()
+    envs.close()
+    assert all(map(is_gone, everybody))
+
+
+def test_what_is_dropped_leaves_no_process():
+    envs = make(prefetch=True)
+    envs.reset(seed=1)
+    everybody = [*pids(envs), *(race._session.next_pid for race in envs.races)]
+    del envs
+    assert all(map(is_gone, everybody))
+
+
+def test_a_program_that_is_killed_leaves_no_process():
+    code = """
+        import sys, time
+        import stkzoo
+        envs = stkzoo.RaceVectorEnv(2, num_kart=2, track="olivermath", prefetch=True)
+        envs.reset(seed=1)
+        sessions = [race._session for race in envs.races]
+        print(*(pid for session in sessions for pid in (session.pid, session.next_pid)), flush=True)
+        time.sleep(60)
+    """
+    command = [sys.executable, "-c", textwrap.dedent(code)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+        everybody = program.stdout.readline().split()
+        program.kill()
+    assert len(everybody) == 4
+    assert all(map(is_gone, everybody))
+
+
+# ---------------------------------------------------------------------- one race
+
+
+def test_a_race_can_be_asked_now_and_waited_for_later():
+    with race_v0.parallel_env(**OPTIONS, view="flattened_discrete") as race:
+        traces = []
+        for in_halves in (False, True):
+            trace = [race.reset(seed=1)]
+            for _ in range(10):
+                actions = dict.fromkeys(race.agents, 700)
+                if in_halves:
+                    race.step_async(actions)
+                trace.append(race.step_wait() if in_halves else race.step(actions))
+            traces.append(repr(trace))
+    assert traces[0] == traces[1]
+
+
+def test_asking_a_race_twice_or_waiting_for_nothing_is_named():
+    with race_v0.parallel_env(**OPTIONS, view="flattened_discrete") as race:
+        race.reset(seed=1)
+        with pytest.raises(ApiOrderError, match="step_async"):
+            race.step_wait()
+        race.step_async(dict.fromkeys(race.agents, 0))
+        with pytest.raises(ApiOrderError, match="step_wait"):
+            race.step_async(dict.fromkeys(race.agents, 0))
+        race.reset(seed=1)
+        assert race.step(dict.fromkeys(race.agents, 0))[1].keys() == {"kart_0", "kart_1"}
