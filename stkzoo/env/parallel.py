@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-import copy
 import logging
 import warnings
-import weakref
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -23,6 +20,7 @@ from stkzoo.engine.process import can_fork, start_mother
 from stkzoo.engine.session import LocalSession, Session, WorkerSession
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.engine.track import TrackMap
+from stkzoo.env.branching import BranchingRace
 from stkzoo.env.episode import Episode
 from stkzoo.env.graphics import graphics_setting
 from stkzoo.env.grid import RaceInfo, draw_race
@@ -34,7 +32,6 @@ from stkzoo.env.options import (
     check_num_cameras,
     checked_seed,
 )
-from stkzoo.env.state import Moment, RaceState, check_max_snapshots
 from stkzoo.env.views import views_of_agents
 from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
@@ -51,7 +48,7 @@ StepResult = tuple[
 ]
 
 
-class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
+class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
     """One race of SuperTuxKart in which every agent drives a kart.
 
     Agents are named ``kart_0`` to ``kart_{n-1}``. An agent whose kart finishes is
@@ -123,7 +120,7 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
         self.specs = _specs(agents, num_kart)
         check_num_cameras(num_cameras)
         check_engine_timeout(engine_timeout)
-        check_max_snapshots(max_snapshots)
+        BranchingRace.__init__(self, max_snapshots)
         self.render_mode = _checked_render_mode(render_mode, self.metadata["render_modes"])
         self._num_cameras = num_cameras
         self._graphics = graphics_setting(render_mode, graphics_config)
@@ -153,8 +150,6 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
         )
         self._episode: Episode | None = None
         self._asked: Episode | None = None  # whose step is under way
-        self._max_snapshots = max_snapshots
-        self._states: weakref.WeakSet[RaceState] = weakref.WeakSet()
 
     # ------------------------------------------------------------------ PettingZoo's API
 
@@ -347,87 +342,6 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
         """
         return self._running("observe_batch").observe(agents)
 
-    # ------------------------------------------------------------------ state as a value
-
-    def save_state(self) -> RaceState:
-        """Keeps this moment of the race; the race itself goes on as if nothing had been.
-
-        Raises:
-            ApiOrderError: before the first ``reset``, or with ``max_snapshots`` states open.
-            AgentException: an agent's wrapper holds something that cannot be copied.
-            EngineError: races are not forked here, or the game died.
-        """
-        self._running("save_state")
-        if self.num_snapshots >= self._max_snapshots:
-            raise ApiOrderError(
-                f"{self.num_snapshots} saved states of this environment are open, as many as "
-                "max_snapshots allows; close() some or raise max_snapshots"
-            )
-        moment = self._moment()
-        state = RaceState(self._session.branch(), moment)
-        self._states.add(state)
-        return state
-
-    def restore_state(self, state: RaceState) -> None:
-        """Goes on from a saved moment, with everything as it was then.
-
-        That includes the counts of the episode, the reward that it was saved with, what
-        wrappers remember and the random stream, so that the resets that follow repeat too.
-        The race that was running here ends.
-
-        Raises:
-            ApiOrderError: the state was closed.
-            ConfigError: the state is of an environment with other karts or agents.
-            EngineError: races are not forked here, or the state's process was ended; this
-                environment's race goes on.
-        """
-        self._check_moment(_checked_state(state).moment)
-        state.resume_in(self._session)
-        self._go_on_from(state.moment)
-
-    def clone(self) -> RaceParallelEnv:
-        """An environment of its own that goes on from this moment.
-
-        Raises:
-            ApiOrderError: before the first ``reset``.
-            AgentException: an agent's wrapper holds something that cannot be copied.
-            EngineError: races are not forked here, or the game died.
-        """
-        self._running("clone")
-        make: Any = type(self)
-        twin: RaceParallelEnv = make(*self._ezpickle_args, **self._ezpickle_kwargs)
-        twin.follow(self)
-        return twin
-
-    def follow(self, other: RaceParallelEnv) -> None:
-        """Goes on from where another environment is now, like a clone of it.
-
-        Raises: as :meth:`restore_state`.
-        """
-        other._running("clone")
-        moment = other._moment()
-        self._check_moment(moment)
-        self._session.resume(other._session)
-        self.options = other.options
-        self._go_on_from(moment)
-
-    @contextlib.contextmanager
-    def lookahead(self) -> Iterator[RaceParallelEnv]:
-        """A clone to try things in, closed at the end; this environment stays where it is.
-
-        Raises: as :meth:`clone`.
-        """
-        branch = self.clone()
-        try:
-            yield branch
-        finally:
-            branch.close()
-
-    @property
-    def num_snapshots(self) -> int:
-        """How many states that this environment saved are open."""
-        return sum(state.is_open for state in self._states)
-
     def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
         """The present infos of some agents, racing or not, before their wrappers."""
         return self._running("infos").infos(agents)
@@ -440,39 +354,6 @@ class RaceParallelEnv(ParallelEnv[str, Any, Any], EzPickle):
         setup, race = draw_race(options, self.specs, tracks, self._num_cameras, has_window, random)
         self.agents, self._episode, self._asked = [], None, None  # in case the start fails
         return Episode(options, setup, race, self._session.start(setup), self._rewards)
-
-    def _racing_agents(self, state: object, options: Mapping[str, Any]) -> list[str]:
-        """The agents of an episode that starts from a state."""
-        moment = _checked_state(state).moment
-        moment.check_karts(self.options.num_kart, self.possible_agents, self._ai_agents)
-        fixed = set(RaceOptions.__dataclass_fields__) - {"max_cycles", "max_paths", "num_kart"}
-        if fixed & set(options):
-            raise ConfigError(
-                f"options have a state and {', '.join(sorted(fixed & set(options)))}, which the "
-                "state's race has already; leave out one or the other"
-            )
-        if not moment.agents:
-            raise ApiOrderError("the state was saved when all agents had left; nobody can act")
-        return list(moment.agents)
-
-    def _moment(self) -> Moment:
-        if self._asked is not None:
-            raise ApiOrderError("a step is under way; call step_wait() first")
-        episode = self._running("save_state").copy()
-        random = copy.deepcopy(self.np_random)
-        memory = self._chains.memory()
-        return Moment(episode, tuple(self.agents), frozenset(self._ai_agents), random, memory)
-
-    def _check_moment(self, moment: Moment) -> None:
-        moment.check_karts(self.options.num_kart, self.possible_agents, self._ai_agents)
-        self._chains.check_memory(moment.memory)
-
-    def _go_on_from(self, moment: Moment) -> None:
-        self._asked = None
-        self._chains.recall(moment.memory)
-        self._episode = moment.episode.copy()
-        self.agents = list(moment.agents)
-        self._np_random = copy.deepcopy(moment.random)
 
     def _running(self, method: str) -> Episode:
         if self._episode is None:
@@ -512,12 +393,6 @@ def _specs(agents: Sequence[AgentSpec] | int | None, num_kart: int) -> list[Agen
     if isinstance(agents, Sequence) and not isinstance(agents, str):
         return list(agents)
     raise ConfigError(f"agents is {agents!r}, expected a list of AgentSpec or a number of agents")
-
-
-def _checked_state(state: object) -> RaceState:
-    if not isinstance(state, RaceState):
-        raise ConfigError(f"state is {state!r}, expected what save_state() returned")
-    return state
 
 
 def _checked_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
