@@ -249,3 +249,20 @@ class MultiEnv(gym.Env):
         }
         done = not self.race.agents
         return self.last_observations, sum(rewards.values()), done, False, info
+
+
+class Counter(gym.ObservationWrapper):
+    """Observes how often it has observed since the last reset."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        self.observation_space = spaces.Discrete(1000)
+        self.count = 0
+
+    def reset(self, *, seed=None, options=None):
+        self.count = 0
+        return super().reset(seed=seed, options=options)
+
+    def observation(self, _):
+        self.count += 1
+        return self.count

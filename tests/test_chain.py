@@ -26,7 +26,7 @@ from stkzoo.wrappers import (
     PolarObservations,
 )
 from stkzoo.wrappers.batch import split
-from tests.generic_env import VIEWS, assert_same, kart_env, random_batch, wrap
+from tests.generic_env import VIEWS, Counter, assert_same, kart_env, random_batch, wrap
 
 
 def make_chains(*factories, ai=()):
@@ -47,23 +47,6 @@ def flat_observation(env):
     """Only the velocity, as a plain vector."""
     box = spaces.Box(-np.inf, np.inf, (3,), np.float32)
     return gym.wrappers.TransformObservation(env, lambda obs: obs["velocity"], box)
-
-
-class Counter(gym.ObservationWrapper):
-    """Observes how often it has observed since the last reset."""
-
-    def __init__(self, env):
-        super().__init__(env)
-        self.observation_space = spaces.Discrete(1000)
-        self.count = 0
-
-    def reset(self, *, seed=None, options=None):
-        self.count = 0
-        return super().reset(seed=seed, options=options)
-
-    def observation(self, _):
-        self.count += 1
-        return self.count
 
 
 class TenTimes(gym.RewardWrapper):

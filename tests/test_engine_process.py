@@ -1,6 +1,5 @@
 """Engine processes: they come quickly, end with the program, and never hang it."""
 
-import contextlib
 import ctypes
 import hashlib
 import os
@@ -20,6 +19,7 @@ from stkzoo.engine.assets import find_assets
 from stkzoo.engine.session import LocalSession, WorkerSession
 from stkzoo.engine.setup import KartSetup, RaceSetup
 from stkzoo.errors import ApiOrderError, EngineCrashed, EngineError, EngineTimeout
+from tests.processes import children_of, process_exists, run_program, wait_until
 
 PLAYER = KartSetup(is_bot=False)
 BOT = KartSetup()
@@ -54,40 +54,6 @@ def session(root):
     session.close()
 
 
-def run_program(code, **options):
-    """Runs a program of its own and returns it finished, output included."""
-    return subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(code)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        **options,
-    )
-
-
-def process_exists(pid):
-    """Whether a process is there and no zombie."""
-    try:
-        return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
-    except FileNotFoundError:
-        return False
-
-
-def number_of_children(pid):
-    statuses = []
-    for folder in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
-            statuses.append((folder / "status").read_text())
-    return sum(f"PPid:\t{pid}\n" in status for status in statuses)
-
-
-def wait_until(condition, seconds=3.0):
-    deadline = time.monotonic() + seconds
-    while not condition() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    return condition()
-
-
 def test_every_race_of_a_session_is_a_first_race(session):
     assert trajectory(session) == trajectory(session)
 
@@ -102,7 +68,7 @@ def test_forked_spawned_and_local_first_races_are_the_same(root, session, monkey
         import hashlib, sys
         from pathlib import Path
         from stkzoo.engine.session import LocalSession
-        sys.path.insert(0, {str(Path(__file__).parent)!r})
+        sys.path[:0] = {[str(path) for path in Path(__file__).parents[:2]]!r}
         from test_engine_process import trajectory
         print(hashlib.sha256(trajectory(LocalSession(Path({str(root)!r})))).hexdigest())
     """
@@ -318,7 +284,7 @@ def test_quick_restarts_leave_no_process_behind(root, session):
     for _ in range(30):
         session.start(RaceSetup("olivermath", (PLAYER,)))
     mother = process.start_mother(root)
-    assert wait_until(lambda: number_of_children(mother._process.pid) == 1)
+    assert wait_until(lambda: len(children_of(mother._process.pid)) == 1)
 
 
 def test_a_step_before_the_start_says_reset(root):

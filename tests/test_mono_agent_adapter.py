@@ -16,6 +16,7 @@ from stkzoo.errors import ActionError, AgentException, ConfigError
 from stkzoo.mdp.spaces import kart_action_space
 from stkzoo.wrappers import MonoAgentWrapperAdapter
 from tests.generic_env import (
+    Counter,
     MultiEnv,
     SmallRace,
     assert_same,
@@ -56,21 +57,6 @@ class Wiper(gym.ObservationWrapper):
     def observation(self, observation):
         observation["velocity"][:] = 0
         return observation
-
-
-class Counter(gym.ObservationWrapper):
-    def __init__(self, env):
-        super().__init__(env)
-        self.observation_space = spaces.Discrete(1000)
-        self.count = 0
-
-    def reset(self, *, seed=None, options=None):
-        self.count = 0
-        return super().reset(seed=seed, options=options)
-
-    def observation(self, _):
-        self.count += 1
-        return self.count
 
 
 def space_of(env, agent):

@@ -9,8 +9,6 @@ import subprocess
 import sys
 import textwrap
 import threading
-import time
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -30,6 +28,7 @@ from stkzoo.errors import (
     EngineError,
     EngineTimeout,
 )
+from tests.processes import children_of, process_exists, run_program, wait_until
 
 SPECS = [AgentSpec(), AgentSpec(use_ai=True), AgentSpec()]
 
@@ -73,35 +72,6 @@ def started(env, steps=30, seed=3):
     env.reset(seed=seed)
     drive(env, 0, steps)
     return env
-
-
-def run_program(code, **options):
-    return subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(code)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        **options,
-    )
-
-
-def process_exists(pid):
-    try:
-        return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-
-
-def children_of(pid):
-    children = Path(f"/proc/{pid}/task/{pid}/children").read_text()
-    return sorted(map(int, children.split()))
-
-
-def wait_until(condition, seconds=5.0):
-    deadline = time.monotonic() + seconds
-    while not condition() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    return condition()
 
 
 def mother_pid():

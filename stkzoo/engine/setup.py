@@ -42,11 +42,6 @@ class RaceSetup:
     step_size: float = 0.1
     num_cameras: int = 0
 
-    @property
-    def num_players(self) -> int:
-        """Number of karts that the caller controls."""
-        return sum(not kart.is_bot for kart in self.karts)
-
     def to_json(self) -> bytes:
         """The setup as UTF-8 JSON."""
         return json.dumps(asdict(self)).encode()
