@@ -6,7 +6,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: help race test check bench docs clean
+GRAPHICS_PACKAGES := libegl1 libgl1 libgl1-mesa-dri
+
+.PHONY: graphics help race test check bench docs clean
 
 help:
 	@echo "make race    set everything up and watch a race of four karts in the terminal"
@@ -21,7 +23,7 @@ race: $(VENV)/.core
 	$(BIN)/stkzoo assets install
 	$(BIN)/stkzoo race --demo
 
-test: $(VENV)/.dev
+test: $(VENV)/.dev graphics
 	$(BIN)/stkzoo assets install
 	$(BIN)/python -m pytest $(ARGS)
 
@@ -37,6 +39,19 @@ bench: $(VENV)/.dev
 docs: $(VENV)/.dev
 	$(BIN)/stkzoo assets install
 	$(BIN)/python -m pytest --doctest-modules --doctest-glob='*.md' stkzoo README.md docs $(ARGS)
+
+# The game draws off-screen with these libraries. Where they cannot be installed, the map
+# is drawn instead, and the tests look for that.
+graphics:
+	@if ldconfig -p 2>/dev/null | grep -q 'libEGL\.so' && \
+		ls /usr/lib/*/dri/*_dri.so >/dev/null 2>&1; then :; \
+	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+		{ apt-get install -y -q $(GRAPHICS_PACKAGES) >/dev/null 2>&1 || \
+		{ apt-get update -q && apt-get install -y -q $(GRAPHICS_PACKAGES); }; } || \
+		echo "the game's own pictures cannot be drawn here; the map is drawn instead"; \
+	else \
+		echo "for the game's own pictures: sudo apt install $(GRAPHICS_PACKAGES)"; \
+	fi
 
 clean:
 	rm -rf $(VENV) build dist site *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -103,14 +103,17 @@ class AgentError(StkzooError):
 
     Attributes:
         key: id of the agent.
+        trace: the traceback in the agent's own code, or the last lines that its process
+            wrote; empty if there are none.
     """
 
-    def __init__(self, message: str, key: str) -> None:
+    def __init__(self, message: str, key: str, trace: str = "") -> None:
         super().__init__(message)
         self.key = key
+        self.trace = trace
 
-    def __reduce__(self) -> tuple[type[AgentError], tuple[str, str]]:
-        return type(self), (str(self), self.key)
+    def __reduce__(self) -> tuple[type[AgentError], tuple[str, str, str]]:
+        return type(self), (str(self), self.key, self.trace)
 
 
 class AgentException(AgentError):

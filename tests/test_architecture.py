@@ -13,9 +13,10 @@ ROOT = Path(stkzoo.__file__).resolve().parent
 
 #: Bottom first. A layer may import those before it and itself.
 LAYERS = [
-    ("base", ["stkzoo.errors", "stkzoo.names", "stkzoo.config", "stkzoo.tracks"]),
+    ("base", ["stkzoo.errors", "stkzoo.names", "stkzoo.config", "stkzoo.tracks", "stkzoo.kernel"]),
     ("engine", ["stkzoo.engine"]),
     ("mdp", ["stkzoo.mdp"]),
+    ("render", ["stkzoo.render"]),
     ("wrappers", ["stkzoo.wrappers"]),
     ("env", ["stkzoo.env", "stkzoo.race_v0"]),
     ("front", ["stkzoo", "stkzoo.compat", "stkzoo.checks"]),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeAlias
 
@@ -15,6 +15,7 @@ from stkzoo.wrappers.actions import read_actions
 from stkzoo.wrappers.batch import space_identity, split
 from stkzoo.wrappers.batched import BatchedWrapper
 from stkzoo.wrappers.constant_size import ConstantSizedObservations
+from stkzoo.wrappers.fused import fused_controls, fused_view
 from stkzoo.wrappers.handover import ParkedStep
 from stkzoo.wrappers.memory import Memory
 from stkzoo.wrappers.mono_env import AgentStep, MonoAgentEnv
@@ -88,6 +89,22 @@ class AgentChain:
             isinstance(wrapper, BatchedWrapper) and wrapper.keeps_batch_promise()
             for wrapper in self._wrappers
         )
+
+    def fused_view(self) -> Any:
+        """The kernel's view that shows the same; ``None`` if it has none."""
+        if not self.is_batched:
+            return None
+        return fused_view(self._wrappers[::-1], self.base_observation_space)
+
+    def fused_controls(self, columns: Sequence[str]) -> Any:
+        """The kernel's reader of the agent's actions; ``None`` if it has none.
+
+        Args:
+            columns: the keys of the base actions, in the order of the controls' columns.
+        """
+        if not self.is_batched:
+            return None
+        return fused_controls(self._wrappers[::-1], self.base_action_space, columns)
 
     def identity(self) -> Hashable:
         """Equal for batched chains that do the same."""

@@ -12,12 +12,15 @@ from collections.abc import Hashable, Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from gymnasium import spaces
 
 __all__ = ["space_identity", "split", "take"]
 
+IntArray = npt.NDArray[np.intp]
 
-def take(space: spaces.Space[Any], batch: Any, rows: Sequence[int] | slice) -> Any:
+
+def take(space: spaces.Space[Any], batch: Any, rows: Sequence[int] | IntArray | slice) -> Any:
     """The given rows of a batch, without the dict entries that the space does not have."""
     if isinstance(space, spaces.Dict):
         return {key: take(part, batch[key], rows) for key, part in space.spaces.items()}

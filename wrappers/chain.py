@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, TypeAlias, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -16,8 +16,37 @@ from stkzoo.wrappers.actions import read_actions
 from stkzoo.wrappers.agent_chain import AgentChain, WrapperFactory, agent_failures
 from stkzoo.wrappers.batch import split, take
 from stkzoo.wrappers.memory import Memory
+from stkzoo.wrappers.mono_env import AgentStep
 
-__all__ = ["AgentChains"]
+__all__ = ["AgentChains", "Sight"]
+
+
+#: Observations, rewards, terminations, truncations and infos, each by agent.
+StepParts: TypeAlias = tuple[
+    dict[str, Any],
+    dict[str, float],
+    dict[str, bool],
+    dict[str, bool],
+    dict[str, dict[str, Any]],
+]
+
+
+class Sight(Protocol):
+    """What the agents of one call see at one moment, made in the form that is asked for."""
+
+    def batch(self) -> Mapping[str, Any]:
+        """All agents' base observations in batch form."""
+
+    def through(self, view: Any, rows: npt.NDArray[np.intp]) -> list[Any] | None:
+        """What some agents see in a view of the kernel, in Gymnasium's form.
+
+        Args:
+            view: a ``stkzoo.kernel`` view.
+            rows: which agents.
+
+        Returns:
+            One observation an agent; ``None`` if only :meth:`batch` can be had.
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,19 +55,25 @@ class _Group:
 
     chain: AgentChain
     agents: tuple[str, ...]
-    rows: Sequence[int] | slice
+    rows: npt.NDArray[np.intp]
+    is_all: bool
+    has_ignored: bool
+    view: Any
+    controls: Any
 
 
 class AgentChains:
     """Decodes the actions of all agents and makes each agent's view of what follows.
 
-    Observations come in as one batch: the keys of the base observation space, each with
-    the agents as leading axis (``Discrete`` and ``Text`` ``(A,)``, ``Box`` ``(A, *shape)``,
-    ``Sequence`` ``(A, M, ...)``, ``Dict`` a dict of these); they go out by agent in
-    Gymnasium's form. Agents whose wrappers are all :class:`BatchedWrapper`, of equal
-    arguments around equal spaces, are run together. All other chains run agent by agent;
-    a wrapper with a ``step`` of its own works too, and waits in a small thread while the
-    race moves. What is handed out shares no memory with the batch or with earlier results.
+    Observations come in as a :class:`Sight`, whose batch form has the keys of the base
+    observation space, each with the agents as leading axis (``Discrete`` and ``Text``
+    ``(A,)``, ``Box`` ``(A, *shape)``, ``Sequence`` ``(A, M, ...)``, ``Dict`` a dict of
+    these); they go out by agent in Gymnasium's form. Agents whose wrappers are all
+    :class:`BatchedWrapper`, of equal arguments around equal spaces, are run together, and
+    chains that the compiled kernel knows (:mod:`stkzoo.wrappers.fused`) in one pass. All
+    other chains run agent by agent; a wrapper with a ``step`` of its own works too, and
+    waits in a small thread while the race moves. Observations that are handed out share no
+    memory with the batch or with earlier results.
 
     Attributes:
         observation_spaces: each agent's observation space, after its wrappers.
@@ -52,6 +87,8 @@ class AgentChains:
             have no wrappers.
         ignored: agents that somebody else drives. They may leave out their action; it is
             not looked at, and their base action is all zeros.
+        columns: the keys of the base actions in the order in which :meth:`decode` gives
+            them; by default the order of their space.
 
     Raises:
         AgentException: a factory raised, or returned no wrapper of what it was given.
@@ -64,8 +101,9 @@ class AgentChains:
         action_spaces: Mapping[str, spaces.Space[Any]],
         factories: Mapping[str, WrapperFactory],
         ignored: Collection[str] = (),
+        columns: Sequence[str] | None = None,
     ) -> None:
-        self._controls = _shared_space(action_spaces)
+        self._columns = tuple(_shared_space(action_spaces) if columns is None else columns)
         strangers = [agent for agent in factories if agent not in observation_spaces]
         if strangers:
             raise ConfigError(
@@ -85,12 +123,11 @@ class AgentChains:
         self._ignored = frozenset(ignored)
         self._plan_key: tuple[str, ...] | None = None
         self._plan: list[_Group] = []
+        self._fused: dict[Hashable, tuple[Any, Any]] = {}
         self.observation_spaces = {a: chain.observation_space for a, chain in self._chains.items()}
         self.action_spaces = {a: chain.action_space for a, chain in self._chains.items()}
 
-    def decode(
-        self, actions: Mapping[str, Any], agents: Sequence[str]
-    ) -> dict[str, npt.NDArray[Any]]:
+    def decode(self, actions: Mapping[str, Any], agents: Sequence[str]) -> npt.NDArray[np.float32]:
         """The base actions for the agents' actions.
 
         All actions are checked before any wrapper sees one. Actions of others than
@@ -101,8 +138,8 @@ class AgentChains:
             agents: the agents that act.
 
         Returns:
-            For each key of the base action space an array whose rows are ``agents``:
-            ``(A, 1)`` float32 for ``acceleration`` and ``steer``, ``(A,)`` int64 for buttons.
+            ``(A, n)`` float32: a row for each of ``agents``, and the columns that the
+            constructor was told of.
 
         Raises:
             ActionError: an action is missing or not in its space.
@@ -110,10 +147,11 @@ class AgentChains:
         """
         groups = self._groups(agents)
         self._require_actions(actions, agents)
-        checked = [self._read(group, actions) for group in groups]
-        controls = _zeros(self._controls, len(agents))
+        controls = np.zeros((len(agents), len(self._columns)), np.float32)
+        unread = [group for group in groups if not _is_read(group, actions, controls)]
+        checked = [self._read(group, actions) for group in unread]
         try:
-            for group, batch in zip(groups, checked, strict=True):
+            for group, batch in zip(unread, checked, strict=True):
                 if batch is not None:
                     self._decode_group(group, batch, controls)
         except BaseException:
@@ -124,7 +162,7 @@ class AgentChains:
     def reset(
         self,
         agents: Sequence[str],
-        batch_obs: Mapping[str, Any],
+        sight: Sight,
         infos: Mapping[str, dict[str, Any]],
         *,
         seed: int | None = None,
@@ -133,8 +171,8 @@ class AgentChains:
         """Resets all wrappers with the race's first observations.
 
         Args:
-            agents: the agents, in the order of the batch's rows.
-            batch_obs: base observations in batch form.
+            agents: the agents, in the order of the sight's rows.
+            sight: what they see.
             infos: info by agent.
             seed: seeds the wrappers' ``np_random``: agent number ``n`` with ``seed + n``.
             options: handed to every wrapper's ``reset``.
@@ -149,7 +187,7 @@ class AgentChains:
         observations: dict[str, Any] = {}
         new_infos: dict[str, dict[str, Any]] = {}
         for group in self._groups(agents):
-            for agent, observation in self._views(group, batch_obs):
+            for agent, observation in zip(group.agents, self._seen(group, sight), strict=True):
                 info = dict(infos[agent])
                 if not group.chain.is_batched:
                     own_seed = None if seed is None else seed + self._numbers[agent]
@@ -163,27 +201,21 @@ class AgentChains:
     def step(
         self,
         agents: Sequence[str],
-        batch_obs: Mapping[str, Any],
+        sight: Sight,
         rewards: Mapping[str, float],
         terminations: Mapping[str, bool],
         truncations: Mapping[str, bool],
         infos: Mapping[str, dict[str, Any]],
-    ) -> tuple[
-        dict[str, Any],
-        dict[str, float],
-        dict[str, bool],
-        dict[str, bool],
-        dict[str, dict[str, Any]],
-    ]:
+    ) -> StepParts:
         """The agents' views of one step; call it once after each :meth:`decode`.
 
         Args:
-            agents: the agents that acted, in the order of the batch's rows.
-            batch_obs: base observations in batch form.
-            rewards: reward by agent.
+            agents: the agents that acted, in the order of the sight's rows.
+            sight: what they see.
+            rewards: reward by agent, for the same agents in the same order, as all that follow.
             terminations: whether the agent's race is over, by agent.
             truncations: whether its race was cut short, by agent.
-            infos: info by agent.
+            infos: info by agent; they are handed on.
 
         Returns:
             Observations, rewards, terminations, truncations and infos by agent.
@@ -191,30 +223,26 @@ class AgentChains:
         Raises:
             AgentException: a wrapper failed.
         """
-        results: dict[str, tuple[Any, float, bool, bool, dict[str, Any]]] = {}
+        observations: dict[str, Any] = dict.fromkeys(agents)
+        result: StepParts = (
+            observations,
+            dict(rewards),
+            dict(terminations),
+            dict(truncations),
+            dict(infos),
+        )
         try:
             for group in self._groups(agents):
-                for agent, observation in self._views(group, batch_obs):
-                    result = (
-                        observation,
-                        float(rewards[agent]),
-                        bool(terminations[agent]),
-                        bool(truncations[agent]),
-                        dict(infos[agent]),
-                    )
-                    results[agent] = (
-                        result if group.chain.is_batched else _finished(group.chain, result)
-                    )
+                observations.update(zip(group.agents, self._seen(group, sight), strict=True))
+                if not group.chain.is_batched:
+                    (agent,) = group.agents
+                    own = group.chain.finish_step(_part(result, agent))
+                    for part, value in zip(result, own, strict=True):
+                        cast(dict[str, Any], part)[agent] = value
         except BaseException:
             self._abandon()
             raise
-        return (
-            {agent: results[agent][0] for agent in agents},
-            {agent: results[agent][1] for agent in agents},
-            {agent: results[agent][2] for agent in agents},
-            {agent: results[agent][3] for agent in agents},
-            {agent: results[agent][4] for agent in agents},
-        )
+        return result
 
     def memory(self) -> dict[str, Memory | None]:
         """What each agent's wrappers remember between steps, as a value.
@@ -253,13 +281,29 @@ class AgentChains:
             members: dict[Hashable, list[int]] = {}
             for row, agent in enumerate(key):
                 members.setdefault(self._identities[agent], []).append(row)
-            self._plan = [self._group(key, rows) for rows in members.values()]
+            self._plan = [self._group(key, identity, rows) for identity, rows in members.items()]
             self._plan_key = key
         return self._plan
 
-    def _group(self, agents: tuple[str, ...], rows: list[int]) -> _Group:
+    def _group(self, agents: tuple[str, ...], identity: Hashable, rows: list[int]) -> _Group:
         own = tuple(agents[row] for row in rows)
-        return _Group(self._chains[own[0]], own, slice(None) if own == agents else rows)
+        chain = self._chains[own[0]]
+        if identity not in self._fused:
+            self._fused[identity] = chain.fused_view(), chain.fused_controls(self._columns)
+        view, controls = self._fused[identity]
+        return _Group(
+            chain=chain,
+            agents=own,
+            rows=np.array(rows, np.intp),
+            is_all=own == agents,
+            has_ignored=not self._ignored.isdisjoint(own),
+            view=view,
+            controls=controls,
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What the kernel has made of the chains is made again when it is needed.
+        return {**self.__dict__, "_plan_key": None, "_plan": [], "_fused": {}}
 
     def _require_actions(self, actions: Mapping[str, Any], agents: Sequence[str]) -> None:
         if not isinstance(actions, Mapping):
@@ -288,48 +332,53 @@ class AgentChains:
         chosen = [actions[agent] if agent in acting else idle for agent in group.agents]
         return read_actions(chain.action_space, chosen, group.agents)
 
-    def _decode_group(
-        self, group: _Group, batch: Any, controls: dict[str, npt.NDArray[Any]]
-    ) -> None:
+    def _decode_group(self, group: _Group, batch: Any, controls: npt.NDArray[np.float32]) -> None:
         chain = group.chain
         if chain.is_batched:
             with agent_failures(group.agents[0], "change its action"):
                 base = chain.act(batch)
         else:
             base = chain.begin_base_step(split(chain.action_space, batch)[0])
-        for key, column in controls.items():
-            column[group.rows] = base[key]
-        idle = [row for row, agent in _rows(group) if agent in self._ignored]
-        for column in controls.values():
-            column[idle] = 0
+        for column, key in enumerate(self._columns):
+            controls[group.rows, column] = np.reshape(base[key], -1)
+        if group.has_ignored:
+            idle = [agent in self._ignored for agent in group.agents]
+            controls[group.rows[idle]] = 0
 
-    def _views(self, group: _Group, batch_obs: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    def _seen(self, group: _Group, sight: Sight) -> list[Any]:
         """What a group's agents see: the final view of a batched group, else the base view."""
         chain = group.chain
-        batch = take(chain.base_observation_space, batch_obs, group.rows)
+        if group.view is not None:
+            seen = sight.through(group.view, group.rows)
+            if seen is not None:
+                return seen
         space = chain.base_observation_space
+        batch = take(space, sight.batch(), slice(None) if group.is_all else group.rows)
         if chain.is_batched:
             space = chain.observation_space
             with agent_failures(group.agents[0], "change its observation"):
                 batch = chain.observe(batch)
-        return list(zip(group.agents, split(space, batch), strict=True))
+        return split(space, batch)
 
     def _abandon(self) -> None:
         for chain in self._chains.values():
             chain.abandon()
 
 
-def _rows(group: _Group) -> list[tuple[int, str]]:
-    """A group's agents with their rows."""
-    rows = range(len(group.agents)) if isinstance(group.rows, slice) else group.rows
-    return list(zip(rows, group.agents, strict=True))
+def _part(result: StepParts, agent: str) -> AgentStep:
+    """One agent's part of a step's result, its info a copy."""
+    observations, rewards, terminations, truncations, infos = result
+    info = dict(infos[agent])
+    return observations[agent], rewards[agent], terminations[agent], truncations[agent], info
 
 
-def _finished(
-    chain: AgentChain, result: tuple[Any, float, bool, bool, dict[str, Any]]
-) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-    observation, reward, terminated, truncated, info = chain.finish_step(result)
-    return observation, float(reward), terminated, truncated, info
+def _is_read(group: _Group, actions: Mapping[str, Any], controls: npt.NDArray[np.float32]) -> bool:
+    """Whether the kernel could read a group's actions, and has."""
+    if group.controls is None or group.has_ignored:
+        return False
+    return bool(
+        group.controls.read([actions[agent] for agent in group.agents], group.rows, controls)
+    )
 
 
 def _shared_space(action_spaces: Mapping[str, spaces.Space[Any]]) -> spaces.Dict:
@@ -344,13 +393,6 @@ def _shared_space(action_spaces: Mapping[str, spaces.Space[Any]]) -> spaces.Dict
 def _most(counts: Sequence[int | None]) -> int | None:
     known = [count for count in counts if count is not None]
     return max(known, default=None) if len(known) == len(counts) else None
-
-
-def _zeros(space: spaces.Dict, count: int) -> dict[str, npt.NDArray[Any]]:
-    return {
-        key: np.zeros((count, *(part.shape or ())), part.dtype)
-        for key, part in space.spaces.items()
-    }
 
 
 def _ordered(values: dict[str, Any], agents: Sequence[str]) -> dict[str, Any]:

@@ -16,7 +16,7 @@ __all__ = ["COMMANDS", "build_parser", "main"]
 #: with ``add_parser(subparsers)``, which sets ``run``: a function of the parsed
 #: arguments that returns the exit code. It is light to import: what is heavy is
 #: imported when it runs.
-COMMANDS = ("race", "assets", "doctor")
+COMMANDS = ("race", "replay", "tournament", "race-server", "race-client", "keys", "assets", "doctor")
 
 _EPILOG = """\
 first steps:
@@ -36,7 +36,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"stkzoo {version('stkzoo')}")
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name in COMMANDS:
-        import_module(f"stkzoo.cli.{name}").add_parser(subparsers)
+        import_module(f"stkzoo.cli.{name.replace('-', '_')}").add_parser(subparsers)
     return parser
 
 

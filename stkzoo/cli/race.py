@@ -1,47 +1,59 @@
-"""``stkzoo race``: run a race and show who won."""
+"""``stkzoo race``: run races and show who won."""
 
 from __future__ import annotations
 
 import argparse
+import json
+import os
 import random
 import sys
-import time
+from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from stkzoo.errors import ConfigError
+from stkzoo.cli.flags import add_flags, flags_given
+from stkzoo.errors import AgentError, ConfigError
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from stkzoo.race import Driver, RaceListener, RaceResult
 
-    from stkzoo.race import RaceProgress, RaceResult
+__all__ = ["EXTRAS", "add_parser", "add_race_flags", "run_races"]
 
-__all__ = ["add_parser"]
+#: What can be attached to a race: modules of this package with ``add_flags(parser)`` and
+#: ``listeners(arguments) -> list[RaceListener]``. Each is light to import.
+EXTRAS: tuple[str, ...] = ("race_replay", "race_window", "race_video")
 
 _ABOUT = """\
-Runs one race and shows how it ended. Each driver named gets a kart:
+Runs a race and shows how it ended. Each driver named gets a kart:
 
-  ai          the game's own AI, as good as --difficulty says
-  heuristic   a driver made of rules, which comes with stkzoo
-  random      presses buttons at random
+  ai            the game's own AI, as good as --difficulty says
+  heuristic     a driver made of rules, which comes with stkzoo
+  random        presses buttons at random
+  FOLDER, ZIP   an agent of yours: a pystk_actor.py with get_actor(...); docs/agents.md
+  MODULE        the same, by the name that Python imports it by
 
-A package in the folder agents/ is a driver of its name. All karts are agents of one
-PettingZoo ParallelEnv. The same seed gives the same race, bit for bit.
+DRIVER@:Name says what to call it. Agents of files run each in a process of its own: what
+goes wrong in one costs its own kart. The same seed gives the same race, bit for bit.
 """
 
 _EXAMPLES = """\
 examples:
   stkzoo race --demo                           the heuristic against three bots
   stkzoo race heuristic ai ai --track hacienda --laps 3
+  stkzoo race my_agent/ other.zip@:Rival ai    agents of files against the game's AI
+  stkzoo race my_agent/ ai --races 10 --track test --output results.json
   stkzoo race heuristic --num-karts 8          seven bots beside it
-  stkzoo race ai ai --track test --seed 7      one of the test tracks, drawn by the seed
   stkzoo race heuristic random --json -        the result as JSON
+
+exit codes:
+  0 all is well, 1 the race could not be run, 2 the command cannot be understood,
+  3 an agent failed (what is known of it stands in the result), 130 interrupted
 """
 
 _NEXT_STEPS = """\
 Where to go next:
-  your own driver     copy agents/heuristic, then: stkzoo race NAME ai ai ai
+  your own driver     docs/agents.md; then: stkzoo race FOLDER ai ai ai
   from Python         from stkzoo import race_v0; env = race_v0.parallel_env(num_kart=4)
   more                README.md, stkzoo race --help, and stkzoo doctor if something fails
 """
@@ -49,6 +61,8 @@ Where to go next:
 _DEMO_DRIVERS = ("heuristic", "ai", "ai", "ai")
 _DEMO_TRACK = "lighthouse"
 _DEMO_SEED = 42
+_AGENT_FAILED = 3
+_INTERRUPTED = 130
 
 
 def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
@@ -64,169 +78,140 @@ def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--demo", action="store_true", help=f"four karts on {_DEMO_TRACK}: see who wins"
     )
-    parser.add_argument(
-        "--track", help="a track's name, or train, test or all to draw one (default: all)"
-    )
-    parser.add_argument("--laps", type=int, default=1, help="(default: %(default)s)")
-    parser.add_argument("--seed", type=int, help="decides all that is left to chance")
-    parser.add_argument(
-        "--difficulty", type=int, default=2, help="of the AI, 0 to 3 (default: %(default)s)"
-    )
-    parser.add_argument("--reverse", action="store_true", help="drive the other way round")
+    add_race_flags(parser)
+    parser.set_defaults(run=run_races, fail=parser.error)
+
+
+def add_race_flags(parser: argparse.ArgumentParser) -> None:
+    """Adds all that says how a race is run, whoever drives."""
+    from stkzoo.race.settings import RaceSettings
+
     parser.add_argument(
         "--num-karts", type=int, metavar="N", help="fill the race up with the AI to N karts"
     )
     parser.add_argument(
-        "--json", metavar="FILE", help="write the result into FILE; - writes only it, to stdout"
+        "--races", type=int, default=1, metavar="N", help="so many races, with following seeds"
     )
-    parser.set_defaults(run=_run, fail=parser.error)
+    parser.add_argument(
+        *("--output", "--json"),
+        metavar="FILE",
+        help="write the result into FILE as JSON; - writes only it, to stdout",
+    )
+    parser.add_argument("--seed", type=int, metavar="N", help="decides all that is left to chance")
+    add_flags(parser.add_argument_group("the race"), RaceSettings, leave_out=("seed",))
+    for name in EXTRAS:
+        import_module(f"stkzoo.cli.{name}").add_flags(parser)
 
 
-def _run(arguments: argparse.Namespace) -> int:
+def run_races(arguments: argparse.Namespace, remote: Sequence[Driver] = ()) -> int:
+    """Runs the races that the flags of :func:`add_race_flags` ask for.
+
+    Args:
+        arguments: the flags, and ``drivers``, ``demo`` and ``fail``.
+        remote: drivers besides those named, who get the first karts.
+
+    Returns:
+        The exit code.
+    """
+    from stkzoo.race import RaceInterrupted
+
+    results: list[RaceResult] = []
+    code = 0
     try:
-        drivers, settings = _plan(arguments)
-        result = _race(drivers, settings)
+        for drivers, settings in _plan(arguments, remote):
+            results.append(_race(drivers, settings, arguments))
     except ConfigError as error:
         arguments.fail(str(error))
-    if arguments.json == "-":
-        print(result.to_json())
-        return 0
-    _show(result, with_next_steps=arguments.demo or sys.stdout.isatty())
-    return _write(result, arguments.json) if arguments.json else 0
+    except AgentError as error:
+        print(f"stkzoo: {error}\n{error.trace}".rstrip(), file=sys.stderr)
+        code = _AGENT_FAILED
+    except RaceInterrupted as interrupt:
+        results.append(interrupt.result)
+        print("stkzoo: interrupted; the last race is incomplete", file=sys.stderr)
+        code = _INTERRUPTED
+    reported = _report(results, arguments)
+    return code or reported
 
 
-def _plan(arguments: argparse.Namespace) -> tuple[list[str], dict[str, Any]]:
-    """Who drives, and the keywords of :func:`stkzoo.race.run_race`."""
+def _plan(
+    arguments: argparse.Namespace, remote: Sequence[Driver]
+) -> list[tuple[list[str | Driver], dict[str, Any]]]:
+    """For each race who drives, and the settings of :func:`stkzoo.race.run_race`."""
+    from stkzoo.race.settings import RaceSettings
+
     if arguments.demo and arguments.drivers:
         raise ConfigError("--demo brings its own drivers; leave out --demo or the drivers")
-    drivers = list(_DEMO_DRIVERS if arguments.demo else arguments.drivers)
+    if arguments.races < 1:
+        raise ConfigError(f"--races is {arguments.races}, expected 1 or more")
+    drivers = [*remote, *(_DEMO_DRIVERS if arguments.demo else arguments.drivers)]
     if not drivers:
         raise ConfigError("nobody drives; name drivers, such as heuristic ai, or try --demo")
     num_karts = len(drivers) if arguments.num_karts is None else arguments.num_karts
     if num_karts < len(drivers):
         raise ConfigError(f"--num-karts is {num_karts}, but {len(drivers)} drivers are named")
     drivers += ["ai"] * (num_karts - len(drivers))
+    settings = flags_given(arguments, RaceSettings, leave_out=("seed",))
     seed = arguments.seed
     if seed is None:
         seed = _DEMO_SEED if arguments.demo else random.randrange(2**16)
-    settings = {
-        "track": arguments.track or (_DEMO_TRACK if arguments.demo else None),
-        "laps": arguments.laps,
-        "difficulty": arguments.difficulty,
-        "reverse": arguments.reverse,
-        "seed": seed,
-    }
-    return drivers, settings
+    if arguments.demo:
+        settings["track"] = settings["track"] or _DEMO_TRACK
+    return [(drivers, {**settings, "seed": seed + number}) for number in range(arguments.races)]
 
 
-def _race(drivers: list[str], settings: dict[str, Any]) -> RaceResult:
+def _race(
+    drivers: list[str | Driver], settings: dict[str, Any], arguments: argparse.Namespace
+) -> RaceResult:
+    from stkzoo.cli.race_report import RaceBar
     from stkzoo.race import run_race
 
-    with _ProgressBar() as bar:
-        return run_race(drivers, listener=bar.show, **settings)
+    with RaceBar() as bar:
+        listeners: list[RaceListener] = [bar]
+        for name in EXTRAS:
+            listeners += import_module(f"stkzoo.cli.{name}").listeners(arguments)
+        return run_race(drivers, listeners=listeners, **settings)
 
 
-def _show(result: RaceResult, with_next_steps: bool) -> None:
-    from rich.console import Console
+def _report(results: Sequence[RaceResult], arguments: argparse.Namespace) -> int:
+    """Shows and writes the results."""
+    from stkzoo.cli.race_report import show_race, show_series
 
-    console = Console()
-    console.print(_headline(result), soft_wrap=True, highlight=False)
-    console.print(_table(result, is_plain=not console.is_terminal))
-    race_time = result.agents[-1].finish_time
-    ending = f"in {race_time:.1f} s of race time" if race_time else "by the runner's time limit"
-    console.print(
-        f"Over after {result.steps} steps, {ending}; it took {result.wall_time:.1f} s.",
-        soft_wrap=True,
-        highlight=False,
-    )
-    if with_next_steps:
-        console.print(f"\n{_NEXT_STEPS}", end="", soft_wrap=True, highlight=False, markup=False)
-
-
-def _headline(result: RaceResult) -> str:
-    laps = "1 lap" if result.laps == 1 else f"{result.laps} laps"
-    way = ", reversed" if result.reverse else ""
-    return (
-        f"{result.track}{way}: {laps}, {result.race_length:.0f} m, "
-        f"AI difficulty {result.difficulty}, seed {result.seed}"
-    )
+    if not results:
+        return 0
+    code = _AGENT_FAILED if any(result.has_errors for result in results) else 0
+    text = _as_json(results, is_series=arguments.races > 1)
+    if arguments.output == "-":
+        print(text)
+        return code
+    if arguments.races > 1:
+        show_series(results)
+    else:
+        show_race(results[0])
+    if arguments.demo or (sys.stdout.isatty() and not code):
+        print(f"\n{_NEXT_STEPS}", end="")
+    if arguments.output:
+        return _write(text, Path(arguments.output)) or code
+    return code
 
 
-def _table(result: RaceResult, is_plain: bool) -> Table:
-    from rich import box
-    from rich.markup import escape
-    from rich.table import Table
+def _as_json(results: Sequence[RaceResult], *, is_series: bool) -> str:
+    from stkzoo.race.result import SCHEMA_VERSION
 
-    table = Table(box=None if is_plain else box.ROUNDED, pad_edge=not is_plain)
-    for name in ("rank", "driver", "kart", "time [s]", "distance [m]", "reward"):
-        is_text = name in ("driver", "kart")
-        table.add_column(escape(name), justify="left" if is_text else "right")
-    for row in result.agents:
-        time_text = "not finished" if row.finish_time is None else f"{row.finish_time:.2f}"
-        table.add_row(
-            str(row.rank),
-            row.driver,
-            row.agent,
-            time_text,
-            f"{row.distance:.0f}",
-            f"{row.reward:.1f}",
-            style="bold green" if row.rank == 1 else None,
-        )
-    return table
+    if not is_series:
+        return results[0].to_json()
+    races = [json.loads(result.to_json()) for result in results]
+    form = {"type": "race-series", "schema_version": SCHEMA_VERSION, "races": races}
+    return json.dumps(form, indent=2)
 
 
-def _write(result: RaceResult, file: str) -> int:
+def _write(text: str, file: Path) -> int:
+    """Writes the whole file or none."""
+    beside = file.with_name(f".{file.name}.{os.getpid()}.part")
     try:
-        Path(file).write_text(result.to_json() + "\n", encoding="utf-8")
+        beside.write_text(text + "\n", encoding="utf-8")
+        beside.replace(file)
     except OSError as error:
+        beside.unlink(missing_ok=True)
         print(f"stkzoo: the result could not be written: {error}", file=sys.stderr)
         return 1
     return 0
-
-
-class _ProgressBar:
-    """The leader's way and the simulation's speed, on a terminal's stderr."""
-
-    def __init__(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn
-
-        console = Console(stderr=True)
-        self._bars = Progress(
-            TextColumn("{task.description:<19}"),
-            BarColumn(),
-            TextColumn("{task.fields[way]}"),
-            console=console,
-            transient=True,
-            disable=not (console.is_terminal and sys.stdout.isatty()),
-        )
-        self._task = self._bars.add_task("starting the game", total=1.0, way="")
-        self._begin = time.monotonic()
-
-    def __enter__(self) -> _ProgressBar:
-        self._bars.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._bars.stop()
-
-    def show(self, progress: RaceProgress) -> None:
-        """Takes what the runner tells."""
-        if progress.steps == 0:
-            self._begin = time.monotonic()
-        elapsed = max(time.monotonic() - self._begin, 1e-3)
-        leader = progress.leader_distance
-        is_won = leader >= progress.race_length
-        self._bars.update(
-            self._task,
-            description="the others come in" if is_won else "the leader",
-            total=progress.race_length,
-            completed=leader,
-            way=f"{leader:4.0f} of {progress.race_length:.0f} m, "
-            f"{progress.race_time / elapsed:3.0f} x real time",
-        )

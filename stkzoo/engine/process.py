@@ -37,6 +37,7 @@ __all__ = [
     "engine_environment",
     "start_mother",
     "start_race_process",
+    "start_shadow_process",
 ]
 
 #: Seconds that a process may take to start, and a headless race to stand on its grid.
@@ -110,22 +111,22 @@ class RaceProcess:
         """Ends the process without waiting for it, and frees what belongs to it."""
         raise NotImplementedError
 
-    def reply(self) -> bytes:
-        """Waits for one answer of the process.
+    def reply(self) -> list[bytes]:
+        """Waits for the frames of one answer of the process.
 
         Raises:
             EngineError: the game refused what it was asked for.
             EOFError: the process is gone.
             TimeoutError: the connection's time-out passed.
         """
-        kind, data = wire.receive(self.connection)
+        kind, frames = wire.receive(self.connection)
         if kind == wire.ERROR:
-            error = json.loads(data)
+            error = json.loads(frames[0])
             raise EngineError(
                 f"the game refused: {error['type']}: {error['message']}\n{error['traceback']}",
                 self.log.tail(),
             )
-        return data
+        return frames
 
     def fork(self) -> RaceProcess:
         """A copy of the process as it is now; call it between two requests.
@@ -162,6 +163,19 @@ def start_race_process(root: Path, graphics: str) -> RaceProcess:
         except EngineCrashed:  # the mother was killed since it was last used
             return start_mother(root).fork()
     return _SpawnedRace(root, graphics)
+
+
+def start_shadow_process(root: Path, graphics: str, variables: Mapping[str, str]) -> RaceProcess:
+    """Starts a process that draws another race (:mod:`stkzoo.engine.shadow`).
+
+    Args:
+        root: the game's full data.
+        graphics: as in :func:`stkzoo.engine.race.init_engine`.
+        variables: more of its environment.
+
+    Raises: as :func:`start_race_process`.
+    """
+    return _SpawnedRace(root, graphics, "shadow", variables)
 
 
 def engine_environment(root: Path, home: str) -> dict[str, str]:
@@ -318,8 +332,9 @@ class _ForkedRace(RaceProcess):
             on_failure.callback(log.close)
             with theirs:
                 wire.send(self.connection, wire.FORK)
+                self.reply()
                 wire.send_files(self.connection, [theirs.fileno(), log.fileno()])
-            pid = int(self.reply())
+            pid = int(self.reply()[0])
             ours.settimeout(self.connection.gettimeout())
             self._mother.adopt(pid)
             on_failure.callback(self._mother.drop_child, pid)
@@ -352,18 +367,25 @@ def _connection_and_log() -> tuple[socket.socket, socket.socket, Log]:
 class _SpawnedRace(RaceProcess):
     """An interpreter of its own, reached over the loopback interface."""
 
-    def __init__(self, root: Path, graphics: str) -> None:
+    def __init__(
+        self,
+        root: Path,
+        graphics: str,
+        module: str = "worker",
+        variables: Mapping[str, str] | None = None,
+    ) -> None:
         self._home = tempfile.mkdtemp(prefix="stkzoo-")
         log = Log()
         token = secrets.token_bytes(_TOKEN_BYTES)
         environment = engine_environment(root, self._home) | {"STKZOO_TOKEN": token.hex()}
         environment["STKZOO_GRAPHICS"] = graphics
+        environment |= variables or {}
         if graphics != "none":  # the user's own display and its session
             environment["XDG_RUNTIME_DIR"] = os.environ.get("XDG_RUNTIME_DIR", self._home)
         with socket.create_server(("127.0.0.1", 0)) as listener:
             listener.settimeout(0.25)
             port = listener.getsockname()[1]
-            self._process = _spawn("worker", [port, _SELF_DESTRUCT_SECONDS], environment, log)
+            self._process = _spawn(module, [port, _SELF_DESTRUCT_SECONDS], environment, log)
             try:
                 connection = self._accept(listener, token, log)
             except BaseException:

@@ -14,12 +14,16 @@ from stkzoo.engine.setup import KartSetup, RaceSetup
 from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, Snapshot
 from stkzoo.engine.track import encode_track
 from stkzoo.errors import EngineError
+from stkzoo.kernel import kernel
 from stkzoo.names import AttachmentType, ItemType, Phase, PowerupType
 
 __all__ = ["GameRace", "RaceStart", "init_engine"]
 
 #: More steps than any race needs before the engine shows READY (31 at 0.1 s).
 _MAX_WARMUP_STEPS = 100_000
+
+#: The first controls are numbers, the others buttons.
+_NUM_ANALOGUE = 2
 
 _is_initialised = False
 
@@ -54,7 +58,7 @@ def init_engine(graphics: str) -> None:
     Args:
         graphics: name of a preset of ``pystk2.GraphicsConfig``: ``"none"`` for headless,
             ``"ld"``, ``"sd"`` or ``"hd"`` for the game's window; or its fields as a JSON
-            object.
+            object, in which ``preset`` names the preset for those left out.
     """
     global _is_initialised
     if _is_initialised:
@@ -69,8 +73,10 @@ def init_engine(graphics: str) -> None:
 def _graphics_config(pystk2: Any, graphics: str) -> Any:
     if not graphics.startswith("{"):
         return getattr(pystk2.GraphicsConfig, graphics)()
-    config = pystk2.GraphicsConfig()
-    for name, value in json.loads(graphics).items():
+    values = json.loads(graphics)
+    preset = values.pop("preset", None)
+    config = getattr(pystk2.GraphicsConfig, preset)() if preset else pystk2.GraphicsConfig()
+    for name, value in values.items():
         setattr(config, name, value)
     return config
 
@@ -98,6 +104,8 @@ class GameRace:
 
         self._setup = setup
         self._make_action = pystk2.Action
+        self._actions: list[Any] = []
+        self._present = np.empty((0, len(CONTROLS)), np.float32)  # what they say
         self._phases = {
             pystk2.WorldState.Phase.READY_PHASE: Phase.READY_PHASE,
             pystk2.WorldState.Phase.SET_PHASE: Phase.SET_PHASE,
@@ -140,19 +148,12 @@ class GameRace:
             controls: ``(P, 7)`` float32, a row for each player kart in grid order, columns
                 as in :data:`stkzoo.engine.snapshot.CONTROLS`.
         """
-        make = self._make_action
-        actions = [
-            make(
-                acceleration=acceleration,
-                steer=steer,
-                brake=brake > 0,
-                drift=drift > 0,
-                fire=fire > 0,
-                nitro=nitro > 0,
-                rescue=rescue > 0,
-            )
-            for acceleration, steer, brake, drift, fire, nitro, rescue in controls.tolist()
-        ]
+        actions, present = self._actions, self._present
+        if len(actions) != len(controls):
+            self._actions = actions = [self._make_action() for _ in range(len(controls))]
+            self._present = present = np.full_like(controls, np.nan)
+        set_actions = _set_actions if kernel is None else kernel.set_actions
+        set_actions(actions, CONTROLS, controls, present)
         running = self._race.step(actions) if actions else self._race.step()
         self._world.update()
         return self._read(running)
@@ -176,6 +177,19 @@ class GameRace:
         return Snapshot(header[0], karts, items)
 
 
+def _set_actions(
+    actions: list[Any],
+    names: tuple[str, ...],
+    controls: npt.NDArray[np.float32],
+    present: npt.NDArray[np.float32],
+) -> None:
+    """Brings actions from what they say at present to what they should; so too ``present``."""
+    for row, column in zip(*np.nonzero(controls != present), strict=True):
+        value = controls[row, column].item()
+        setattr(actions[row], names[column], value if column < _NUM_ANALOGUE else value > 0)
+    present[...] = controls
+
+
 def _race_config(pystk2: Any, setup: RaceSetup) -> Any:
     config = pystk2.RaceConfig(
         num_kart=len(setup.karts),
@@ -186,7 +200,7 @@ def _race_config(pystk2: Any, setup: RaceSetup) -> Any:
     )
     config.reverse = setup.reverse
     config.step_size = setup.step_size
-    config.num_cameras = setup.num_cameras
+    config.num_cameras = 0  # a camera without graphics is the end of the game
     config.players.clear()
     for kart in setup.karts:
         config.players.append(_player_config(pystk2, kart))
@@ -199,6 +213,6 @@ def _player_config(pystk2: Any, kart: KartSetup) -> Any:
         kart=kart.kart,
         name=kart.name,
         controller=kinds.AI_CONTROL if kart.is_bot else kinds.PLAYER_CONTROL,
-        camera_mode=pystk2.PlayerConfig.CameraMode(kart.camera_mode),
+        camera_mode=pystk2.PlayerConfig.CameraMode.OFF,
         color=kart.color,
     )

@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.snapshot import CONTROLS, ITEM_DTYPE, KART_DTYPE
+from stkzoo.kernel import kernel
 
 __all__ = ["WorldReader"]
 
@@ -43,7 +44,7 @@ _STATE_KART = np.dtype(
         *_vector("velocity", 3),
         *_vector("velocity_lc", 3),
         *_vector("size", 3),
-        ("_unknown", "<f4"),
+        ("shield_time", "<f4"),
         ("race_result", "u1"),
         ("jumping", "u1"),
         ("position", "<i4"),
@@ -59,7 +60,7 @@ _STATE_KART = np.dtype(
         ("attachment_time_left", "<f4"),
         ("powerup_type", "u1"),
         ("powerup_num", "<i4"),
-        ("_unknown_too", "<i4"),
+        ("_unknown", "<i4"),
         ("skeed_factor", "<f4"),
         ("has_finished_race", "u1"),
         ("node", "<i4"),
@@ -78,10 +79,35 @@ _STATE_ITEM = np.dtype(
 )
 
 #: Fields of a kart that the block does not hold, or not at a place that is known.
-_BY_ATTRIBUTE = ("angular_velocity", "speed", "shield_time", "lives")
+_BY_ATTRIBUTE = ("angular_velocity", "speed")
 
 _COPIED_KART = [name for name in _STATE_KART.names or () if not name.startswith("_")]
 _COPIED_ITEM = [name for name in _STATE_ITEM.names or () if not name.startswith("_")]
+
+
+def _copy_plan(source: Any, target: Any, names: Iterable[str]) -> npt.NDArray[np.int32]:
+    """For each field, where it is, where it goes, and its 4-byte words; 0 for a single byte."""
+    plan = []
+    for name in names:
+        dtype, from_offset, *_ = source.fields[name]
+        plan.append((from_offset, target.fields[name][1], dtype.itemsize // 4))
+    return np.array(plan, np.int32)
+
+
+_KART_PLAN = _copy_plan(_STATE_KART, KART_DTYPE, _COPIED_KART)
+_ITEM_PLAN = _copy_plan(_STATE_ITEM, ITEM_DTYPE, _COPIED_ITEM)
+
+
+def _attribute_plan(target: Any, names: Iterable[str]) -> npt.NDArray[np.int32]:
+    """For each field, its place, how many numbers it has, and whether they are whole."""
+    plan = []
+    for name in names:
+        dtype, offset, *_ = target.fields[name]
+        plan.append((offset, dtype.itemsize // 4, dtype.base.kind == "i"))
+    return np.array(plan, np.int32)
+
+
+_ATTRIBUTE_PLAN = _attribute_plan(KART_DTYPE, _BY_ATTRIBUTE)
 
 
 class WorldReader:
@@ -96,8 +122,9 @@ class WorldReader:
 
     def __init__(self, world: Any) -> None:
         self._world = world
-        self._kart_bytes: npt.NDArray[np.intp] | None = None
+        self._kart_places = np.empty(0, np.intp)
         self._items_at = 0
+        self._item_places = np.empty(0, np.intp)
         try:
             self._learn(world.__getstate__()[0])
             self.is_fast = self._agrees()
@@ -120,7 +147,7 @@ class WorldReader:
                 offset += _INT.size + _INT.unpack_from(block, offset)[0]
             places.append(offset)
             offset += _STATE_KART.itemsize
-        self._kart_bytes = np.add.outer(places, np.arange(_STATE_KART.itemsize))
+        self._kart_places = np.array(places, np.intp)
         self._items_at = offset
 
     def _agrees(self) -> bool:
@@ -132,25 +159,48 @@ class WorldReader:
 
     def _read_block(self) -> tuple[Records, Records]:
         block = self._world.__getstate__()[0]
-        raw = np.frombuffer(block, np.uint8)
-        state = raw[self._kart_bytes].view(_STATE_KART)[:, 0]
-        karts = np.zeros(len(state), KART_DTYPE)
-        for name in _COPIED_KART:
-            karts[name] = state[name]
-        objects = self._world.karts
-        for name in _BY_ATTRIBUTE:
-            karts[name] = [getattr(kart, name) for kart in objects]
+        karts = np.zeros(len(self._kart_places), KART_DTYPE)
+        _copy(block, self._kart_places, _STATE_KART, karts, _KART_PLAN)
+        _copy_attributes(self._world.karts, karts)
         (num_items,) = _INT.unpack_from(block, self._items_at)
-        state = np.frombuffer(block, _STATE_ITEM, num_items, self._items_at + _INT.size)
-        items = np.empty(num_items, ITEM_DTYPE)
-        for name in _COPIED_ITEM:
-            items[name] = state[name]
+        items = np.zeros(num_items, ITEM_DTYPE)
+        if num_items != len(self._item_places):
+            begin = self._items_at + _INT.size
+            self._item_places = begin + _STATE_ITEM.itemsize * np.arange(num_items)
+        _copy(block, self._item_places, _STATE_ITEM, items, _ITEM_PLAN)
         return karts, items
 
     def _read_attributes(self) -> tuple[Records, Records]:
         karts = _records(KART_DTYPE, self._world.karts, _kart_record)
         items = _records(ITEM_DTYPE, self._world.items, _item_record)
         return karts, items
+
+
+def _copy(
+    block: bytes,
+    places: npt.NDArray[np.intp],
+    source: np.dtype[np.void],
+    records: Records,
+    plan: npt.NDArray[np.int32],
+) -> None:
+    """Fills the planned fields of records from the places in the block where they begin."""
+    if kernel is not None:
+        kernel.copy_fields(block, places, records, plan)
+        return
+    rows = np.frombuffer(block, np.uint8)[np.add.outer(places, np.arange(source.itemsize))]
+    state = rows.view(source)[:, 0]
+    for name in state.dtype.names or ():
+        if not name.startswith("_"):
+            records[name] = state[name]
+
+
+def _copy_attributes(objects: list[Any], records: Records) -> None:
+    """Fills the fields of records that can only be had from the engine's objects."""
+    if kernel is not None:
+        kernel.copy_attributes(objects, _BY_ATTRIBUTE, records, _ATTRIBUTE_PLAN)
+        return
+    for name in _BY_ATTRIBUTE:
+        records[name] = [getattr(thing, name) for thing in objects]
 
 
 def _records(
@@ -195,7 +245,6 @@ def _kart_record(kart: Any) -> tuple[Any, ...]:
         powerup.type.value,
         powerup.num,
         attachment.type.value,
-        kart.lives,
         kart.has_finished_race,
         kart.race_result,
         kart.jumping,

@@ -34,19 +34,19 @@ def serve(
     race: GameRace | None = None
     while True:
         try:
-            kind, data = wire.receive(connection)
+            kind, frames = wire.receive(connection)
         except (EOFError, OSError):
             return
         _set_alarm(self_destruct_after)
         try:
             if kind == wire.ACT and race is not None:
-                controls = np.frombuffer(data, np.float32).reshape(-1, len(CONTROLS))
+                controls = np.frombuffer(frames[0], np.float32).reshape(-1, len(CONTROLS))
                 wire.send(connection, wire.OK, race.step(controls).to_bytes())
             elif kind == wire.BEGIN:
                 if race is not None:
                     race.stop()
                     race = None  # the engine counts a race until its object is gone
-                race = GameRace(RaceSetup.from_json(data))
+                race = GameRace(RaceSetup.from_json(frames[0]))
                 wire.send(connection, wire.OK, *race.begin().to_frames())
             elif kind == wire.FORK and mother is not None:
                 connection = _fork(connection, mother)
@@ -61,6 +61,7 @@ def serve(
 
 def _fork(connection: socket.socket, mother: int) -> socket.socket:
     """Copies this process; returns the connection to serve, a new one in the copy."""
+    wire.send(connection, wire.OK)
     session_fd, log_fd = wire.receive_files(connection, 2)
     try:
         pid = offspring.fork_beside(mother)

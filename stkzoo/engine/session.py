@@ -132,7 +132,7 @@ class WorkerSession:
 
     def start_wait(self) -> RaceStart:
         """The race that :meth:`start_async` asked for."""
-        return RaceStart.from_frames(*self._receive(wire.BEGIN, replies=3))
+        return RaceStart.from_frames(*self._receive(wire.BEGIN))
 
     def step_async(self, controls: Controls) -> None:
         """See :meth:`Session.step_async`."""
@@ -141,7 +141,7 @@ class WorkerSession:
 
     def step_wait(self) -> Snapshot:
         """See :meth:`Session.step_wait`."""
-        (reply,) = self._receive(wire.ACT, replies=1)
+        (reply,) = self._receive(wire.ACT)
         return Snapshot.from_bytes(reply)
 
     def branch(self) -> WorkerSession:
@@ -195,13 +195,13 @@ class WorkerSession:
             wire.send(process.connection, kind, data)
         self._asked = kind
 
-    def _receive(self, kind: bytes, replies: int) -> list[bytes]:
+    def _receive(self, kind: bytes) -> list[bytes]:
         process = self._living()
         if self._asked != kind:
             raise ApiOrderError("there is no request to wait for")
         self._asked = None
         with self._ending_what_fails(process):
-            return [process.reply() for _ in range(replies)]
+            return process.reply()
 
     def _idle(self) -> RaceProcess:
         process = self._living()

@@ -7,10 +7,13 @@ is never pickled.
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
+from stkzoo.kernel import kernel
 
 __all__ = ["CONTROLS", "CONTROL_DTYPE", "HEADER_DTYPE", "ITEM_DTYPE", "KART_DTYPE", "Snapshot"]
 
@@ -58,7 +61,6 @@ KART_DTYPE = np.dtype(
         ("powerup_type", "i4"),  # stkzoo.names.PowerupType
         ("powerup_num", "i4"),
         ("attachment_type", "i4"),  # stkzoo.names.AttachmentType
-        ("lives", "i4"),
         ("has_finished_race", "i4"),
         ("race_result", "i4"),
         ("jumping", "i4"),
@@ -70,6 +72,24 @@ KART_DTYPE = np.dtype(
 )
 
 ITEM_DTYPE = np.dtype([("location", "f4", 3), ("size", "f4"), ("type", "i4"), ("id", "i4")])
+
+#: The numbers of karts and items in a block.
+_COUNTS = struct.Struct("=ii")
+_COUNTS_AT = int(HEADER_DTYPE.fields["num_kart"][1])  # type: ignore[index]
+
+
+def _offsets(dtype: np.dtype[np.void]) -> dict[str, int]:
+    return {name: offset for name, (_, offset, *_) in (dtype.fields or {}).items()}
+
+
+if kernel is not None and kernel.layouts() != {
+    "kart": _offsets(KART_DTYPE),
+    "item": _offsets(ITEM_DTYPE),
+}:
+    raise ImportError(
+        "stkzoo's compiled part belongs to another version; install stkzoo again, "
+        "or set STKZOO_KERNEL=off to go on without it"
+    )
 
 
 @dataclass(frozen=True)
@@ -93,7 +113,7 @@ class Snapshot:
         """Views a block written by :meth:`to_bytes`; copies nothing."""
         header = np.frombuffer(data, HEADER_DTYPE, count=1)[0]
         start = HEADER_DTYPE.itemsize
-        num_kart, num_items = int(header["num_kart"]), int(header["num_items"])
+        num_kart, num_items = _COUNTS.unpack_from(data, _COUNTS_AT)
         karts = np.frombuffer(data, KART_DTYPE, count=num_kart, offset=start)
         start += num_kart * KART_DTYPE.itemsize
         items = np.frombuffer(data, ITEM_DTYPE, count=num_items, offset=start)

@@ -30,6 +30,10 @@ class TrackMap:
         path_distance: ``(N, 2)`` float32 [m]: distance from the start line to each
             segment's start and end.
         successors: for each node, the nodes that follow it; more than one at a fork.
+        order: ``(N, N)``: row n is what lies ahead of node n (:meth:`nodes_ahead`), -1
+            until :meth:`look_ahead` has been asked for it.
+        distance_rows: the rows of ``path_distance``, as arrays.
+        width_rows: the rows of ``path_width``, as arrays.
     """
 
     def __init__(
@@ -48,9 +52,10 @@ class TrackMap:
         self.successors = tuple(tuple(nodes) for nodes in successors)
         for array in (path_nodes, path_width, path_distance):
             array.flags.writeable = False
+        self.distance_rows = tuple(path_distance)
+        self.width_rows = tuple(path_width)
         num_nodes = len(self.successors)
-        self._order = np.empty((num_nodes, num_nodes), np.intp)
-        self._is_ordered = np.zeros(num_nodes, bool)
+        self.order = np.full((num_nodes, num_nodes), -1, np.intp)
 
     @property
     def num_nodes(self) -> int:
@@ -70,10 +75,13 @@ class TrackMap:
         Returns:
             ``(A, P)`` indices; the first column is ``nodes``.
         """
-        for node in set(nodes[~self._is_ordered[nodes]].tolist()):
-            self._order[node] = self._order_from(node)
-            self._is_ordered[node] = True
-        return self._order[nodes, :max_paths]
+        self.look_ahead(nodes)
+        return self.order[nodes, :max_paths]
+
+    def look_ahead(self, nodes: IntArray) -> None:
+        """Makes sure that the rows of ``order`` are there for some segments."""
+        for node in set(nodes[self.order[nodes, 0] < 0].tolist()):
+            self.order[node] = self._order_from(node)
 
     def _order_from(self, start: int) -> list[int]:
         begin = self.path_distance[:, 0].tolist()
@@ -113,7 +121,7 @@ def decode_track(data: bytes) -> TrackMap:
     start = _JSON_SIZE.size + size
     facts = json.loads(data[_JSON_SIZE.size : start])
     num_nodes = len(facts["successors"])
-    numbers = np.frombuffer(data, "f4", offset=start)
+    numbers = np.frombuffer(data, "f4", offset=start).copy()  # at a place fit for numbers
     nodes, widths, distances = np.split(numbers, [6 * num_nodes, 7 * num_nodes])
     return TrackMap(
         length=facts["length"],

@@ -1,7 +1,8 @@
 """Messages between a program and its engine processes.
 
-A message is a kind (one byte), a length and that many bytes. Nothing is pickled:
-the bytes are arrays by a fixed layout, or JSON.
+A message is a kind (one byte), the number of its frames (one byte), their lengths, and
+that many bytes. Nothing is pickled: a frame is arrays by a fixed layout, or JSON. After a
+message each end waits for the other's, so that one read of a connection holds one message.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from collections.abc import Sequence
 __all__ = [
     "ACT",
     "BEGIN",
+    "DRAW",
     "ERROR",
     "FORK",
     "OK",
@@ -25,34 +27,52 @@ __all__ = [
 ]
 
 #: Requests: start a race (JSON), advance it (control array), end; and to make a copy of the
-#: process (empty, then a connection and a log for the copy by :func:`send_files`), to which
-#: this process answers with the copy's process id and the copy, on its connection, with
-#: nothing.
+#: process, which this process answers with nothing, takes a connection and a log for the
+#: copy (:func:`send_files`), and answers with the copy's process id. The copy answers on
+#: its connection, with nothing.
 BEGIN, ACT, QUIT, FORK = b"B", b"A", b"Q", b"F"
+#: Request to a process that draws (:mod:`stkzoo.engine.shadow`): move the karts, then look.
+DRAW = b"D"
 #: Replies: the asked-for bytes, or a JSON object with ``type``, ``message``, ``traceback``.
 OK, ERROR = b"O", b"E"
 
-_HEADER = struct.Struct("<cI")
+_HEADER = struct.Struct("<cB")
+_LENGTH = struct.Struct("<I")
 #: No message of ours comes near; a larger length is a sign of a broken stream.
 _MAX_LENGTH = 1 << 28
+#: More than a step's message has, so that one call reads it.
+_ONE_READ = 1 << 15
 
 
 def send(connection: socket.socket, kind: bytes, *frames: bytes) -> None:
-    """Sends one message for each frame, or one empty message."""
-    connection.sendall(b"".join(_HEADER.pack(kind, len(f)) + f for f in frames or (b"",)))
+    """Sends one message."""
+    lengths = [_LENGTH.pack(len(frame)) for frame in frames]
+    connection.sendall(b"".join([_HEADER.pack(kind, len(frames)), *lengths, *frames]))
 
 
-def receive(connection: socket.socket) -> tuple[bytes, bytes]:
-    """Waits for one message and returns its kind and its bytes.
+def receive(connection: socket.socket) -> tuple[bytes, list[bytes]]:
+    """Waits for one message and returns its kind and its frames.
 
     Raises:
         EOFError: the other end is gone.
         TimeoutError: the socket's time-out passed.
     """
-    kind, length = _HEADER.unpack(_receive_exactly(connection, _HEADER.size))
-    if length > _MAX_LENGTH:
-        raise EOFError(f"a message of {length} bytes makes no sense here")
-    return kind, _receive_exactly(connection, length)
+    data = _at_least(connection, b"", _HEADER.size)
+    kind, count = _HEADER.unpack_from(data)
+    begin = _HEADER.size + count * _LENGTH.size
+    data = _at_least(connection, data, begin)
+    lengths = [_LENGTH.unpack_from(data, _HEADER.size + 4 * n)[0] for n in range(count)]
+    size = begin + sum(lengths)
+    if size > _MAX_LENGTH:
+        raise EOFError(f"a message of {size} bytes makes no sense here")
+    data = _at_least(connection, data, size)
+    if len(data) > size:
+        raise EOFError("more came than was asked for")
+    frames = []
+    for length in lengths:
+        frames.append(data[begin : begin + length])
+        begin += length
+    return kind, frames
 
 
 def send_files(connection: socket.socket, files: Sequence[int]) -> None:
@@ -80,16 +100,16 @@ def receive_files(connection: socket.socket, count: int) -> list[int]:
     return list(files)
 
 
-def _receive_exactly(connection: socket.socket, size: int) -> bytes:
-    data = connection.recv(size) if size else b""
-    if len(data) == size:
+def _at_least(connection: socket.socket, data: bytes, size: int) -> bytes:
+    """Reads on until there are so many bytes."""
+    if len(data) >= size:
         return data
     parts = [data]
-    missing = size - len(data)
-    while data and missing:
-        data = connection.recv(missing)
-        parts.append(data)
-        missing -= len(data)
-    if missing:
-        raise EOFError("the connection was closed")
+    count = len(data)
+    while count < size:
+        part = connection.recv(max(_ONE_READ, size - count))
+        if not part:
+            raise EOFError("the connection was closed")
+        parts.append(part)
+        count += len(part)
     return b"".join(parts)

@@ -17,6 +17,7 @@ from stkzoo.engine.track import decode_track
 from stkzoo.env.grid import RaceInfo
 from stkzoo.env.infos import EpisodeRecord
 from stkzoo.env.options import RaceOptions
+from stkzoo.kernel import kernel
 from stkzoo.mdp.observations import KartObserver, ai_actions
 from stkzoo.mdp.rewards import Reward
 from stkzoo.mdp.state import race_state
@@ -35,6 +36,7 @@ class Episode:
         rewards: every agent's reward, in agent order.
 
     Attributes:
+        setup: what the engine was told.
         race: names of the race and its karts.
         track_map: the track.
         snapshot: the present moment.
@@ -49,11 +51,14 @@ class Episode:
         start: RaceStart,
         rewards: Mapping[str, Reward],
     ) -> None:
+        self.setup = setup
         self.race = replace(race, kart_types=start.kart_types)
         self.track_map = decode_track(start.track)
         self.snapshot = start.snapshot
         self._kart_of = dict(zip(rewards, race.kart_indices, strict=True))
         self._is_player = np.array([not kart.is_bot for kart in setup.karts])
+        self._are_all_players = bool(self._is_player.all())
+        self._asked_for: tuple[tuple[str, ...], npt.NDArray[np.intp]] = (), np.empty(0, np.intp)
         self._reports_control = any(kart.reports_control for kart in setup.karts)
         self._start(options, rewards)
 
@@ -76,20 +81,17 @@ class Episode:
         return twin
 
     def controls(
-        self, actions: Mapping[str, npt.NDArray[Any]], agents: Sequence[str]
+        self, actions: npt.NDArray[np.float32], agents: Sequence[str]
     ) -> npt.NDArray[np.float32]:
         """What the engine is told: ``(P, 7)`` float32, player karts in grid order.
 
         Args:
-            actions: the agents' actions in batch form, in the game's own action space.
+            actions: ``(A, 7)`` float32, the agents' actions with the columns of ``CONTROLS``.
             agents: whose actions; all other player karts coast.
         """
         controls = np.zeros((len(self._is_player), len(CONTROLS)), np.float32)
-        karts = self._karts(agents)
-        for column, name in enumerate(CONTROLS):
-            controls[karts, column] = np.reshape(actions[name], -1)
-        players: npt.NDArray[np.float32] = controls[self._is_player]
-        return players
+        controls[self._karts(agents)] = actions
+        return controls if self._are_all_players else controls[self._is_player]
 
     def advance(self, snapshot: Snapshot, agents: Sequence[str]) -> dict[str, float]:
         """Takes in the moment after a step and returns the agents' rewards."""
@@ -111,14 +113,22 @@ class Episode:
             batch["action"] = ai_actions(self.snapshot, karts)
         return batch
 
+    def sight(self, agents: Sequence[str], paths_used: int | None) -> Sight:
+        """What some agents see now, to be made in the form that is asked for."""
+        return Sight(self, self._karts(agents), agents, paths_used)
+
+    def through(self, view: Any, karts: npt.NDArray[np.intp]) -> list[Any]:
+        """What some karts see now in a view of the compiled kernel."""
+        return self._observer.through(view, self.snapshot, karts)
+
     def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Fresh infos of some agents; see :class:`~stkzoo.env.infos.EpisodeRecord`."""
         return self.record.infos(self.snapshot, agents)
 
     def terminations(self, agents: Sequence[str]) -> dict[str, bool]:
         """Which agents have finished the race."""
-        finished = self.snapshot.karts["has_finished_race"][self._karts(agents)] > 0
-        return dict(zip(agents, finished.tolist(), strict=True))
+        finished = _finished if kernel is None else kernel.finished
+        return dict(zip(agents, finished(self.snapshot.karts, self._karts(agents)), strict=True))
 
     def truncations(self, terminations: Mapping[str, bool]) -> dict[str, bool]:
         """Which agents are cut short because the race has lasted long enough."""
@@ -142,4 +152,37 @@ class Episode:
         self._observer = KartObserver(self.track_map, self.race.kart_types, options.max_paths)
 
     def _karts(self, agents: Sequence[str]) -> npt.NDArray[np.intp]:
-        return np.array([self._kart_of[agent] for agent in agents], np.intp)
+        key = tuple(agents)
+        if key != self._asked_for[0]:  # they change only when somebody leaves
+            self._asked_for = key, np.array([self._kart_of[agent] for agent in key], np.intp)
+        return self._asked_for[1]
+
+
+def _finished(karts: npt.NDArray[np.void], who: npt.NDArray[np.intp]) -> list[bool]:
+    finished: list[bool] = (karts["has_finished_race"][who] > 0).tolist()
+    return finished
+
+
+class Sight:
+    """What some agents of an episode see at its present moment (:class:`wrappers.chain.Sight`)."""
+
+    def __init__(
+        self,
+        episode: Episode,
+        karts: npt.NDArray[np.intp],
+        agents: Sequence[str],
+        paths_used: int | None,
+    ) -> None:
+        self._episode, self._karts = episode, karts
+        self._agents, self._paths_used = agents, paths_used
+        self._batch: dict[str, Any] | None = None
+
+    def batch(self) -> dict[str, Any]:
+        """The ``full`` view of all the agents, in batch form."""
+        if self._batch is None:
+            self._batch = self._episode.observe(self._agents, self._paths_used)
+        return self._batch
+
+    def through(self, view: Any, rows: npt.NDArray[np.intp]) -> list[Any]:
+        """What the agents of some rows see in a view of the compiled kernel."""
+        return self._episode.through(view, self._karts[rows])

@@ -1,44 +1,94 @@
-"""How the game draws itself, as a plain value that the engine's process understands."""
+"""How races are drawn, as an environment's arguments say it, checked."""
 
 from __future__ import annotations
 
-import json
 import os
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.render.renderer import BACKENDS
 
-__all__ = ["graphics_setting"]
+__all__ = ["RENDER_MODES", "check_render_mode", "checked_size", "drawing_preset", "frame_rate"]
+
+#: ``None`` draws nothing.
+RENDER_MODES = ("human", "rgb_array", "rgb_array_list")
 
 _PRESETS = ("ld", "sd", "hd")
+_SMALLEST, _LARGEST = 32, 4096
 
 
-def graphics_setting(render_mode: str | None, choice: Any) -> str:
-    """The setting for :func:`stkzoo.engine.race.init_engine`.
-
-    Args:
-        render_mode: ``None`` for headless.
-        choice: ``None`` for the best preset, a preset's name, or a ``GraphicsConfig``.
+def check_render_mode(mode: str | None, backend: str) -> None:
+    """Checks a render mode and who is to draw.
 
     Raises:
-        ConfigError: the choice cannot be, or there is no display.
+        ConfigError: they cannot be, or there is no display for a window.
     """
-    if choice is not None and not hasattr(choice, "screen_width") and choice not in _PRESETS:
-        raise unknown_name("graphics_config", choice, _PRESETS)
-    if render_mode is None:
-        return "none"
+    if mode is not None and mode not in RENDER_MODES:
+        raise ConfigError(
+            f"render_mode is {mode!r}, expected None or one of {', '.join(RENDER_MODES)}"
+        )
+    if backend not in BACKENDS:
+        raise unknown_name("render_backend", backend, BACKENDS)
+    if mode != "human":
+        return
+    if backend == "map":
+        raise ConfigError(
+            'render_mode="human" opens the game\'s window, but render_backend is "map"; take '
+            'render_mode="rgb_array" for pictures of the map, or another render_backend'
+        )
     if sys.platform == "linux" and not _has_display():
         raise ConfigError(
-            f"render_mode is {render_mode!r}, but neither DISPLAY nor WAYLAND_DISPLAY names a "
+            "render_mode is 'human', but neither DISPLAY nor WAYLAND_DISPLAY names a "
             "display; start a desktop session or `xvfb-run`, or use render_mode=None"
         )
-    if choice is None or isinstance(choice, str):
-        return choice or "hd"
+
+
+def drawing_preset(mode: str | None, choice: Any) -> str | dict[str, Any]:
+    """How finely the game draws, for :class:`stkzoo.engine.filming.ShadowSession`.
+
+    Args:
+        mode: the render mode.
+        choice: a preset's name, a ``pystk2.GraphicsConfig``, or ``None``: the finest in a
+            window, the quickest for pictures.
+
+    Raises:
+        ConfigError: the choice cannot be.
+    """
+    if choice is None:
+        return "hd" if mode == "human" else "ld"
+    if isinstance(choice, str) and choice in _PRESETS:
+        return choice
+    if not hasattr(choice, "screen_width"):
+        raise unknown_name("graphics_config", choice, _PRESETS)
     names = [name for name in dir(choice) if not name.startswith("_")]
     values = {name: getattr(choice, name) for name in names}
-    plain = {k: v for k, v in values.items() if isinstance(v, (bool, int, float))}
-    return json.dumps(plain)
+    return {name: v for name, v in values.items() if isinstance(v, (bool, int, float))}
+
+
+def checked_size(size: Sequence[int]) -> tuple[int, int]:
+    """Width and height of a picture as Python's own numbers [pixels].
+
+    Raises:
+        ConfigError: they cannot be.
+    """
+    try:
+        width, height = (int(side) for side in size)
+    except (TypeError, ValueError):
+        width = height = 0
+    if not all(_SMALLEST <= side <= _LARGEST for side in (width, height)):
+        raise ConfigError(
+            f"render_size is {size!r}, expected (width, height) from {_SMALLEST} to {_LARGEST} "
+            "pixels each, such as (640, 480)"
+        )
+    return width, height
+
+
+def frame_rate(step_size: float) -> float:
+    """Pictures a second of game time, one a step; whole where it is whole."""
+    rate = 1 / step_size
+    return round(rate) if abs(rate - round(rate)) < 1e-6 else rate
 
 
 def _has_display() -> bool:

@@ -7,12 +7,15 @@ from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar
 
 import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
 from gymnasium.utils import EzPickle
 
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import find_assets
 from stkzoo.engine.process import can_fork, start_mother
 from stkzoo.engine.track import TrackMap
+from stkzoo.env.graphics import RENDER_MODES
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.env.state import RaceState
 from stkzoo.env.world import WorldView
@@ -38,7 +41,10 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], EzPickle):
         TRACKS: names of all race tracks.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["human"], "render_fps": 10}  # noqa: RUF012
+    metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's convention
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 10,
+    }
     TRACKS = _TrackNames()
 
     def __init__(self, agents: Sequence[AgentSpec] | int | None, **options: Any) -> None:
@@ -46,6 +52,7 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], EzPickle):
         options.setdefault("max_cycles", None)
         self.core = RaceParallelEnv(agents=agents, **options)
         self.render_mode = self.core.render_mode
+        self.metadata = {**self.metadata, "render_fps": self.core.metadata["render_fps"]}
 
     @classmethod
     def initialize(
@@ -94,9 +101,13 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], EzPickle):
             raise ApiOrderError("there is no race before reset(); call reset() first")
         return WorldView.of(self.core.snapshot, self.core.race.kart_types)
 
-    def render(self) -> None:
-        """With ``render_mode="human"`` the game's window follows every step by itself."""
-        self.core.render()
+    def render(self) -> Any:
+        """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.render`."""
+        return self.core.render()
+
+    def frames(self) -> dict[str, npt.NDArray[np.uint8]]:
+        """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.frames`."""
+        return self.core.frames()
 
     def close(self) -> None:
         """Ends the game's process; ``reset`` may be called again."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -10,13 +13,15 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import ConfigError
+from stkzoo.kernel import kernel
 from stkzoo.mdp.rewards import Reward, as_reward
-from stkzoo.mdp.transition import Transition, progress_of
+from stkzoo.mdp.transition import Transition
 from stkzoo.wrappers.agent_names import by_agent, find_agent
 
 __all__ = ["EpisodeRecord", "rewards_of_agents"]
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.intp]
 
 
 def rewards_of_agents(choice: object, agents: Sequence[str]) -> dict[str, Reward]:
@@ -27,18 +32,32 @@ def rewards_of_agents(choice: object, agents: Sequence[str]) -> dict[str, Reward
     return dict.fromkeys(agents, as_reward(choice))
 
 
+@dataclass(frozen=True)
+class _Group:
+    """Agents that share a reward: their rows, their karts and the columns of the terms."""
+
+    reward: Reward
+    rows: IntArray
+    karts: IntArray
+    columns: IntArray
+
+
 def _groups(
-    rewards: Mapping[str, Reward], karts: Mapping[str, int]
-) -> list[tuple[Reward, list[int], list[int]]]:
-    """Agents that share a reward: the reward, their rows and their karts."""
-    groups: list[tuple[Reward, list[int], list[int]]] = []
-    for row, (agent, reward) in enumerate(rewards.items()):
-        group = next((known for known in groups if known[0] is reward), None)
-        if group is None:
-            groups.append(group := (reward, [], []))
-        group[1].append(row)
-        group[2].append(karts[agent])
-    return groups
+    rewards: Mapping[str, Reward], karts: Sequence[int], columns: Mapping[str, int]
+) -> list[_Group]:
+    members: dict[int, list[int]] = {}
+    for row, reward in enumerate(rewards.values()):
+        members.setdefault(id(reward), []).append(row)
+    of_row, kart_of = list(rewards.values()), np.array(karts, np.intp)
+    return [
+        _Group(
+            reward=of_row[rows[0]],
+            rows=np.array(rows, np.intp),
+            karts=kart_of[rows],
+            columns=np.array([columns[name] for name in of_row[rows[0]].terms], np.intp),
+        )
+        for rows in members.values()
+    ]
 
 
 def _is_agent(name: object, agents: Sequence[str]) -> bool:
@@ -62,28 +81,42 @@ class EpisodeRecord:
         self, rewards: Mapping[str, Reward], kart_indices: Sequence[int], race_length: float
     ) -> None:
         self._agents = tuple(rewards)
-        self._karts = dict(zip(rewards, kart_indices, strict=True))
-        self._groups = _groups(rewards, self._karts)
-        names = sorted({name for reward in rewards.values() for name in reward.terms})
-        self._columns = {name: column for column, name in enumerate(names)}
+        self._karts = np.array(kart_indices, np.intp)
         self._rows = {agent: row for row, agent in enumerate(rewards)}
+        names = sorted({name for reward in rewards.values() for name in reward.terms})
+        self._groups = _groups(rewards, kart_indices, {name: c for c, name in enumerate(names)})
+        self._all_rows = np.arange(len(rewards))
         self._race_length = race_length
         self._last = np.zeros((len(rewards), len(names)))
         self._sums = np.zeros_like(self._last)
         self._length = 0
+        self._keys = (
+            *("position", "distance", "lap", "finish_time"),
+            *(f"reward/{name}" for name in names),
+            *(f"episode/reward/{name}" for name in names),
+            *("episode/return", "episode/length"),
+        )
 
     def step(self, before: Snapshot, after: Snapshot, agents: Sequence[str]) -> dict[str, float]:
         """Adds one step and returns the rewards of the agents that were still racing."""
-        transition = Transition(before, after, self._race_length)
-        for reward, rows, karts in self._groups:
-            for name, values in reward(transition).items():
-                self._last[rows, self._columns[name]] = values[karts]
+        for group in self._groups:
+            self._score(group, before, after)
         if len(agents) < len(self._agents):
             self._last[[agent not in agents for agent in self._agents]] = 0.0
-        self._sums += self._last
         self._length += 1
-        totals = dict(zip(self._agents, self._last.sum(axis=1).tolist(), strict=True))
-        return {agent: totals[agent] for agent in agents}
+        add_up = _add_up if kernel is None else kernel.add_up
+        return dict(zip(agents, add_up(self._last, self._sums, self._rows_of(agents)), strict=True))
+
+    def _score(self, group: _Group, before: Snapshot, after: Snapshot) -> None:
+        """Writes a step's reward terms into ``_last``."""
+        terms = group.reward.kernel_terms
+        if kernel is not None and terms is not None:
+            places = (group.columns, group.rows, group.karts, self._last)
+            kernel.score(before.karts, after.karts, self._race_length, *terms, *places)
+            return
+        values = group.reward(Transition(before, after, self._race_length)).values()
+        for column, value in zip(group.columns, values, strict=True):
+            self._last[group.rows, column] = value[group.karts]
 
     def infos(self, snapshot: Snapshot, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Fresh infos of some agents: plain numbers under the same keys from reset on.
@@ -93,20 +126,46 @@ class EpisodeRecord:
         weighted terms of this step, ``episode/reward/<term>`` their sums,
         ``episode/return`` the sum of all, ``episode/length`` the steps so far.
         """
-        distances = progress_of(snapshot).tolist()
-        karts = snapshot.karts
-        infos: dict[str, dict[str, Any]] = {}
-        for agent in agents:
-            row, kart = self._rows[agent], self._karts[agent]
-            last, sums = self._last[row].tolist(), self._sums[row].tolist()
-            infos[agent] = {
-                "position": int(karts["position"][kart]),
-                "distance": distances[kart],
-                "lap": max(int(karts["finished_laps"][kart]), 0),
-                "finish_time": float(karts["finish_time"][kart]),
-                **{f"reward/{name}": last[c] for name, c in self._columns.items()},
-                **{f"episode/reward/{name}": sums[c] for name, c in self._columns.items()},
-                "episode/return": sum(sums),
-                "episode/length": self._length,
-            }
-        return infos
+        rows = self._rows_of(agents)
+        moment = (snapshot.karts, self._last, self._sums, self._length, rows, self._karts)
+        make = _make_infos if kernel is None else kernel.make_infos
+        return dict(zip(agents, make(self._keys, *moment), strict=True))
+
+    def _rows_of(self, agents: Sequence[str]) -> IntArray:
+        if len(agents) == len(self._agents):
+            return self._all_rows  # agents keep their order
+        return np.array([self._rows[agent] for agent in agents], np.intp)
+
+
+def _add_up(last: FloatArray, sums: FloatArray, rows: IntArray) -> list[float]:
+    """Adds a step's terms to their sums; the totals of some rows."""
+    sums += last
+    totals: list[float] = last.sum(axis=1)[rows].tolist()
+    return totals
+
+
+def _make_infos(
+    keys: tuple[str, ...],
+    karts: npt.NDArray[np.void],
+    last: FloatArray,
+    sums: FloatArray,
+    length: int,
+    rows: IntArray,
+    kart_of_row: IntArray,
+) -> list[dict[str, Any]]:
+    """One info for each of some rows of ``last`` and ``sums``."""
+    infos = []
+    for row, kart in zip(rows.tolist(), karts[kart_of_row[rows]], strict=True):
+        own = sums[row].tolist()
+        values = [
+            int(kart["position"]),
+            max(float(kart["overall_distance"]), 0.0),
+            max(int(kart["finished_laps"]), 0),
+            float(kart["finish_time"]),
+            *last[row].tolist(),
+            *own,
+            reduce(operator.add, own, 0.0),
+            length,
+        ]
+        infos.append(dict(zip(keys, values, strict=True)))
+    return infos

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -18,11 +17,11 @@ from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import Assets, find_assets
 from stkzoo.engine.process import can_fork, start_mother
 from stkzoo.engine.session import LocalSession, Session, WorkerSession
-from stkzoo.engine.snapshot import Snapshot
+from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.engine.track import TrackMap
 from stkzoo.env.branching import BranchingRace
 from stkzoo.env.episode import Episode
-from stkzoo.env.graphics import graphics_setting
+from stkzoo.env.graphics import RENDER_MODES, frame_rate
 from stkzoo.env.grid import RaceInfo, draw_race
 from stkzoo.env.infos import rewards_of_agents
 from stkzoo.env.options import (
@@ -32,10 +31,12 @@ from stkzoo.env.options import (
     check_num_cameras,
     checked_seed,
 )
+from stkzoo.env.rendering import Rendering, scene_of
 from stkzoo.env.views import views_of_agents
 from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.mdp.state import state_space
+from stkzoo.render.scene import Scene
 from stkzoo.wrappers.chain import AgentChains
 
 __all__ = ["RaceParallelEnv"]
@@ -62,10 +63,16 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         view: name of a view for all agents (:data:`stkzoo.env.views.VIEWS`), a function
             that wraps a Gymnasium environment, or a mapping from agents to these.
         reward: see :mod:`stkzoo.mdp.rewards`.
-        render_mode: ``"human"`` opens the game's window; ``None`` shows nothing.
-        num_cameras: how many cameras the window shows.
+        render_mode: ``"rgb_array"``: :meth:`render` gives a picture; ``"rgb_array_list"``: the
+            pictures since the last call or reset; ``"human"``: the game's window follows the
+            race; ``None`` shows nothing. No mode changes a race.
+        num_cameras: how many agents have a camera, at most 8; with 0 those that ask for one,
+            or the first agent.
+        render_backend: who draws pictures: ``"engine"``, the game; ``"map"``, the race from
+            above; ``"auto"``, the game where it can draw, else the map.
+        render_size: width and height of a picture [pixels].
         graphics_config: a ``pystk2.GraphicsConfig`` or the name of a preset (``"ld"``,
-            ``"sd"``, ``"hd"``) for the window.
+            ``"sd"``, ``"hd"``): how finely the game draws.
         use_subprocess: run the game in a process of its own (the default). In this
             process there can be one race at a time, and with bots only the first repeats.
         engine_timeout: seconds that the game may take for one step.
@@ -79,7 +86,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's convention
         "name": "race_v0",
-        "render_modes": ["human"],
+        "render_modes": list(RENDER_MODES),
         "render_fps": 10,
         "is_parallelizable": True,
     }
@@ -101,6 +108,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         reward: Any = None,
         reverse: bool = False,
         max_cycles: int | None = 1500,
+        render_backend: str = "auto",
+        render_size: Sequence[int] = (640, 480),
         graphics_config: Any = None,
         engine_timeout: float = 30.0,
         max_snapshots: int = 100,
@@ -121,10 +130,11 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         check_num_cameras(num_cameras)
         check_engine_timeout(engine_timeout)
         BranchingRace.__init__(self, max_snapshots)
-        self.render_mode = _checked_render_mode(render_mode, self.metadata["render_modes"])
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": frame_rate(self.options.step_size)}
+        self._rendering = Rendering(render_mode, render_backend, render_size, graphics_config)
         self._num_cameras = num_cameras
-        self._graphics = graphics_setting(render_mode, graphics_config)
-        self._assets = find_assets(graphics=render_mode is not None)
+        self._assets = find_assets()
         self.options.tracks(self._assets.tracks)
 
         check_agents(self.specs, num_kart, self._assets.karts)
@@ -140,14 +150,13 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
             {agent: kart_action_space() for agent in self.possible_agents},
             views_of_agents(view, self.possible_agents),
             ignored=self._ai_agents,
+            columns=CONTROLS,
         )
         self.observation_spaces = self._chains.observation_spaces
         self.action_spaces = self._chains.action_spaces
         self.state_space = state_space(num_kart)
         self._np_random: np.random.Generator | None = None
-        self._session = _session(
-            self._assets, use_subprocess, self._graphics, float(engine_timeout)
-        )
+        self._session = _session(self._assets, use_subprocess, float(engine_timeout))
         self._episode: Episode | None = None
         self._asked: Episode | None = None  # whose step is under way
 
@@ -192,12 +201,13 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         self.agents, self._asked = [], None  # in case a wrapper fails
         result = self._chains.reset(
             agents,
-            self._episode.observe(agents, self._chains.paths_used),
+            self._episode.sight(agents, self._chains.paths_used),
             self._episode.infos(agents),
             seed=seed,
             options=dict(options or {}),
         )
         self.agents = agents
+        self._rendering.reset(self._episode)
         return result
 
     def step(self, actions: Mapping[str, Any]) -> StepResult:
@@ -233,13 +243,25 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
             ApiOrderError: before the first ``reset``, or twice without :meth:`step_wait`.
             EngineError: the game died or hangs; ``reset`` starts anew.
         """
-        episode, agents = self._running("step"), self.agents
+        self.send(self.decode(actions))
+
+    def decode(self, actions: Mapping[str, Any]) -> npt.NDArray[np.float32]:
+        """The first half of :meth:`step_async`: checks the actions and moves nothing.
+
+        Returns:
+            What :meth:`send` takes: ``(P, 7)`` float32, see
+            :meth:`stkzoo.engine.session.Session.step_async`.
+        """
+        episode = self._running("step")
         if self._asked is episode:
             raise ApiOrderError("step_async() twice without step_wait(); call step_wait() first")
-        controls = episode.controls(self._chains.decode(actions, agents), agents)
-        if agents:
+        return episode.controls(self._chains.decode(actions, self.agents), self.agents)
+
+    def send(self, controls: npt.NDArray[np.float32]) -> None:
+        """The second half of :meth:`step_async`: asks the game for the step."""
+        if self.agents:
             self._session.step_async(controls)
-        self._asked = episode
+        self._asked = self._running("step")
 
     def step_wait(self) -> StepResult:
         """What came of the step that :meth:`step_async` asked for; see :meth:`step`.
@@ -258,22 +280,38 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         terminations = episode.terminations(agents)
         result: StepResult = self._chains.step(
             agents,
-            episode.observe(agents, self._chains.paths_used),
+            episode.sight(agents, self._chains.paths_used),
             rewards,
             terminations,
             episode.truncations(terminations),
             episode.infos(agents),
         )
         self.agents = [a for a in agents if not (result[2][a] or result[3][a])]
+        if self.render_mode is not None:
+            self._rendering.follow(episode)
         return result
 
-    def render(self) -> None:
-        """With ``render_mode="human"`` the game's window follows every step by itself."""
-        if self.render_mode is None:
-            warnings.warn(
-                'render() shows nothing without a render mode; pass render_mode="human"',
-                stacklevel=2,
-            )
+    def render(self) -> Any:
+        """Shows the race as ``render_mode`` asks for.
+
+        Returns:
+            ``(height, width, 3)`` uint8 with ``"rgb_array"``: what the first agent's camera
+            sees, several cameras as tiles, or the map. A list of such pictures, one a step
+            since the last call or reset, with ``"rgb_array_list"``. ``None`` with ``"human"``:
+            the window follows every step by itself.
+
+        Raises:
+            ApiOrderError: before the first ``reset``.
+            EngineError: the game cannot draw here, and the map was not allowed.
+        """
+        return self._rendering.render(self._episode)
+
+    def frames(self) -> dict[str, npt.NDArray[np.uint8]]:
+        """What each agent's camera sees, ``(height, width, 3)`` uint8; in any render mode.
+
+        Raises: as :meth:`render`.
+        """
+        return self._rendering.frames(self._episode, self.possible_agents)
 
     def state(self) -> npt.NDArray[np.float32]:
         """The whole race as one vector of ``state_space`` (:mod:`stkzoo.mdp.state`)."""
@@ -283,6 +321,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         """Ends the game's process; ``reset`` may be called again."""
         self.agents, self._episode, self._asked = [], None, None
         self._session.close()
+        self._rendering.close()
         self._chains.close()
 
     def __enter__(self) -> RaceParallelEnv:
@@ -302,6 +341,16 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
     def race(self) -> RaceInfo | None:
         """Names of the present race and its karts; ``None`` before the first reset."""
         return self._episode.race if self._episode else None
+
+    @property
+    def scene(self) -> Scene | None:
+        """The present race as pictures need it; ``None`` before the first reset."""
+        return scene_of(self._episode) if self._episode else None
+
+    @property
+    def render_backend(self) -> str:
+        """Who draws: ``"engine"`` or ``"map"``; ``"auto"`` until a picture was asked for."""
+        return self._rendering.backend
 
     @property
     def track_map(self) -> TrackMap | None:
@@ -395,15 +444,9 @@ def _specs(agents: Sequence[AgentSpec] | int | None, num_kart: int) -> list[Agen
     raise ConfigError(f"agents is {agents!r}, expected a list of AgentSpec or a number of agents")
 
 
-def _checked_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
-    if mode is not None and mode not in modes:
-        raise ConfigError(f"render_mode is {mode!r}, expected None or one of {', '.join(modes)}")
-    return mode
-
-
-def _session(assets: Assets, use_subprocess: bool, graphics: str, timeout: float) -> Session:
+def _session(assets: Assets, use_subprocess: bool, timeout: float) -> Session:
     if not use_subprocess:
-        return LocalSession(assets.root, graphics)
-    if graphics == "none" and can_fork():
+        return LocalSession(assets.root)
+    if can_fork():
         start_mother(assets.root)  # the game starts while the program goes on
-    return WorkerSession(assets.root, graphics, timeout)
+    return WorkerSession(assets.root, timeout=timeout)

@@ -38,6 +38,8 @@ class KartObserver:
         self._track = track
         self._kart_types = np.array(kart_types)
         self._max_paths = max_paths
+        self._names = tuple(kart_types)
+        self._num_paths = min(track.num_nodes, max_paths or track.num_nodes)
         num_kart = len(kart_types)
         self._others = np.array(
             [[other for other in range(num_kart) if other != kart] for kart in range(num_kart)],
@@ -68,6 +70,40 @@ class KartObserver:
             "paths_start": ahead_ends[:, ::2],
             "paths_end": ahead_ends[:, 1::2],
         }
+
+    def through(self, view: Any, snapshot: Snapshot, karts: IntArray) -> list[Any]:
+        """What some karts see in a view of the compiled kernel, one value each.
+
+        Args:
+            view: a ``kernel.View``.
+            snapshot: the moment.
+            karts: ``(A,)`` indices of the observing karts.
+        """
+        scene = self._scene(snapshot)
+        seen: list[Any] | None = view.observe(*scene, karts)
+        if seen is None:  # a kart is where none has been before on this track
+            self._track.look_ahead(snapshot.karts["node"][karts])
+            seen = view.observe(*scene, karts)
+        assert seen is not None  # noqa: S101 - by now the track knows
+        return seen
+
+    def _scene(self, snapshot: Snapshot) -> tuple[Any, ...]:
+        """What the kernel's views need to know of a moment."""
+        track = self._track
+        return (
+            snapshot.karts,
+            snapshot.items,
+            snapshot.header["aux_ticks"],
+            snapshot.phase,
+            track.path_nodes,
+            track.path_width,
+            track.path_distance,
+            track.order,
+            self._num_paths,
+            self._names,
+            track.distance_rows,
+            track.width_rows,
+        )
 
     def _seen(
         self, snapshot: Snapshot, records: Any, karts: IntArray, ahead: IntArray

@@ -14,16 +14,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.kernel import kernel
 from stkzoo.mdp.transition import Transition
 
 __all__ = ["REWARDS", "Reward", "RewardTerm", "as_reward"]
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.intp]
 RewardTerm = Callable[[Transition], FloatArray]
 
 
@@ -59,6 +62,10 @@ def placement(step: Transition) -> FloatArray:
     """On the finishing step, 1 for the winner down to 0 for the last, evenly spaced."""
     others = max(step.num_kart - 1, 1)
     return step.finishes * (step.num_kart - step.position) / others
+
+
+#: The terms that the compiled kernel knows, by its numbers for them.
+_KERNEL_TERMS: tuple[RewardTerm, ...] = (progress, rank, time, finish, course, placement)
 
 
 @dataclass(frozen=True)
@@ -98,6 +105,18 @@ class Reward:
                 )
             values[name] = value * self.weights[name] if name in self.weights else value
         return values
+
+    @cached_property
+    def kernel_terms(self) -> tuple[IntArray, FloatArray] | None:
+        """The compiled kernel's numbers of the terms, and their weights.
+
+        ``None`` if a term is not one of this module's, or nothing is compiled.
+        """
+        if kernel is None or not all(term in _KERNEL_TERMS for term in self.terms.values()):
+            return None
+        numbers = [_KERNEL_TERMS.index(term) for term in self.terms.values()]
+        weights = [self.weights.get(name, 1.0) for name in self.terms]
+        return np.array(numbers, np.intp), np.array(weights, np.float64)
 
     def adapted(self, changes: Mapping[str, float | RewardTerm]) -> Reward:
         """This reward with other weights (numbers) and further or other terms (functions)."""

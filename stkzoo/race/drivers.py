@@ -1,29 +1,27 @@
-"""Drivers by name: the game's AI, chance, and every package under ``stkzoo.agents``."""
+"""Drivers by name: the game's AI, chance, packages under ``stkzoo.agents``, and files."""
 
 from __future__ import annotations
 
 import copy
 import importlib
 import pkgutil
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from gymnasium import spaces
 
-from stkzoo.errors import AgentError, unknown_name
+from stkzoo.errors import AgentError, ConfigError, unknown_name
+from stkzoo.race.agent_code import Actor, ActorMaker, AgentCode, read_module
+from stkzoo.race.files import find_files
+from stkzoo.race.inline import ActorOpener, InlineFilesOpener, InlineSeat
+from stkzoo.race.isolation import IsolatedOpener
+from stkzoo.race.seats import Seat, SeatOpener, SeatRequest
 
 __all__ = ["Actor", "ActorMaker", "Driver", "driver_names", "find_driver"]
 
-#: Picks an action for an observation.
-Actor = Callable[[Any], Any]
-
-#: Makes the actor of one race from its observation space, action space and a seed.
-ActorMaker = Callable[[spaces.Space[Any], spaces.Space[Any], int], Actor]
-
 _AGENTS = "stkzoo.agents"
+_NAME_MARK = "@:"
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,70 +29,104 @@ class Driver:
     """Somebody who can drive a kart.
 
     Attributes:
-        name: what it is called.
-        make_actor: makes its actor for one race; ``None`` for the game's AI.
-        view: the view in which it sees and acts.
+        name: what it is called; empty if it says so itself when it is loaded.
+        open_seat: opens its seat in one race; ``None`` for the game's AI.
+        source: where it comes from, as the user wrote it.
     """
 
     name: str
-    make_actor: ActorMaker | None
-    view: str = "full"
+    open_seat: SeatOpener | None
+    source: str = ""
 
     @property
     def is_game_ai(self) -> bool:
         """Whether the game drives the kart itself."""
-        return self.make_actor is None
+        return self.open_seat is None
+
+    @classmethod
+    def of_actor(cls, name: str, make_actor: ActorMaker, view: str = "full") -> Driver:
+        """A driver that is a Python function.
+
+        Args:
+            name: what it is called.
+            make_actor: makes its actor for one race from its observation space, its
+                action space and a seed.
+            view: name of the view in which it sees and acts.
+        """
+        return cls(name, ActorOpener(make_actor, view), name)
 
 
 def driver_names() -> list[str]:
-    """All names that :func:`find_driver` knows."""
+    """The names of the drivers that come with stkzoo."""
     folder = importlib.import_module(_AGENTS).__path__
     return ["ai", "random", *sorted(module.name for module in pkgutil.iter_modules(folder))]
 
 
-def find_driver(name: str) -> Driver:
-    """The driver of a name.
+def find_driver(text: str, *, inline: bool = False, adapter: str | None = None) -> Driver:
+    """The driver that a text names.
 
     Args:
-        name: ``"ai"`` for the game's AI, ``"random"`` for random actions, else the name
-            of a package under ``stkzoo.agents``, whose form is described there.
+        text: ``"ai"`` for the game's AI, ``"random"`` for random actions, a package under
+            ``stkzoo.agents``, or an agent of files (``docs/agents.md``): the path of a
+            folder, zip or Python file, or the name of a module. ``@:Name`` behind it
+            says what to call the driver.
+        inline: run agents from files in this process, which is quicker, instead of one
+            each in a process of its own.
+        adapter: path of a Python file with ``create_actor(get_actor, module_dir,
+            observation_space, action_space)`` for agents from files.
 
     Raises:
-        ConfigError: nobody has this name.
-        AgentError: the package cannot be used.
+        ConfigError: nobody is called this, or the files are no agent.
     """
-    if name == "ai":
-        return Driver(name, None)
-    if name == "random":
-        return Driver(name, _random_actor)
-    if name not in driver_names():
-        raise unknown_name("driver", name, driver_names())
-    try:
-        module = importlib.import_module(f"{_AGENTS}.{name}")
-        return _driver_of(name, module)
-    except (ImportError, AttributeError) as error:
-        raise AgentError(f"driver {name!r} cannot be loaded: {error}", name) from error
+    source, mark, name = text.rpartition(_NAME_MARK) if _NAME_MARK in text else (text, "", "")
+    if mark and not name:
+        raise ConfigError(
+            f"driver {text!r} has no name after {_NAME_MARK}; write one or leave it out"
+        )
+    driver = _find(source, inline, None if adapter is None else str(Path(adapter).resolve()))
+    return replace(driver, source=source, name=name or driver.name)
+
+
+def _find(source: str, inline: bool, adapter: str | None) -> Driver:
+    if source == "ai":
+        return Driver(source, None)
+    if source == "random":
+        return Driver.of_actor(source, _random_actor)
+    if source in driver_names():
+        return Driver(source, _ShippedOpener(f"{_AGENTS}.{source}"))
+    if adapter is not None and not Path(adapter).is_file():
+        raise ConfigError(f"there is no adapter {adapter!r}; expected the path of a Python file")
+    files = find_files(source)
+    if files is None:
+        raise _nobody(source)
+    opener = InlineFilesOpener(files, adapter) if inline else IsolatedOpener(files, adapter)
+    return Driver("", opener)
+
+
+def _nobody(source: str) -> ConfigError:
+    if "/" in source or source.endswith((".zip", ".py")):
+        return ConfigError(f"there is no agent {source!r}; expected a folder, a .zip or a .py file")
+    error = unknown_name("driver", source, driver_names())
+    return ConfigError(f"{error} Or give the path of a folder or zip, or a module's name.")
+
+
+@dataclass(frozen=True, slots=True)
+class _ShippedOpener:
+    """Opens seats of a package under ``stkzoo.agents``."""
+
+    module: str
+
+    def __call__(self, request: SeatRequest) -> Seat:
+        return InlineSeat(request, lambda _: self._code(request.agent))
+
+    def _code(self, agent: str) -> AgentCode:
+        try:
+            return read_module(importlib.import_module(self.module))
+        except ImportError as error:
+            raise AgentError(f"{self.module} cannot be loaded: {error}", agent) from error
 
 
 def _random_actor(_: spaces.Space[Any], action_space: spaces.Space[Any], seed: int) -> Actor:
     own_space = copy.deepcopy(action_space)
     own_space.seed(seed)
     return lambda _: own_space.sample()
-
-
-def _driver_of(name: str, module: ModuleType) -> Driver:
-    folder = Path(str(module.__file__)).parent
-    get_actor, create_state = module.get_actor, getattr(module, "create_state", dict)
-
-    def make_actor(
-        observation_space: spaces.Space[Any], action_space: spaces.Space[Any], _: int
-    ) -> Actor:
-        actor = get_actor(folder, observation_space, action_space)
-        state: Any = create_state()
-        return lambda observation: actor(state, observation)
-
-    return Driver(name, make_actor, _view_of(module.env_name))
-
-
-def _view_of(env_name: str) -> str:
-    return env_name.removeprefix("supertuxkart/").rsplit("-v", 1)[0]

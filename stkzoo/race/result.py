@@ -3,9 +3,54 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+import platform
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, fields
+from importlib.metadata import version
+from typing import Any
 
-__all__ = ["AgentResult", "RaceResult"]
+import numpy as np
+
+from stkzoo.errors import ConfigError
+
+__all__ = ["SCHEMA_VERSION", "ActionTime", "AgentFailure", "AgentResult", "RaceResult", "versions_now"]
+
+#: Of the JSON form (``docs/schemas/race-result.schema.json``); grows when a reader of an
+#: older form would go wrong.
+SCHEMA_VERSION = 1
+
+
+@dataclass(frozen=True, slots=True)
+class AgentFailure:
+    """Something that went wrong with an agent.
+
+    Attributes:
+        step: environment steps that had been taken; 0 is before the start.
+        kind: ``"start"`` (it could not be loaded), ``"timeout"`` or ``"error"``.
+        message: what it was.
+        trace: the traceback in the agent's code, or what its process wrote last.
+    """
+
+    step: int
+    kind: str
+    message: str
+    trace: str = field(compare=False, default="")
+
+
+@dataclass(frozen=True, slots=True)
+class ActionTime:
+    """How long an agent thought about its actions, where its code runs [s]."""
+
+    mean: float
+    p99: float
+    max: float
+
+    @classmethod
+    def of(cls, seconds: Sequence[float]) -> ActionTime | None:
+        """The figures of some actions; ``None`` of none."""
+        if not seconds:
+            return None
+        return cls(float(np.mean(seconds)), float(np.percentile(seconds, 99)), max(seconds))
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,20 +60,39 @@ class AgentResult:
     Attributes:
         agent: its id in the environment.
         driver: who drove.
+        source: where the driver came from, as the user wrote it.
+        status: ``"finished"``, ``"racing"`` (when the race was over) or ``"retired"``.
+        start_position: its place on the grid, 1 is in front.
         rank: its place, 1 is first; those who did not finish follow by distance.
         finish_time: race time at the finish [s]; ``None`` if it did not finish.
         laps: laps done.
         distance: driven along the track since the start line [m].
         reward: the sum over the race.
+        num_errors: how often the agent failed.
+        errors: the first of these failures.
+        action_time: how long it thought; ``None`` for the game's AI.
     """
 
     agent: str
     driver: str
+    source: str
+    status: str
+    start_position: int
     rank: int
     finish_time: float | None
     laps: int
     distance: float
     reward: float
+    num_errors: int = 0
+    errors: tuple[AgentFailure, ...] = ()
+    action_time: ActionTime | None = field(compare=False, default=None)
+
+
+def versions_now() -> dict[str, str]:
+    """Versions of the software that runs here."""
+    packages = {"stkzoo": "stkzoo", "pystk2": "PySuperTuxKart2", "numpy": "numpy"}
+    found = {name: version(package) for name, package in packages.items()}
+    return {**found, "python": platform.python_version()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +100,10 @@ class RaceResult:
     """How a race ended.
 
     Attributes:
+        status: ``"finished"`` (everybody who still drove has), ``"karts_finished"``,
+            ``"max_steps_after_first"``, ``"max_steps"``, ``"time_limit"`` (the runner's own
+            patience), ``"abandoned"`` (nobody drives any more and nobody has finished),
+            ``"interrupted"``, or a listener's reason to stop.
         track: its name.
         reverse: whether it was driven the other way round.
         laps: laps to drive.
@@ -43,10 +111,13 @@ class RaceResult:
         seed: what the environment was reset with; the same seed gives the same race.
         race_length: laps times the lap's length [m].
         steps: environment steps it took.
+        race_time: game time of these steps [s].
         agents: one entry an agent, best rank first.
+        versions: of the software.
         wall_time: how long it took here [s]; left out when results are compared.
     """
 
+    status: str
     track: str
     reverse: bool
     laps: int
@@ -54,7 +125,9 @@ class RaceResult:
     seed: int
     race_length: float
     steps: int
+    race_time: float
     agents: tuple[AgentResult, ...]
+    versions: dict[str, str] = field(compare=False, default_factory=versions_now)
     wall_time: float = field(compare=False, default=0.0)
 
     @property
@@ -62,13 +135,49 @@ class RaceResult:
         """Whether all agents have finished."""
         return all(agent.finish_time is not None for agent in self.agents)
 
+    @property
+    def has_errors(self) -> bool:
+        """Whether an agent failed."""
+        return any(agent.num_errors for agent in self.agents)
+
     def to_json(self) -> str:
-        """The result as JSON, with this class's names."""
-        return json.dumps(asdict(self), indent=2)
+        """The result as JSON, with this class's names and a ``schema_version``."""
+        form = {"type": "race-result", "schema_version": SCHEMA_VERSION, **asdict(self)}
+        return json.dumps(form, indent=2, allow_nan=False)
 
     @classmethod
     def from_json(cls, text: str) -> RaceResult:
-        """Reads what :meth:`to_json` wrote."""
-        values = json.loads(text)
-        agents = tuple(AgentResult(**agent) for agent in values.pop("agents"))
-        return cls(**values, agents=agents)
+        """Reads what :meth:`to_json` wrote.
+
+        Raises:
+            ConfigError: it is something else, or of a later version.
+        """
+        try:
+            form = json.loads(text)
+            found = form["type"], form["schema_version"]
+            if found != ("race-result", SCHEMA_VERSION):
+                raise ConfigError(
+                    f"the file is a {found[0]} of version {found[1]}, expected a race-result of "
+                    f"version {SCHEMA_VERSION}; another version of stkzoo wrote it"
+                )
+            agents = tuple(_agent_of(entry) for entry in form["agents"])
+            return cls(**{**_known(cls, form), "agents": agents})
+        except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+            raise ConfigError(
+                f"the text is no race result ({type(error).__name__}: {error}); expected what "
+                "`stkzoo race --output` wrote"
+            ) from error
+
+
+def _agent_of(form: dict[str, Any]) -> AgentResult:
+    errors = tuple(AgentFailure(**_known(AgentFailure, entry)) for entry in form["errors"])
+    seconds = form["action_time"]
+    action_time = None if seconds is None else ActionTime(**_known(ActionTime, seconds))
+    known = _known(AgentResult, form)
+    return AgentResult(**{**known, "errors": errors, "action_time": action_time})
+
+
+def _known(kind: type[Any], form: dict[str, Any]) -> dict[str, Any]:
+    """The entries that are fields; later versions may have added others."""
+    names = {entry.name for entry in fields(kind)}
+    return {name: value for name, value in form.items() if name in names}

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import fields, replace
+from types import MappingProxyType
 from typing import Any
 
 from stkzoo.config import AgentSpec
 from stkzoo.env.parallel import RaceParallelEnv
-from stkzoo.errors import AgentError, ConfigError, StkzooError
-from stkzoo.race.drivers import Actor, Driver, find_driver
-from stkzoo.race.result import AgentResult, RaceResult
+from stkzoo.errors import ActionError, ConfigError, unknown_name
+from stkzoo.race.crew import Crew
+from stkzoo.race.drivers import Driver, find_driver
+from stkzoo.race.listeners import RaceListener, RaceProgress
+from stkzoo.race.result import ActionTime, AgentResult, RaceResult
+from stkzoo.race.settings import RaceSettings
 
-__all__ = ["RaceListener", "RaceProgress", "run_race"]
+__all__ = ["RaceInterrupted", "run_race"]
 
 #: Whoever is slower than this on the whole way, after the start, is not waited for ...
 _SLOWEST = 4.0  # [m/s]
@@ -21,59 +27,40 @@ _SLOWEST = 4.0  # [m/s]
 _GRACE = 60.0  # [s]
 
 
-@dataclass(frozen=True, slots=True)
-class RaceProgress:
-    """How far a race has come.
+class RaceInterrupted(KeyboardInterrupt):
+    """Somebody pressed Ctrl-C in a race.
 
     Attributes:
-        steps: environment steps so far.
-        race_time: game time of these steps [s].
-        race_length: laps times the lap's length [m].
-        distances: metres driven by each agent, at most ``race_length``.
+        result: how far the race has come; its ``status`` is ``"interrupted"``.
     """
 
-    steps: int
-    race_time: float
-    race_length: float
-    distances: Mapping[str, float]
-
-    @property
-    def leader_distance(self) -> float:
-        """Metres driven by whoever has come farthest."""
-        return max(self.distances.values())
-
-
-#: Is told of the progress once before the first step and after every step.
-RaceListener = Callable[[RaceProgress], None]
+    def __init__(self, result: RaceResult) -> None:
+        super().__init__()
+        self.result = result
 
 
 def run_race(
     drivers: Sequence[str | Driver],
     *,
-    track: str | None = None,
-    laps: int = 1,
-    difficulty: int = 2,
-    reverse: bool = False,
-    seed: int = 0,
-    max_steps: int | None = None,
-    listener: RaceListener | None = None,
+    listeners: Sequence[RaceListener] = (),
+    settings: RaceSettings | None = None,
+    start_positions: Sequence[int] | None = None,
+    **changes: Any,
 ) -> RaceResult:
     """Runs one race until everybody has finished.
 
     Every driver has a kart and is an agent of one
-    :class:`~stkzoo.env.parallel.RaceParallelEnv`; starting places are drawn.
+    :class:`~stkzoo.env.parallel.RaceParallelEnv`. Agents from files run each in a process
+    of its own, so that what one does costs its own kart only.
 
     Args:
         drivers: who drives: drivers or their names (:func:`~stkzoo.race.find_driver`).
-        track: a track's name; ``None`` draws one.
-        laps: number of laps.
-        difficulty: level of the game's AI, 0 to 3.
-        reverse: drive the track the other way round.
-        seed: decides all that is left to chance.
-        max_steps: the race is over after so many steps. By default it is over when a kart
-            could have done the whole way at 4 m/s and a minute more has passed: those who
-            have not finished then will not.
-        listener: is told of the progress after every step.
+        listeners: who watches.
+        settings: how the race is run.
+        start_positions: each driver's place on the grid, 1 is in front; by default they are
+            drawn.
+        changes: fields of :class:`~stkzoo.race.RaceSettings` that are other than in
+            ``settings``, such as ``track="lighthouse"``.
 
     Returns:
         The result; an agent that has not finished has no finish time in it.
@@ -81,26 +68,70 @@ def run_race(
     Raises:
         ConfigError: an argument cannot be.
         AssetError: the game's data is missing.
-        AgentError: a driver failed; it names the agent.
+        AgentError: a driver failed and ``error_handling`` is ``"raise"``; it names the agent.
         EngineError: the game died or hangs.
+        RaceInterrupted: an interrupt from the keyboard; it has the result so far.
     """
     if not drivers:
         raise ConfigError("no drivers; name at least one, such as 'heuristic'")
-    _check_whole("seed", seed, 0)
-    if max_steps is not None:
-        _check_whole("max_steps", max_steps, 1)
-    crew = [find_driver(driver) if isinstance(driver, str) else driver for driver in drivers]
-    with RaceParallelEnv(
-        agents=[AgentSpec(use_ai=driver.is_game_ai, name=driver.name) for driver in crew],
-        num_kart=len(crew),
-        track=track,
-        laps=laps,
-        difficulty=difficulty,
-        reverse=reverse,
+    chosen = _settings(settings, changes)
+    places = _places(start_positions, len(drivers))
+    crew = [_driver(driver, chosen) for driver in drivers]
+    with ExitStack() as life:
+        for listener in listeners:
+            life.callback(listener.closed)
+        env = life.enter_context(_env(crew, chosen, places, listeners))
+        return _Run(env, crew, chosen, listeners, life).to_the_end()
+
+
+def _settings(settings: RaceSettings | None, changes: Mapping[str, Any]) -> RaceSettings:
+    known = [entry.name for entry in fields(RaceSettings)]
+    for name in changes:
+        if name not in known:
+            raise unknown_name("setting of a race", name, known)
+    return replace(settings or RaceSettings(), **changes)
+
+
+def _driver(driver: str | Driver, settings: RaceSettings) -> Driver:
+    if isinstance(driver, Driver):
+        return driver
+    return find_driver(driver, inline=settings.inline, adapter=settings.adapter)
+
+
+def _places(start_positions: Sequence[int] | None, count: int) -> list[int | None]:
+    if start_positions is None:
+        return [None] * count
+    if sorted(start_positions) != list(range(1, count + 1)):
+        raise ConfigError(
+            f"start_positions is {list(start_positions)}, expected each of 1 to {count} once"
+        )
+    return [int(position) - 1 for position in start_positions]
+
+
+def _env(
+    crew: Sequence[Driver],
+    settings: RaceSettings,
+    places: Sequence[int | None],
+    listeners: Sequence[RaceListener],
+) -> RaceParallelEnv:
+    options: dict[str, Any] = {}
+    for listener in listeners:
+        options |= listener.env_options()
+    count = len(crew)
+    return RaceParallelEnv(
+        agents=[
+            AgentSpec(place, driver.is_game_ai, driver.name, color=number / count)
+            for number, (driver, place) in enumerate(zip(crew, places, strict=True))
+        ],
+        num_kart=count,
+        track=settings.track,
+        laps=settings.laps,
+        difficulty=settings.difficulty,
+        reverse=settings.reverse,
+        max_paths=settings.max_paths,
         max_cycles=None,
-        view={f"kart_{number}": driver.view for number, driver in enumerate(crew)},
-    ) as env:
-        return _Run(env, crew, seed, listener).to_the_end(max_steps)
+        **options,
+    )
 
 
 class _Run:
@@ -109,110 +140,175 @@ class _Run:
     def __init__(
         self,
         env: RaceParallelEnv,
-        crew: Sequence[Driver],
-        seed: int,
-        listener: RaceListener | None,
+        drivers: Sequence[Driver],
+        settings: RaceSettings,
+        listeners: Sequence[RaceListener],
+        life: ExitStack,
     ) -> None:
         self._begin = time.monotonic()
-        self._env, self._seed, self._listener = env, seed, listener
-        self._drivers = dict(zip(env.possible_agents, crew, strict=True))
-        self._observations, self._infos = env.reset(seed=seed)
-        assert env.track_map is not None  # noqa: S101 - since reset
-        self._length = env.track_map.length * env.options.laps
-        self._actors = self._make_actors()
-        self._rewards = dict.fromkeys(env.possible_agents, 0.0)
+        self._env, self._settings, self._listeners = env, settings, listeners
+        self._drivers = dict(zip(env.possible_agents, drivers, strict=True))
+        self._crew = Crew(self._drivers, env.observation_spaces, env.action_spaces, settings)
+        life.callback(self._crew.close)
         self._steps = 0
+        self._stop = ""
+        self._steps_at_first: int | None = None
+        self._actions: dict[str, Any] = {}
+        self._rewards: dict[str, float] = {}
+        self._totals = dict.fromkeys(env.possible_agents, 0.0)
 
-    def to_the_end(self, max_steps: int | None) -> RaceResult:
-        """Steps until everybody has finished, or the limit."""
-        limit = self._patience() if max_steps is None else max_steps
-        self._tell()
-        while self._env.agents and self._steps < limit:
-            self._step()
-            self._tell()
-        return self._result()
+    def to_the_end(self) -> RaceResult:
+        """Runs the race and tells the listeners."""
+        self._start()
+        status = "interrupted"
+        try:
+            self._tell("started")
+            while not (ending := self._ending()):
+                self._step()
+                self._tell("stepped")
+            status = ending
+        except KeyboardInterrupt:
+            result = self._end(status)
+            raise RaceInterrupted(result) from None
+        return self._end(status)
 
-    def _patience(self) -> int:
-        return round((self._length / _SLOWEST + _GRACE) / self._env.options.step_size)
-
-    def _make_actors(self) -> dict[str, Actor]:
-        actors = {}
-        for number, (agent, driver) in enumerate(self._drivers.items()):
-            if driver.make_actor is not None:
-                spaces = self._env.observation_space(agent), self._env.action_space(agent)
-                with _failures_of(agent, driver):
-                    actors[agent] = driver.make_actor(*spaces, self._seed + number)
-        return actors
+    def _start(self) -> None:
+        self._crew.get_ready()
+        self._names = {
+            agent: self._crew.members[agent].name if agent in self._crew.members else driver.name
+            for agent, driver in self._drivers.items()
+        }
+        for spec, name in zip(self._env.specs, self._names.values(), strict=True):
+            spec.name = name
+        self._observations, self._infos = self._env.reset(seed=self._settings.seed)
+        assert self._env.track_map is not None  # noqa: S101 - since reset
+        self._length = self._env.track_map.length * self._env.options.laps
+        patience = (self._length / _SLOWEST + _GRACE) / self._env.options.step_size
+        self._patience = round(patience)
 
     def _step(self) -> None:
-        actions = {}
-        for agent in self._env.agents:
-            if agent in self._actors:
-                with _failures_of(agent, self._drivers[agent]):
-                    actions[agent] = self._actors[agent](self._observations[agent])
-        self._observations, rewards, _, _, infos = self._env.step(actions)
+        racing = {agent: self._observations[agent] for agent in self._env.agents}
+        self._actions = self._crew.decide(racing, self._steps)
+        self._observations, self._rewards, _, _, infos = self._step_checked()
         self._infos.update(infos)
-        for agent, reward in rewards.items():
-            self._rewards[agent] += reward
+        for agent, reward in self._rewards.items():
+            self._totals[agent] += reward
         self._steps += 1
+        if self._steps_at_first is None and self._num_finished():
+            self._steps_at_first = self._steps
 
-    def _tell(self) -> None:
-        if self._listener is not None:
-            distances = {
+    def _step_checked(self) -> Any:
+        """Steps the environment, once no agent's action is refused any more."""
+        while True:
+            try:
+                return self._env.step(self._actions)
+            except ActionError as error:  # noqa: PERF203 - it is rare
+                self._actions[error.agent] = self._crew.refuse(error, self._steps)
+
+    def _ending(self) -> str:
+        """Why the race is over; empty if it is not."""
+        settings, finished = self._settings, self._num_finished()
+        if self._stop:
+            return self._stop
+        if not self._crew.driving(self._env.agents):
+            return "finished" if finished else "abandoned"
+        if settings.karts_finished is not None and finished >= settings.karts_finished:
+            return "karts_finished"
+        if settings.max_steps is not None and self._steps >= settings.max_steps:
+            return "max_steps"
+        if self._steps_since_first() >= (settings.max_steps_after_first or math.inf):
+            return "max_steps_after_first"
+        if settings.max_steps is None and self._steps >= self._patience:
+            return "time_limit"
+        return ""
+
+    def _steps_since_first(self) -> int:
+        return 0 if self._steps_at_first is None else self._steps - self._steps_at_first
+
+    def _num_finished(self) -> int:
+        return sum(info["finish_time"] > 0 for info in self._infos.values())
+
+    # ------------------------------------------------------------------ what is told
+
+    def _tell(self, event: str) -> None:
+        if self._listeners:
+            progress = self._progress()
+            for listener in self._listeners:
+                getattr(listener, event)(progress)
+
+    def _progress(self) -> RaceProgress:
+        members = self._crew.members
+        return RaceProgress(
+            env=self._env,
+            names=MappingProxyType(self._names),
+            sources={agent: driver.source for agent, driver in self._drivers.items()},
+            seed=self._settings.seed,
+            steps=self._steps,
+            race_time=self._race_time(),
+            race_length=self._length,
+            distances={
                 agent: min(info["distance"], self._length) for agent, info in self._infos.items()
-            }
-            game_time = self._steps * self._env.options.step_size
-            self._listener(RaceProgress(self._steps, game_time, self._length, distances))
+            },
+            observations=MappingProxyType(self._observations),
+            actions=MappingProxyType(self._actions),
+            rewards=MappingProxyType(self._rewards),
+            total_rewards=dict(self._totals),
+            infos=dict(self._infos),
+            failures=self._crew.failures(),
+            seconds={agent: m.seconds[-1] for agent, m in members.items() if m.seconds},
+            stop=self._set_stop,
+        )
 
-    def _result(self) -> RaceResult:
+    def _set_stop(self, reason: str) -> None:
+        self._stop = reason or "stopped"
+
+    def _end(self, status: str) -> RaceResult:
+        result = self._result(status)
+        for listener in self._listeners:
+            listener.ended(result)
+        return result
+
+    def _race_time(self) -> float:
+        return self._steps * self._env.options.step_size
+
+    def _result(self, status: str) -> RaceResult:
         race = self._env.race
         assert race is not None  # noqa: S101 - since reset
-        rows = [self._agent_result(agent) for agent in self._env.possible_agents]
+        places = dict(zip(self._env.possible_agents, race.kart_indices, strict=True))
+        rows = [self._agent_result(agent, places[agent] + 1) for agent in places]
         return RaceResult(
+            status=status,
             track=race.track,
             reverse=race.reverse,
             laps=race.laps,
             difficulty=race.difficulty,
-            seed=self._seed,
+            seed=self._settings.seed,
             race_length=self._length,
             steps=self._steps,
+            race_time=self._race_time(),
             agents=tuple(sorted(rows, key=lambda row: row.rank)),
             wall_time=time.monotonic() - self._begin,
         )
 
-    def _agent_result(self, agent: str) -> AgentResult:
+    def _agent_result(self, agent: str, start_position: int) -> AgentResult:
         info: Mapping[str, Any] = self._infos[agent]
+        member = self._crew.members.get(agent)
+        finish_time = info["finish_time"] or None
+        status = "racing" if finish_time is None else "finished"
+        if member is not None and member.is_retired and finish_time is None:
+            status = "retired"
         return AgentResult(
             agent=agent,
-            driver=self._drivers[agent].name,
+            driver=self._names[agent],
+            source=self._drivers[agent].source,
+            status=status,
+            start_position=start_position,
             rank=info["position"],
-            finish_time=info["finish_time"] or None,
+            finish_time=finish_time,
             laps=info["lap"],
             distance=info["distance"],
-            reward=self._rewards[agent],
+            reward=self._totals[agent],
+            num_errors=member.num_failures if member else 0,
+            errors=tuple(member.failures) if member else (),
+            action_time=ActionTime.of(member.seconds) if member else None,
         )
-
-
-def _check_whole(name: str, value: object, low: int) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or value < low:
-        raise ConfigError(f"{name} is {value!r}, expected a whole number of {low} or more")
-
-
-class _failures_of:  # noqa: N801 - a context manager reads as a phrase
-    """Turns whatever a driver's code raises into an :class:`AgentError` that names the agent."""
-
-    def __init__(self, agent: str, driver: Driver) -> None:
-        self._agent, self._driver = agent, driver
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, _: Any
-    ) -> None:
-        if isinstance(error, Exception) and not isinstance(error, StkzooError):
-            raise AgentError(
-                f"driver {self._driver.name!r} of {self._agent} failed: "
-                f"{type(error).__name__}: {error}",
-                self._agent,
-            ) from error

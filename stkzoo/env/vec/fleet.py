@@ -128,13 +128,18 @@ class RaceFleet:
                 f"of {len(self.agents)} agents); send one for each, idle ones too",
                 self._names[0],
             )
-        racing = np.flatnonzero(self.racing & self._is_player).tolist()
-        names = [self._names[slot] for slot in racing]
-        read_actions(self.single_action_space, [actions[slot] for slot in racing], names)
-        self._is_asked = True
         width = len(self.agents)
-        for number, row in enumerate(self._rows):
-            row.step_async(actions[number * width : (number + 1) * width])
+        try:
+            controls = [
+                row.decode(actions[number * width : (number + 1) * width])
+                for number, row in enumerate(self._rows)
+            ]
+        except ActionError:
+            self._name_the_race(actions)
+            raise
+        self._is_asked = True
+        for row, own in zip(self._rows, controls, strict=True):
+            row.send(own)
 
     def step_wait(self) -> SlotSteps:
         """The step that was asked for; races that are over have started again.
@@ -170,6 +175,12 @@ class RaceFleet:
         if row.is_over:  # the next one starts while the others are waited for
             row.prepare()
         return steps
+
+    def _name_the_race(self, actions: Sequence[Any]) -> None:
+        """Raises the error of an action that cannot be with its agent's race in it."""
+        racing = np.flatnonzero(self.racing & self._is_player).tolist()
+        names = [self._names[slot] for slot in racing]
+        read_actions(self.single_action_space, [actions[slot] for slot in racing], names)
 
     def _prefetch(self, rows: Sequence[RaceSlots]) -> None:
         if self.prefetch:

@@ -143,10 +143,14 @@ class RaceSlots:
             [infos.get(agent, {}) for agent in self._agents],
         )
 
-    def step_async(self, actions: Sequence[Any]) -> None:
-        """Asks for a step; ``actions`` has one for each slot, those of idle ones unread."""
+    def decode(self, actions: Sequence[Any]) -> npt.NDArray[np.float32]:
+        """Checks actions, one for each slot, those of idle ones unread; for :meth:`send`."""
+        return self.race.decode(dict(zip(self._agents, actions, strict=True)))
+
+    def send(self, controls: npt.NDArray[np.float32]) -> None:
+        """Asks for a step."""
         try:
-            self.race.step_async(dict(zip(self._agents, actions, strict=True)))
+            self.race.send(controls)
         except (EngineCrashed, EngineTimeout) as error:
             self._failure = error
 

@@ -1,0 +1,143 @@
+"""A race over two servers on this machine, against the same race here.
+
+    python -m benchmarks.bench_remote
+    python -m benchmarks.bench_remote --steps 300 --rounds 5
+
+Four karts on one track; two of them are served by each server, or all four drive here. Each
+contender races in turn, so that a busy machine slows all alike. ``files`` are agents from
+files that see the ``flattened_discrete`` view, each in a process of its own on either side;
+``heuristic`` is the driver of that name, which sees ``full`` and runs in the server's process
+or in the race's. The time of a step is measured from step to step; that the results are the
+same is checked.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.bench_common import RESULTS, Table, print_tables, save
+from stkzoo.race import Driver, RaceListener, RaceProgress, find_driver, run_race
+from stkzoo.race.remote import RemoteCrew
+
+_AGENT = """\
+env_name = "supertuxkart/flattened_discrete-v0"
+
+def get_actor(module_dir, observation_space, action_space):
+    return lambda state, observation: action_space.sample()
+"""
+
+#: What the step of a networked race may cost more than here [ms].
+ALLOWED = 1.5
+
+
+class StepTimes(RaceListener):
+    """When each step was done [s]."""
+
+    def __init__(self) -> None:
+        self.marks: list[float] = []
+
+    def started(self, race: RaceProgress) -> None:
+        """The clock begins."""
+        del race
+        self.marks = [time.perf_counter()]
+
+    def stepped(self, race: RaceProgress) -> None:
+        """One more step."""
+        del race
+        self.marks.append(time.perf_counter())
+
+    @property
+    def mean(self) -> float:
+        """Milliseconds a step."""
+        return 1000 * (self.marks[-1] - self.marks[0]) / (len(self.marks) - 1)
+
+
+@contextlib.contextmanager
+def _servers(agents: Sequence[str]) -> Iterator[list[str]]:
+    """Two servers with two agents each; gives their addresses."""
+    command = [sys.executable, "-m", "stkzoo", "race-server", "--address", "127.0.0.1:*", "--quiet"]
+    with contextlib.ExitStack() as life:
+        addresses = []
+        for pair in (agents[:2], agents[2:]):
+            server = subprocess.Popen([*command, *pair], stdout=subprocess.PIPE, text=True)  # noqa: S603
+            life.enter_context(server)
+            life.callback(server.terminate)
+            assert server.stdout is not None  # noqa: S101 - it is a pipe
+            addresses.append(server.stdout.readline().split(" at ")[1].strip())
+        yield addresses
+
+
+def _race(drivers: Sequence[Driver], track: str, steps: int) -> tuple[float, object]:
+    times = StepTimes()
+    result = run_race(drivers, listeners=[times], track=track, seed=1, max_steps=steps)
+    if result.has_errors:
+        raise SystemExit(f"an agent failed: {result.to_json()}")
+    rows = [(row.agent, row.rank, row.distance, row.reward) for row in result.agents]
+    return times.mean, rows
+
+
+def _compare(agents: Sequence[str], options: argparse.Namespace) -> dict[str, Any]:
+    here, there = [], []
+    local = [find_driver(agent) for agent in agents]
+    with _servers(agents) as addresses, RemoteCrew(addresses) as crew:
+        for _ in range(options.rounds):
+            mean, rows = _race(local, options.track, options.steps)
+            here.append(mean)
+            mean, others = _race(crew.drivers, options.track, options.steps)
+            there.append(mean)
+            if rows != others:
+                raise SystemExit("the networked race went another way than the local one")
+    more = statistics.median(there) - statistics.median(here)
+    return {
+        "local": [round(mean, 4) for mean in here],
+        "networked": [round(mean, 4) for mean in there],
+        "median_local": round(statistics.median(here), 4),
+        "median_networked": round(statistics.median(there), 4),
+        "more": round(more, 4),
+        "is_allowed": more <= ALLOWED,
+    }
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the comparison, prints and saves it; 1 if it cost more than allowed."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.bench_remote",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--steps", type=int, default=300, help="(default: %(default)s)")
+    parser.add_argument("--rounds", type=int, default=5, help="(default: %(default)s)")
+    parser.add_argument("--track", default="lighthouse", help="(default: %(default)s)")
+    parser.add_argument(
+        "--output", type=Path, default=RESULTS / "remote.json", help="(default: %(default)s)"
+    )
+    options = parser.parse_args(argv)
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "pystk_actor.py").write_text(_AGENT)
+        found = {
+            "files": _compare([folder] * 4, options),
+            "heuristic": _compare(["heuristic"] * 4, options),
+        }
+    rows = [
+        (name, *(f"{row[key]:.2f}" for key in ("median_local", "median_networked", "more")))
+        for name, row in found.items()
+    ]
+    title = f"{options.steps} steps, 4 karts, 2 servers, median of {options.rounds} races [ms/step]"
+    print_tables([Table(title, ("agents", "here", "networked", "more"), rows)])
+    save(
+        options.output, "remote", options, [{"agents": name, **row} for name, row in found.items()]
+    )
+    return 0 if all(row["is_allowed"] for row in found.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

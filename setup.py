@@ -1,0 +1,24 @@
+"""The kernel in C, which an install does without where it cannot be built."""
+
+import sys
+
+import numpy
+from setuptools import Extension, setup
+
+_PARTS = ("module", "world", "view", "controls", "record")
+
+setup(
+    ext_modules=[
+        Extension(
+            "stkzoo.kernel._kernel",
+            sources=[f"stkzoo/kernel/{part}.c" for part in _PARTS],
+            depends=["stkzoo/kernel/kernel.h"],
+            include_dirs=[numpy.get_include()],
+            # Every result is rounded as numpy rounds it.
+            extra_compile_args=[]
+            if sys.platform == "win32"
+            else ["-O3", "-ffp-contract=off", "-fno-math-errno"],
+            optional=True,
+        )
+    ]
+)

@@ -1,0 +1,194 @@
+"""What ``stkzoo race`` shows: a bar while it runs, tables when it is over."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn
+from rich.table import Table
+
+from stkzoo.race import AgentResult, RaceListener, RaceProgress, RaceResult
+
+if TYPE_CHECKING:
+    from typing_extensions import Self  # a part of gymnasium
+
+__all__ = ["RaceBar", "show_race", "show_series"]
+
+_ENDINGS = {
+    "finished": "",
+    "karts_finished": "as many karts had finished as --karts-finished asks for",
+    "max_steps_after_first": "--max-steps-after-first had passed since the first finish",
+    "max_steps": "cut short by --max-steps",
+    "time_limit": "those who had not finished by then are not waited for",
+    "abandoned": "nobody drove any more",
+    "interrupted": "interrupted: this is how far it has come",
+}
+_MAX_TRACE_LINES = 12
+
+
+class RaceBar(RaceListener):
+    """The leader's way and the simulation's speed, on a terminal's stderr."""
+
+    def __init__(self) -> None:
+        console = Console(stderr=True)
+        self._bars = Progress(
+            TextColumn("{task.description:<19}"),
+            BarColumn(),
+            TextColumn("{task.fields[way]}"),
+            console=console,
+            transient=True,
+            disable=not (console.is_terminal and sys.stdout.isatty()),
+        )
+        self._task = self._bars.add_task("starting", total=1.0, way="")
+        self._begin = time.monotonic()
+
+    def __enter__(self) -> Self:
+        self._bars.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bars.stop()
+
+    def started(self, _: RaceProgress) -> None:
+        """Takes the time."""
+        self._begin = time.monotonic()
+
+    def stepped(self, race: RaceProgress) -> None:
+        """Moves the bar."""
+        elapsed = max(time.monotonic() - self._begin, 1e-3)
+        leader = race.leader_distance
+        is_won = leader >= race.race_length
+        self._bars.update(
+            self._task,
+            description="the others come in" if is_won else "the leader",
+            total=race.race_length,
+            completed=leader,
+            way=f"{leader:4.0f} of {race.race_length:.0f} m, "
+            f"{race.race_time / elapsed:3.0f} x real time",
+        )
+
+
+def show_race(result: RaceResult) -> None:
+    """Prints one race: what it was, who won, and what went wrong."""
+    console = Console()
+    console.print(_headline(result), soft_wrap=True, highlight=False)
+    console.print(_race_table(result, is_plain=not console.is_terminal))
+    reason = _ENDINGS.get(result.status, result.status)
+    console.print(
+        f"Over after {result.steps} steps, in {result.race_time:.1f} s of game time"
+        f"{f' ({reason})' if reason else ''}; it took {result.wall_time:.1f} s.",
+        soft_wrap=True,
+        highlight=False,
+        markup=False,
+    )
+    for row in result.agents:
+        _show_errors(console, row)
+
+
+def show_series(results: Sequence[RaceResult]) -> None:
+    """Prints several races with the same drivers as one table."""
+    console = Console()
+    tracks = ", ".join(dict.fromkeys(result.track for result in results))
+    seeds = f"{results[0].seed} to {results[-1].seed}"
+    console.print(f"{len(results)} races, seeds {seeds}: {tracks}", soft_wrap=True, highlight=False)
+    table = _empty_table(
+        ("driver", "kart", "wins", "mean rank", "finished", "mean time [s]", "reward", "errors"),
+        is_plain=not console.is_terminal,
+    )
+    by_agent: dict[str, list[AgentResult]] = {}
+    for result in results:
+        for row in result.agents:
+            by_agent.setdefault(row.agent, []).append(row)
+    for rows in sorted(by_agent.values(), key=lambda rows: _mean([row.rank for row in rows])):
+        times = [row.finish_time for row in rows if row.finish_time is not None]
+        table.add_row(
+            escape(rows[0].driver),
+            rows[0].agent,
+            str(sum(row.rank == 1 for row in rows)),
+            f"{_mean([row.rank for row in rows]):.2f}",
+            f"{len(times)} of {len(rows)}",
+            f"{_mean(times):.2f}" if times else "-",
+            f"{_mean([row.reward for row in rows]):.1f}",
+            str(sum(row.num_errors for row in rows)),
+        )
+    console.print(table)
+    for result in results:
+        for row in result.agents:
+            _show_errors(console, row, f" in the race with seed {result.seed}")
+
+
+def _headline(result: RaceResult) -> str:
+    laps = "1 lap" if result.laps == 1 else f"{result.laps} laps"
+    way = ", reversed" if result.reverse else ""
+    return (
+        f"{result.track}{way}: {laps}, {result.race_length:.0f} m, "
+        f"AI difficulty {result.difficulty}, seed {result.seed}"
+    )
+
+
+def _empty_table(columns: Sequence[str], *, is_plain: bool) -> Table:
+    table = Table(box=None if is_plain else box.ROUNDED, pad_edge=not is_plain)
+    for name in columns:
+        is_text = name in ("driver", "kart")
+        table.add_column(escape(name), justify="left" if is_text else "right")
+    return table
+
+
+def _race_table(result: RaceResult, *, is_plain: bool) -> Table:
+    columns = ("rank", "driver", "kart", "time [s]", "distance [m]", "reward", "think [ms]")
+    table = _empty_table(columns, is_plain=is_plain)
+    for row in result.agents:
+        thought = row.action_time
+        table.add_row(
+            str(row.rank),
+            escape(row.driver),
+            row.agent,
+            _time_of(row),
+            f"{row.distance:.0f}",
+            f"{row.reward:.1f}",
+            f"{1000 * thought.mean:.2f}" if thought else "-",
+            style=_style_of(row),
+        )
+    return table
+
+
+def _time_of(row: AgentResult) -> str:
+    if row.finish_time is not None:
+        return f"{row.finish_time:.2f}"
+    return "failed" if row.status == "retired" else "not finished"
+
+
+def _style_of(row: AgentResult) -> str | None:
+    if row.num_errors:
+        return "red"
+    return "bold green" if row.rank == 1 else None
+
+
+def _show_errors(console: Console, row: AgentResult, where: str = "") -> None:
+    """Prints an agent's first failure, and how many there were."""
+    if not row.errors:
+        return
+    first = row.errors[0]
+    when = "before the start" if first.kind == "start" else f"at step {first.step}"
+    more = f" (the first of {row.num_errors} errors)" if row.num_errors > 1 else ""
+    text = f"\n{row.driver} ({row.agent}) failed {when}{where}{more}: {first.message}"
+    trace = "\n".join(f"  {line}" for line in first.trace.splitlines()[-_MAX_TRACE_LINES:])
+    for part in (text, trace):
+        if part:
+            console.print(part, soft_wrap=True, highlight=False, markup=False)
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values)

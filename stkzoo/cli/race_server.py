@@ -1,0 +1,137 @@
+"""``stkzoo race-server``: serve agents to races that run elsewhere."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import signal
+import sys
+from typing import TYPE_CHECKING, Any
+
+from stkzoo.errors import ConfigError
+
+if TYPE_CHECKING:
+    from stkzoo.race.remote import RaceServer
+
+__all__ = ["add_parser"]
+
+_ABOUT = """\
+Serves agents to races that run elsewhere (stkzoo race-client), one race after another and
+several at once, until Ctrl-C. Each agent of each race runs in a process of its own here,
+with its own wrappers; only what karts see and do goes over the network.
+
+An agent is the path of a folder or zip with pystk_actor.py, or the name of a module or
+of a driver of stkzoo, with @:Name behind it if it is to be called so (docs/agents.md).
+"""
+
+_EXAMPLES = """\
+examples:
+  stkzoo race-server my_agent.zip                  for clients on this machine
+  stkzoo race-server ada.zip bob/ --address 127.0.0.1:6000
+  stkzoo race-server my_agent --address '*:5555' --secret ada.secret --allow course.public
+                                                   for a client elsewhere who has a key
+then, at the client:
+  stkzoo race-client --server 127.0.0.1:5555 --track lighthouse
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
+    """Adds the command."""
+    parser = subparsers.add_parser(
+        "race-server",
+        help="serve agents to races that run elsewhere",
+        description=_ABOUT,
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("agents", nargs="+", metavar="AGENT", help="who drives; see above")
+    add("--address", default="tcp://127.0.0.1:5555", help="where to listen (default: %(default)s)")
+    add("--adapter", metavar="PATH", help="Python file that makes the actors of agents")
+    add(
+        "--action-timeout",
+        type=float,
+        default=10.0,
+        metavar="SECONDS",
+        help="how long an agent may think about a step; 0 is no limit (default: %(default)g)",
+    )
+    add(
+        "--start-timeout",
+        type=float,
+        default=60.0,
+        metavar="SECONDS",
+        help="how long an agent may take to load (default: %(default)g)",
+    )
+    add(
+        "--agent-memory",
+        type=int,
+        default=4096,
+        metavar="MB",
+        help="memory that an agent may use; 0 is no limit (default: %(default)s)",
+    )
+    add(
+        "--threads",
+        type=int,
+        default=8,
+        metavar="N",
+        help="clients served at once, each in a thread (default: %(default)s)",
+    )
+    add("--inline", action="store_true", help="run agents in this process: quicker, but not safe")
+    add("--secret", metavar="FILE", help="the server's secret key (stkzoo keys new)")
+    add(
+        "--allow",
+        action="append",
+        metavar="KEY",
+        help="a client's public key, a file of them or a folder of .public files; repeatable",
+    )
+    add("--insecure", action="store_true", help="listen to other machines even without keys")
+    add("--quiet", action="store_true", help="tell only what goes wrong")
+    parser.set_defaults(run=_run, fail=parser.error)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    logging.basicConfig(
+        level=logging.WARNING if arguments.quiet else logging.INFO,
+        format="%(asctime)s %(message)s",
+        datefmt="%H:%M:%S",
+    )
+    try:
+        server = _server(arguments)
+    except ConfigError as error:
+        arguments.fail(str(error))
+    with server:
+        signal.signal(signal.SIGTERM, lambda *_: server.stop())
+        print(f"serving {', '.join(arguments.agents)} at {server.address}", flush=True)
+        try:
+            server.serve()
+        except KeyboardInterrupt:
+            print("stkzoo: no more races", file=sys.stderr)
+    return 0
+
+
+def _server(arguments: argparse.Namespace) -> RaceServer:
+    from stkzoo.race.drivers import find_driver
+    from stkzoo.race.remote import RaceServer, ServerKeys, read_publics, read_secret
+    from stkzoo.race.settings import RaceSettings
+
+    drivers = [
+        find_driver(agent, inline=arguments.inline, adapter=arguments.adapter)
+        for agent in arguments.agents
+    ]
+    limits = RaceSettings(
+        action_timeout=arguments.action_timeout,
+        start_timeout=arguments.start_timeout,
+        agent_memory=arguments.agent_memory,
+    ).limits
+    keys = ServerKeys(
+        own=None if arguments.secret is None else read_secret(arguments.secret),
+        allowed=None if arguments.allow is None else read_publics(arguments.allow),
+    )
+    return RaceServer(
+        drivers,
+        arguments.address,
+        limits=limits,
+        max_sessions=arguments.threads,
+        keys=keys,
+        insecure=arguments.insecure,
+    )

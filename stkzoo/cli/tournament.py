@@ -1,0 +1,5 @@
+"""``stkzoo tournament``."""
+
+
+def add_parser(subparsers):
+    subparsers.add_parser("tournament")

@@ -1,0 +1,203 @@
+"""The game's pictures of a race that runs elsewhere, seen from the program that wants them."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes.util
+import json
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine import wire
+from stkzoo.engine.process import WINDOW_START_TIMEOUT, RaceProcess, start_shadow_process
+from stkzoo.engine.setup import RaceSetup
+from stkzoo.errors import ApiOrderError, ConfigError, EngineCrashed, EngineTimeout
+
+__all__ = ["POSE_SIZE", "TICK", "Footage", "ShadowSession", "check_graphics_libraries"]
+
+#: See :mod:`stkzoo.engine.shadow`, which a program that only films does not load.
+TICK = 1 / 60
+POSE_SIZE = 8
+
+#: Debian's names of what drawing without a screen needs.
+GRAPHICS_PACKAGES = "libegl1 libgl1 libgl1-mesa-dri"
+
+
+#: Mesa's renderer without a graphics card can lose itself for a minute in this filter.
+_NO_ANISOTROPY = "-GL_EXT_texture_filter_anisotropic -GL_ARB_texture_filter_anisotropic"
+
+
+@dataclass(frozen=True, slots=True)
+class Footage:
+    """What the cameras saw.
+
+    Attributes:
+        images: ``(C, H, W, 3)`` uint8, one picture a camera; ``C`` is 0 if none was wanted.
+        depths: ``(C, H, W)`` float32, the depth buffer as the graphics library keeps it: 0 is
+            near and 1 far; ``C`` is 0 if none was wanted.
+        locations: ``(K, 3)`` float32: where the drawn karts stand [m].
+    """
+
+    images: npt.NDArray[np.uint8]
+    depths: npt.NDArray[np.float32]
+    locations: npt.NDArray[np.float32]
+
+
+def check_graphics_libraries() -> None:
+    """Checks that the game can draw without a screen, as far as a look tells.
+
+    Raises:
+        ConfigError: libraries are missing; it names the packages.
+    """
+    if sys.platform != "linux":
+        return
+    missing = [f"lib{name}" for name in ("EGL", "GL") if ctypes.util.find_library(name) is None]
+    if missing:
+        raise ConfigError(
+            f"the game's pictures need {' and '.join(missing)}, which this machine does not have; "
+            f"on Debian and Ubuntu `sudo apt install {GRAPHICS_PACKAGES}`, or draw the map with "
+            'render_backend="map"'
+        )
+
+
+class ShadowSession:
+    """Draws races in a process of its own, one at a time.
+
+    Args:
+        root: the game's full data.
+        size: width and height of a picture [pixels].
+        preset: how finely the game draws: ``"ld"``, ``"sd"`` or ``"hd"``, or fields of
+            ``pystk2.GraphicsConfig`` by name.
+        has_window: shows the game's window; otherwise nothing appears on a screen.
+        timeout: seconds that the pictures of one moment may take, the first ones ten times as
+            long: without a graphics card, shaders take their time.
+    """
+
+    def __init__(
+        self,
+        root: Path,
+        size: tuple[int, int],
+        preset: str | dict[str, Any] = "ld",
+        *,
+        has_window: bool = False,
+        timeout: float = 30.0,
+    ) -> None:
+        fields: dict[str, Any] = {"preset": preset} if isinstance(preset, str) else dict(preset)
+        fields |= {"render": True, "display": has_window}
+        fields |= {"screen_width": size[0], "screen_height": size[1]}
+        self._root, self._graphics = root, json.dumps(fields)
+        self._has_window = has_window
+        self._timeouts = {wire.BEGIN: WINDOW_START_TIMEOUT, wire.DRAW: timeout}
+        self._process: RaceProcess | None = None
+        self._has_drawn = False
+        self._owner = os.getpid()
+
+    @property
+    def pid(self) -> int | None:
+        """Process id of the game that draws, if any."""
+        return self._process.pid if self._process else None
+
+    def start(self, setup: RaceSetup) -> None:
+        """Starts the drawn race; its karts stand on the grid.
+
+        Raises:
+            EngineError: the game cannot draw here; the text has its last lines.
+        """
+        if self._owner != os.getpid():
+            self.close()
+        if self._process is None:
+            self._process = start_shadow_process(self._root, self._graphics, self._variables())
+            self._has_drawn = False
+            self._owner = os.getpid()
+        self._ask(wire.BEGIN, setup.to_json())
+
+    def draw(
+        self, poses: npt.NDArray[np.float32], *, images: bool = True, depths: bool = False
+    ) -> Footage:
+        """Moves the karts and looks.
+
+        Args:
+            poses: ``(T, K, 8)``: where every kart is, one moment every :data:`TICK`: location
+                [m], rotation (w, x, y, z), speed [m/s].
+            images: give the pictures.
+            depths: give the depth buffers.
+
+        Raises:
+            ApiOrderError: no race was started.
+            EngineError: the game died or hangs.
+        """
+        wishes = bytes([images + 2 * depths, 0, 0, 0])
+        facts, image, depth, places = self._ask(
+            wire.DRAW, wishes + np.ascontiguousarray(poses, np.float32).tobytes()
+        )
+        shape: dict[str, int] = json.loads(facts)
+        height, width = shape["height"], shape["width"]
+        return Footage(
+            np.frombuffer(image, np.uint8).reshape(shape["images"], height, width, 3),
+            np.frombuffer(depth, np.float32).reshape(shape["depths"], height, width),
+            np.frombuffer(places, np.float32).reshape(-1, 3),
+        )
+
+    def close(self) -> None:
+        """Ends the process; :meth:`start` still works."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        if self._owner == os.getpid():
+            process.drop()
+        else:
+            process.connection.close()
+            process.log.close()
+
+    def __del__(self) -> None:
+        with contextlib.suppress(Exception):  # the interpreter may be half gone
+            self.close()
+
+    def _variables(self) -> dict[str, str]:
+        if self._has_window or sys.platform != "linux":
+            return {}
+        return {"SDL_VIDEODRIVER": "offscreen", "MESA_EXTENSION_OVERRIDE": _NO_ANISOTROPY}
+
+    def _ask(self, kind: bytes, data: bytes) -> list[bytes]:
+        if self._process is None or self._owner != os.getpid():
+            raise ApiOrderError("nothing is being drawn; start a race first")
+        process = self._process
+        with self._ending_what_fails(process):
+            patience = 1 if self._has_drawn or kind != wire.DRAW else 10
+            process.connection.settimeout(self._timeouts[kind] * patience)
+            wire.send(process.connection, kind, data)
+            answers = process.reply()
+        self._has_drawn = self._has_drawn or kind == wire.DRAW
+        return answers
+
+    @contextlib.contextmanager
+    def _ending_what_fails(self, process: RaceProcess) -> Iterator[None]:
+        try:
+            yield
+        except TimeoutError:
+            seconds = process.connection.gettimeout()
+            _, log = self._end(process)
+            raise EngineTimeout(
+                f"the process that draws gave no answer in {seconds:g} s and was ended", log
+            ) from None
+        except (EOFError, OSError):
+            how, log = self._end(process)
+            raise EngineCrashed(
+                f"the process that draws {how}; `stkzoo doctor` looks for the cause", log
+            ) from None
+        except BaseException:
+            self._end(process)
+            raise
+
+    def _end(self, process: RaceProcess) -> tuple[str, str]:
+        self._process = None
+        how, log = process.end(), process.log.tail()
+        process.log.close()
+        return how, log

@@ -1,0 +1,329 @@
+"""Messages of plain data as bytes: what goes to and comes from agents in other processes.
+
+A message is ``None``, ``bool``, ``int``, ``float``, ``str``, ``bytes``, a numpy array or
+scalar of numbers or truth values, or a ``list``, ``tuple`` or ``dict`` (with ``str`` keys) of
+such. It comes out as it went in, lists and tuples apart, arrays writable. The form is msgpack
+with five extension types (``docs/protocol.md``); nothing is pickled, and nothing that arrives
+can run code, raise anything but :class:`~stkzoo.errors.ProtocolError`, or take up much more
+memory than the message itself.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any
+
+import msgpack
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.errors import ProtocolError
+
+__all__ = ["LIMITS", "Encoded", "Limits", "decode", "encode"]
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """How much one message may be.
+
+    Attributes:
+        max_bytes: its length [bytes].
+        max_depth: how deep lists, tuples and dicts may stand in one another.
+        max_length: elements of one list, tuple or dict.
+    """
+
+    max_bytes: int = 8 << 20
+    max_depth: int = 16
+    max_length: int = 8192
+
+
+#: Generous for every observation of every track, and for a whole race's worth of them.
+LIMITS = Limits()
+
+
+class Encoded(bytes):
+    """An encoded message that becomes part of another, and comes out of it decoded.
+
+    So a message can be passed on without being read.
+    """
+
+    __slots__ = ()
+
+
+# Extension types of msgpack.
+_TUPLE, _ARRAY, _SCALAR, _ROWS, _ENCODED = 1, 2, 3, 4, 5
+
+_DTYPES = {
+    code: np.dtype(name)
+    for code, name in enumerate(
+        ("|b1", "|i1", "<i2", "<i4", "<i8", "|u1", "<u2", "<u4", "<u8", "<f2", "<f4", "<f8")
+    )
+}
+_CODES = {dtype: code for code, dtype in _DTYPES.items()}
+_DTYPE_NAMES = ", ".join(dtype.name for dtype in _CODES)
+_SCALARS = frozenset(dtype.type for dtype in _CODES)
+_MAX_AXES = 8
+
+_LEAVES = frozenset({type(None), bool, int, float, str, bytes, np.ndarray}) | _SCALARS
+_CONTAINERS = frozenset({list, tuple, dict})
+_PLAIN = _LEAVES | _CONTAINERS
+
+#: What a subclass of these becomes.
+_BASES: tuple[Any, ...] = (str, int, float, bytes, list, dict)
+
+_shape_of = attrgetter("shape")
+_dtype_of = attrgetter("dtype")
+
+
+def encode(message: object, limits: Limits = LIMITS) -> bytes:
+    """The bytes of a message.
+
+    Subclasses of what is plain, such as an ``IntEnum``, ``OrderedDict`` or ``numpy.str_``,
+    become what they are subclasses of.
+
+    Raises:
+        ProtocolError: the message is not plain data, or more than the limits allow.
+    """
+    try:
+        data = _Encoder(limits).encode(message, 0)
+    except (ValueError, TypeError, OverflowError, RecursionError) as error:
+        raise ProtocolError(f"a message that cannot be sent: {error}") from error
+    _check_size(data, limits)
+    return data
+
+
+def decode(data: bytes | bytearray | memoryview, limits: Limits = LIMITS) -> Any:
+    """The message of some bytes.
+
+    Raises:
+        ProtocolError: these bytes are no message, or more than the limits allow.
+    """
+    _check_size(data, limits)
+    try:
+        message = _Decoder(limits).decode(data, 0)
+        _check(message, limits, 0)
+    except ProtocolError:
+        raise
+    except Exception as error:  # msgpack and numpy tell of bad bytes in many ways
+        kind, text = type(error).__name__, str(error)[:200]
+        raise ProtocolError(
+            f"{len(data)} bytes came that are no message: {kind}: {text}"
+        ) from error
+    return message
+
+
+def _check_size(data: bytes | bytearray | memoryview, limits: Limits) -> None:
+    if len(data) > limits.max_bytes:
+        raise ProtocolError(f"a message of {len(data)} bytes, expected at most {limits.max_bytes}")
+
+
+def _check(value: Any, limits: Limits, depth: int) -> None:
+    """Refuses a tree that is too deep, too wide, or has something else than plain data in it."""
+    kind = type(value)
+    if kind not in _CONTAINERS:
+        if kind not in _PLAIN:
+            raise ProtocolError(f"a message has a {kind.__name__} in it, expected plain data")
+        return
+    if depth >= limits.max_depth:
+        raise ProtocolError(f"a message is deeper than {limits.max_depth} levels")
+    if len(value) > limits.max_length:
+        raise ProtocolError(
+            f"a {kind.__name__} of {len(value)} elements, expected at most {limits.max_length}"
+        )
+    if kind is dict:
+        _check_keys(value)
+        value = value.values()
+    if not _LEAVES.issuperset(map(type, value)):
+        for item in value:
+            _check(item, limits, depth + 1)
+
+
+def _check_keys(value: dict[Any, Any]) -> None:
+    for key in value:
+        if type(key) is not str:
+            raise ProtocolError(f"a dict has the key {key!r:.100}, expected text")
+
+
+class _Encoder:
+    """Encodes one message; knows how deep in it it is."""
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._depth = 0
+
+    def encode(self, value: object, depth: int) -> bytes:
+        self._depth, above = depth, self._depth
+        if depth > self._limits.max_depth:
+            raise ProtocolError(f"a message is deeper than {self._limits.max_depth} levels")
+        if type(value) in (dict, list):
+            value = self._plain(value, depth)
+        data: bytes = msgpack.packb(value, default=self._extended, strict_types=True)
+        self._depth = above
+        return data
+
+    def _plain(self, value: Any, depth: int) -> Any:
+        """Checks dicts and lists, which msgpack packs by itself."""
+        if depth >= self._limits.max_depth:
+            raise ProtocolError(f"a message is deeper than {self._limits.max_depth} levels")
+        if len(value) > self._limits.max_length:
+            raise ProtocolError(
+                f"{len(value)} elements, expected at most {self._limits.max_length}"
+            )
+        if type(value) is dict:
+            if set(map(type, value)) - {str}:
+                value = {_key(key): item for key, item in value.items()}
+            items = value.values()
+        else:
+            items = value
+        for item in items:
+            if type(item) in (dict, list):
+                self._plain(item, depth + 1)
+        return value
+
+    def _extended(self, value: Any) -> Any:
+        """What msgpack does not know, as something that it knows."""
+        if isinstance(value, tuple):
+            rows = _as_rows(value, self._limits)
+            if rows is not None:
+                return rows
+            return msgpack.ExtType(_TUPLE, self.encode(list(value), self._depth + 1))
+        if isinstance(value, np.ndarray):
+            return msgpack.ExtType(_ARRAY, _array_bytes(value))
+        if isinstance(value, np.generic) and type(value) in _SCALARS:
+            return msgpack.ExtType(_SCALAR, bytes((_CODES[value.dtype],)) + value.tobytes())
+        if isinstance(value, Encoded):
+            return msgpack.ExtType(_ENCODED, bytes(value))
+        for kind in _BASES:
+            if isinstance(value, kind):
+                plain = kind(value)
+                return self._plain(plain, self._depth + 1) if kind in (list, dict) else plain
+        raise ProtocolError(
+            f"a message has a {type(value).__name__} in it, expected plain data: numbers, text, "
+            "bytes, numpy arrays, and lists, tuples and dicts of these"
+        )
+
+
+def _key(key: object) -> str:
+    if not isinstance(key, str):
+        raise ProtocolError(f"a dict has the key {key!r:.100}, expected text")
+    return str(key)
+
+
+def _as_rows(items: tuple[Any, ...], limits: Limits) -> msgpack.ExtType | None:
+    """Arrays or scalars that are alike as one array, else ``None``."""
+    if len(items) < 2 or len(items) > limits.max_length:
+        return None
+    first = items[0]
+    if type(first) in _SCALARS:
+        if set(map(type, items)) != {type(first)}:
+            return None
+        return msgpack.ExtType(_ROWS, _array_bytes(np.array(items)))
+    if type(first) is not np.ndarray:
+        return None
+    shape, dtype, count = first.shape, first.dtype, len(items)
+    if not 0 < len(shape) < _MAX_AXES or dtype not in _CODES:
+        return None
+    try:
+        # Counting is the quickest way to see that all are equal: half the time of a set.
+        if [*map(_shape_of, items)].count(shape) != count:
+            return None
+        if [*map(_dtype_of, items)].count(dtype) != count:
+            return None
+    except AttributeError:  # not all are arrays
+        return None
+    try:
+        data = b"".join(items)
+    except (TypeError, ValueError, BufferError):  # some of them do not lie in one piece
+        data = np.stack(items).tobytes()
+    return msgpack.ExtType(_ROWS, _header(_CODES[dtype], (count, *shape)) + data)
+
+
+def _array_bytes(array: npt.NDArray[Any]) -> bytes:
+    code = _CODES.get(array.dtype)
+    if code is None:
+        raise ProtocolError(f"an array of dtype {array.dtype}, expected one of {_DTYPE_NAMES}")
+    if array.ndim > _MAX_AXES:
+        raise ProtocolError(f"an array of {array.ndim} axes, expected at most {_MAX_AXES}")
+    return _header(code, array.shape) + array.tobytes()
+
+
+_HEADERS = [struct.Struct(f"<BB{axes}I") for axes in range(_MAX_AXES + 1)]
+
+
+def _header(code: int, shape: tuple[int, ...]) -> bytes:
+    try:
+        return _HEADERS[len(shape)].pack(code, len(shape), *shape)
+    except struct.error:
+        raise ProtocolError(f"an array of shape {shape} is too large") from None
+
+
+class _Decoder:
+    """Decodes one message."""
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._depth = 0
+
+    def decode(self, data: Any, depth: int) -> Any:
+        if depth > self._limits.max_depth:
+            raise ProtocolError(f"a message is deeper than {self._limits.max_depth} levels")
+        self._depth, above = depth, self._depth
+        longest, size = min(self._limits.max_length, len(data)), len(data)
+        value = msgpack.unpackb(
+            data,
+            ext_hook=self._extended,
+            strict_map_key=True,
+            max_array_len=longest,
+            max_map_len=longest,
+            max_str_len=size,
+            max_bin_len=size,
+            max_ext_len=size,
+        )
+        self._depth = above
+        return value
+
+    def _extended(self, code: int, data: bytes) -> Any:
+        if code == _ARRAY:
+            return _array_of(data)
+        if code == _ROWS:
+            return self._rows_of(data)
+        if code == _TUPLE:
+            items = self.decode(data, self._depth + 1)
+            if type(items) is not list:
+                raise ProtocolError("a tuple came that is no list of items")
+            return tuple(items)
+        if code == _ENCODED:
+            return self.decode(data, self._depth + 1)
+        if code == _SCALAR:
+            return _array_from(data[0], (), data[1:])[()]
+        raise ProtocolError(f"extension type {code} came, expected 1 to 5")
+
+    def _rows_of(self, data: bytes) -> tuple[Any, ...]:
+        array = _array_of(data)
+        if not array.ndim or len(array) > self._limits.max_length:
+            raise ProtocolError(f"a row of arrays came as an array of shape {array.shape}")
+        return tuple(array)
+
+
+def _array_of(data: bytes) -> npt.NDArray[Any]:
+    code, axes = data[0], data[1]
+    if axes > _MAX_AXES:
+        raise ProtocolError(f"an array of {axes} axes came, expected at most {_MAX_AXES}")
+    layout = _HEADERS[axes]
+    return _array_from(code, layout.unpack_from(data)[2:], data[layout.size :])
+
+
+def _array_from(code: int, shape: tuple[int, ...], content: bytes) -> npt.NDArray[Any]:
+    dtype = _DTYPES.get(code)
+    if dtype is None:
+        raise ProtocolError(f"dtype code {code} came, expected 0 to {len(_DTYPES) - 1}")
+    # numpy checks that there is enough, but would take more.
+    if len(content) != math.prod(shape) * dtype.itemsize:
+        raise ProtocolError(f"{len(content)} bytes came for {dtype.name} of shape {shape}")
+    # A bytearray may be written to, so the array may be as well.
+    array: npt.NDArray[Any] = np.ndarray(shape, dtype, bytearray(content))
+    # A truth value that is neither 0 nor 1 behaves strangely.
+    return array.view(np.uint8) != 0 if code == 0 and shape else array

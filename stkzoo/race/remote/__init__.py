@@ -1,0 +1,34 @@
+"""Races with agents on other machines: servers of agents, and drivers that ask them.
+
+The messages are described in ``docs/protocol.md``; nothing in them is pickled. What a
+client or a server sends can at worst cost its own part in the race.
+"""
+
+from __future__ import annotations
+
+from stkzoo.race.remote.address import DEFAULT_ADDRESS, full_address
+from stkzoo.race.remote.crew import RemoteCrew
+from stkzoo.race.remote.keys import (
+    KeyPair,
+    new_key_files,
+    new_keys,
+    read_public,
+    read_publics,
+    read_secret,
+)
+from stkzoo.race.remote.server import RaceServer
+from stkzoo.race.remote.sockets import ServerKeys
+
+__all__ = [
+    "DEFAULT_ADDRESS",
+    "KeyPair",
+    "RaceServer",
+    "RemoteCrew",
+    "ServerKeys",
+    "full_address",
+    "new_key_files",
+    "new_keys",
+    "read_public",
+    "read_publics",
+    "read_secret",
+]

@@ -1,0 +1,151 @@
+"""ZeroMQ sockets with the limits and keys of networked races."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from stkzoo.errors import ConfigError, RemoteError
+from stkzoo.race.remote.address import is_local
+from stkzoo.race.remote.keys import KeyPair, new_keys
+from stkzoo.race.remote.library import zmq_module
+from stkzoo.race.remote.protocol import LIMITS
+
+if TYPE_CHECKING:
+    import zmq
+
+__all__ = ["Doorkeeper", "ServerKeys", "client_socket", "server_socket"]
+
+#: Silence is broken this often, and means a dead end after so long [ms].
+_HEARTBEAT, _DEAD = 1000, 4000
+#: Whoever connects must have shown its keys within this time [ms].
+_HANDSHAKE = 5000
+#: Messages that wait on either side of one connection.
+_QUEUE = 16
+_DOMAIN = b"stkzoo"
+
+
+@dataclass(frozen=True, slots=True)
+class ServerKeys:
+    """Who a server is, and whom it serves.
+
+    Attributes:
+        own: its keys; ``None`` for no encryption.
+        allowed: public keys of the clients it serves; ``None`` for all.
+    """
+
+    own: KeyPair | None = None
+    allowed: Collection[str] | None = field(default=None)
+
+    def check(self, address: str, is_insecure: bool) -> None:
+        """Refuses an address that strangers can reach without keys.
+
+        Raises:
+            ConfigError: others can, and nobody said that they may.
+        """
+        if self.allowed is not None and self.own is None:
+            raise ConfigError("allowed clients mean nothing without the server's secret key")
+        is_closed = self.own is not None and self.allowed is not None
+        if not (is_local(address) or is_closed or is_insecure):
+            raise ConfigError(
+                f"{address} can be reached from other machines; give the server a key of its own "
+                "(--secret) and those of its clients (--allow), or say --insecure"
+            )
+
+
+def server_socket(context: zmq.Context[Any], address: str, keys: ServerKeys) -> zmq.Socket[Any]:
+    """A ROUTER socket that listens.
+
+    Raises:
+        ConfigError: the address cannot be listened on.
+    """
+    lib = zmq_module()
+    socket: zmq.Socket[Any] = context.socket(lib.ROUTER)
+    _set_limits(socket, address)
+    socket.setsockopt(lib.ROUTER_MANDATORY, 1)
+    socket.setsockopt(lib.HANDSHAKE_IVL, _HANDSHAKE)
+    if keys.own is not None:
+        socket.setsockopt(lib.ZAP_DOMAIN, _DOMAIN)
+        socket.setsockopt(lib.CURVE_SERVER, 1)
+        socket.setsockopt(lib.CURVE_SECRETKEY, keys.own.secret.encode())
+    try:
+        socket.bind(address)
+    except lib.ZMQError as error:
+        socket.close(0)
+        raise ConfigError(f"cannot listen on {address}: {error}") from error
+    return socket
+
+
+def client_socket(
+    context: zmq.Context[Any], address: str, keys: KeyPair | None, server_key: str | None
+) -> zmq.Socket[Any]:
+    """A DEALER socket that connects by itself.
+
+    Args:
+        context: ZeroMQ's.
+        address: the server's.
+        keys: the client's own; ``None`` makes some up if they are needed.
+        server_key: the server's public key; ``None`` for no encryption.
+
+    Raises:
+        RemoteError: the address cannot be connected to.
+    """
+    lib = zmq_module()
+    socket: zmq.Socket[Any] = context.socket(lib.DEALER)
+    _set_limits(socket, address)
+    socket.setsockopt(lib.RECONNECT_IVL, 50)
+    socket.setsockopt(lib.RECONNECT_IVL_MAX, 500)
+    if server_key is not None:
+        keys = keys or new_keys()
+        socket.setsockopt(lib.CURVE_SERVERKEY, server_key.encode())
+        socket.setsockopt(lib.CURVE_PUBLICKEY, keys.public.encode())
+        socket.setsockopt(lib.CURVE_SECRETKEY, keys.secret.encode())
+    try:
+        socket.connect(address)
+    except lib.ZMQError as error:
+        socket.close(0)
+        raise RemoteError(f"cannot connect to {address}: {error}") from error
+    return socket
+
+
+def _set_limits(socket: zmq.Socket[Any], address: str) -> None:
+    zmq = zmq_module()
+    socket.setsockopt(zmq.LINGER, 0)
+    socket.setsockopt(zmq.MAXMSGSIZE, LIMITS.max_bytes)
+    socket.setsockopt(zmq.RCVHWM, _QUEUE)
+    socket.setsockopt(zmq.SNDHWM, _QUEUE * 4)
+    socket.setsockopt(zmq.HEARTBEAT_IVL, _HEARTBEAT)
+    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, _DEAD)
+    socket.setsockopt(zmq.HEARTBEAT_TTL, _DEAD)
+    if "[" in address:
+        socket.setsockopt(zmq.IPV6, 1)
+
+
+class Doorkeeper:
+    """Answers ZeroMQ's question whether a client's key is allowed (ZAP, RFC 27).
+
+    Args:
+        context: the server's.
+        allowed: the clients' public keys; ``None`` lets everybody in.
+    """
+
+    def __init__(self, context: zmq.Context[Any], allowed: Collection[str] | None) -> None:
+        zmq = zmq_module()
+        from zmq.utils import z85
+
+        self._allowed = None if allowed is None else frozenset(allowed)
+        self._encode = z85.encode
+        self.socket = context.socket(zmq.REP)
+        self.socket.setsockopt(zmq.LINGER, 0)
+        self.socket.bind("inproc://zeromq.zap.01")
+
+    def answer(self) -> bool:
+        """Answers one question; whether somebody was let in."""
+        version, request, domain, _, _, mechanism, *credentials = self.socket.recv_multipart()
+        is_ours = version == b"1.0" and domain == _DOMAIN and mechanism == b"CURVE"
+        key = self._encode(credentials[0]).decode() if is_ours and credentials else ""
+        is_in = bool(key) and (self._allowed is None or key in self._allowed)
+        status = [b"200", b"OK"] if is_in else [b"400", b"this key is not on the list"]
+        self.socket.send_multipart([version, request, *status, key.encode() if is_in else b"", b""])
+        return is_in

@@ -1,0 +1,49 @@
+"""Errors of agents as text; tracebacks without the frames of stkzoo, which no author can mend."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Iterable
+from pathlib import Path
+
+from stkzoo.errors import StkzooError
+
+__all__ = ["agent_trace", "in_words"]
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+_MAX_FRAMES = 30
+
+
+def in_words(error: BaseException) -> str:
+    """The error's kind and text; of stkzoo's own, which explain themselves, the text alone."""
+    try:
+        text = str(error)
+    except Exception:  # noqa: BLE001 - the agent's own class
+        text = "(its text cannot be had)"
+    return text if isinstance(error, StkzooError) else f"{type(error).__name__}: {text}"
+
+
+def agent_trace(error: BaseException) -> str:
+    """The traceback from the first line on that is not stkzoo's; empty if all are.
+
+    An error that stkzoo found, such as an action of the wrong shape, says it all in its text.
+    """
+    trace = traceback.TracebackException.from_exception(error)
+    links = list(_chain_of(trace))
+    for link in links:
+        frames = list(link.stack)
+        start = next((i for i, f in enumerate(frames) if not _is_ours(f.filename)), len(frames))
+        link.stack = traceback.StackSummary.from_list(frames[start:][-_MAX_FRAMES:])
+    return "".join(trace.format()) if any(link.stack for link in links) else ""
+
+
+def _chain_of(
+    trace: traceback.TracebackException | None,
+) -> Iterable[traceback.TracebackException]:
+    while trace is not None:
+        yield trace
+        trace = trace.__cause__ or trace.__context__
+
+
+def _is_ours(file: str) -> bool:
+    return file.startswith("<frozen importlib") or Path(file).is_relative_to(_PACKAGE)

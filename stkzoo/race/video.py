@@ -1,0 +1,281 @@
+"""Videos of races, made while they run.
+
+>>> from stkzoo.race import run_race
+>>> from stkzoo.race.video import RaceVideo
+>>> video = RaceVideo("race.mp4", cameras=2)
+>>> result = run_race(["heuristic", "ai"], listeners=[video])  # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine.snapshot import Snapshot
+from stkzoo.env.graphics import checked_size
+from stkzoo.errors import ConfigError, EngineError
+from stkzoo.race.listeners import RaceListener, RaceProgress
+from stkzoo.race.result import AgentResult, RaceResult
+from stkzoo.render.cards import ResultRow, end_card, with_labels
+from stkzoo.render.encoder import VideoWriter, check_video_path
+from stkzoo.render.map import MapView
+from stkzoo.render.motion import snapshots_between
+from stkzoo.render.renderer import RaceRenderer, camera_karts
+from stkzoo.render.scene import Scene
+from stkzoo.render.standings import clock, standings
+from stkzoo.render.tiles import grid_of, tiled
+
+__all__ = ["RaceFilm", "RaceVideo"]
+
+logger = logging.getLogger(__name__)
+
+Picture = npt.NDArray[np.uint8]
+
+_MOST_CAMERAS, _USUAL_CAMERAS = 8, 4
+_MOST_SUB_STEPS = 60
+
+
+class RaceFilm:
+    """Films a race from its snapshots; knows nothing of who drives.
+
+    One second of the video is one second of the race. Between two steps the karts move on
+    smoothly; the race itself takes no notice.
+
+    Args:
+        path: the file; see :data:`stkzoo.render.encoder.FORMATS`.
+        cameras: how many agents have a tile, at most 8; ``None`` is all, up to 4. A place
+            that is left over shows the map.
+        size: width and height [pixels].
+        sub_steps: pictures a step.
+        backend: ``"auto"``, ``"engine"`` or ``"map"``.
+        preset: how finely the game draws: ``"ld"``, ``"sd"`` or ``"hd"``.
+        card_seconds: how long the results stay.
+        on_frame: is told the number of pictures after each.
+
+    Raises:
+        ConfigError: an argument cannot be, or a library is missing.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        cameras: int | None = None,
+        size: Sequence[int] = (854, 480),
+        sub_steps: int = 3,
+        backend: str = "auto",
+        preset: str = "ld",
+        card_seconds: float = 4.0,
+        on_frame: Callable[[int], None] | None = None,
+    ) -> None:
+        if cameras is not None:
+            _check_whole("cameras", cameras, _MOST_CAMERAS)
+        _check_whole("sub_steps", sub_steps, _MOST_SUB_STEPS)
+        self.path = check_video_path(path)
+        width, height = checked_size(size)
+        self._size = width & ~1, height & ~1  # video formats hold whole pairs of pixels
+        self._cameras, self._sub_steps = cameras, sub_steps
+        self._card_seconds, self._on_frame = card_seconds, on_frame
+        self._backend, self._preset = backend, preset
+        self._renderer: RaceRenderer | None = None
+        self._writer: VideoWriter | None = None
+        self._scene: Scene | None = None
+        self._karts: list[int] = []
+        self._map: MapView | None = None
+        self._last: Snapshot | None = None
+        self._last_picture: Picture | None = None
+        self._fps = 0.0
+
+    @property
+    def num_frames(self) -> int:
+        """Pictures so far."""
+        return self._writer.num_frames if self._writer else 0
+
+    @property
+    def backend(self) -> str:
+        """Who draws; ``"auto"`` before the first picture."""
+        return self._backend
+
+    def begin(self, scene: Scene, snapshot: Snapshot) -> None:
+        """The first picture: the karts on the grid.
+
+        Raises:
+            EngineError: the game cannot draw, and the map was not allowed.
+            VideoError: the file cannot be written.
+        """
+        wanted = min(len(scene.kart_indices), _USUAL_CAMERAS)
+        cameras = wanted if self._cameras is None else self._cameras
+        self._scene = replace(scene, setup=replace(scene.setup, num_cameras=cameras))
+        self._karts = camera_karts(self._scene)[: max(cameras, 1)]
+        self._fps = self._sub_steps / scene.setup.step_size
+        tile = self._tile()
+        self._renderer = RaceRenderer(self._backend, tile, self._preset)
+        self._renderer.begin(self._scene)
+        self._writer = VideoWriter(self.path, self._fps)
+        self._last = snapshot
+        frames = self._renderer.pictures_between(snapshot, 1)
+        self._write(next(iter(frames), None), snapshot)
+        self._backend = self._renderer.backend
+
+    def add(self, snapshot: Snapshot) -> None:
+        """The pictures of one step.
+
+        Raises:
+            ConfigError: before :meth:`begin`.
+            EngineError: the game that draws died.
+            VideoError: the file cannot be written.
+        """
+        if self._renderer is None or self._last is None:
+            raise ConfigError("add() before begin(); begin with the race's first moment")
+        moments = snapshots_between(self._last, snapshot, self._sub_steps)
+        frames = self._frames(self._renderer, snapshot)
+        for number, moment in enumerate(moments):
+            by_kart = frames[min(number, len(frames) - 1)] if frames else None
+            self._write(by_kart, moment)
+        self._last = snapshot
+
+    def finish(self, rows: Sequence[ResultRow], subtitle: str) -> None:
+        """Adds the results and puts the file in place.
+
+        Args:
+            rows: the lines of the results, best first.
+            subtitle: a line above them.
+
+        Raises:
+            VideoError: the file cannot be written.
+        """
+        writer, scene = self._writer, self._scene
+        if writer is None or scene is None:
+            raise ConfigError("finish() before begin(); begin with the race's first moment")
+        if rows:
+            card = end_card(scene.title, subtitle, rows, self._last_picture, self._size)
+            for _ in range(round(self._card_seconds * self._fps)):
+                self._put(card)
+        writer.close()
+        self.abort()
+
+    def abort(self) -> None:
+        """Ends without a file, if :meth:`finish` has not made one; may be called again."""
+        renderer, self._renderer = self._renderer, None
+        if self._writer is not None:
+            self._writer.abort()
+        if renderer is not None:
+            renderer.close()
+
+    def results(self, agents: Sequence[AgentResult] = ()) -> list[ResultRow]:
+        """Lines for :meth:`finish` as the last moment has it.
+
+        Args:
+            agents: what is known better of the agents, in any order.
+        """
+        if self._scene is None or self._last is None:
+            return []
+        known = {int(agent.agent.rsplit("_", 1)[-1]): agent for agent in agents}
+        order = {kart: number for number, kart in enumerate(self._scene.kart_indices)}
+        rows: list[ResultRow] = []
+        for line in standings(self._scene, self._last):
+            agent = known.get(order.get(line.kart, -1))
+            rank = agent.rank if agent else line.rank
+            outcome = line.detail if line.has_finished else f"{line.progress:.0%} of the way"
+            if agent is not None and agent.status == "retired":
+                outcome = f"retired, {outcome}"
+            rows.append((rank, line.name, line.colour, outcome))
+        return sorted(rows)
+
+    def _frames(self, renderer: RaceRenderer, snapshot: Snapshot) -> list[dict[int, Picture]]:
+        """The game's frames of a step; a game that fails is given one more try."""
+        try:
+            return list(renderer.pictures_between(snapshot, self._sub_steps))
+        except EngineError as error:
+            logger.warning("the game that draws is started again: %s", error)
+            return list(renderer.pictures_between(snapshot, self._sub_steps))
+
+    def _tile(self) -> tuple[int, int]:
+        columns, rows = grid_of(len(self._karts))
+        return self._size[0] // columns, self._size[1] // rows
+
+    def _write(self, by_kart: dict[int, Picture] | None, moment: Snapshot) -> None:
+        assert self._scene is not None  # noqa: S101 - since begin
+        if by_kart is None:
+            picture = self._map_picture(moment, self._size, panel=True)
+        else:
+            picture = self._tiles(by_kart, moment)
+        self._last_picture = picture
+        self._put(picture)
+
+    def _tiles(self, by_kart: dict[int, Picture], moment: Snapshot) -> Picture:
+        assert self._scene is not None  # noqa: S101 - since begin
+        tiles = [by_kart[kart] for kart in self._karts]
+        columns, rows = grid_of(len(tiles))
+        if len(tiles) > 1 and len(tiles) < columns * rows:
+            tiles.append(self._map_picture(moment, self._tile(), panel=False))
+        whole = tiled(tiles, self._size)
+        return with_labels(whole, self._scene, moment, self._karts)
+
+    def _map_picture(self, moment: Snapshot, size: tuple[int, int], *, panel: bool) -> Picture:
+        assert self._scene is not None  # noqa: S101 - since begin
+        if self._map is None:
+            self._map = MapView(self._scene, size, panel=panel)
+        self._map.remember(moment)
+        return self._map.draw(moment)
+
+    def _put(self, picture: Picture) -> None:
+        assert self._writer is not None  # noqa: S101 - since begin
+        self._writer.add(picture)
+        if self._on_frame is not None:
+            self._on_frame(self._writer.num_frames)
+
+
+class RaceVideo(RaceListener):
+    """Makes a video of the race it listens to.
+
+    When the race ends by an error there is no file; after an interrupt there is one of the
+    race so far.
+
+    Args:
+        path: see :class:`RaceFilm`, as for the others.
+        options: ``cameras``, ``size``, ``sub_steps``, ``backend``, ``preset``,
+            ``card_seconds``, ``on_frame``.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], **options: Any) -> None:
+        self.film = RaceFilm(path, **options)
+
+    def started(self, race: RaceProgress) -> None:
+        """See :class:`~stkzoo.race.listeners.RaceListener`."""
+        scene, snapshot = race.env.scene, race.env.snapshot
+        assert scene is not None  # noqa: S101 - a race has started
+        assert snapshot is not None  # noqa: S101 - a race has started
+        names = list(scene.names)
+        for agent, kart in zip(race.env.possible_agents, scene.kart_indices, strict=True):
+            names[kart] = race.names[agent]
+        self.film.begin(replace(scene, names=tuple(names)), snapshot)
+
+    def stepped(self, race: RaceProgress) -> None:
+        """See :class:`~stkzoo.race.listeners.RaceListener`."""
+        assert race.env.snapshot is not None  # noqa: S101 - a race runs
+        self.film.add(race.env.snapshot)
+
+    def ended(self, result: RaceResult) -> None:
+        """See :class:`~stkzoo.race.listeners.RaceListener`."""
+        if not self.film.num_frames:
+            return
+        how = {"finished": "", "interrupted": ", interrupted"}.get(result.status, ", cut short")
+        self.film.finish(
+            self.film.results(result.agents), f"results after {clock(result.race_time)}{how}"
+        )
+
+    def closed(self) -> None:
+        """See :class:`~stkzoo.race.listeners.RaceListener`."""
+        self.film.abort()
+
+
+def _check_whole(name: str, value: object, high: int) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= high:
+        raise ConfigError(f"{name} is {value!r}, expected a whole number from 1 to {high}")

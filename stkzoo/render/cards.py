@@ -1,0 +1,132 @@
+"""What videos show over and after the race: labels, a bar on top, the results."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine.snapshot import Snapshot
+from stkzoo.render.palette import readable_on, rgb
+from stkzoo.render.pillow import font_of, pillow
+from stkzoo.render.scene import Scene
+from stkzoo.render.standings import Standing, clock, standings
+from stkzoo.render.tiles import grid_of
+
+__all__ = ["ResultRow", "end_card", "with_labels"]
+
+Picture = npt.NDArray[np.uint8]
+
+#: One line of the end card: rank, name, colour as ``"#rrggbb"``, time or what came instead.
+ResultRow = tuple[int, str, str, str]
+
+_DARK, _CARD, _TEXT, _FAINT = (14, 18, 25), (27, 34, 46), (240, 244, 250), (150, 162, 182)
+_MEDALS = {1: "#ffd34d", 2: "#cfd8e3", 3: "#e0a371"}
+
+
+def with_labels(
+    picture: Picture, scene: Scene, snapshot: Snapshot, karts: Sequence[int]
+) -> Picture:
+    """A picture of camera tiles with rank, name, lap and speed of each, and the race's time.
+
+    Args:
+        picture: tiles as :func:`stkzoo.render.tiles.tiled` makes them.
+        scene: the race.
+        snapshot: its moment.
+        karts: whose camera each tile is.
+    """
+    image = pillow().Image.fromarray(picture)
+    draw = pillow().ImageDraw.Draw(image, "RGBA")
+    height, width = picture.shape[:2]
+    columns, rows = grid_of(len(karts))
+    tile = width // columns, height // rows
+    unit = max(9, min(tile[1] // 18, tile[0] // 18))
+    lines = {line.kart: line for line in standings(scene, snapshot)}
+    for number, kart in enumerate(karts):
+        row, column = divmod(number, columns)
+        place = column * tile[0], row * tile[1]
+        speed = float(snapshot.karts[kart]["speed"])
+        _draw_label(draw, lines[kart], speed, place, tile, unit)
+    title = f"{scene.title}   {clock(float(snapshot.header['time']))}"
+    _draw_title(draw, title, width, unit)
+    return np.asarray(image)
+
+
+def _draw_label(
+    draw: Any,
+    line: Standing,
+    speed: float,
+    place: tuple[int, int],
+    tile: tuple[int, int],
+    unit: int,
+) -> None:
+    """The bar at a tile's foot: rank in the kart's colour, name, lap and speed."""
+    left, bottom = place[0], place[1] + tile[1]
+    top = bottom - unit * 2
+    draw.rectangle([left, top, left + tile[0], bottom], fill=(*_DARK, 185))
+    draw.rectangle([left, top, left + unit * 2, bottom], fill=rgb(line.colour))
+    middle = (top + bottom) / 2
+    ink = readable_on(line.colour)
+    draw.text((left + unit, middle), str(line.rank), ink, font_of(unit + 3), anchor="mm")
+    draw.text((left + unit * 2.6, middle), line.name, _TEXT, font_of(unit), anchor="lm")
+    right = f"{line.detail}   {max(speed, 0.0) * 3.6:.0f} km/h"
+    draw.text((left + tile[0] - unit * 0.6, middle), right, _FAINT, font_of(unit), anchor="rm")
+
+
+def _draw_title(draw: Any, title: str, width: int, unit: int) -> None:
+    font = font_of(unit)
+    half = font.getlength(title) / 2 + unit
+    box = [width / 2 - half, -unit, width / 2 + half, unit * 2]
+    draw.rounded_rectangle(box, radius=unit, fill=(*_DARK, 185))
+    draw.text((width / 2, unit), title, _TEXT, font, anchor="mm")
+
+
+def end_card(
+    title: str, subtitle: str, rows: Sequence[ResultRow], behind: Picture | None, size: Any
+) -> Picture:
+    """The results as the last picture of a video.
+
+    Args:
+        title: the track's name.
+        subtitle: a line below it.
+        rows: best first; those that do not fit are counted.
+        behind: the race's last picture, shown dimly; ``None`` for none.
+        size: width and height [pixels].
+    """
+    images, drawing = pillow().Image, pillow().ImageDraw
+    width, height = size
+    image = images.new("RGB", (width, height), _DARK)
+    if behind is not None:
+        image = images.blend(images.fromarray(behind).resize((width, height)), image, 0.78)
+    draw = drawing.Draw(image, "RGBA")
+    unit = max(9, min(height // 24, width // 30))
+    top = unit * 2
+    draw.text((width / 2, top), title, _TEXT, font_of(unit * 2), anchor="mm")
+    draw.text((width / 2, top + unit * 2), subtitle, _FAINT, font_of(unit), anchor="mm")
+    half = min(width * 0.44, unit * 13)
+    first, step = top + unit * 3.8, unit * 2.5
+    room = max(1, int((height - first - unit * 1.5) // step))
+    for number, row in enumerate(rows[:room]):
+        y = first + number * step
+        _draw_result(draw, row, width / 2 - half, width / 2 + half, y, unit)
+    if len(rows) > room:
+        more = f"and {len(rows) - room} more"
+        draw.text((width / 2, height - unit * 0.8), more, _FAINT, font_of(unit), anchor="mm")
+    return np.asarray(image)
+
+
+def _draw_result(
+    draw: Any, row: ResultRow, left: float, right: float, top: float, unit: int
+) -> None:
+    rank, name, colour, outcome = row
+    high = unit * 2.1
+    draw.rounded_rectangle([left, top, right, top + high], radius=unit * 0.5, fill=(*_CARD, 235))
+    bar = [left, top, left + unit * 0.7, top + high]
+    draw.rounded_rectangle(bar, radius=unit * 0.35, fill=rgb(colour))
+    middle = top + high / 2
+    ink = rgb(_MEDALS[rank]) if rank in _MEDALS else _FAINT
+    draw.text((left + unit * 2, middle), str(rank), ink, font_of(int(unit * 1.3)), anchor="mm")
+    draw.text((left + unit * 3.4, middle), name, _TEXT, font_of(int(unit * 1.1)), anchor="lm")
+    draw.text((right - unit, middle), outcome, _FAINT, font_of(unit), anchor="rm")

@@ -1,0 +1,243 @@
+"""Video files, encoded while the pictures come."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import selectors
+import shutil
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import IO, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.errors import ConfigError, StkzooError
+
+__all__ = ["FORMATS", "VideoError", "VideoWriter", "check_video_path"]
+
+_H264 = ("-c:v", "libx264", "-preset", "veryfast", "-crf", "21", "-pix_fmt", "yuv420p")
+_VP9 = ("-c:v", "libvpx-vp9", "-deadline", "realtime", "-cpu-used", "6")
+_GIF = "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=bayer"
+
+#: What ffmpeg is told, by the ending of the file's name.
+FORMATS: dict[str, tuple[str, ...]] = {
+    ".mp4": (*_H264, "-movflags", "+faststart"),
+    ".mov": (*_H264, "-movflags", "+faststart"),
+    ".mkv": _H264,
+    ".avi": ("-c:v", "mpeg4", "-q:v", "4"),
+    ".webm": (*_VP9, "-crf", "34", "-b:v", "0", "-pix_fmt", "yuv420p"),
+    ".ogv": ("-c:v", "libtheora", "-q:v", "7", "-pix_fmt", "yuv420p"),
+    ".gif": ("-filter_complex", _GIF, "-loop", "0"),
+}
+
+#: Seconds in which ffmpeg must take a picture, and end when all are there.
+_STALL_LIMIT, _END_LIMIT = 60.0, 120.0
+_LOG_BYTES = 2000
+
+
+class VideoError(StkzooError):
+    """A video could not be written; no file is left behind."""
+
+
+def check_video_path(path: str | os.PathLike[str]) -> Path:
+    """The path of a video that is to be.
+
+    Raises:
+        ConfigError: its ending is unknown, its folder missing or closed, or there is no ffmpeg.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in FORMATS:
+        raise ConfigError(
+            f"a video's name is {path.name!r}, expected one that ends with one of "
+            f"{', '.join(FORMATS)}"
+        )
+    folder = path.absolute().parent
+    if not folder.is_dir():
+        raise ConfigError(f"there is no folder {str(folder)!r} for the video; make it first")
+    if path.is_dir() or not os.access(folder, os.W_OK):
+        raise ConfigError(f"{str(path)!r} cannot be written; choose another name or folder")
+    _ffmpeg()
+    return path
+
+
+def _ffmpeg() -> str:
+    try:
+        import imageio_ffmpeg
+    except ImportError:
+        found = shutil.which("ffmpeg")
+        if found is None:
+            raise ConfigError(
+                "videos need ffmpeg, which is not on this machine; run "
+                "`pip install 'stkzoo[record]'`"
+            ) from None
+        return found
+    return cast("str", imageio_ffmpeg.get_ffmpeg_exe())
+
+
+class VideoWriter:
+    """Writes one video: a whole file, or none.
+
+    Pictures go to ffmpeg as they come, so that memory does not grow. The file appears under
+    its name when :meth:`close` has succeeded.
+
+    Args:
+        path: the file; its ending, one of :data:`FORMATS`, says what kind.
+        fps: pictures a second.
+
+    Raises:
+        ConfigError: see :func:`check_video_path`.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], fps: float) -> None:
+        self.path = check_video_path(path)
+        self.num_frames = 0
+        self._fps = fps
+        self._shape: tuple[int, int] | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._log: IO[bytes] | None = None
+        self._part: Path | None = None
+
+    def add(self, picture: npt.NDArray[np.uint8]) -> None:
+        """Adds a picture, ``(H, W, 3)`` uint8, all of one size.
+
+        An odd last row or column is left out, which most formats cannot hold.
+
+        Raises:
+            ConfigError: the picture is of another size or kind.
+            VideoError: ffmpeg failed, for want of room perhaps.
+        """
+        if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
+            raise ConfigError(
+                f"a picture is {picture.dtype} of {picture.shape}, expected uint8 of (H, W, 3)"
+            )
+        height, width = picture.shape[0] & ~1, picture.shape[1] & ~1
+        if self._process is None:
+            self._start(height, width)
+        if self._shape != (height, width):
+            raise ConfigError(f"a picture is {width}x{height}, expected {self._shape}; resize it")
+        try:
+            self._send(np.ascontiguousarray(picture[:height, :width]))
+        except BaseException:  # part of a picture would shift all that follow
+            self.abort()
+            raise
+        self.num_frames += 1
+
+    def close(self) -> None:
+        """Ends the video and puts it in place.
+
+        Raises:
+            VideoError: ffmpeg failed, or there was no picture.
+        """
+        if self._process is None:
+            raise VideoError(f"{self.path} would have no picture; no file was written")
+        process, part = self._process, self._part
+        try:
+            with contextlib.suppress(OSError):
+                cast("IO[bytes]", process.stdin).close()
+            code = process.wait(_END_LIMIT)
+        except subprocess.TimeoutExpired:
+            self._fail(f"ffmpeg did not end in {_END_LIMIT:.0f} s")
+        if code != 0:
+            self._fail(f"ffmpeg ended with code {code}")
+        try:
+            os.replace(cast("Path", part), self.path)
+        except OSError as error:
+            self._fail(str(error))
+        self._part = None
+        self._free()
+
+    def abort(self) -> None:
+        """Gives the video up; nothing of it remains. May be called again, or after close."""
+        process = self._process
+        if process is not None and process.poll() is None:
+            process.kill()
+            process.wait()
+        self._free()
+
+    def __enter__(self) -> VideoWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abort()
+
+    def _start(self, height: int, width: int) -> None:
+        suffix = self.path.suffix.lower()
+        try:
+            handle, name = tempfile.mkstemp(suffix, ".stkzoo-", self.path.absolute().parent)
+        except OSError as error:
+            raise VideoError(f"{self.path} cannot be written: {error}") from error
+        os.close(handle)
+        self._part, self._shape = Path(name), (height, width)
+        os.chmod(name, 0o644)
+        self._log = tempfile.TemporaryFile(prefix="stkzoo-ffmpeg-")  # noqa: SIM115
+        kind = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}")
+        source = (*kind, "-r", f"{self._fps:g}", "-i", "-")
+        command = (_ffmpeg(), "-y", "-hide_banner", "-loglevel", "error", *source, "-an")
+        self._process = subprocess.Popen(  # noqa: S603 - ffmpeg with our own words
+            (*command, *FORMATS[suffix], name),
+            stdin=subprocess.PIPE,
+            stdout=self._log,
+            stderr=self._log,
+            start_new_session=True,  # a Ctrl-C is this program's, which then ends ffmpeg
+        )
+        os.set_blocking(cast("IO[bytes]", self._process.stdin).fileno(), False)
+
+    def _send(self, picture: npt.NDArray[np.uint8]) -> None:
+        pipe = cast("IO[bytes]", cast("subprocess.Popen[bytes]", self._process).stdin)
+        rest = picture.data.cast("B")
+        deadline = time.monotonic() + _STALL_LIMIT
+        with selectors.DefaultSelector() as selector:
+            selector.register(pipe, selectors.EVENT_WRITE)
+            while rest:
+                if not selector.select(max(0.0, deadline - time.monotonic())):
+                    self._fail(f"ffmpeg took no picture for {_STALL_LIMIT:.0f} s")
+                try:
+                    rest = rest[os.write(pipe.fileno(), rest) :]
+                except BlockingIOError:
+                    continue
+                except OSError as error:
+                    self._fail(f"ffmpeg is gone ({error})")
+
+    def _fail(self, what: str) -> None:
+        process = cast("subprocess.Popen[bytes]", self._process)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(1.0)
+        lines = self._last_lines()
+        self.abort()
+        free = shutil.disk_usage(self.path.absolute().parent).free // 2**20
+        raise VideoError(
+            f"{self.path} could not be written: {what}; {free} MB are free there. "
+            f"No file was left.{lines}"
+        )
+
+    def _last_lines(self) -> str:
+        if self._log is None:
+            return ""
+        size = os.fstat(self._log.fileno()).st_size
+        text = os.pread(self._log.fileno(), _LOG_BYTES, max(0, size - _LOG_BYTES))
+        return f"\nffmpeg's last lines:\n{text.decode(errors='replace').strip()}" if text else ""
+
+    def _free(self) -> None:
+        process, self._process = self._process, None
+        if process is not None and process.stdin is not None:
+            with contextlib.suppress(OSError):
+                process.stdin.close()
+        if self._log is not None:
+            self._log.close()
+            self._log = None
+        part, self._part = self._part, None
+        if part is not None:
+            part.unlink(missing_ok=True)

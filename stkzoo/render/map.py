@@ -1,0 +1,215 @@
+"""A race from above: the track, karts, items, trails and standings as one picture."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine.snapshot import Snapshot
+from stkzoo.render.palette import readable_on, rgb
+from stkzoo.render.panel import draw_panel, panel_width
+from stkzoo.render.pillow import font_of, pillow
+from stkzoo.render.road import road_of
+from stkzoo.render.scene import Scene
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+__all__ = ["MapView"]
+
+#: Everything is drawn this many times larger, then made small: smooth edges everywhere.
+_FINE = 2
+_BACKGROUND, _KERB = (18, 23, 32), (196, 206, 220)
+_ROAD_LOW, _ROAD_HIGH = np.array([47, 57, 74]), np.array([112, 127, 150])
+_MARGIN = 0.05  # of the picture, around the whole track
+_FOLLOWED = 90.0  # [m], from side to side of a picture that follows a kart
+_TRAIL = 30  # moments
+#: By number of stkzoo.names.ItemType: colour and radius [m].
+_ITEMS = {
+    0: ("#ff9f43", 1.5),
+    1: ("#ffe14d", 1.0),
+    2: ("#4de1ff", 1.4),
+    3: ("#4de1ff", 1.0),
+    4: ("#ff7eb6", 1.0),
+    6: ("#b8f28c", 1.0),
+}
+
+
+class MapView:
+    """Draws the moments of one race.
+
+    The track is drawn once; a picture costs a few milliseconds.
+
+    Args:
+        scene: the race.
+        size: width and height of a picture [pixels].
+        follow: a kart, as an index in grid order, that stays in the middle of the picture;
+            ``None`` shows the whole track.
+        panel: with the standings, if the picture is wide enough.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        size: tuple[int, int] = (640, 480),
+        *,
+        follow: int | None = None,
+        panel: bool = True,
+    ) -> None:
+        self._pil = pillow()
+        self._scene, self._follow = scene, follow
+        self._road = road_of(scene.track_map)
+        self._size = size
+        self._panel = panel_width(size) if panel else 0
+        self._width, self._height = size[0] - self._panel, size[1]
+        self._trail: deque[npt.NDArray[np.float32]] = deque(maxlen=_TRAIL)
+        self._scale, self._centre = self._whole_track()
+        if follow is not None:
+            self._scale = _FINE * self._width / _FOLLOWED
+        self._ground: Image | None = None
+        self._label = font_of(max(9, min(size) // 40) * _FINE)
+
+    def remember(self, snapshot: Snapshot) -> None:
+        """Takes in a moment for the trails, also if it is not drawn."""
+        self._trail.append(snapshot.karts["location"][:, ::2].copy())
+
+    def draw(self, snapshot: Snapshot) -> npt.NDArray[np.uint8]:
+        """The picture of a moment: ``(height, width, 3)`` uint8."""
+        if self._follow is not None:
+            self._centre = snapshot.karts["location"][self._follow, ::2]
+        canvas = self._backdrop()
+        draw = self._pil.ImageDraw.Draw(canvas)
+        self._draw_items(draw, snapshot)
+        self._draw_trails(draw, snapshot)
+        self._draw_karts(draw, snapshot)
+        small = canvas.reduce(_FINE)
+        if not self._panel:
+            return np.asarray(small)
+        whole = self._pil.Image.new("RGB", self._size, _BACKGROUND)
+        whole.paste(small, (0, 0))
+        draw_panel(whole, self._scene, snapshot, self._width)
+        return np.asarray(whole)
+
+    # ------------------------------------------------------------------ the ground
+
+    def _whole_track(self) -> tuple[float, npt.NDArray[np.float32]]:
+        extent = np.maximum(self._road.high - self._road.low, 1.0)
+        room = np.array([self._width, self._height]) * (1 - 2 * _MARGIN)
+        return _FINE * float((room / extent).min()), (self._road.low + self._road.high) / 2
+
+    def _backdrop(self) -> Image:
+        if self._follow is not None:
+            reach = max(self._width, self._height) * _FINE / self._scale / 2
+            return self._draw_ground(self._road.near(self._centre, reach + 5.0))
+        if self._ground is None:
+            self._ground = self._draw_ground(np.ones(len(self._road.quads), bool))
+        return self._ground.copy()
+
+    def _draw_ground(self, shown: npt.NDArray[np.bool_]) -> Image:
+        size = self._width * _FINE, self._height * _FINE
+        canvas: Image = self._pil.Image.new("RGB", size, _BACKGROUND)
+        draw = self._pil.ImageDraw.Draw(canvas)
+        pieces = [piece for piece in self._road.order.tolist() if shown[piece]]
+        quads, joints = self._pixels(self._road.quads), self._pixels(self._road.joints)
+        radii = self._road.widths * self._scale / 2
+        kerb = max(1.5, 0.35 * self._scale)
+        for piece in pieces:
+            _outline(draw, quads[piece], kerb)
+            _disc(draw, joints[piece], radii[piece] + kerb / 2, _KERB)
+        shades = self._road.shades()[:, None]
+        colours = (_ROAD_LOW + shades * (_ROAD_HIGH - _ROAD_LOW)).astype(int).tolist()
+        for piece in pieces:
+            colour = tuple(colours[piece])
+            draw.polygon([tuple(point) for point in quads[piece].tolist()], fill=colour)
+            _disc(draw, joints[piece], radii[piece] - kerb / 2, colour)
+        self._draw_start(draw)
+        return canvas
+
+    def _draw_start(self, draw: Any) -> None:
+        """Two rows of black and white squares across the road."""
+        left, right = self._road.line
+        deep = max(1.2, 5 / self._scale)
+        squares = max(4, round(float(np.linalg.norm(right - left)) / deep))
+        steps = np.linspace(left, right, squares + 1)
+        for row in (0, 1):
+            for column in range(squares):
+                near = steps[column : column + 2] + self._road.forward * deep * (row - 1)
+                corners = np.concatenate([near, near[::-1] + self._road.forward * deep])
+                colour = (240, 240, 240) if (row + column) % 2 else (24, 24, 24)
+                draw.polygon([tuple(p) for p in self._pixels(corners).tolist()], fill=colour)
+
+    # ------------------------------------------------------------------ what moves
+
+    def _draw_items(self, draw: Any, snapshot: Snapshot) -> None:
+        places = self._pixels(snapshot.items["location"][:, ::2])
+        for place, kind in zip(places, snapshot.items["type"].tolist(), strict=True):
+            colour, radius = _ITEMS.get(kind, ("#ffffff", 1.0))
+            size = max(radius * self._scale, 1.6 * _FINE)
+            if kind == 0:
+                x, y = place
+                draw.rectangle([x - size, y - size, x + size, y + size], fill=rgb(colour))
+            else:
+                _disc(draw, place, size, rgb(colour))
+
+    def _draw_trails(self, draw: Any, snapshot: Snapshot) -> None:
+        if len(self._trail) < 2 or self._trail[-1].shape[0] != len(snapshot.karts):
+            return
+        lines = self._pixels(np.stack(self._trail))
+        width = max(_FINE, round(self._radius() / 2))
+        longest = 12.0 * self._scale  # more is no driving but being put elsewhere
+        fades = np.linspace(0.15, 0.75, len(lines))
+        for kart, name in enumerate(self._scene.colours):
+            colour = np.array(rgb(name))
+            for fade, start, end in zip(fades, lines[:-1, kart], lines[1:, kart], strict=False):
+                if np.abs(end - start).max() < longest:
+                    mixed = tuple((_ROAD_LOW + fade * (colour - _ROAD_LOW)).astype(int).tolist())
+                    draw.line([tuple(start), tuple(end)], fill=mixed, width=width)
+
+    def _draw_karts(self, draw: Any, snapshot: Snapshot) -> None:
+        karts = snapshot.karts
+        places = self._pixels(karts["location"][:, ::2])
+        ways = (karts["front"] - karts["location"])[:, ::2] * [1, -1]
+        ways /= np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-6)
+        for kart in np.argsort(-karts["position"], kind="stable").tolist():
+            self._draw_kart(draw, kart, places[kart], ways[kart])
+
+    def _draw_kart(self, draw: Any, kart: int, place: Any, way: Any) -> None:
+        """A disc with a nose that points ahead, and the agent's number."""
+        name = self._scene.colours[kart]
+        radius = self._radius()
+        across = np.array([-way[1], way[0]])
+        for grown, colour in ((1.35, (10, 13, 18)), (1.0, rgb(name))):
+            size = radius * grown
+            tip = place + way * (radius * 1.9 + size - radius)
+            nose = [tip, place + across * size * 0.92, place - across * size * 0.92]
+            draw.polygon([tuple(point) for point in nose], fill=colour)
+            _disc(draw, place, size, colour)
+        label = self._scene.label(kart)
+        if label:
+            draw.text(tuple(place), label, readable_on(name), font=self._label, anchor="mm")
+
+    def _radius(self) -> float:
+        """Of a kart's disc on the large canvas: large enough for its number [pixels]."""
+        return max(1.1 * self._scale, float(self._label.size) * 0.62)
+
+    def _pixels(self, points: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+        """Places ``(..., 2)`` of x and z [m] on the large canvas; z goes up."""
+        middle = np.array([self._width, self._height]) * _FINE / 2
+        flat: npt.NDArray[np.float64] = (points - self._centre) * [self._scale, -self._scale]
+        return flat + middle
+
+
+def _disc(draw: Any, place: Any, radius: float, colour: Any) -> None:
+    x, y = place
+    draw.ellipse([x - radius, y - radius, x + radius, y + radius], fill=colour)
+
+
+def _outline(draw: Any, quad: Any, kerb: float) -> None:
+    """A piece of road with its kerbs left and right."""
+    points = [tuple(point) for point in quad.tolist()]
+    draw.polygon(points, fill=_KERB)
+    for start, end in ((0, 3), (1, 2)):
+        draw.line([points[start], points[end]], fill=_KERB, width=max(1, round(2 * kerb)))

@@ -1,0 +1,86 @@
+"""Where karts are between two steps."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine.snapshot import Snapshot
+
+__all__ = ["game_time", "pose_of", "poses_between", "snapshots_between"]
+
+FloatArray = npt.NDArray[np.float32]
+
+#: A kart that is this much farther on than it drove was put there by the game [m].
+_LEAP = 3.0
+
+
+def pose_of(snapshot: Snapshot) -> FloatArray:
+    """``(K, 8)`` float32: location [m], rotation (w, x, y, z), forward speed [m/s]."""
+    karts = snapshot.karts
+    return np.concatenate(
+        [karts["location"], karts["rotation"], karts["velocity_lc"][:, 2:]], axis=1
+    )
+
+
+def poses_between(before: Snapshot, after: Snapshot, fractions: npt.ArrayLike) -> FloatArray:
+    """Poses of all karts at moments between two snapshots of one race.
+
+    Locations follow the cubic curve that has both places and both velocities (Hermite's);
+    rotations are mixed and made unit again, which for the small turn of one step is as good
+    as turning evenly. A kart that the game has put elsewhere stays until the end.
+
+    Args:
+        before: the earlier moment.
+        after: the later moment.
+        fractions: ``(T,)``: 0 is the earlier, 1 the later moment.
+
+    Returns:
+        ``(T, K, 8)`` as :func:`pose_of`.
+    """
+    start, end = pose_of(before), pose_of(after)
+    seconds = max(game_time(after) - game_time(before), 1e-3)
+    tangents = [s.karts["velocity"] * np.float32(seconds) for s in (before, after)]
+    t = np.asarray(fractions, np.float32)[:, None, None]
+    places = (
+        (2 * t**3 - 3 * t**2 + 1) * start[:, :3]
+        + (t**3 - 2 * t**2 + t) * tangents[0]
+        + (3 * t**2 - 2 * t**3) * end[:, :3]
+        + (t**3 - t**2) * tangents[1]
+    )
+    far_side = np.where((start[:, 3:7] * end[:, 3:7]).sum(1, keepdims=True) < 0, -1, 1)
+    turns = (1 - t) * start[:, 3:7] + t * far_side * end[:, 3:7]
+    turns /= np.maximum(np.linalg.norm(turns, axis=-1, keepdims=True), 1e-6)
+    speeds = (1 - t) * start[:, 7:] + t * end[:, 7:]
+    poses = np.concatenate([places, turns, speeds], axis=-1).astype(np.float32)
+    leaps = _has_leapt(before, after, seconds)
+    return np.where(leaps[:, None] & (t < 1), start, poses).astype(np.float32)
+
+
+def _has_leapt(before: Snapshot, after: Snapshot, seconds: float) -> npt.NDArray[np.bool_]:
+    way = np.linalg.norm(after.karts["location"] - before.karts["location"], axis=1)
+    speed = np.maximum(*(np.linalg.norm(s.karts["velocity"], axis=1) for s in (before, after)))
+    leaps: npt.NDArray[np.bool_] = way > 1.5 * speed * seconds + _LEAP
+    return leaps
+
+
+def game_time(snapshot: Snapshot) -> float:
+    """Game time [s] since the engine began to count; steady from READY to the end."""
+    return float(snapshot.header["time"]) + float(snapshot.header["aux_ticks"]) / 120
+
+
+def snapshots_between(before: Snapshot, after: Snapshot, number: int) -> list[Snapshot]:
+    """So many moments after the first one, evenly; the last is ``after``.
+
+    Karts are on their way (:func:`poses_between`); all else is as in ``after``.
+    """
+    fractions = np.arange(1, number, dtype=np.float32) / number
+    noses = [snapshot.karts["front"] - snapshot.karts["location"] for snapshot in (before, after)]
+    moments = []
+    for fraction, poses in zip(fractions, poses_between(before, after, fractions), strict=True):
+        karts = after.karts.copy()
+        karts["location"] = poses[:, :3]
+        karts["rotation"] = poses[:, 3:7]
+        karts["front"] = poses[:, :3] + (1 - fraction) * noses[0] + fraction * noses[1]
+        moments.append(Snapshot(after.header, karts, after.items))
+    return [*moments, after]

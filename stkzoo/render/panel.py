@@ -1,0 +1,91 @@
+"""The panel with the standings beside a map, and the lines of text over a frame."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from stkzoo.engine.snapshot import Snapshot
+from stkzoo.render.palette import readable_on, rgb
+from stkzoo.render.pillow import font_of, pillow
+from stkzoo.render.scene import Scene
+from stkzoo.render.standings import Standing, clock, standings
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+__all__ = ["draw_panel", "panel_width"]
+
+_PANEL, _LINE, _TEXT, _FAINT = (27, 34, 46), (52, 63, 82), (233, 238, 245), (148, 160, 180)
+_NARROWEST = 320
+
+
+def panel_width(size: tuple[int, int]) -> int:
+    """How much of a picture's width the panel takes [pixels]; 0 where it does not fit."""
+    width, height = size
+    if width < _NARROWEST or height < 120:
+        return 0
+    return min(int(width * 0.3), 360)
+
+
+def draw_panel(picture: Image, scene: Scene, snapshot: Snapshot, left: int) -> None:
+    """Fills the right part of a picture.
+
+    Args:
+        picture: what to draw on.
+        scene: the race.
+        snapshot: its moment.
+        left: where the panel begins [pixels].
+    """
+    width, height = picture.size
+    draw = pillow().ImageDraw.Draw(picture)
+    draw.rectangle([left, 0, width, height], fill=_PANEL)
+    unit = max(9, min(height // 26, (width - left) // 12))
+    pad = unit
+    title = _fitted(scene.title, unit + 3, width - left - 2 * pad)
+    draw.text((left + pad, pad), title[0], _TEXT, font=title[1])
+    draw.text((left + pad, pad + unit * 1.7), _subtitle(scene, snapshot), _FAINT, font_of(unit))
+    top = pad + unit * 3.6
+    row = unit * 2.3
+    lines = standings(scene, snapshot)
+    room = int((height - top - pad) // row)
+    for number, line in enumerate(lines[: max(room, 1)]):
+        _draw_line(draw, line, left + pad, width - pad, top + number * row, unit)
+    if len(lines) > room > 0:
+        more = f"and {len(lines) - room} more"
+        draw.text((left + pad, height - pad), more, _FAINT, font_of(unit), anchor="ls")
+
+
+def _subtitle(scene: Scene, snapshot: Snapshot) -> str:
+    leader = standings(scene, snapshot)[0]
+    laps = scene.setup.laps
+    lap = leader.detail if laps > 1 and not leader.has_finished else ""
+    time = clock(float(snapshot.header["time"]))
+    return f"{time}   {lap} of {laps}" if lap else time
+
+
+def _draw_line(draw: Any, line: Standing, left: float, right: float, top: float, unit: int) -> None:
+    """A badge with the rank, the name, the lap or time, and a bar of progress."""
+    colour, ink = rgb(line.colour), readable_on(line.colour)
+    badge = unit * 1.5
+    draw.rounded_rectangle([left, top, left + badge, top + badge], radius=unit * 0.35, fill=colour)
+    middle = top + badge / 2
+    draw.text((left + badge / 2, middle), str(line.rank), ink, font_of(unit), anchor="mm")
+    small = font_of(int(unit * 0.85))
+    detail = draw.textlength(line.detail, small)
+    draw.text((right, middle - unit * 0.2), line.detail, _FAINT, small, anchor="rm")
+    begin = left + badge + unit * 0.5
+    text, font = _fitted(line.name, unit, right - detail - unit * 0.4 - begin)
+    draw.text((begin, middle - unit * 0.2), text, _TEXT, font, anchor="lm")
+    bar = top + badge
+    draw.rectangle([begin, bar - 2, right, bar], fill=_LINE)
+    draw.rectangle([begin, bar - 2, begin + (right - begin) * line.progress, bar], fill=colour)
+
+
+def _fitted(text: str, size: int, room: float) -> tuple[str, Any]:
+    """The text, shortened if it must be, and its font."""
+    font = font_of(size)
+    if font.getlength(text) <= room:
+        return text, font
+    while text and font.getlength(text + "…") > room:
+        text = text[:-1]
+    return text + "…", font

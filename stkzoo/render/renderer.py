@@ -1,0 +1,197 @@
+"""Pictures of whatever race an environment runs, by the game or as a map."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine.snapshot import Snapshot
+from stkzoo.errors import AssetError, ConfigError, EngineError
+from stkzoo.names import CameraMode
+from stkzoo.render.game import GameView
+from stkzoo.render.map import MapView
+from stkzoo.render.scene import Scene
+from stkzoo.render.tiles import tiled
+
+__all__ = ["BACKENDS", "RaceRenderer", "camera_karts"]
+
+logger = logging.getLogger(__name__)
+
+Picture = npt.NDArray[np.uint8]
+
+#: Who draws: the game, the map, or the game where it can and else the map.
+BACKENDS = ("auto", "engine", "map")
+
+
+class RaceRenderer:
+    """Draws the moments of one race after another.
+
+    The game that draws is started when the first picture is asked for.
+
+    Args:
+        backend: one of :data:`BACKENDS`.
+        size: width and height of a picture [pixels].
+        preset: how finely the game draws (:class:`~stkzoo.engine.filming.ShadowSession`).
+        has_window: the game's window shows the race.
+    """
+
+    def __init__(
+        self,
+        backend: str = "auto",
+        size: tuple[int, int] = (640, 480),
+        preset: str | dict[str, Any] = "ld",
+        *,
+        has_window: bool = False,
+    ) -> None:
+        self.size = size
+        self._backend, self._preset, self._has_window = backend, preset, has_window
+        self._scene: Scene | None = None
+        self._game: GameView | None = None
+        self._game_karts: tuple[int, ...] = ()
+        self._is_game_ready = False
+        self._map: MapView | None = None
+        self._maps: dict[int, MapView] = {}
+
+    @property
+    def backend(self) -> str:
+        """Who draws: ``"engine"`` or ``"map"``; ``"auto"`` until that has shown itself."""
+        return self._backend
+
+    def begin(self, scene: Scene) -> None:
+        """From now on it is this race."""
+        self._scene, self._is_game_ready = scene, False
+        self._map, self._maps = None, {}
+
+    def remember(self, snapshot: Snapshot) -> None:
+        """Takes in a moment that may not be drawn, for the trails of the map."""
+        if self._backend == "map":
+            for view in (self._whole_map(), *self._maps.values()):
+                view.remember(snapshot)
+
+    def picture(self, snapshot: Snapshot) -> Picture:
+        """One picture of the race, ``(H, W, 3)`` uint8.
+
+        By the game: what the camera sees, or all cameras as tiles. On the map: all of it.
+
+        Raises:
+            EngineError: the game cannot draw, or died.
+        """
+        game = self._ready_game()
+        if game is not None:
+            with self._giving_up_what_fails():
+                frames = self._in_order(game.frames(snapshot))
+            return tiled(frames, self.size) if len(frames) > 1 else frames[0]
+        return self._whole_map().draw(snapshot)
+
+    def pictures(self, snapshot: Snapshot) -> dict[int, Picture]:
+        """A picture for each kart with a camera, ``(H, W, 3)`` uint8.
+
+        On the map, the picture follows the kart.
+
+        Raises:
+            EngineError: the game cannot draw, or died.
+        """
+        game = self._ready_game()
+        if game is not None:
+            with self._giving_up_what_fails():
+                return game.frames(snapshot)
+        karts = camera_karts(self._present())
+        for kart in karts:
+            if kart not in self._maps:
+                view = MapView(self._present(), self.size, follow=kart, panel=False)
+                view.remember(snapshot)
+                self._maps[kart] = view
+        return {kart: self._maps[kart].draw(snapshot) for kart in karts}
+
+    def pictures_between(self, snapshot: Snapshot, number: int) -> Iterator[dict[int, Picture]]:
+        """By the game: what the cameras see at so many moments after the last picture.
+
+        There is one moment only after a leap in time, and none when the map draws.
+        """
+        game = self._ready_game()
+        if game is not None:
+            with self._giving_up_what_fails():
+                yield from game.frames_between(snapshot, number)
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Brings the window to this moment."""
+        game = self._ready_game()
+        if game is not None:
+            with self._giving_up_what_fails():
+                game.show(snapshot)
+
+    def close(self) -> None:
+        """Ends the process that draws, if there is one."""
+        game, self._game, self._is_game_ready = self._game, None, False
+        if game is not None:
+            game.close()
+
+    @contextlib.contextmanager
+    def _giving_up_what_fails(self) -> Iterator[None]:
+        """After a failure the next picture starts the game anew."""
+        try:
+            yield
+        except EngineError:
+            self.close()
+            raise
+
+    def _present(self) -> Scene:
+        assert self._scene is not None  # noqa: S101 - callers begin first
+        return self._scene
+
+    def _in_order(self, by_kart: dict[int, Picture]) -> list[Picture]:
+        return [by_kart[kart] for kart in camera_karts(self._present())]
+
+    def _whole_map(self) -> MapView:
+        if self._map is None:
+            self._map = MapView(self._present(), self.size)
+        return self._map
+
+    def _ready_game(self) -> GameView | None:
+        """The game, drawing the present race; ``None`` if the map does."""
+        if self._backend == "map":
+            return None
+        try:
+            self._start_game()
+        except (AssetError, ConfigError, EngineError) as error:
+            self.close()
+            if self._backend == "engine" or self._has_window:
+                raise
+            logger.warning("the game cannot draw here, the map is drawn instead: %s", error)
+            self._backend = "map"
+            return None
+        self._backend = "engine"
+        return self._game
+
+    def _start_game(self) -> None:
+        karts = camera_karts(self._present())
+        if self._game is None or self._game_karts != tuple(sorted(karts)):
+            self.close()
+            self._game = GameView(karts, self.size, self._preset, has_window=self._has_window)
+            self._game_karts = tuple(sorted(karts))
+        if not self._is_game_ready:
+            self._game.start(self._present())
+            self._is_game_ready = True
+
+
+def camera_karts(scene: Scene) -> list[int]:
+    """The karts with a camera, in the order of their agents.
+
+    These are the agents that ask for one; then, as far as ``num_cameras`` goes, the others
+    but those that want none; and the first agent if there is nobody else.
+    """
+    modes = {kart: scene.setup.karts[kart].camera_mode for kart in scene.kart_indices}
+    chosen = [kart for kart, mode in modes.items() if mode == CameraMode.ON]
+    for kart, mode in modes.items():
+        if mode == CameraMode.AUTO and len(chosen) < scene.setup.num_cameras:
+            chosen.append(kart)
+    shown = [kart for kart in modes if kart in chosen][:_MOST_CAMERAS]
+    return shown or list(scene.kart_indices[:1])
+
+
+_MOST_CAMERAS = 8

@@ -1,0 +1,1 @@
+"""Bad messages by the thousand, and fuzzers to run by hand."""

@@ -1,0 +1,39 @@
+"""Coverage-guided fuzzing of messages: ``pip install atheris && python -m tests.fuzz.fuzz_codec``.
+
+Anything but a message or a ``ProtocolError`` ends it. Takes libFuzzer's arguments, such as
+``-runs=1000000`` or ``-max_total_time=60``.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import atheris
+
+with atheris.instrument_imports(include=["stkzoo.race.codec", "stkzoo.race.space_codec"]):
+    from stkzoo.race.codec import Limits, decode, encode
+    from stkzoo.race.space_codec import space_from_data, space_to_data
+
+from stkzoo.errors import ProtocolError
+
+_LIMITS = Limits(max_bytes=1 << 16)
+
+
+def one_input(data: bytes) -> None:
+    """What can be decoded can be encoded, and comes out the same again."""
+    try:
+        message = decode(data, _LIMITS)
+    except ProtocolError:
+        return
+    again = encode(message)
+    assert encode(decode(again)) == again
+    try:
+        space = space_from_data(message)
+    except ProtocolError:
+        return
+    space_to_data(space)
+
+
+if __name__ == "__main__":
+    atheris.Setup(sys.argv, one_input)
+    atheris.Fuzz()

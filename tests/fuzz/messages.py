@@ -1,0 +1,87 @@
+"""Messages that are malformed, truncated, oversized or mistyped."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import zmq
+
+from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.race.codec import encode
+from stkzoo.race.remote.protocol import pack
+from stkzoo.race.space_codec import space_to_data
+
+_KINDS = (b"H", b"O", b"A", b"C", b"B", b"W", b"D", b"", b"OO", b"\x00")
+_ODD = (None, True, -1, 2**63, 1.5, float("nan"), "", "x" * 300, b"\xff", [], {}, (), np.zeros(3))
+
+
+def open_fields() -> dict[str, object]:
+    """A right request for a seat."""
+    return {
+        "protocol": 1,
+        "seat": 0,
+        "driver": 0,
+        "agent": "kart_0",
+        "observation_space": space_to_data(kart_observation_space()),
+        "action_space": space_to_data(kart_action_space()),
+        "seed": 1,
+        "action_timeout": 1.0,
+        "start_timeout": 5.0,
+    }
+
+
+def bad_messages(chance: random.Random) -> Iterator[list[bytes]]:
+    """Endless messages to a server, most of them bad, some of them only odd."""
+    opening = open_fields()
+    bodies = (
+        pack(**opening),
+        pack(step=1, observations=[[0, encode({"velocity": np.zeros(3)})]]),
+        pack(seats=[0]),
+        pack(protocol=1),
+    )
+    while True:
+        kind = chance.choice(_KINDS)
+        match chance.randrange(8):
+            case 0:
+                yield [kind, chance.randbytes(chance.randrange(100))]
+            case 1:
+                body = chance.choice(bodies)
+                yield [kind, body[: chance.randrange(len(body))]]
+            case 2:
+                body = bytearray(chance.choice(bodies))
+                for _ in range(chance.randrange(1, 8)):
+                    body[chance.randrange(len(body))] = chance.randrange(256)
+                yield [kind, bytes(body)]
+            case 3:
+                wrong = {chance.choice(list(opening)): chance.choice(_ODD)}
+                yield [b"O", pack(**{**opening, **wrong})]
+            case 4 if chance.random() < 0.5:
+                yield [b"H", pack(protocol=chance.choice(_ODD))]
+            case 4:
+                yield [b"A", pack(step=chance.choice(_ODD), observations=chance.choice(_ODD))]
+            case 5:
+                yield [kind, b"\xdd\x00\x00\x20\x00" * chance.randrange(1, 600)]
+            case 6:
+                yield [kind, bytes(chance.randrange(1 << 18))]
+            case 7:
+                yield [chance.randbytes(chance.randrange(5)) for _ in range(chance.randrange(1, 6))]
+
+
+def flood(socket: zmq.Socket[bytes], messages: Iterator[list[bytes]], count: int) -> None:
+    """Sends so many messages, and waits until the server has read them all."""
+    for _ in range(count):
+        socket.send_multipart(next(messages))
+        while socket.poll(0):
+            socket.recv_multipart()
+    socket.send_multipart([b"H", pack(protocol=1)])
+    while socket.recv_multipart()[0] != b"W":
+        pass
+
+
+def resident_memory(process: int) -> int:
+    """Memory of a process in bytes, without its children's."""
+    pages = Path(f"/proc/{process}/statm").read_text().split()[1]
+    return int(pages) * 4096

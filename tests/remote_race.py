@@ -1,0 +1,114 @@
+"""Servers for the tests of networked races: real processes, real sockets."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from contextlib import contextmanager
+
+import zmq
+
+from stkzoo.race.remote import RaceServer
+from stkzoo.race.remote.protocol import pack, unpack
+
+#: Steers straight on at full speed, by its own small view.
+GOOD = """\
+env_name = "supertuxkart/simple-v0"
+player_name = "{name}"
+
+def get_actor(module_dir, observation_space, action_space):
+    def act(state, observation):
+        {act}
+        return dict(action_space.sample(), acceleration=[1.0], steer=[0.0], brake=0, rescue=0)
+    return act
+"""
+
+
+def write_agent(folder, name, act="pass"):
+    """An agent in a folder; ``act`` is a line that it runs at every step."""
+    home = folder / name
+    home.mkdir()
+    (home / "pystk_actor.py").write_text(GOOD.format(name=name, act=act))
+    return str(home)
+
+
+@contextmanager
+def server_process(*arguments, address="127.0.0.1:*"):
+    """``stkzoo race-server`` as a process; gives the process and its address."""
+    command = [sys.executable, "-m", "stkzoo", "race-server", "--address", address, *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        line = process.stdout.readline()
+        assert " at tcp://" in line, "the server did not start; its errors are above"
+        yield process, line.split(" at ")[1].strip()
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+@contextmanager
+def server_thread(drivers, **options):
+    """A server in a thread of this program."""
+    with RaceServer(drivers, "127.0.0.1:*", **options) as server:
+        thread = threading.Thread(target=server.serve)
+        thread.start()
+        try:
+            yield server
+        finally:
+            server.stop()
+            thread.join()
+
+
+@contextmanager
+def raw_client(address):
+    """A socket that may say anything to a server."""
+    with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
+        socket.setsockopt(zmq.LINGER, 0)
+        socket.setsockopt(zmq.RCVTIMEO, 10_000)
+        socket.setsockopt(zmq.SNDTIMEO, 10_000)
+        socket.connect(address)
+        yield socket
+
+
+class LyingServer:
+    """A server that welcomes everybody, and then says what ``lie`` makes of each message.
+
+    Args:
+        lie: makes the frames of an answer from a message's kind and fields.
+    """
+
+    def __init__(self, lie):
+        self._lie, self._end = lie, threading.Event()
+        self._context = zmq.Context()
+        self._socket = self._context.socket(zmq.ROUTER)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.bind("tcp://127.0.0.1:*")
+        self.address = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
+        self._thread = threading.Thread(target=self._serve)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._end.set()
+        self._thread.join()
+        self._socket.close()
+        self._context.term()
+
+    def _serve(self):
+        while not self._end.is_set():
+            if not self._socket.poll(50):
+                continue
+            identity, kind, *body = self._socket.recv_multipart()
+            if kind == b"H":
+                fields = {"protocol": 1, "stkzoo": "0", "agents": [["liar", "lies"]]}
+                frames = [b"W", pack(**fields, action_timeout=2.0)]
+            elif kind in (b"C", b"B"):
+                continue
+            else:
+                frames = self._lie(kind, unpack(body[0]))
+            if frames:
+                self._socket.send_multipart([identity, *frames])

@@ -1,0 +1,273 @@
+"""Messages of plain data as bytes."""
+
+import enum
+import struct
+import tracemalloc
+from collections import OrderedDict
+
+import msgpack
+import numpy as np
+import pytest
+from gymnasium import spaces
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from stkzoo import race_v0
+from stkzoo.errors import ProtocolError
+from stkzoo.race.codec import Encoded, Limits, decode, encode
+from stkzoo.race.space_codec import space_from_data, space_to_data
+
+DTYPES = (
+    *(np.bool_, np.int8, np.int16, np.int32, np.int64),
+    *(np.uint8, np.uint16, np.uint32, np.uint64, np.float16, np.float32, np.float64),
+)
+arrays = st.sampled_from(DTYPES).flatmap(
+    lambda dtype: npst.arrays(dtype, npst.array_shapes(min_dims=0, max_dims=3, min_side=0))
+)
+leaves = (
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**63), 2**64 - 1)
+    | st.floats(allow_nan=False)
+    | st.text()
+    | st.binary()
+    | arrays
+    | st.sampled_from(DTYPES).flatmap(lambda dtype: npst.from_dtype(np.dtype(dtype)))
+)
+messages = st.recursive(
+    leaves,
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.lists(inner, max_size=4).map(tuple)
+        | st.dictionaries(st.text(), inner, max_size=4)
+    ),
+    max_leaves=12,
+)
+
+
+def assert_same(one, other):
+    assert type(one) is type(other)
+    if isinstance(one, np.ndarray | np.generic):
+        assert one.dtype == other.dtype
+        np.testing.assert_array_equal(one, other)
+    elif isinstance(one, dict):
+        assert list(one) == list(other)
+        for key, value in one.items():
+            assert_same(value, other[key])
+    elif isinstance(one, list | tuple):
+        assert len(one) == len(other)
+        for a, b in zip(one, other, strict=True):
+            assert_same(a, b)
+    else:
+        assert one == other
+
+
+@settings(deadline=None)
+@given(messages)
+def test_a_message_comes_out_as_it_went_in(message):
+    assert_same(decode(encode(message)), message)
+
+
+@settings(deadline=None, max_examples=500)
+@given(st.binary(max_size=200))
+def test_random_bytes_are_a_message_or_a_protocol_error(data):
+    try:
+        message = decode(data)
+    except ProtocolError:
+        return
+    encode(message)
+
+
+@settings(deadline=None, max_examples=300)
+@given(messages, st.data())
+def test_damaged_bytes_are_a_message_or_a_protocol_error(message, data):
+    good = encode(message)
+    place = data.draw(st.integers(0, len(good) - 1))
+    bad = good[:place] + data.draw(st.binary(max_size=3)) + good[place + 1 :]
+    try:
+        again = decode(bad)
+    except ProtocolError:
+        return
+    encode(again)
+
+
+@pytest.mark.parametrize("view", ["full", "simple", "flattened", "flattened_discrete"])
+def test_observations_and_spaces_of_views_pass(view):
+    with race_v0.parallel_env(num_kart=3, track="lighthouse", view=view) as env:
+        observation = env.reset(seed=1)[0]["kart_0"]
+        for space in (env.observation_space("kart_0"), env.action_space("kart_0")):
+            assert space_from_data(decode(encode(space_to_data(space)))) == space
+    again = decode(encode(observation))
+    assert env.observation_space("kart_0").contains(again)
+    assert_same(again, observation)
+
+
+@pytest.mark.parametrize(
+    "space",
+    [
+        spaces.MultiBinary(3),
+        spaces.MultiBinary([2, 3]),
+        spaces.Text(5),
+        spaces.Tuple((spaces.Discrete(3, start=-1), spaces.Box(0, 255, (2, 2), np.uint8))),
+        spaces.MultiDiscrete([[2, 3], [4, 5]], start=[[1, 1], [0, 0]]),
+        spaces.Sequence(spaces.Discrete(2), stack=True),
+        spaces.Dict(OrderedDict(b=spaces.Discrete(2), a=spaces.Discrete(2))),
+    ],
+    ids=str,
+)
+def test_a_space_comes_out_as_it_went_in(space):
+    again = space_from_data(decode(encode(space_to_data(space))))
+    assert again == space
+    if isinstance(space, spaces.Dict):
+        assert list(again) == list(space)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        None,
+        {},
+        {"space": "Graph"},
+        {"space": []},
+        {"space": "Box", "low": 1, "high": 2},
+        {"space": "Box", "low": np.ones(2), "high": np.ones(3)},
+        {"space": "Discrete", "n": -1, "start": 0, "dtype": "int64"},
+        {"space": "Discrete", "n": 1, "start": 0, "dtype": "object"},
+        {"space": "MultiBinary", "n": [1 << 40], "is_flat": True},
+        {"space": "MultiBinary", "n": [1 << 12, 1 << 12], "is_flat": False},
+        {"space": "Text", "max_length": 1 << 40, "min_length": 0, "charset": "a"},
+        {"space": "Dict", "spaces": [[1, {}]]},
+        {"space": "Tuple", "spaces": 3},
+        {"space": "Sequence", "feature": None, "stack": False},
+    ],
+    ids=repr,
+)
+def test_what_is_no_space_is_a_protocol_error(data):
+    with pytest.raises(ProtocolError):
+        space_from_data(data)
+
+
+def test_a_kind_of_space_that_cannot_be_sent_is_named():
+    with pytest.raises(ProtocolError, match="type Graph cannot be sent"):
+        space_to_data(spaces.Graph(spaces.Discrete(2), None))
+
+
+def test_an_encoded_message_becomes_part_of_another():
+    inner = {"a": (np.zeros(2), [1])}
+    assert_same(decode(encode([1, (2, Encoded(encode(inner)))])), [1, (2, inner)])
+
+
+def test_an_encoded_message_that_is_none_is_a_protocol_error():
+    with pytest.raises(ProtocolError):
+        decode(encode([Encoded(b"\xc1")]))
+
+
+def test_decoded_arrays_may_be_written_to():
+    one, (first, second) = decode(encode([np.zeros(3), (np.zeros(2), np.zeros(2))]))
+    one[0] = first[0] = second[1] = 7
+    assert [one[0], first[0], second[1]] == [7, 7, 7]
+
+
+class Colour(enum.IntEnum):
+    RED = 3
+
+
+@pytest.mark.parametrize(
+    ("value", "plain"),
+    [(Colour.RED, 3), (np.str_("a"), "a"), (OrderedDict(a=1), {"a": 1})],
+    ids=str,
+)
+def test_what_is_more_than_plain_becomes_plain(value, plain):
+    assert_same(decode(encode([value])), [plain])
+
+
+def looped():
+    loop = []
+    loop.append((loop,))
+    return loop
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (object(), "has a object in it"),
+        ([{1: 2}], "has the key 1"),
+        (({1: 2},), "has the key 1"),
+        (np.array([None]), "dtype object"),
+        (np.array(["a"]), "dtype <U1"),
+        (np.zeros(2, complex), "dtype complex128"),
+        (np.zeros(2, ">f4"), "dtype >f4"),
+        (2**64, "cannot be sent"),
+        ("\ud800", "cannot be sent"),
+        ({1, 2}, "has a set in it"),
+        (looped(), "deeper than 16"),
+        ([0] * 10_000, "10000 elements"),
+        (np.zeros(1 << 21), "16777[0-9]+ bytes"),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_what_cannot_be_sent_is_a_protocol_error_that_says_why(value, text):
+    with pytest.raises(ProtocolError, match=text):
+        encode(value)
+
+
+def array_bytes(code, *shape, content=b""):
+    return struct.pack(f"<BB{len(shape)}I", code, len(shape), *shape) + content
+
+
+BAD = {
+    "nothing": b"",
+    "truncated": encode({"a": np.zeros(100)})[:-1],
+    "trailing": encode(1) + b"\x00",
+    "reserved byte": b"\xc1",
+    "list longer than the message": b"\xdd\xff\xff\xff\xff",
+    "dict longer than the message": b"\xdf\xff\xff\xff\xff",
+    "text longer than the message": b"\xdb\xff\xff\xff\xff",
+    "bytes longer than the message": b"\xc6\xff\xff\xff\xff",
+    "no utf-8": b"\xa1\xff",
+    "whole-number key": msgpack.packb({1: 2}),
+    "bytes as key": msgpack.packb({b"a": 2}),
+    "nested lists": b"\x91" * 900 + b"\xc0",
+    "very nested lists": b"\x91" * 100_000 + b"\xc0",
+    "nested tuples": encode(((((1,),),),)),
+    "timestamp": msgpack.packb(msgpack.Timestamp(1, 1)),
+    "unknown extension": msgpack.packb(msgpack.ExtType(9, b"abc")),
+    "array too short": msgpack.packb(msgpack.ExtType(2, array_bytes(10, 3, content=b"1234"))),
+    "array too long": msgpack.packb(msgpack.ExtType(2, array_bytes(10, 3, content=b"1" * 13))),
+    "array without end": msgpack.packb(msgpack.ExtType(2, array_bytes(10, *[2**32 - 1] * 4))),
+    "array of an unknown dtype": msgpack.packb(msgpack.ExtType(2, array_bytes(99, 1))),
+    "array of many axes": msgpack.packb(msgpack.ExtType(2, array_bytes(1, *[1] * 40))),
+    "array without header": msgpack.packb(msgpack.ExtType(2, b"")),
+    "rows without end": msgpack.packb(msgpack.ExtType(4, array_bytes(1, 2**32 - 1, 0))),
+    "rows without axis": msgpack.packb(msgpack.ExtType(4, array_bytes(1, content=b"1"))),
+    "scalar too short": msgpack.packb(msgpack.ExtType(3, b"\x0b1234")),
+    "tuple of no list": msgpack.packb(msgpack.ExtType(1, b"\x01")),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_bytes_are_a_protocol_error(name):
+    with pytest.raises(ProtocolError, match=r"came|deeper|expected"):
+        decode(BAD[name], Limits(max_depth=3))
+
+
+def test_too_many_bytes_are_refused_before_they_are_read():
+    with pytest.raises(ProtocolError, match="1001 bytes, expected at most 1000"):
+        decode(b"\xc1" * 1001, Limits(max_bytes=1000))
+
+
+def test_a_small_message_takes_little_memory():
+    lists = b"\xdc\x20\x00" * 500  # each says that it has 8192 elements
+    tracemalloc.start()
+    for data in (*BAD.values(), lists + b"\xc0" * 10_000):
+        with pytest.raises(ProtocolError):
+            decode(data, Limits(max_depth=3))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 64 << 20
+
+
+def test_truth_values_are_0_or_1():
+    odd = msgpack.packb(msgpack.ExtType(2, array_bytes(0, 2, content=b"\x02\x00")))
+    assert decode(odd).view(np.uint8).tolist() == [1, 0]

@@ -1,0 +1,247 @@
+"""The compiled kernel does what the package's own numpy code does."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from stkzoo import race_v0
+from stkzoo.engine.reader import WorldReader
+from stkzoo.env import infos as infos_module
+from stkzoo.env.views import VIEWS
+from stkzoo.errors import ActionError
+from stkzoo.kernel import kernel
+from stkzoo.mdp import rewards as rewards_module
+from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarObservations
+from stkzoo.wrappers import chain as chain_module
+
+pytestmark = pytest.mark.skipif(kernel is None, reason="nothing was compiled here to compare")
+
+TRACKS = ["lighthouse", "cocoa_temple", "olivermath"]
+
+
+def masked(env):
+    sizes = {"state_items": 3, "state_karts": 4, "state_paths": 2}
+    return FlattenerWrapper(ConstantSizedObservations(env, add_mask=True, **sizes))
+
+
+def masked_dict(env):
+    return PolarObservations(ConstantSizedObservations(env, add_mask=True, state_karts=1))
+
+
+def polar_lists(env):
+    return PolarObservations(env)
+
+
+def flat_actions_only(env):
+    return FlattenerWrapper(env, flatten_observations=False)
+
+
+CHAINS = [*VIEWS, masked, masked_dict, polar_lists, flat_actions_only]
+
+
+def assert_close(ours, theirs, path=""):
+    assert type(ours) is type(theirs), path
+    if isinstance(ours, dict):
+        assert list(ours) == list(theirs), path
+        for key, value in ours.items():
+            assert_close(value, theirs[key], f"{path}/{key}")
+    elif isinstance(ours, tuple):
+        assert len(ours) == len(theirs), path
+        for number, (own, other) in enumerate(zip(ours, theirs, strict=True)):
+            assert_close(own, other, f"{path}[{number}]")
+    elif isinstance(ours, np.ndarray):
+        assert (ours.dtype, ours.shape) == (theirs.dtype, theirs.shape), path
+        np.testing.assert_allclose(ours, theirs, rtol=2e-6, atol=2e-5, err_msg=path)
+    else:
+        assert ours == theirs, path
+
+
+def assert_owned(observations):
+    """What an agent gets is its own; only rows of the track's tables are shared, read-only."""
+    for observation in observations.values():
+        for key, value in observation.items():
+            rows = value if isinstance(value, tuple) else (value,)
+            for row in rows:
+                if isinstance(row, np.ndarray):
+                    is_shared = isinstance(value, tuple) and key in (
+                        "paths_distance",
+                        "paths_width",
+                    )
+                    assert row.flags.writeable != is_shared, key
+
+
+@pytest.fixture
+def numpy_only(monkeypatch):
+    """A switch that makes everything made from then on do without the kernel."""
+
+    def turn_off():
+        monkeypatch.setattr("stkzoo.wrappers.fused.kernel", None)
+        monkeypatch.setattr(infos_module, "kernel", None)
+        monkeypatch.setattr(rewards_module, "kernel", None)
+
+    return turn_off
+
+
+@pytest.mark.parametrize("track", TRACKS)
+@pytest.mark.parametrize("view", CHAINS, ids=lambda view: getattr(view, "__name__", view))
+def test_a_race_is_the_same_with_and_without_the_kernel(view, track, numpy_only):
+    settings = {"num_kart": 4, "agents": 3, "track": track, "view": view, "max_cycles": 40}
+    with_kernel = race_v0.parallel_env(**settings)
+    first = with_kernel.reset(seed=3)
+    for space in with_kernel.action_spaces.values():
+        space.seed(3)
+    actions, steps = [], []
+    for _ in range(12):
+        actions.append({a: with_kernel.action_space(a).sample() for a in with_kernel.agents})
+        steps.append(with_kernel.step(actions[-1]))
+    assert all(group.view is not None for group in with_kernel._chains._plan)
+    assert all(group.controls is not None for group in with_kernel._chains._plan)
+    with_kernel.close()
+
+    numpy_only()
+    without = race_v0.parallel_env(**settings)
+    assert_close(first[0], without.reset(seed=3)[0])
+    assert all(group.view is None for group in without._chains._plan)
+    for action, step in zip(actions, steps, strict=True):
+        assert_owned(step[0])
+        observations, *rest = without.step(action)
+        assert_close(step[0], observations)
+        assert list(step[1:]) == rest
+    without.close()
+
+
+@pytest.mark.parametrize("reward", ["default", "placement", {"rank": 0.5, "time": 3}])
+def test_rewards_and_infos_are_the_same_to_the_finish(reward, numpy_only):
+    """One lap of the game's AI, in which karts finish and leave."""
+
+    def race():
+        from stkzoo.config import AgentSpec
+
+        agents = [AgentSpec(use_ai=True) for _ in range(3)]
+        env = race_v0.parallel_env(
+            agents=agents, num_kart=3, track="olivermath", reward=reward, max_cycles=None
+        )
+        env.reset(seed=1)
+        while env.agents:
+            yield env.step({})[1:]
+        env.close()
+
+    with_kernel = list(race())
+    numpy_only()
+    assert with_kernel == list(race())
+
+
+def test_custom_wrappers_and_terms_do_without():
+    class Mine(PolarObservations):
+        pass
+
+    env = race_v0.parallel_env(
+        num_kart=2, track="lighthouse", view={0: Mine}, reward={"mine": lambda step: step.distance}
+    )
+    env.reset(seed=0)
+    env.step({a: env.action_space(a).sample() for a in env.agents})
+    groups = {group.agents[0]: group for group in env._chains._plan}
+    assert groups["kart_0"].view is None
+    assert groups["kart_1"].view is not None
+    env.close()
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_bad_actions_are_refused_as_without_the_kernel(view):
+    env = race_v0.parallel_env(num_kart=2, track="lighthouse", view=view)
+    env.reset(seed=0)
+    good = {a: env.action_space(a).sample() for a in env.agents}
+    for bad in (None, "left", 10**30, -1.5, float("nan"), {}, [], {"steer": 3}, np.zeros(11)):
+        with pytest.raises(ActionError):
+            env.step({**good, "kart_1": bad})
+    env.step(good)
+    env.close()
+
+
+def fuzzed(random, value):
+    """A value that is near to a good one."""
+    if isinstance(value, dict):
+        key = random.choice(list(value))
+        return {**value, key: fuzzed(random, value[key])}
+    array = np.asarray(value)
+    choices = [
+        array.astype(random.choice(["f8", "f4", "i8", "i4", "i2", "u1", "?"])),
+        array.tolist(),
+        array[..., None],
+        array[::-1] if array.ndim else array,
+        np.repeat(array, 2)[::2].reshape(array.shape),
+        array + random.choice([1e-7, 1e-3, 1, -1, np.inf, np.nan]),
+        array.reshape(-1)[:1],
+        value,
+    ]
+    return choices[random.integers(len(choices))]
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_the_kernel_reads_no_action_otherwise_than_numpy(view):
+    """Whatever the kernel takes, numpy takes too, with the same controls."""
+    env = race_v0.parallel_env(num_kart=1, track="lighthouse", view=view)
+    chains, space = env._chains, env.action_space("kart_0")
+    space.seed(0)
+    random = np.random.default_rng(0)
+    (group,) = chains._groups(["kart_0"])
+    num_taken = 0
+    for _ in range(2000):
+        actions = {"kart_0": fuzzed(random, space.sample())}
+        ours = np.zeros((1, 7), np.float32)
+        if not chain_module._is_read(group, actions, ours):
+            continue
+        num_taken += 1
+        theirs = np.zeros_like(ours)
+        chains._decode_group(group, chains._read(group, actions), theirs)
+        assert ours.tolist() == theirs.tolist(), actions
+    assert num_taken > 100
+
+
+def test_the_kernel_checks_what_it_is_given():
+    numbers = np.zeros(3, np.intp)
+    with pytest.raises(TypeError):
+        kernel.score()
+    plan = np.array([[0, 0, 1]], np.int32)
+    with pytest.raises(ValueError, match="outside"):
+        kernel.copy_fields(b"12", np.zeros(1, np.intp), np.zeros(1, "f4"), plan)
+    with pytest.raises(TypeError):
+        kernel.View(("energy",)).observe(*[numbers] * 11)
+    with pytest.raises(ValueError, match="no entry"):
+        kernel.View(("colour",))
+    with pytest.raises(ValueError, match="fixed size"):
+        kernel.View(("energy",), flat=True)
+    with pytest.raises(ValueError, match="table"):
+        kernel.Controls((), (((0.0, 3.0, True, 0, np.zeros((3, 2), "f4")),),), 2)
+    with pytest.raises(ValueError, match="last column"):
+        kernel.Controls((), (((0.0, 1.0, True, 7, None),),), 7)
+
+
+def test_a_reader_without_the_kernel_reads_the_same(monkeypatch):
+    env = race_v0.parallel_env(num_kart=3, track="lighthouse", use_subprocess=False)
+    env.reset(seed=0)
+    for _ in range(5):
+        env.step({a: env.action_space(a).sample() for a in env.agents})
+    reader = env._session._race._reader
+    assert isinstance(reader, WorldReader)
+    assert reader.is_fast
+    ours = reader.read()
+    monkeypatch.setattr("stkzoo.engine.reader.kernel", None)
+    assert [part.tobytes() for part in ours] == [part.tobytes() for part in reader.read()]
+    env.close()
+
+
+def test_a_variable_turns_the_kernel_off():
+    code = "from stkzoo.kernel import kernel; print(kernel)"
+    answer = subprocess.run(
+        [sys.executable, "-c", code],
+        env={"STKZOO_KERNEL": "off", "PATH": ""},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert answer.stdout == "None\n"
