@@ -55,8 +55,16 @@ static const struct {
 /* stkzoo.mdp.spaces.POWERUP_COUNT_LIMIT */
 enum { POWERUP_COUNT_LIMIT = 9 };
 
+/* Arrays of three numbers that were handed out, oldest first from `next` on. One that nobody else
+   holds any more is used again, which costs a tenth of making a new one. */
+typedef struct {
+    PyObject **rows;
+    Py_ssize_t size, next;
+} Pool;
+
 typedef struct {
     PyObject_HEAD
+    Pool pool;
     PyObject *names; /* tuple of the keys, in the order of the space */
     int num_entries;
     int keys[NUM_KEYS];
@@ -321,24 +329,62 @@ static PyObject *shared_rows(const Scene *scene, PyObject *table)
     return tuple;
 }
 
-/* A tuple of arrays of their own, one for each row. */
-static PyObject *number_rows(const View *view, const Scene *scene, int key, float *scratch)
+/* Room for two calls' rows: those of the call before are still held while this one makes its. */
+static int grow(Pool *pool, Py_ssize_t needed)
 {
-    npy_intp real, width = KEYS[key].width;
+    const Py_ssize_t size = 2 * needed + 64;
+    if (size <= pool->size) return 0;
+    PyObject **rows = PyMem_Realloc(pool->rows, (size_t)size * sizeof *rows);
+    if (!rows) {
+        PyErr_NoMemory();
+        return -1;
+    }
+    memset(rows + pool->size, 0, (size_t)(size - pool->size) * sizeof *rows);
+    pool->rows = rows;
+    pool->size = size;
+    return 0;
+}
+
+/* Whether a row is nobody's, and still what it was made as. */
+static int is_free(PyObject *row)
+{
+    if (!row || Py_REFCNT(row) != 1) return 0;
+    PyArrayObject *array = (PyArrayObject *)row;
+    return PyArray_NDIM(array) == 1 && PyArray_DIM(array, 0) == 3 &&
+           PyArray_TYPE(array) == NPY_FLOAT32 && PyArray_IS_C_CONTIGUOUS(array) &&
+           PyArray_CHKFLAGS(array, NPY_ARRAY_OWNDATA | NPY_ARRAY_WRITEABLE);
+}
+
+/* An array of its own with three numbers. */
+static PyObject *row_of_three(Pool *pool, const float *numbers)
+{
+    void *data;
+    npy_intp width = 3;
+    PyObject **place = pool->rows + pool->next;
+    pool->next = (pool->next + 1) % pool->size;
+    if (!is_free(*place)) {
+        PyObject *row = new_array(1, &width, NPY_FLOAT32, &data);
+        if (!row) return NULL;
+        Py_XSETREF(*place, row);
+    }
+    memcpy(PyArray_DATA((PyArrayObject *)*place), numbers, 3 * sizeof *numbers);
+    Py_INCREF(*place);
+    return *place;
+}
+
+/* A tuple of arrays of their own, one for each row. */
+static PyObject *number_rows(View *view, const Scene *scene, int key, float *scratch)
+{
+    npy_intp real;
     if (key == PATHS_DISTANCE) return shared_rows(scene, scene->distance_rows);
     if (key == PATHS_WIDTH) return shared_rows(scene, scene->width_rows);
     const npy_intp rows = rows_of(view, scene, key, &real);
     write_numbers(view, scene, key, scratch);
     PyObject *tuple = PyTuple_New(rows);
     for (npy_intp i = 0; tuple && i < rows; i++) {
-        void *data;
-        PyObject *row = new_array(1, &width, NPY_FLOAT32, &data);
-        if (!row) {
-            Py_CLEAR(tuple);
-            break;
-        }
-        memcpy(data, scratch + i * width, (size_t)width * sizeof *scratch);
-        PyTuple_SET_ITEM(tuple, i, row);
+        PyObject *row = row_of_three(&view->pool, scratch + 3 * i);
+        if (!row) Py_CLEAR(tuple);
+        else PyTuple_SET_ITEM(tuple, i, row);
     }
     return tuple;
 }
@@ -368,7 +414,7 @@ static PyObject *mask(const View *view, const Scene *scene, int key)
 }
 
 /* The value of one entry in Gymnasium's form. */
-static PyObject *value_of(const View *view, const Scene *scene, int key, float *scratch)
+static PyObject *value_of(View *view, const Scene *scene, int key, float *scratch)
 {
     const int kind = KEYS[key].kind, group = KEYS[key].group;
     npy_intp real, shape[2];
@@ -396,7 +442,7 @@ static PyObject *value_of(const View *view, const Scene *scene, int key, float *
     return array;
 }
 
-static PyObject *as_dict(const View *view, const Scene *scene, float *scratch)
+static PyObject *as_dict(View *view, const Scene *scene, float *scratch)
 {
     PyObject *dict = PyDict_New();
     for (int i = 0; dict && i < view->num_entries; i++) {
@@ -531,6 +577,8 @@ static PyObject *view_observe(PyObject *self, PyObject *const *args, Py_ssize_t 
     if (nargs != SCENE_ARGS + 1) return PyErr_Format(PyExc_TypeError, "wrong number of arguments");
     const npy_intp *who = numbers_of(args[SCENE_ARGS], "who", NPY_INTP, &count);
     if (!who || read_scene(&scene, args) < 0) return NULL;
+    const npy_intp most_rows = scene.num_items + scene.num_karts + 2 * scene.num_paths;
+    if (!view->is_flat && grow(&view->pool, count * most_rows) < 0) return NULL;
     float *room = scratch_for(&scene, &keys, &rows);
     PyObject *list = room ? PyList_New(count) : NULL;
     for (npy_intp i = 0; list && i < count; i++) {
@@ -629,7 +677,10 @@ static PyObject *view_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
 
 static void view_dealloc(PyObject *self)
 {
-    Py_XDECREF(((View *)self)->names);
+    View *view = (View *)self;
+    for (Py_ssize_t i = 0; i < view->pool.size; i++) Py_XDECREF(view->pool.rows[i]);
+    PyMem_Free(view->pool.rows);
+    Py_XDECREF(view->names);
     Py_TYPE(self)->tp_free(self);
 }
 
