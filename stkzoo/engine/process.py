@@ -236,7 +236,7 @@ class Mother:
         """A new child that has run no race yet."""
         with contextlib.ExitStack() as on_failure, self._lock:
             self._wait_until_ready()
-            ours, theirs = socket.socketpair()
+            ours, theirs = wire.pair()
             log = Log()
             on_failure.callback(ours.close)
             on_failure.callback(log.close)
@@ -351,7 +351,7 @@ def _connection_and_log() -> tuple[socket.socket, socket.socket, Log]:
     """What a copy of a process needs: both ends of a connection, and a log."""
     try:
         with contextlib.ExitStack() as on_failure:
-            ends = socket.socketpair()
+            ends = wire.pair()
             for end in ends:
                 on_failure.callback(end.close)
             log = Log()
