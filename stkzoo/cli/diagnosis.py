@@ -15,6 +15,7 @@ from pathlib import Path
 
 from stkzoo.engine.assets import DATADIR_VARIABLE, Assets, find_assets
 from stkzoo.errors import AssetError
+from stkzoo.kernel import kernel
 
 __all__ = ["Finding", "diagnose"]
 
@@ -60,6 +61,7 @@ def diagnose() -> list[Finding]:
         _check_pack(assets),
         _check_full_data(),
         _check_fork(),
+        _check_kernel(),
         _check_graphics(),
         _check_display(),
         _check_ffmpeg(),
@@ -158,6 +160,14 @@ def _check_fork() -> Finding:
     ok = hasattr(os, "fork") and sys.platform.startswith("linux")
     found = "races start in milliseconds" if ok else "each race starts the game anew"
     return Finding("fork", ok, found, "use Linux")
+
+
+def _check_kernel() -> Finding:
+    if os.environ.get("STKZOO_KERNEL") == "off":
+        return Finding("kernel", False, "turned off: numpy does its work", "unset STKZOO_KERNEL")
+    found = "compiled" if kernel else "not compiled: a step costs more"
+    remedy = "install a C compiler and Python's headers (python3-dev), then stkzoo again"
+    return Finding("kernel", kernel is not None, found, remedy)
 
 
 def _check_graphics() -> Finding:
