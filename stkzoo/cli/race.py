@@ -22,7 +22,7 @@ __all__ = ["EXTRAS", "add_parser", "add_race_flags", "run_races"]
 
 #: What can be attached to a race: modules of this package with ``add_flags(parser)`` and
 #: ``listeners(arguments) -> list[RaceListener]``. Each is light to import.
-EXTRAS: tuple[str, ...] = ("race_replay", "race_window", "race_video")
+EXTRAS: tuple[str, ...] = ("race_replay", "race_window", "race_video", "race_web")
 
 _ABOUT = """\
 Runs a race and shows how it ended. Each driver named gets a kart:

@@ -121,8 +121,10 @@ def _show(replay: Replay, playback: Playback, *, as_json: bool) -> None:
         text = f"All {playback.steps} steps are as recorded, to the last bit."
         print(text, file=sys.stderr if as_json else sys.stdout)
         return
-    where = f"after step {playback.first_difference}" if playback.first_difference else (
-        "on the grid already"
+    where = (
+        f"after step {playback.first_difference}"
+        if playback.first_difference
+        else ("on the grid already")
     )
     print(
         f"stkzoo: the race is another one: {where} a kart is not where it was (the recorded race "

@@ -13,7 +13,14 @@ import numpy as np
 
 from stkzoo.errors import ConfigError
 
-__all__ = ["SCHEMA_VERSION", "ActionTime", "AgentFailure", "AgentResult", "RaceResult", "versions_now"]
+__all__ = [
+    "SCHEMA_VERSION",
+    "ActionTime",
+    "AgentFailure",
+    "AgentResult",
+    "RaceResult",
+    "versions_now",
+]
 
 #: Of the JSON form (``docs/schemas/race-result.schema.json``); grows when a reader of an
 #: older form would go wrong.

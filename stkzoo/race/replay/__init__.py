@@ -1,0 +1,28 @@
+"""Replays: races kept in files, run again bit for bit.
+
+>>> from stkzoo.race import run_race
+>>> from stkzoo.race.replay import ReplayWriter, load_replay, play_replay
+>>> listeners = [ReplayWriter("/tmp/race.stkz")]
+>>> _ = run_race(["heuristic", "ai"], track="lighthouse", max_steps=20, listeners=listeners)
+>>> playback = play_replay(load_replay("/tmp/race.stkz"))
+>>> playback.steps, playback.is_exact
+(20, True)
+"""
+
+from __future__ import annotations
+
+from stkzoo.race.replay.file import ReplayError, load_replay, save_replay
+from stkzoo.race.replay.playback import Playback, play_replay
+from stkzoo.race.replay.record import Replay, ReplayAgent
+from stkzoo.race.replay.writer import ReplayWriter
+
+__all__ = [
+    "Playback",
+    "Replay",
+    "ReplayAgent",
+    "ReplayError",
+    "ReplayWriter",
+    "load_replay",
+    "play_replay",
+    "save_replay",
+]

@@ -1,0 +1,232 @@
+"""The file of a replay: a zip of JSON and two plain arrays (``docs/replays.md``).
+
+Whatever is in a file, reading it raises nothing but :class:`ReplayError` and takes bounded
+time and memory.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine.snapshot import CONTROLS
+from stkzoo.errors import ConfigError, StkzooError
+from stkzoo.race.replay.record import DIGEST_SIZE, Replay, ReplayAgent
+from stkzoo.race.result import RaceResult
+
+__all__ = ["FORMAT", "ReplayError", "load_replay", "save_replay"]
+
+#: Version of the file's form; grows when an older reader would go wrong.
+FORMAT = 1
+
+_TYPE = "stkzoo-replay"
+_ABOUT, _CONTROLS, _DIGESTS = "race.json", "controls.f4", "digests.u1"
+
+_MAX_FILE = 64 << 20  # [bytes]
+_MAX_MEMBER = {_ABOUT: 8 << 20, _CONTROLS: 256 << 20, _DIGESTS: 16 << 20}
+_MAX_KARTS = 256
+_MAX_WHOLE = 2**63
+#: A zip needs some date; a fixed one makes equal replays equal files.
+_DATE = (1980, 1, 1, 0, 0, 0)
+
+
+class ReplayError(StkzooError):
+    """A replay cannot be read, written or played."""
+
+
+def save_replay(replay: Replay, path: str | os.PathLike[str]) -> None:
+    """Writes a replay, whole or not at all.
+
+    Raises:
+        ReplayError: it cannot be written.
+    """
+    about = asdict(replay) | {
+        "result": json.loads(replay.result.to_json()) if replay.result else None,
+        "versions": dict(replay.versions),
+        "steps": replay.steps,
+    }
+    del about["controls"], about["digests"]
+    form = {"type": _TYPE, "format": FORMAT, **about}
+    members = {
+        _ABOUT: json.dumps(form, indent=1).encode(),
+        _CONTROLS: replay.controls.astype("<f4").tobytes(),
+        _DIGESTS: replay.digests.tobytes(),
+    }
+    file = Path(path)
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{file.name}.", suffix=".part", dir=file.parent)
+    except OSError as error:
+        raise ReplayError(f"the replay {file} cannot be written: {error}") from error
+    try:
+        with os.fdopen(handle, "wb") as stream, zipfile.ZipFile(stream, "w") as archive:
+            for member, data in members.items():
+                entry = zipfile.ZipInfo(member, _DATE)
+                entry.compress_type = zipfile.ZIP_DEFLATED
+                archive.writestr(entry, data)
+        os.chmod(name, 0o644)
+        os.replace(name, file)
+    except OSError as error:
+        raise ReplayError(f"the replay {file} cannot be written: {error}") from error
+    finally:
+        with contextlib.suppress(OSError):
+            os.unlink(name)
+
+
+def load_replay(path: str | os.PathLike[str]) -> Replay:
+    """Reads a replay.
+
+    Raises:
+        ReplayError: there is none, it is damaged, too large, or of another version.
+    """
+    file = Path(path)
+    try:
+        _check_size(file)
+        members = _members(file)
+    except OSError as error:
+        why = error.strerror or error
+        raise ReplayError(
+            f"the replay {file} cannot be read: {why}; expected what `stkzoo race --replay` wrote"
+        ) from error
+    except (ReplayError, MemoryError):
+        raise
+    except Exception as error:  # zipfile and zlib tell of damage in many ways
+        raise _damaged(file, f"{type(error).__name__}: {error}") from error
+    try:
+        return _replay_of(members)
+    except ReplayError as error:
+        raise ReplayError(f"the replay {file}: {error}") from None
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        raise _damaged(file, f"{type(error).__name__}: {error}") from error
+
+
+def _check_size(file: Path) -> None:
+    size = file.stat().st_size
+    if size > _MAX_FILE:
+        raise ReplayError(
+            f"the replay {file} has {size} bytes, expected at most {_MAX_FILE}; a race of an "
+            "hour has a few million"
+        )
+
+
+def _damaged(file: Path, why: str) -> ReplayError:
+    return ReplayError(
+        f"{file} is no replay or is damaged ({why:.200}); expected what `stkzoo race --replay` "
+        "wrote: copy the file again, or record the race again"
+    )
+
+
+def _members(file: Path) -> dict[str, bytes]:
+    """The parts of the file, none larger than it may be."""
+    members = {}
+    with zipfile.ZipFile(file) as archive:
+        for name, limit in _MAX_MEMBER.items():
+            with archive.open(name) as stream:
+                data = stream.read(limit + 1)
+            if len(data) > limit:
+                raise ReplayError(
+                    f"the replay {file} has a {name} of more than {limit} bytes, which no race has"
+                )
+            members[name] = data
+    return members
+
+
+def _replay_of(members: dict[str, bytes]) -> Replay:
+    form = json.loads(members[_ABOUT])
+    _check_version(form)
+    agents = tuple(
+        ReplayAgent(_text(entry, "name"), _text(entry, "source"), _get(entry, "is_game_ai", bool))
+        for entry in _list(form, "agents", 1, _MAX_KARTS)
+    )
+    steps, count = _whole(form, "steps"), len(agents)
+    positions = tuple(_list(form, "start_positions", count, count))
+    kart_types = tuple(_list(form, "kart_types", count, count))
+    if sorted(positions) != list(range(1, count + 1)):
+        raise ValueError("start_positions are not each place once")
+    if not all(isinstance(kart, str) for kart in kart_types):
+        raise TypeError("kart_types are not names")
+    max_paths, step_size = form["max_paths"], form["step_size"]
+    return Replay(
+        track=_text(form, "track"),
+        reverse=_get(form, "reverse", bool),
+        laps=_whole(form, "laps", 1),
+        difficulty=_whole(form, "difficulty"),
+        max_paths=None if max_paths is None else _whole(form, "max_paths", 1),
+        step_size=float(step_size),
+        seed=_whole(form, "seed"),
+        num_tracks=_whole(form, "num_tracks", 1, 10_000),
+        engine_seed=_whole(form, "engine_seed"),
+        start_positions=positions,
+        kart_types=kart_types,
+        agents=agents,
+        controls=_controls(members[_CONTROLS], steps, count),
+        digests=np.frombuffer(members[_DIGESTS], np.uint8).reshape(steps + 1, DIGEST_SIZE),
+        status=_text(form, "status"),
+        result=_result(form["result"]),
+        versions={str(name): str(value) for name, value in _get(form, "versions", dict).items()},
+    )
+
+
+def _check_version(form: Any) -> None:
+    if not isinstance(form, dict) or form.get("type") != _TYPE:
+        raise ValueError(f"race.json does not say that it is a {_TYPE}")
+    found = form.get("format")
+    if found != FORMAT:
+        raise ReplayError(
+            f"it has format {found!r}, this stkzoo reads format {FORMAT}; another version of "
+            "stkzoo wrote it, so read it with that one"
+        )
+
+
+def _controls(data: bytes, steps: int, count: int) -> npt.NDArray[np.float32]:
+    controls = np.frombuffer(data, "<f4").reshape(steps, count, len(CONTROLS))
+    low = np.array([0, -1, 0, 0, 0, 0, 0], np.float32)
+    is_button = np.arange(len(CONTROLS)) >= 2
+    good = (controls >= low) & (controls <= 1)  # false for what is not a number
+    if not (good & (~is_button | (controls == np.round(controls)))).all():
+        raise ValueError(f"{_CONTROLS} has controls that cannot be")
+    return controls.astype(np.float32)
+
+
+def _result(form: Any) -> RaceResult | None:
+    if form is None:
+        return None
+    try:
+        return RaceResult.from_json(json.dumps(form))
+    except ConfigError as error:
+        raise ReplayError(f"its result cannot be read: {error}") from None
+
+
+def _get(form: Any, name: str, kind: type[Any] | Callable[..., Any]) -> Any:
+    value = form[name]
+    if type(value) is not kind:
+        raise TypeError(f"{name} is {value!r:.60}")
+    return value
+
+
+def _text(form: Any, name: str) -> str:
+    text: str = _get(form, name, str)
+    return text
+
+
+def _whole(form: Any, name: str, low: int = 0, high: int = _MAX_WHOLE) -> int:
+    value: int = _get(form, name, int)
+    if not low <= value <= high:
+        raise ValueError(f"{name} is {value}, expected {low} to {high}")
+    return value
+
+
+def _list(form: Any, name: str, low: int, high: int) -> list[Any]:
+    value: list[Any] = _get(form, name, list)
+    if not low <= len(value) <= high:
+        raise ValueError(f"{name} has {len(value)} entries, expected {low} to {high}")
+    return value

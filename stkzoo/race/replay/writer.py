@@ -1,0 +1,122 @@
+"""Writes a replay of the race it listens to."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from stkzoo.engine.assets import find_assets
+from stkzoo.engine.snapshot import CONTROLS
+from stkzoo.errors import ConfigError
+from stkzoo.race.listeners import RaceListener, RaceProgress
+from stkzoo.race.replay.file import save_replay
+from stkzoo.race.replay.record import (
+    DIGEST_SIZE,
+    Replay,
+    ReplayAgent,
+    controls_of,
+    next_digest,
+)
+from stkzoo.race.result import RaceResult, versions_now
+
+__all__ = ["ReplayWriter"]
+
+
+class ReplayWriter(RaceListener):
+    """Makes a replay of the race it listens to.
+
+    After an interrupt or an error the file has the race so far and is marked as partial.
+
+    Args:
+        path: the file; written whole when the race is over, in the place of an older one.
+
+    Raises:
+        ConfigError: there is no folder to write it in, or it is a folder itself.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        if self.path.is_dir() or not self.path.absolute().parent.is_dir():
+            raise ConfigError(
+                f"the replay cannot be written as {str(path)!r}; expected a file's name in a "
+                "folder that there is"
+            )
+        self._head: Replay | None = None
+        self._controls: list[list[list[float]]] = []
+        self._digests: list[bytes] = []
+
+    def started(self, race: RaceProgress) -> None:
+        """See :class:`~stkzoo.race.listeners.RaceListener`."""
+        self._controls, self._digests = [], []
+        self._add_digest(race)
+        self._head = _head(race)
+
+    def stepped(self, race: RaceProgress) -> None:
+        """See :class:`~stkzoo.race.listeners.RaceListener`."""
+        still = [0.0] * len(CONTROLS)
+        actions, agents = race.actions, race.env.possible_agents
+        rows = [controls_of(actions[a]) if a in actions else still for a in agents]
+        self._add_digest(race)
+        self._controls.append(rows)
+
+    def ended(self, result: RaceResult) -> None:
+        """See :class:`~stkzoo.race.listeners.RaceListener`."""
+        self._write(result)
+
+    def closed(self) -> None:
+        """See :class:`~stkzoo.race.listeners.RaceListener`."""
+        self._write(None)
+
+    def _add_digest(self, race: RaceProgress) -> None:
+        snapshot = race.env.snapshot
+        assert snapshot is not None  # noqa: S101 - a race runs
+        before = self._digests[-1] if self._digests else b""
+        self._digests.append(next_digest(before, snapshot))
+
+    def _write(self, result: RaceResult | None) -> None:
+        """Writes the file, if a race has started and its file is not written yet."""
+        head, self._head = self._head, None
+        if head is None:
+            return
+        steps = min(len(self._controls), len(self._digests) - 1)  # an interrupt may part them
+        shape = (steps, len(head.agents), len(CONTROLS))
+        links = np.frombuffer(b"".join(self._digests[: steps + 1]), np.uint8)
+        replay = replace(
+            head,
+            controls=np.array(self._controls[:steps], np.float32).reshape(shape),
+            digests=links.reshape(-1, DIGEST_SIZE),
+            status=result.status if result else head.status,
+            result=result,
+        )
+        save_replay(replay, self.path)
+
+
+def _head(race: RaceProgress) -> Replay:
+    """The replay of a race that stands on the grid."""
+    env, info = race.env, race.env.race
+    assert info is not None  # noqa: S101 - a race has started
+    return Replay(
+        track=info.track,
+        reverse=info.reverse,
+        laps=info.laps,
+        difficulty=info.difficulty,
+        max_paths=env.options.max_paths,
+        step_size=float(env.options.step_size),
+        seed=race.seed,
+        num_tracks=len(env.options.tracks(find_assets().tracks)),
+        engine_seed=info.seed,
+        start_positions=tuple(kart + 1 for kart in info.kart_indices),
+        kart_types=info.kart_types,
+        agents=tuple(
+            ReplayAgent(race.names[agent], race.sources[agent], spec.use_ai)
+            for agent, spec in zip(env.possible_agents, env.specs, strict=True)
+        ),
+        controls=np.empty((0, len(env.possible_agents), len(CONTROLS)), np.float32),
+        digests=np.empty((0, DIGEST_SIZE), np.uint8),
+        status="partial",
+        result=None,
+        versions=versions_now(),
+    )

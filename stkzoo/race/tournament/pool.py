@@ -1,0 +1,193 @@
+"""Runs races in several processes at a time."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from stkzoo.race.output_tail import OutputTail
+from stkzoo.race.tournament.plan import TournamentPlan
+from stkzoo.race.tournament.schedule import ScheduledRace
+
+__all__ = ["Outcome", "run_in_parallel"]
+
+_WORKER = "stkzoo.race.tournament.worker"
+#: How often a race is tried whose process dies.
+_TRIES = 2
+_END_TIMEOUT = 5.0  # [s]
+_LOOK_INTERVAL = 0.5  # [s]
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of one race.
+
+    Attributes:
+        race: which.
+        result: its result as JSON; empty if it could not be run.
+        error: why it could not be run.
+    """
+
+    race: ScheduledRace
+    result: str = ""
+    error: str = ""
+
+
+def run_in_parallel(
+    plan: TournamentPlan, races: Sequence[ScheduledRace], jobs: int, race_timeout: float
+) -> Iterator[Outcome]:
+    """Runs races and yields each as soon as it is over.
+
+    Args:
+        plan: the tournament.
+        races: which of its races.
+        jobs: how many at a time.
+        race_timeout: for one race [s]; its process is ended then.
+    """
+    waiting: queue.SimpleQueue[ScheduledRace] = queue.SimpleQueue()
+    for race in races:
+        waiting.put(race)
+    outcomes: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
+    lanes = [_Lane(plan, waiting, outcomes, race_timeout) for _ in range(min(jobs, len(races)))]
+    try:
+        for lane in lanes:
+            lane.start()
+        for _ in races:
+            yield _next(outcomes)
+    finally:
+        for lane in lanes:
+            lane.close()
+
+
+def _next(outcomes: queue.SimpleQueue[Outcome]) -> Outcome:
+    while True:  # each race has an end; looking up now and then lets Ctrl-C through
+        with contextlib.suppress(queue.Empty):
+            return outcomes.get(timeout=_LOOK_INTERVAL)
+
+
+class _Lane(threading.Thread):
+    """Races one after another, in a process of its own that is replaced when it dies."""
+
+    def __init__(
+        self,
+        plan: TournamentPlan,
+        waiting: queue.SimpleQueue[ScheduledRace],
+        outcomes: queue.SimpleQueue[Outcome],
+        race_timeout: float,
+    ) -> None:
+        super().__init__(daemon=True)
+        self._plan, self._race_timeout = plan, race_timeout
+        self._waiting, self._outcomes = waiting, outcomes
+        self._worker: _Worker | None = None
+        self._is_closed = False
+        self._lock = threading.Lock()
+
+    def run(self) -> None:
+        """Runs what is waiting."""
+        while not self._is_closed:
+            try:
+                race = self._waiting.get_nowait()
+            except queue.Empty:
+                break
+            self._outcomes.put(self._outcome(race))
+        self.close()
+
+    def close(self) -> None:
+        """Ends the process, also in the middle of a race."""
+        with self._lock:
+            self._is_closed = True
+            worker, self._worker = self._worker, None
+        if worker is not None:
+            worker.close()
+
+    def _outcome(self, race: ScheduledRace) -> Outcome:
+        outcome = Outcome(race)
+        for _ in range(_TRIES):
+            outcome = self._try(race)
+            if outcome.result or self._is_closed:
+                break
+        return outcome
+
+    def _try(self, race: ScheduledRace) -> Outcome:
+        with self._lock:
+            if self._is_closed:
+                return Outcome(race, error="the tournament was ended")
+            worker = self._worker = self._worker or _Worker()
+        answer = worker.run(_order(self._plan, race), self._race_timeout)
+        if not worker.is_alive:
+            with self._lock:
+                self._worker = None
+            worker.close()
+        return Outcome(race, **answer)
+
+
+def _order(plan: TournamentPlan, race: ScheduledRace) -> dict[str, Any]:
+    settings = replace(plan.settings, track=race.track, seed=race.seed)
+    return {
+        "drivers": [plan.entrants[number].text for number in race.grid],
+        "settings": asdict(settings),
+    }
+
+
+class _Worker:
+    """A process of :mod:`stkzoo.race.tournament.worker`."""
+
+    def __init__(self) -> None:
+        self.is_alive = True
+        paths = [path for path in sys.path if path]
+        self._process = subprocess.Popen(  # noqa: S603 - our own program
+            [sys.executable, "-m", _WORKER],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            # Modules that this program finds are found there too.
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+            start_new_session=True,  # Ctrl-C is for this program, which ends its workers
+        )
+        self._said = OutputTail(self._process.stderr)
+
+    def run(self, order: dict[str, Any], timeout: float) -> dict[str, Any]:
+        """One race; ``result`` or ``error``."""
+        process = self._process
+        assert process.stdin is not None  # noqa: S101 - opened as pipes
+        assert process.stdout is not None  # noqa: S101 - opened as pipes
+        watch = threading.Timer(timeout, process.kill)
+        watch.start()
+        try:
+            process.stdin.write(json.dumps(order).encode() + b"\n")
+            process.stdin.flush()
+            answer: dict[str, Any] = json.loads(process.stdout.readline())
+        except (OSError, ValueError):  # its output is closed, or cut off
+            self.is_alive = False
+            return {"error": self._why(timeout, is_late=watch.finished.is_set())}
+        finally:
+            watch.cancel()
+        return answer
+
+    def close(self) -> None:
+        """Ends the process."""
+        self.is_alive = False
+        self._process.kill()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_END_TIMEOUT)
+        self._said.close()
+        for stream in (self._process.stdin, self._process.stdout):
+            if stream is not None:
+                with contextlib.suppress(OSError):  # what was not sent yet
+                    stream.close()
+
+    def _why(self, timeout: float, *, is_late: bool) -> str:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_END_TIMEOUT)
+        if is_late:
+            return f"it was not over after {timeout:g} s"
+        code, said = self._process.returncode, self._said.text()
+        return f"its process ended with code {code}" + (f"; last lines:\n{said}" if said else "")

@@ -1,0 +1,57 @@
+"""The process that runs races of a tournament, one after another.
+
+It reads one JSON line a race from its standard input and writes one line with the outcome
+to its standard output. It ends at once when its input is closed, also in the middle of a
+race: so it does not outlive the program that started it, however that ends.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import sys
+import threading
+import traceback
+from typing import Any
+
+from stkzoo.errors import StkzooError
+from stkzoo.race.runner import run_race
+from stkzoo.race.settings import RaceSettings
+
+
+def _read(orders: queue.SimpleQueue[dict[str, Any]]) -> None:
+    try:
+        for line in sys.stdin:
+            orders.put(json.loads(line))
+    finally:
+        os._exit(0)
+
+
+def _run(order: dict[str, Any]) -> dict[str, Any]:
+    drivers = order["drivers"]
+    try:
+        result = run_race(
+            drivers,
+            start_positions=range(1, len(drivers) + 1),
+            settings=RaceSettings(**order["settings"]),
+        )
+    except StkzooError as error:
+        return {"error": str(error)}
+    except Exception:  # noqa: BLE001 - told to the tournament, which tells the user
+        return {"error": traceback.format_exc()}
+    return {"result": result.to_json()}
+
+
+def _main() -> None:
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what agents print goes elsewhere
+    orders: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+    threading.Thread(target=_read, args=(orders,), daemon=True).start()
+    while True:
+        answers.write(json.dumps(_run(orders.get())) + "\n")
+        answers.flush()
+
+
+if __name__ == "__main__":
+    _main()

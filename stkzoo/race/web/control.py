@@ -1,0 +1,143 @@
+"""Run, pause, step, stop and the speed of a race that somebody watches."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from stkzoo.errors import ConfigError
+
+__all__ = ["SPEEDS", "RaceControl"]
+
+#: How many times as fast as real time; ``None`` is as fast as it goes.
+SPEEDS: tuple[float | None, ...] = (1.0, 2.0, 4.0, None)
+
+#: A wait looks up so often, so that Ctrl-C is heard on every system [s].
+_LOOK_UP = 0.5
+#: A race that is late by more than this does not catch up [s].
+_MOST_LATE = 0.25
+
+
+class RaceControl:
+    """Decides when a race may take its next step.
+
+    One thread races and calls :meth:`wait_turn`; others steer.
+
+    Args:
+        speed: one of :data:`SPEEDS`.
+        paused: whether the race waits on the grid.
+
+    Raises:
+        ConfigError: the speed is none of these.
+    """
+
+    def __init__(self, speed: float | None = 1.0, *, paused: bool = False) -> None:
+        self._changed = threading.Condition()
+        self._speed = _checked(speed)
+        self._paused, self._stopped, self._over = paused, False, False
+        self._steps = 0
+        self._last = time.monotonic()
+        #: Is called after every change, in the thread that made it.
+        self.on_change: Callable[[], None] = lambda: None
+
+    @property
+    def mode(self) -> str:
+        """``"running"``, ``"paused"``, ``"stopping"`` or ``"over"``."""
+        if self._over:
+            return "over"
+        if self._stopped:
+            return "stopping"
+        return "paused" if self._paused else "running"
+
+    @property
+    def form(self) -> dict[str, Any]:
+        """What the page is told."""
+        return {"mode": self.mode, "speed": self._speed}
+
+    def run(self) -> None:
+        """Lets the race run."""
+        self._set(_paused=False, _steps=0, _last=time.monotonic())
+
+    def pause(self) -> None:
+        """Holds the race before its next step."""
+        self._set(_paused=True, _steps=0)
+
+    def step(self) -> None:
+        """Lets the race take one step more and holds it then."""
+        self._set(_steps=self._steps + 1 if self._paused else 0, _paused=True)
+
+    def stop(self) -> None:
+        """Ends the race after the present step."""
+        self._set(_stopped=True)
+
+    def set_speed(self, speed: float | None) -> None:
+        """Sets the speed.
+
+        Raises:
+            ConfigError: it is none of :data:`SPEEDS`.
+        """
+        self._set(_speed=_checked(speed), _last=time.monotonic())
+
+    def begin(self) -> None:
+        """A race begins; from now on it may be stopped."""
+        self._set(_over=False, _stopped=False, _last=time.monotonic())
+
+    def finish(self) -> None:
+        """The race is over."""
+        self._set(_over=True, _stopped=False)
+
+    def wait_turn(self, step_size: float) -> bool:
+        """Waits until the race may take its next step.
+
+        Args:
+            step_size: game time of a step [s].
+
+        Returns:
+            Whether to go on; ``False`` after :meth:`stop`.
+        """
+        with self._changed:
+            while not self._stopped and not self._may_go(step_size):
+                pass
+            return not self._stopped
+
+    def wait_stop(self) -> None:
+        """Waits for :meth:`stop`, also after the race."""
+        with self._changed:
+            while not self._stopped:
+                self._changed.wait(_LOOK_UP)
+
+    def _may_go(self, step_size: float) -> bool:
+        """Whether the next step may be taken; waits a while if not."""
+        now = time.monotonic()
+        if self._paused:
+            if self._steps:
+                self._steps -= 1
+                self._last = now
+                return True
+            self._changed.wait(_LOOK_UP)
+            return False
+        if self._speed is None:
+            self._last = now
+            return True
+        due = self._last + step_size / self._speed
+        if now < due:
+            self._changed.wait(min(due - now, _LOOK_UP))
+            return False
+        self._last = due if now - due < _MOST_LATE else now
+        return True
+
+    def _set(self, **changes: Any) -> None:
+        with self._changed:
+            for name, value in changes.items():
+                setattr(self, name, value)
+            self._changed.notify_all()
+        self.on_change()
+
+
+def _checked(speed: object) -> float | None:
+    for known in SPEEDS:
+        if speed == known and not isinstance(speed, bool):
+            return known
+    raise ConfigError(f"the speed is {speed!r:.50}, expected 1, 2, 4 or None (as fast as it goes)")

@@ -1,0 +1,204 @@
+"""A race and its moments as the page is told them: plain values for JSON.
+
+``docs/live-page.md`` describes every message.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine.snapshot import CONTROLS, Snapshot
+from stkzoo.names import AttachmentType, ItemType, Phase, PowerupType
+from stkzoo.render.palette import readable_on
+from stkzoo.render.road import road_of
+from stkzoo.render.scene import Scene
+
+__all__ = ["control_rows", "encoded", "moment_form", "plain", "race_form", "trace_row"]
+
+FloatArray = npt.NDArray[np.float32]
+
+#: So many entries of a list are shown; the page says how many there are.
+_MOST_ENTRIES = 12
+_DEEPEST = 8
+#: What the numbers in an observation mean.
+_LEGEND = {
+    "attachment": AttachmentType,
+    "items_type": ItemType,
+    "phase": Phase,
+    "powerup_type": PowerupType,
+}
+_BUTTONS = ("brake", "drift", "fire", "nitro", "rescue")
+_COLUMN = {name: number for number, name in enumerate(CONTROLS)}
+
+
+def encoded(form: Mapping[str, Any]) -> str:
+    """The text of a message."""
+    return json.dumps(form, separators=(",", ":"), allow_nan=False)
+
+
+def race_form(scene: Scene, sources: Mapping[str, str], seed: int | None) -> dict[str, Any]:
+    """All that stays the same in a race.
+
+    Args:
+        scene: the race.
+        sources: where agents come from.
+        seed: what the race was started with, if it is known.
+    """
+    agents = {kart: f"kart_{number}" for number, kart in enumerate(scene.kart_indices)}
+    karts = [
+        {
+            "name": scene.names[kart],
+            "agent": agents.get(kart),
+            "source": sources.get(agents.get(kart, ""), ""),
+            "model": scene.kart_types[kart],
+            "colour": scene.colours[kart],
+            "ink": readable_on(scene.colours[kart]),
+            "label": scene.label(kart),
+        }
+        for kart in range(scene.num_kart)
+    ]
+    road, setup = road_of(scene.track_map), scene.setup
+    return {
+        "type": "race",
+        "title": scene.title,
+        "laps": setup.laps,
+        "length": round(scene.track_map.length * setup.laps, 2),
+        "step_size": setup.step_size,
+        "seed": seed,
+        "karts": karts,
+        "buttons": _BUTTONS,
+        "powerups": {str(kind.value): _word(kind.name) for kind in PowerupType},
+        "road": {
+            "quads": _rounded(road.quads[road.order].reshape(-1, 8)),
+            "joints": _rounded(road.joints[road.order]),
+            "widths": _rounded(road.widths[road.order]),
+            "shades": _rounded(road.shades()[road.order]),
+            "line": _rounded(road.line),
+            "forward": _rounded(road.forward, 3),
+            "low": _rounded(road.low),
+            "high": _rounded(road.high),
+        },
+    }
+
+
+def control_rows(scene: Scene, snapshot: Snapshot, actions: Mapping[str, Any]) -> FloatArray:
+    """What every kart's driver does: ``(K, 7)`` float32 in the order of ``CONTROLS``.
+
+    Args:
+        scene: the race.
+        snapshot: its moment, which has what the game's AI does.
+        actions: of agents, in the game's own form.
+    """
+    rows = np.array(snapshot.karts["control"], np.float32)
+    for number, kart in enumerate(scene.kart_indices):
+        action = actions.get(f"kart_{number}")
+        if isinstance(action, Mapping):
+            rows[kart] = [float(np.ravel(action.get(name, 0))[0]) for name in CONTROLS]
+    return rows
+
+
+def trace_row(snapshot: Snapshot, controls: FloatArray, rewards: Sequence[float]) -> FloatArray:
+    """What the charts show of a moment: ``(C, K)``; see :data:`stkzoo.race.web.traces.COLUMNS`."""
+    karts = snapshot.karts
+    brakes = controls[:, _COLUMN["brake"]] > 0
+    throttle = np.where(brakes, -1.0, controls[:, _COLUMN["acceleration"]])
+    steer = controls[:, _COLUMN["steer"]]
+    parts = [karts["speed"], karts["position"], rewards, steer, throttle]
+    return np.stack([np.asarray(part, np.float32) for part in parts])
+
+
+def moment_form(
+    scene: Scene, snapshot: Snapshot, steps: int, traces: FloatArray, controls: FloatArray
+) -> dict[str, Any]:
+    """One moment of a race; columns over karts in grid order."""
+    karts = snapshot.karts
+    ways = (karts["front"] - karts["location"])[:, ::2]
+    laps = scene.setup.laps
+    length = scene.track_map.length * laps
+    distance = np.clip(karts["overall_distance"], 0.0, length)
+    finished = karts["has_finished_race"] != 0
+    buttons = controls[:, [_COLUMN[name] for name in _BUTTONS]] > 0
+    speed, rank, reward, steer, throttle = traces
+    return {
+        "type": "moment",
+        "steps": steps,
+        "time": _rounded(snapshot.header["time"]),
+        "phase": _word(Phase(snapshot.phase).name),
+        "karts": {
+            "x": _rounded(karts["location"][:, 0]),
+            "z": _rounded(karts["location"][:, 2]),
+            "way": _rounded(np.arctan2(ways[:, 0], ways[:, 1]), 3),
+            "speed": _rounded(speed),
+            "rank": rank.astype(int).tolist(),
+            "lap": np.clip(karts["finished_laps"] + 1, 1, laps).tolist(),
+            "progress": _rounded(np.where(finished, 1.0, distance / length), 4),
+            "distance": _rounded(distance),
+            "finish_time": _rounded(np.where(finished, karts["finish_time"], 0.0)),
+            "reward": _rounded(reward),
+            "steer": _rounded(steer),
+            "throttle": _rounded(throttle),
+            "buttons": buttons.astype(int).tolist(),
+            "nitro": _rounded(karts["energy"]),
+            "powerup": karts["powerup_type"].tolist(),
+        },
+        "items": [
+            [*place, kind]
+            for place, kind in zip(
+                _rounded(snapshot.items["location"][:, ::2], 1),
+                snapshot.items["type"].tolist(),
+                strict=True,
+            )
+        ],
+    }
+
+
+def plain(value: Any, name: str = "", depth: int = 0) -> Any:
+    """Any observation as values for JSON.
+
+    Mappings stay mappings. A list that is too long to show becomes ``{"first": [...],
+    "of": length}``; a number that stands for something becomes a text with its meaning;
+    what is no number or not finite becomes a text.
+    """
+    if depth > _DEEPEST:
+        return "…"
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry, str(key), depth + 1) for key, entry in value.items()}
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    if isinstance(value, (list, tuple, np.ndarray)):
+        first = [plain(entry, name, depth + 1) for entry in value[:_MOST_ENTRIES]]
+        return first if len(value) <= _MOST_ENTRIES else {"first": first, "of": len(value)}
+    return _leaf(value, name)
+
+
+def _leaf(value: Any, name: str) -> Any:
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, (int, np.integer)):
+        return _named(int(value), name)
+    if isinstance(value, (float, np.floating)):
+        return float(f"{float(value):.5g}") if math.isfinite(value) else str(value)
+    return None if value is None else str(value)[:200]
+
+
+def _named(value: int, name: str) -> int | str:
+    kinds = _LEGEND.get(name)
+    if kinds is None or value not in kinds.__members__.values():
+        return value
+    return f"{value} {_word(kinds(value).name)}"
+
+
+def _word(name: str) -> str:
+    return name.removesuffix("_PHASE").replace("_", " ").lower()
+
+
+def _rounded(values: Any, digits: int = 2) -> Any:
+    """Numbers as lists; what is not finite becomes 0, which every chart can draw."""
+    array = np.nan_to_num(np.asarray(values, np.float64), posinf=0.0, neginf=0.0)
+    return array.round(digits).tolist()

@@ -1,0 +1,190 @@
+"""Serves the page, in a thread of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import mimetypes
+import socket
+import threading
+from collections.abc import Awaitable, Callable
+from concurrent.futures import TimeoutError as FutureTimeout
+from pathlib import Path
+from typing import Any
+
+from aiohttp import web
+
+from stkzoo.errors import ConfigError
+from stkzoo.race.web.board import Board
+from stkzoo.race.web.control import RaceControl
+from stkzoo.race.web.guard import Guard
+from stkzoo.race.web.viewer import PROTOCOL_VERSION, Viewer
+
+__all__ = ["LiveServer"]
+
+logger = logging.getLogger(__name__)
+
+_FILES = Path(__file__).parent / "static"
+_MOST_VIEWERS = 64
+_LONGEST_MESSAGE = 1024
+_HEARTBEAT = 20.0
+#: So long viewers are given to take the last messages [s]; and the thread to end.
+_FAREWELL, _END = 2.0, 10.0
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
+        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+
+_Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+class LiveServer:
+    """The page and its viewers. It serves from the moment it is made.
+
+    Args:
+        host: address or name to listen on.
+        port: its port; 0 takes a free one.
+        board: what there is to show.
+        control: what viewers may steer.
+
+    Raises:
+        ConfigError: nothing can be served there.
+    """
+
+    def __init__(self, host: str, port: int, board: Board, control: RaceControl) -> None:
+        self._board, self._control = board, control
+        self._guard = Guard(host)
+        self._pages = {f"/{file.name}": file for file in _FILES.iterdir() if file.is_file()}
+        self._pages["/"] = _FILES / "index.html"
+        self._viewers: set[Viewer] = set()
+        self._is_waking = False
+        self._listener = _listener(host, port)
+        self.port: int = self._listener.getsockname()[1]
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._run, name="stkzoo-live-page", daemon=True)
+        self._thread.start()
+
+    @property
+    def key(self) -> str:
+        """What a viewer must know to steer; empty if all may."""
+        return self._guard.key
+
+    @property
+    def num_viewers(self) -> int:
+        """How many watch."""
+        return len(self._viewers)
+
+    def wake(self) -> None:
+        """Tells viewers that there may be something new; from any thread, at once."""
+        if self._viewers and not self._is_waking and not self._loop.is_closed():
+            self._is_waking = True
+            self._call(self._wake_viewers)
+
+    def close(self) -> None:
+        """Lets viewers take the last messages, then ends; may be called again."""
+        if not self._thread.is_alive():
+            return
+        try:
+            asyncio.run_coroutine_threadsafe(self._say_goodbye(), self._loop).result(_END)
+        except FutureTimeout:
+            logger.warning("the live page's viewers could not be let go in %.0f s", _END)
+        self._call(self._loop.stop)
+        self._thread.join(_END)
+
+    # ------------------------------------------------------------------ the thread
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        app = web.Application(middlewares=[self._guarded])
+        app.router.add_get("/live", self._live)
+        app.router.add_get("/{name:[^/]*}", self._page)
+        self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0)
+        try:
+            self._loop.run_until_complete(self._start())
+            self._loop.run_forever()
+        finally:
+            self._loop.run_until_complete(self._runner.cleanup())
+            self._loop.run_until_complete(self._loop.shutdown_asyncgens())
+            self._listener.close()
+            self._loop.close()
+
+    async def _start(self) -> None:
+        await self._runner.setup()
+        await web.SockSite(self._runner, self._listener).start()
+
+    def _call(self, function: Callable[[], object]) -> None:
+        try:
+            self._loop.call_soon_threadsafe(function)
+        except RuntimeError:  # it has ended meanwhile
+            logger.debug("the live page has ended")
+
+    def _wake_viewers(self) -> None:
+        self._is_waking = False
+        for viewer in self._viewers:
+            viewer.wake()
+
+    async def _say_goodbye(self) -> None:
+        leaving = [asyncio.ensure_future(viewer.leave()) for viewer in self._viewers]
+        if leaving:
+            _, late = await asyncio.wait(leaving, timeout=_FAREWELL)
+            for task in late:
+                task.cancel()
+
+    # ------------------------------------------------------------------ requests
+
+    @web.middleware
+    async def _guarded(self, request: web.Request, handler: _Handler) -> web.StreamResponse:
+        host, origin = request.headers.get("Host"), request.headers.get("Origin")
+        if not self._guard.knows_host(host):
+            raise web.HTTPForbidden(text="this page is served under another name\n")
+        if not self._guard.knows_origin(origin, host):
+            raise web.HTTPForbidden(text="this page takes requests from itself only\n")
+        return await handler(request)
+
+    async def _page(self, request: web.Request) -> web.StreamResponse:
+        file = self._pages.get(request.path)
+        if file is None:
+            raise web.HTTPNotFound(text="there is no such page; the race is at /\n")
+        kind = mimetypes.types_map.get(file.suffix, "application/octet-stream")
+        return web.Response(
+            body=file.read_bytes(), content_type=kind, charset="utf-8", headers=_HEADERS
+        )
+
+    async def _live(self, request: web.Request) -> web.StreamResponse:
+        if request.query.get("version") != str(PROTOCOL_VERSION):
+            raise web.HTTPBadRequest(text=f"expected ?version={PROTOCOL_VERSION}; load / anew\n")
+        if len(self._viewers) >= _MOST_VIEWERS:
+            raise web.HTTPServiceUnavailable(text=f"{_MOST_VIEWERS} viewers watch already\n")
+        connection = web.WebSocketResponse(
+            max_msg_size=_LONGEST_MESSAGE, heartbeat=_HEARTBEAT, compress=False, timeout=1.0
+        )
+        await connection.prepare(request)
+        may_steer = self._guard.may_steer(request.query.get("key", ""))
+        viewer = Viewer(connection, self._board, self._control, may_steer=may_steer)
+        self._viewers.add(viewer)
+        try:
+            await viewer.serve()
+        finally:
+            self._viewers.discard(viewer)
+        return connection
+
+
+def _listener(host: str, port: int) -> socket.socket:
+    try:
+        family, _, _, _, address = _resolved(host, port)[0]
+        return socket.create_server(address[:2], family=family)
+    except (OSError, OverflowError) as error:
+        raise ConfigError(
+            f"the live page cannot be served on {host}, port {port}: {error}; choose another "
+            "port (0 takes a free one), or end the program that has it"
+        ) from error
+
+
+def _resolved(host: str, port: int) -> list[Any]:
+    return socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
