@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 
@@ -61,17 +62,13 @@ def assert_close(ours, theirs, path=""):
 
 
 def assert_owned(observations):
-    """What an agent gets is its own; only rows of the track's tables are shared, read-only."""
+    """What an agent gets is its own, to write into as it likes."""
     for observation in observations.values():
         for key, value in observation.items():
             rows = value if isinstance(value, tuple) else (value,)
             for row in rows:
                 if isinstance(row, np.ndarray):
-                    is_shared = isinstance(value, tuple) and key in (
-                        "paths_distance",
-                        "paths_width",
-                    )
-                    assert row.flags.writeable != is_shared, key
+                    assert row.flags.writeable, key
 
 
 @pytest.fixture
@@ -133,6 +130,47 @@ def test_rewards_and_infos_are_the_same_to_the_finish(reward, numpy_only):
     with_kernel = list(race())
     numpy_only()
     assert with_kernel == list(race())
+
+
+@pytest.mark.parametrize(
+    "keep",
+    [
+        lambda rows: rows,
+        lambda rows: rows[-1],
+        lambda rows: rows[0][1:],
+        lambda rows: rows[0].base,
+        lambda rows: memoryview(rows[1]),
+    ],
+    ids=["tuple", "row", "part of a row", "block", "memoryview"],
+)
+@pytest.mark.parametrize("key", ["paths_start", "paths_width", "items_position"])
+def test_what_is_kept_of_an_observation_never_changes(keep, key):
+    with contextlib.closing(race_v0.parallel_env(num_kart=2, track="lighthouse")) as env:
+        observations, _ = env.reset(seed=3)
+        kept, copies = [], []
+        for _ in range(12):
+            kept.append(keep(observations["kart_0"][key]))
+            copies.append(np.array(kept[-1]))
+            actions = {agent: env.action_space(agent).sample() for agent in env.agents}
+            observations = env.step(actions)[0]
+        for part, copy in zip(kept, copies, strict=True):
+            np.testing.assert_array_equal(part, copy)
+        assert not np.shares_memory(observations["kart_0"][key][0], observations["kart_1"][key][0])
+
+
+def test_rows_that_were_bent_are_not_used_again():
+    with contextlib.closing(race_v0.parallel_env(num_kart=1, track="lighthouse")) as env:
+        observations, _ = env.reset(seed=3)
+        shapes = {}
+        for _ in range(12):
+            rows = observations["kart_0"]["paths_start"]
+            shapes = {row.shape for row in rows}
+            rows[0].shape = (1, 3)
+            rows[1].flags.writeable = False
+            del rows
+            observations = env.step({"kart_0": env.action_space("kart_0").sample()})[0]
+            assert all(row.flags.writeable for row in observations["kart_0"]["paths_start"])
+        assert shapes == {(3,)}
 
 
 def test_custom_wrappers_and_terms_do_without():

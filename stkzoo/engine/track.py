@@ -32,8 +32,6 @@ class TrackMap:
         successors: for each node, the nodes that follow it; more than one at a fork.
         order: ``(N, N)``: row n is what lies ahead of node n (:meth:`nodes_ahead`), -1
             until :meth:`look_ahead` has been asked for it.
-        distance_rows: the rows of ``path_distance``, as arrays.
-        width_rows: the rows of ``path_width``, as arrays.
     """
 
     def __init__(
@@ -52,8 +50,6 @@ class TrackMap:
         self.successors = tuple(tuple(nodes) for nodes in successors)
         for array in (path_nodes, path_width, path_distance):
             array.flags.writeable = False
-        self.distance_rows = tuple(path_distance)
-        self.width_rows = tuple(path_width)
         num_nodes = len(self.successors)
         self.order = np.full((num_nodes, num_nodes), -1, np.intp)
 

@@ -55,16 +55,16 @@ static const struct {
 /* stkzoo.mdp.spaces.POWERUP_COUNT_LIMIT */
 enum { POWERUP_COUNT_LIMIT = 9 };
 
-/* Arrays of three numbers that were handed out, oldest first from `next` on. One that nobody else
-   holds any more is used again, which costs a tenth of making a new one. */
+/* Tuples of rows that were handed out, oldest at `next`. One that nobody else holds any more, in
+   whole or in part, is used again, which costs a tenth of making a new one. */
 typedef struct {
-    PyObject **rows;
+    PyObject **tuples;
     Py_ssize_t size, next;
 } Pool;
 
 typedef struct {
     PyObject_HEAD
-    Pool pool;
+    Pool pools[NUM_KEYS];
     PyObject *names; /* tuple of the keys, in the order of the space */
     int num_entries;
     int keys[NUM_KEYS];
@@ -83,7 +83,7 @@ typedef struct {
     npy_intp num_karts, num_items, num_nodes, num_paths;
     float aux_ticks;
     npy_int64 phase;
-    PyObject *kart_types, *distance_rows, *width_rows; /* tuples; a row for each kart or node */
+    PyObject *kart_types; /* a tuple */
     /* of the present kart: */
     const Kart *me;
     float matrix[9], center_path[3], center_path_distance;
@@ -317,76 +317,80 @@ static PyObject *new_array(int dimensions, npy_intp *shape, int type, void **dat
     return array;
 }
 
-/* The rows of the track's own tables ahead of the kart, which all observations share. */
-static PyObject *shared_rows(const Scene *scene, PyObject *table)
+/* Room for three calls' tuples: those of the calls before may be held while this one makes its. */
+static int grow(Pool *pool, Py_ssize_t count)
 {
-    PyObject *tuple = PyTuple_New(scene->num_paths);
-    for (npy_intp i = 0; tuple && i < scene->num_paths; i++) {
-        PyObject *row = PyTuple_GET_ITEM(table, scene->ahead[i]);
-        Py_INCREF(row);
-        PyTuple_SET_ITEM(tuple, i, row);
-    }
-    return tuple;
-}
-
-/* Room for two calls' rows: those of the call before are still held while this one makes its. */
-static int grow(Pool *pool, Py_ssize_t needed)
-{
-    const Py_ssize_t size = 2 * needed + 64;
+    const Py_ssize_t size = 3 * count;
     if (size <= pool->size) return 0;
-    PyObject **rows = PyMem_Realloc(pool->rows, (size_t)size * sizeof *rows);
-    if (!rows) {
+    PyObject **tuples = PyMem_Realloc(pool->tuples, (size_t)size * sizeof *tuples);
+    if (!tuples) {
         PyErr_NoMemory();
         return -1;
     }
-    memset(rows + pool->size, 0, (size_t)(size - pool->size) * sizeof *rows);
-    pool->rows = rows;
+    memset(tuples + pool->size, 0, (size_t)(size - pool->size) * sizeof *tuples);
+    pool->tuples = tuples;
     pool->size = size;
     return 0;
 }
 
-/* Whether a row is nobody's, and still what it was made as. */
-static int is_free(PyObject *row)
+/* The numbers behind a tuple's rows, if the rows are as they were made and nobody holds the tuple,
+   a row, or an array that looks into one (it would hold the block that the rows look into). */
+static float *free_block(PyObject *tuple, npy_intp rows, int width)
 {
-    if (!row || Py_REFCNT(row) != 1) return 0;
-    PyArrayObject *array = (PyArrayObject *)row;
-    return PyArray_NDIM(array) == 1 && PyArray_DIM(array, 0) == 3 &&
-           PyArray_TYPE(array) == NPY_FLOAT32 && PyArray_IS_C_CONTIGUOUS(array) &&
-           PyArray_CHKFLAGS(array, NPY_ARRAY_OWNDATA | NPY_ARRAY_WRITEABLE);
+    if (!tuple || Py_REFCNT(tuple) != 1 || PyTuple_GET_SIZE(tuple) != rows) return NULL;
+    PyObject *block = PyArray_BASE((PyArrayObject *)PyTuple_GET_ITEM(tuple, 0));
+    if (Py_REFCNT(block) != rows) return NULL;
+    float *data = PyArray_DATA((PyArrayObject *)block);
+    for (npy_intp i = 0; i < rows; i++) {
+        PyArrayObject *row = (PyArrayObject *)PyTuple_GET_ITEM(tuple, i);
+        if (Py_REFCNT(row) != 1 || PyArray_DATA(row) != data + width * i ||
+            PyArray_NDIM(row) != 1 || PyArray_TYPE(row) != NPY_FLOAT32 ||
+            !PyArray_CHKFLAGS(row, NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_WRITEABLE)) {
+            return NULL;
+        }
+    }
+    return data;
 }
 
-/* An array of its own with three numbers. */
-static PyObject *row_of_three(Pool *pool, const float *numbers)
+/* A tuple of the rows of a new block. */
+static PyObject *new_rows(npy_intp rows, npy_intp width, float **data)
 {
-    void *data;
-    npy_intp width = 3;
-    PyObject **place = pool->rows + pool->next;
-    pool->next = (pool->next + 1) % pool->size;
-    if (!is_free(*place)) {
-        PyObject *row = new_array(1, &width, NPY_FLOAT32, &data);
-        if (!row) return NULL;
-        Py_XSETREF(*place, row);
+    npy_intp shape[2] = {rows, width};
+    PyObject *block = PyArray_SimpleNew(2, shape, NPY_FLOAT32);
+    PyObject *tuple = block ? PyTuple_New(rows) : NULL;
+    if (block) *data = PyArray_DATA((PyArrayObject *)block);
+    for (npy_intp i = 0; tuple && i < rows; i++) {
+        PyObject *row = PyArray_SimpleNewFromData(1, &width, NPY_FLOAT32, *data + width * i);
+        if (!row) {
+            Py_CLEAR(tuple);
+            break;
+        }
+        PyTuple_SET_ITEM(tuple, i, row);
+        Py_INCREF(block);
+        PyArray_SetBaseObject((PyArrayObject *)row, block);
     }
-    memcpy(PyArray_DATA((PyArrayObject *)*place), numbers, 3 * sizeof *numbers);
+    Py_XDECREF(block);
+    return tuple;
+}
+
+/* A tuple of arrays, one for each row, that nobody else holds. */
+static PyObject *number_rows(View *view, const Scene *scene, int key)
+{
+    Pool *pool = view->pools + key;
+    npy_intp real;
+    const npy_intp rows = rows_of(view, scene, key, &real);
+    if (rows == 0) return PyTuple_New(0);
+    PyObject **place = pool->tuples + pool->next;
+    pool->next = (pool->next + 1) % pool->size;
+    float *data = free_block(*place, rows, KEYS[key].width);
+    if (!data) {
+        PyObject *tuple = new_rows(rows, KEYS[key].width, &data);
+        if (!tuple) return NULL;
+        Py_XSETREF(*place, tuple);
+    }
+    write_numbers(view, scene, key, data);
     Py_INCREF(*place);
     return *place;
-}
-
-/* A tuple of arrays of their own, one for each row. */
-static PyObject *number_rows(View *view, const Scene *scene, int key, float *scratch)
-{
-    npy_intp real;
-    if (key == PATHS_DISTANCE) return shared_rows(scene, scene->distance_rows);
-    if (key == PATHS_WIDTH) return shared_rows(scene, scene->width_rows);
-    const npy_intp rows = rows_of(view, scene, key, &real);
-    write_numbers(view, scene, key, scratch);
-    PyObject *tuple = PyTuple_New(rows);
-    for (npy_intp i = 0; tuple && i < rows; i++) {
-        PyObject *row = row_of_three(&view->pool, scratch + 3 * i);
-        if (!row) Py_CLEAR(tuple);
-        else PyTuple_SET_ITEM(tuple, i, row);
-    }
-    return tuple;
 }
 
 static PyObject *choice_rows(const Scene *scene)
@@ -414,7 +418,7 @@ static PyObject *mask(const View *view, const Scene *scene, int key)
 }
 
 /* The value of one entry in Gymnasium's form. */
-static PyObject *value_of(View *view, const Scene *scene, int key, float *scratch)
+static PyObject *value_of(View *view, const Scene *scene, int key)
 {
     const int kind = KEYS[key].kind, group = KEYS[key].group;
     npy_intp real, shape[2];
@@ -427,7 +431,7 @@ static PyObject *value_of(View *view, const Scene *scene, int key, float *scratc
     }
     if (group == OWN && kind == CHOICE) return PyLong_FromLongLong(choice_of(scene, key));
     if (group != OWN && view->sizes[group] < 0) {
-        return kind == CHOICE ? choice_rows(scene) : number_rows(view, scene, key, scratch);
+        return kind == CHOICE ? choice_rows(scene) : number_rows(view, scene, key);
     }
     if (key >= ITEMS_MASK) return mask(view, scene, key);
     shape[0] = rows_of(view, scene, key, &real);
@@ -442,11 +446,11 @@ static PyObject *value_of(View *view, const Scene *scene, int key, float *scratc
     return array;
 }
 
-static PyObject *as_dict(View *view, const Scene *scene, float *scratch)
+static PyObject *as_dict(View *view, const Scene *scene)
 {
     PyObject *dict = PyDict_New();
     for (int i = 0; dict && i < view->num_entries; i++) {
-        PyObject *value = value_of(view, scene, view->keys[i], scratch);
+        PyObject *value = value_of(view, scene, view->keys[i]);
         if (!value || PyDict_SetItem(dict, PyTuple_GET_ITEM(view->names, i), value) < 0) {
             Py_CLEAR(dict);
         }
@@ -530,41 +534,33 @@ static int read_scene(Scene *scene, PyObject *const *args)
     if (!(scene->order = numbers_of(args[7], "order", NPY_INTP, &num_order))) return -1;
     scene->num_paths = PyLong_AsSsize_t(args[8]);
     scene->kart_types = args[9];
-    scene->distance_rows = args[10];
-    scene->width_rows = args[11];
     if (PyErr_Occurred()) return -1;
     scene->num_nodes /= 6;
     if (num_widths != scene->num_nodes || num_distances != 2 * scene->num_nodes ||
         num_order != scene->num_nodes * scene->num_nodes || scene->num_paths < 0 ||
-        scene->num_paths > scene->num_nodes || !PyTuple_Check(scene->kart_types) ||
-        !PyTuple_Check(scene->distance_rows) || !PyTuple_Check(scene->width_rows) ||
-        PyTuple_GET_SIZE(scene->distance_rows) != scene->num_nodes ||
-        PyTuple_GET_SIZE(scene->width_rows) != scene->num_nodes) {
+        scene->num_paths > scene->num_nodes || !PyTuple_Check(scene->kart_types)) {
         PyErr_SetString(PyExc_ValueError, "the track's arrays do not fit together");
         return -1;
     }
     return 0;
 }
 
-/* Room for what one kart sees: places and their order, sort keys, and the rows of one entry. */
-static float *scratch_for(Scene *scene, float **keys, float **rows)
+/* Room for what one kart sees: places and their order, and sort keys. */
+static float *scratch_for(Scene *scene, float **keys)
 {
     const npy_intp items = scene->num_items, karts = scene->num_karts;
-    const npy_intp most = items > karts ? items : karts;
-    const npy_intp longest = most > scene->num_paths ? most : scene->num_paths;
-    const npy_intp words = 4 * (items + karts) + most + 3 * longest;
-    float *room = PyMem_Malloc((size_t)(words ? words : 1) * 4);
+    const npy_intp words = 4 * (items + karts) + (items > karts ? items : karts);
+    float *room = PyMem_Malloc((size_t)words * sizeof *room);
     if (!room) return (float *)PyErr_NoMemory();
     scene->seen[ITEMS] = room;
     scene->seen[KARTS] = scene->seen[ITEMS] + 3 * items;
     scene->nearest[ITEMS] = (int *)(scene->seen[KARTS] + 3 * karts);
     scene->nearest[KARTS] = scene->nearest[ITEMS] + items;
     *keys = (float *)(scene->nearest[KARTS] + karts);
-    *rows = *keys + most;
     return room;
 }
 
-enum { SCENE_ARGS = 12 };
+enum { SCENE_ARGS = 10 };
 
 /* observe(<scene>, who): one observation for each kart of `who`, in a list; None if the order of
    what lies ahead of a kart is not known yet. */
@@ -572,20 +568,21 @@ static PyObject *view_observe(PyObject *self, PyObject *const *args, Py_ssize_t 
 {
     View *view = (View *)self;
     Scene scene;
-    float *keys = NULL, *rows = NULL;
+    float *keys = NULL;
     npy_intp count;
     if (nargs != SCENE_ARGS + 1) return PyErr_Format(PyExc_TypeError, "wrong number of arguments");
     const npy_intp *who = numbers_of(args[SCENE_ARGS], "who", NPY_INTP, &count);
     if (!who || read_scene(&scene, args) < 0) return NULL;
-    const npy_intp most_rows = scene.num_items + scene.num_karts + 2 * scene.num_paths;
-    if (!view->is_flat && grow(&view->pool, count * most_rows) < 0) return NULL;
-    float *room = scratch_for(&scene, &keys, &rows);
+    for (int key = 0; !view->is_flat && key < NUM_KEYS; key++) {
+        if (grow(view->pools + key, count) < 0) return NULL;
+    }
+    float *room = scratch_for(&scene, &keys);
     PyObject *list = room ? PyList_New(count) : NULL;
     for (npy_intp i = 0; list && i < count; i++) {
         PyObject *observation = NULL;
         const int is_known = look(view, &scene, who[i], keys);
         if (is_known > 0) {
-            observation = view->is_flat ? as_vectors(view, &scene) : as_dict(view, &scene, rows);
+            observation = view->is_flat ? as_vectors(view, &scene) : as_dict(view, &scene);
         } else if (is_known == 0) {
             Py_DECREF(list);
             PyMem_Free(room);
@@ -604,7 +601,7 @@ static PyObject *view_observe_into(PyObject *self, PyObject *const *args, Py_ssi
 {
     View *view = (View *)self;
     Scene scene;
-    float *keys = NULL, *rows = NULL;
+    float *keys = NULL;
     npy_intp count, num_numbers, num_choices;
     if (nargs != SCENE_ARGS + 3) return PyErr_Format(PyExc_TypeError, "wrong number of arguments");
     const npy_intp *who = numbers_of(args[SCENE_ARGS], "who", NPY_INTP, &count);
@@ -617,7 +614,7 @@ static PyObject *view_observe_into(PyObject *self, PyObject *const *args, Py_ssi
         num_choices != count * view->num_discrete) {
         return PyErr_Format(PyExc_ValueError, "the arrays are not for %zd flat rows", count);
     }
-    float *room = scratch_for(&scene, &keys, &rows);
+    float *room = scratch_for(&scene, &keys);
     int is_known = 1;
     for (npy_intp i = 0; room && i < count; i++) {
         if ((is_known = look(view, &scene, who[i], keys)) <= 0) break;
@@ -678,8 +675,11 @@ static PyObject *view_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
 static void view_dealloc(PyObject *self)
 {
     View *view = (View *)self;
-    for (Py_ssize_t i = 0; i < view->pool.size; i++) Py_XDECREF(view->pool.rows[i]);
-    PyMem_Free(view->pool.rows);
+    for (int key = 0; key < NUM_KEYS; key++) {
+        Pool *pool = view->pools + key;
+        for (Py_ssize_t i = 0; i < pool->size; i++) Py_XDECREF(pool->tuples[i]);
+        PyMem_Free(pool->tuples);
+    }
     Py_XDECREF(view->names);
     Py_TYPE(self)->tp_free(self);
 }

@@ -101,8 +101,6 @@ class KartObserver:
             track.order,
             self._num_paths,
             self._names,
-            track.distance_rows,
-            track.width_rows,
         )
 
     def _seen(
