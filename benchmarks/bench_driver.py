@@ -16,7 +16,16 @@ from typing import IO, Any
 
 from stkzoo.engine.assets import find_assets
 
-__all__ = ["WARMUP", "Contender", "Spec", "Times", "contenders", "race_together", "record_controls"]
+__all__ = [
+    "WARMUP",
+    "Contender",
+    "Spec",
+    "Times",
+    "contenders",
+    "engine_variables",
+    "race_together",
+    "record_controls",
+]
 
 #: Steps before the measured ones: the start, and the reference's compiler.
 WARMUP = 40
@@ -69,7 +78,7 @@ class Contender:
             stdout=subprocess.PIPE,
             stderr=self._log,
             text=True,
-            env=os.environ | (_engine_variables() if spec.kind != "stkzoo" else {}),
+            env=os.environ | (engine_variables() if spec.kind != "stkzoo" else {}),
         )
         self._send(asdict(spec))
 
@@ -116,7 +125,7 @@ class Contender:
         return self._log.read().decode(errors="replace")[-3000:]
 
 
-def _engine_variables() -> dict[str, str]:
+def engine_variables() -> dict[str, str]:
     """The same data and calm BLAS that stkzoo gives its engine processes."""
     return {
         "SUPERTUXKART_DATADIR": str(find_assets().root),

@@ -20,7 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -127,16 +127,25 @@ def main(argv: Sequence[str] | None = None) -> int:
             "files": _compare([folder] * 4, options),
             "heuristic": _compare(["heuristic"] * 4, options),
         }
-    rows = [
-        (name, *(f"{row[key]:.2f}" for key in ("median_local", "median_networked", "more")))
-        for name, row in found.items()
+    results = [{"agents": name, **row} for name, row in found.items()]
+    print_tables(tables(results))
+    save(options.output, "remote", options, results)
+    return 0 if all(row["is_allowed"] for row in results) else 1
+
+
+def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
+    """The results."""
+    columns = ("median_local", "median_networked", "more")
+    return [
+        Table(
+            "4 karts, 2 servers: one step [ms], median of the races' means",
+            ("agents", "here", "networked", "more"),
+            [
+                (result["agents"], *(f"{result[column]:.2f}" for column in columns))
+                for result in results
+            ],
+        )
     ]
-    title = f"{options.steps} steps, 4 karts, 2 servers, median of {options.rounds} races [ms/step]"
-    print_tables([Table(title, ("agents", "here", "networked", "more"), rows)])
-    save(
-        options.output, "remote", options, [{"agents": name, **row} for name, row in found.items()]
-    )
-    return 0 if all(row["is_allowed"] for row in found.values()) else 1
 
 
 if __name__ == "__main__":

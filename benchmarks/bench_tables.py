@@ -13,7 +13,16 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import bench_memory, bench_resets, bench_scaling, bench_steps, bench_transport
+from benchmarks import (
+    bench_memory,
+    bench_remote,
+    bench_resets,
+    bench_scaling,
+    bench_states,
+    bench_steps,
+    bench_transport,
+    bench_vector,
+)
 from benchmarks.bench_common import RESULTS, Table
 
 PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
@@ -21,9 +30,12 @@ PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
 _SECTIONS: dict[str, tuple[str, Callable[[Any], Sequence[Table]]]] = {
     "steps": ("Steps", bench_steps.tables),
     "transport": ("The worker's transport", bench_transport.tables),
+    "vector": ("Many races", bench_vector.tables),
+    "states": ("Saved states", bench_states.tables),
     "resets": ("Imports and resets", bench_resets.tables),
     "memory": ("Memory", bench_memory.tables),
     "scaling": ("More karts, other tracks", bench_scaling.tables),
+    "remote": ("Networked races", bench_remote.tables),
 }
 
 _HEAD = """# Benchmarks

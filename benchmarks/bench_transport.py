@@ -9,7 +9,9 @@ The same race in process and in the default worker, a few steps each in turn. St
 - ``outside the engine``: the same without the time that each spent inside
   ``pystk2.Race.step``, whose noise is larger than what is sought: the transport's figure;
 - ``outside the child``: of the worker's step, what did not pass inside ``GameRace.step``:
-  the transport and the caller's own work together.
+  the transport and the caller's own work together;
+- ``pipes alone``: the floor, measured right after: two processes that do nothing but send as
+  many bytes there and back over pipes, the other one busy in between for as long as the engine.
 
 ``--cores 1`` holds program and game on one core, where no wake-up crosses cores.
 """
@@ -18,9 +20,13 @@ from __future__ import annotations
 
 import argparse
 import functools
+import os
+import signal
+import statistics
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 from benchmarks.bench_common import (
     KARTS,
@@ -82,7 +88,68 @@ def measure(
         "cores": number or "all",
         "same_race": is_same,
         **differences(times[HERE], times[THERE]),
+        "pipes_alone": quantiles(
+            pipes_alone(
+                options.steps,
+                busy=statistics.median(times[THERE]["engine"]),
+                there=64 + 24 * karts,
+                back=400 * karts,
+                on=cores(number),
+            )
+        ),
     }
+
+
+def pipes_alone(
+    steps: int, *, busy: float, there: int, back: int, on: Sequence[int]
+) -> list[float]:
+    """Microseconds of a message there and back, less the time that the other process worked.
+
+    Args:
+        steps: how many messages.
+        busy: how long the other process works on each [s].
+        there: bytes of a message.
+        back: bytes of its answer.
+        on: the cores of both, any if empty.
+    """
+    inbox, outbox = os.pipe(), os.pipe()
+    child = os.fork()
+    if child == 0:
+        _echo(inbox[0], outbox[1], busy, bytes(back), on)
+    own = os.sched_getaffinity(0) if on else set()
+    try:
+        if on:
+            os.sched_setaffinity(0, on)
+        taken = []
+        for _ in range(steps):
+            begin = time.perf_counter()
+            os.write(inbox[1], bytes(there))
+            os.read(outbox[0], back)
+            taken.append(1e6 * (time.perf_counter() - begin - busy))
+            _work(1e-4)  # as a learner would
+        return taken
+    finally:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        for end in (*inbox, *outbox):
+            os.close(end)
+        if on:
+            os.sched_setaffinity(0, own)
+
+
+def _echo(inbox: int, outbox: int, busy: float, answer: bytes, on: Sequence[int]) -> NoReturn:
+    if on:
+        os.sched_setaffinity(0, on)
+    while os.read(inbox, 65536):
+        _work(busy)
+        os.write(outbox, answer)
+    os._exit(0)
+
+
+def _work(seconds: float) -> None:
+    end = time.perf_counter() + seconds
+    while time.perf_counter() < end:
+        pass
 
 
 def differences(here: Times, there: Times) -> dict[str, Any]:
@@ -110,7 +177,15 @@ def _minus(left: Sequence[Any], right: Sequence[Any]) -> list[float]:
 
 def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
     """The results as one table."""
-    columns = ("view", "karts", "cores", "step", "outside the engine", "outside the child")
+    columns = (
+        "view",
+        "karts",
+        "cores",
+        "step",
+        "outside the engine",
+        "outside the child",
+        "pipes alone",
+    )
     rows = [
         (
             result["view"],
@@ -119,6 +194,7 @@ def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
             spread(result["step"]),
             spread(result["outside_engine"]),
             spread(result["outside_child"]),
+            spread(result["pipes_alone"]),
         )
         for result in results
     ]

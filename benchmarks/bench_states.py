@@ -1,0 +1,94 @@
+"""What it costs to save a moment of a race, to go back to it, and to start from it.
+
+    python -m benchmarks.bench_states
+    python -m benchmarks.bench_states --steps 100 --karts 3 10
+
+A turn is ``save_state``, a few steps, ``restore_state``, the first step after it, ``reset`` to
+a parked start, and an ordinary reset. The first step after a copy is slow because the copy's
+memory is the original's until it is written to.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from benchmarks.bench_common import (
+    Table,
+    parser,
+    print_tables,
+    progress_bar,
+    quantiles,
+    save,
+    spread,
+)
+
+_PARTS = ("save", "restore", "first step", "reset to a parked start", "reset")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; returns its exit code."""
+    options = parser(__doc__, "states", steps=60, karts=(3, 10), cores=0).parse_args(arguments)
+    results = []
+    with progress_bar(len(options.karts) * options.steps) as (bar, task):
+        for karts in options.karts:
+            bar.update(task, description=f"{karts} karts")
+            results.append(measure(karts, options, lambda: bar.advance(task)))
+    print_tables(tables(results))
+    save(options.output, "states", options, results)
+    return 0
+
+
+def measure(karts: int, options: argparse.Namespace, advance: Any) -> dict[str, Any]:
+    """The figures of one number of karts."""
+    from stkzoo import race_v0
+
+    taken: dict[str, list[float]] = defaultdict(list)
+
+    def timed(part: str, function: Any, *arguments: Any, **words: Any) -> Any:
+        begin = time.perf_counter()
+        result = function(*arguments, **words)
+        taken[part].append(1e3 * (time.perf_counter() - begin))
+        return result
+
+    with race_v0.parallel_env(
+        num_kart=karts, track=options.track, view="flattened_discrete", max_cycles=None
+    ) as env:
+        env.reset(seed=1)
+        start = env.save_state()
+        actions = dict.fromkeys(env.agents, 4)
+        for _ in range(options.steps):
+            for _ in range(10):
+                env.step(actions)
+            state = timed("save", env.save_state)
+            for _ in range(5):
+                env.step(actions)
+            timed("restore", env.restore_state, state)
+            timed("first step", env.step, actions)
+            state.close()
+            timed("reset to a parked start", env.reset, options={"state": start})
+            timed("reset", env.reset, seed=1)
+            advance()
+    return {"karts": karts, **{part: quantiles(taken[part]) for part in _PARTS}}
+
+
+def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
+    """The results."""
+    return [
+        Table(
+            "milliseconds, median (10..90 %)",
+            ("karts", *_PARTS),
+            [
+                (str(result["karts"]), *(spread(result[part], 1) for part in _PARTS))
+                for result in results
+            ],
+        )
+    ]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
