@@ -7,8 +7,9 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 GRAPHICS_PACKAGES := libegl1 libgl1 libgl1-mesa-dri
+BROWSER_PACKAGES := chromium chromium-driver
 
-.PHONY: graphics help race test check bench docs clean
+.PHONY: browser graphics help race test check bench docs clean
 
 help:
 	@echo "make race    set everything up and watch a race of four karts in the terminal"
@@ -23,7 +24,7 @@ race: $(VENV)/.core
 	$(BIN)/stkzoo assets install
 	$(BIN)/stkzoo race --demo
 
-test: $(VENV)/.dev graphics
+test: $(VENV)/.dev graphics browser
 	$(BIN)/stkzoo assets install
 	$(BIN)/python -m pytest $(ARGS)
 
@@ -51,6 +52,18 @@ graphics:
 		echo "the game's own pictures cannot be drawn here; the map is drawn instead"; \
 	else \
 		echo "for the game's own pictures: sudo apt install $(GRAPHICS_PACKAGES)"; \
+	fi
+
+# The live page is tried in this browser. Where it cannot be installed, these tests say so.
+browser:
+	@if command -v chromedriver >/dev/null && \
+		{ command -v chromium || command -v google-chrome; } >/dev/null; then :; \
+	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+		{ apt-get install -y -q $(BROWSER_PACKAGES) >/dev/null 2>&1 || \
+		{ apt-get update -q && apt-get install -y -q $(BROWSER_PACKAGES); }; } || \
+		echo "no browser can be had here; tests of the live page in one are skipped"; \
+	else \
+		echo "to try the live page in a browser: sudo apt install $(BROWSER_PACKAGES)"; \
 	fi
 
 clean:

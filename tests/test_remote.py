@@ -11,6 +11,8 @@ import pytest
 from stkzoo.errors import ConfigError, RemoteError
 from stkzoo.race import RaceListener, find_driver, run_race
 from stkzoo.race.remote import RaceServer, RemoteCrew
+from stkzoo.race.remote.server import _PATIENCE, _Guest
+from stkzoo.race.remote.sockets import _QUEUE
 from tests.remote_race import server_process, server_thread, write_agent
 
 TRACK = {"track": "lighthouse", "seed": 3}
@@ -239,6 +241,18 @@ def test_a_client_that_is_gone_frees_its_place(tmp_path):
                 return
             time.sleep(0.5)
     pytest.fail("the server still kept the place of a client that is gone")
+
+
+def test_a_client_that_pauses_is_not_flooded():
+    """What it does not read stays below the length of its queue, or the connection is lost."""
+    guest = _Guest(session=None, heard=0.0, asked=0.0)
+    asked = []
+    for now in range(int(_PATIENCE)):
+        if guest.is_to_be_asked(float(now)):
+            asked.append(now)
+            guest.asked = float(now)
+    assert asked[0] <= 3
+    assert 5 < len(asked) < _QUEUE
 
 
 def test_no_server_is_told_before_the_race():

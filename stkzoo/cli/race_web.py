@@ -43,7 +43,9 @@ def add_flags(parser: argparse.ArgumentParser) -> None:
         "--web-wait", action="store_true", help="wait on the grid until a viewer presses Run"
     )
     group.add_argument(
-        "--web-stay", action="store_true", help="keep the page after the race, until Ctrl-C"
+        "--web-stay",
+        action="store_true",
+        help="keep the page after the race, until Close or Ctrl-C",
     )
 
 

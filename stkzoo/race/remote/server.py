@@ -39,7 +39,8 @@ __all__ = ["RaceServer"]
 
 _log = logging.getLogger(__name__)
 
-#: A client that says nothing is asked whether it is there this often [s].
+#: A client that says nothing is asked whether it is there after this [s], then ever more
+#: rarely: a race that is paused reads nothing, and its queue must not fill up.
 _ASK = 2.0
 #: Seats of a client that has said nothing for so long are given up [s].
 _PATIENCE = 600.0
@@ -61,6 +62,10 @@ class _Guest:
     session: Session
     heard: float
     asked: float
+
+    def is_to_be_asked(self, now: float) -> bool:
+        """Whether it is time to see if it is still there."""
+        return now - max(self.asked, self.heard) > max(_ASK, (now - self.heard) / 3)
 
 
 class RaceServer:
@@ -279,7 +284,7 @@ class RaceServer:
         for identity, guest in list(self._guests.items()):
             if now - guest.heard > _PATIENCE:
                 self._refuse(identity, f"the client said nothing for {_PATIENCE:g} s")
-            elif now - max(guest.asked, guest.heard) > _ASK:
+            elif guest.is_to_be_asked(now):
                 guest.asked = now
                 if not self._send(identity, ALIVE, b""):
                     self._dismiss(identity)

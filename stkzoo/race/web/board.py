@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from stkzoo.race.web.forms import encoded, plain
 from stkzoo.race.web.traces import TraceLog
 
 __all__ = ["Board", "Sight"]
+
+_Form = Mapping[str, Any]
 
 
 @dataclass
@@ -36,88 +38,130 @@ class Sight:
     observed: tuple[str | None, int] = field(default=(None, 0))
 
 
+@dataclass(frozen=True, slots=True)
+class _Present:
+    """What there is to show, replaced as a whole."""
+
+    race: int = 0
+    race_text: str = ""
+    agents: tuple[str, ...] = ()
+    traces: TraceLog = field(default_factory=TraceLog)
+    moment: int = 0
+    make_moment: Callable[[], _Form] | None = None
+    steps: int = 0
+    sights: Mapping[str, _Form] = field(default_factory=dict)
+    state_text: str = ""
+    result_text: str = ""
+
+
 class Board:
-    """The present of a race. One thread writes, one reads.
+    """The present of a race. One thread races and writes, one serves and reads.
 
     The writer hands over references and goes on: texts are made by the reader, once for
     all viewers, and only of moments that are really sent.
     """
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self.traces = TraceLog()
-        self.agents: tuple[str, ...] = ()
-        self._race, self._race_text = 0, ""
-        self._moment, self._moment_text = 0, ""
-        self._form: Mapping[str, Any] | None = None
-        self._sights: Mapping[str, Mapping[str, Any]] = {}
-        self._result_text = ""
-        self.state_text = ""
+        self._lock = threading.Lock()  # of writers: whoever steers sets the state
+        self._present = _Present()
+        self._moment_text = (0, "")  # of the reader
 
-    def set_race(self, form: Mapping[str, Any]) -> None:
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """Ids of the race's agents."""
+        return self._present.agents
+
+    @property
+    def traces(self) -> TraceLog:
+        """The race's past, to add to."""
+        return self._present.traces
+
+    def set_race(self, form: _Form) -> None:
         """A new race; its moments follow."""
-        text = encoded(form)
+        agents = tuple(kart["agent"] for kart in form["karts"] if kart["agent"] is not None)
         with self._lock:
-            self._race, self._race_text = self._race + 1, text
-            self._form, self._moment_text, self._result_text = None, "", ""
-            self._sights = {}
-            self.traces.clear()
-            self.agents = tuple(k["agent"] for k in form["karts"] if k["agent"] is not None)
+            self._present = _Present(
+                race=self._present.race + 1,
+                race_text=encoded(form),
+                agents=agents,
+                moment=self._present.moment,
+                state_text=self._present.state_text,
+            )
 
-    def set_moment(self, form: Mapping[str, Any], sights: Mapping[str, Mapping[str, Any]]) -> None:
+    def set_moment(
+        self, steps: int, make_form: Callable[[], _Form], sights: Mapping[str, _Form]
+    ) -> None:
         """The race has moved.
 
         Args:
-            form: the moment's message.
+            steps: environment steps so far.
+            make_form: makes the moment's message.
             sights: for each agent what can be looked at in the tree.
         """
-        with self._lock:
-            self._moment += 1
-            self._form, self._moment_text, self._sights = form, "", sights
+        number = self._present.moment + 1
+        self._set(moment=number, steps=steps, make_moment=make_form, sights=sights)
 
-    def set_result(self, form: Mapping[str, Any]) -> None:
+    def set_state(self, make_form: Callable[[], _Form]) -> None:
+        """Somebody has steered; from any thread, of which the last tells how things stand."""
+        with self._lock:
+            self._present = replace(self._present, state_text=encoded(make_form()))
+
+    def set_result(self, form: _Form) -> None:
         """The race is over."""
-        self._result_text = encoded(form)
+        self._set(result_text=encoded(form))
+
+    def _set(self, **changes: Any) -> None:
+        with self._lock:
+            self._present = replace(self._present, **changes)
+
+    # ------------------------------------------------------------------ the reader
 
     def news(self, sight: Sight, *, with_observation: bool) -> list[str]:
         """The texts that a viewer lacks; marks them as sent."""
-        texts = []
-        with self._lock:
-            if sight.race != self._race:
-                sight.race, sight.step, sight.has_result = self._race, -1, False
-                sight.observed = (None, 0)
-                texts.append(self._race_text)
-            if sight.state != self.state_text:
-                sight.state = self.state_text
-                texts.append(sight.state)
-            if self._form is not None and sight.moment != self._moment:
-                texts += self._traces_after(sight)
-                self._moment_text = self._moment_text or encoded(self._form)
-                texts.append(self._moment_text)
-                sight.moment = self._moment
-            if with_observation and self.owes_observation(sight):
-                sight.observed = (sight.watched, self._moment)
-                texts.append(self._observation_of(sight.watched))
-            if self._result_text and not sight.has_result:
-                sight.has_result = True
-                texts.append(self._result_text)
+        now, texts = self._present, []
+        if sight.race != now.race:
+            sight.race, sight.step, sight.has_result = now.race, -1, False
+            sight.observed = (None, 0)
+            texts.append(now.race_text)
+        if sight.state != now.state_text:
+            sight.state = now.state_text
+            texts.append(sight.state)
+        if now.make_moment is not None and sight.moment != now.moment:
+            sight.moment = now.moment
+            texts += [*_traces_after(sight, now.traces), self._text_of_moment(now)]
+        if with_observation and _owes_observation(sight, now):
+            sight.observed = (sight.watched, now.moment)
+            texts.append(_observation_of(str(sight.watched), now))
+        if now.result_text and not sight.has_result:
+            sight.has_result = True
+            texts.append(now.result_text)
         return texts
 
     def owes_observation(self, sight: Sight) -> bool:
         """Whether a viewer's agent has seen something that the viewer has not."""
-        seen = sight.watched in self._sights
-        return seen and sight.observed != (sight.watched, self._moment)
+        return _owes_observation(sight, self._present)
 
-    def _traces_after(self, sight: Sight) -> list[str]:
-        traces = self.traces.since(sight.step)
-        if not traces["steps"]:
-            return []
-        sight.step = traces["steps"][-1]
-        return [encoded({"type": "traces", **traces})]
+    def _text_of_moment(self, now: _Present) -> str:
+        number, text = self._moment_text
+        if number != now.moment:
+            assert now.make_moment is not None  # noqa: S101 - there is a moment
+            text = encoded(now.make_moment())
+            self._moment_text = (now.moment, text)
+        return text
 
-    def _observation_of(self, agent: str | None) -> str:
-        assert self._form is not None  # noqa: S101 - sights come with a moment
-        assert agent is not None  # noqa: S101 - it is among the sights
-        parts = plain(self._sights[agent])
-        steps = self._form["steps"]
-        return encoded({"type": "observation", "agent": agent, "steps": steps, "parts": parts})
+
+def _owes_observation(sight: Sight, now: _Present) -> bool:
+    return sight.watched in now.sights and sight.observed != (sight.watched, now.moment)
+
+
+def _traces_after(sight: Sight, traces: TraceLog) -> list[str]:
+    past = traces.since(sight.step)
+    if not past["steps"]:
+        return []
+    sight.step = past["steps"][-1]
+    return [encoded({"type": "traces", **past})]
+
+
+def _observation_of(agent: str, now: _Present) -> str:
+    parts = plain(now.sights[agent])
+    return encoded({"type": "observation", "agent": agent, "steps": now.steps, "parts": parts})

@@ -9,7 +9,7 @@ from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import ConfigError
 from stkzoo.race.web.board import Board
 from stkzoo.race.web.control import RaceControl
-from stkzoo.race.web.forms import control_rows, encoded, moment_form, race_form, trace_row
+from stkzoo.race.web.forms import control_rows, moment_form, race_form, trace_row
 from stkzoo.render.scene import Scene
 
 if TYPE_CHECKING:
@@ -47,7 +47,6 @@ class RaceBroadcast:
             raise ConfigError(f"port is {port!r}, expected a whole number from 0 to 65535")
         self.control = RaceControl(speed, paused=paused)
         self._board = Board()
-        self._host = host
         self._server = _server(host, port, self._board, self.control)
         self._scene: Scene | None = None
         self.control.on_change = self._tell_state
@@ -61,7 +60,8 @@ class RaceBroadcast:
     @property
     def url(self) -> str:
         """Where the page is; with the key to steer, if one is needed."""
-        host = f"[{self._host}]" if ":" in self._host else self._host
+        address = self._server.address
+        host = f"[{address}]" if ":" in address else address
         key = f"#key={self._server.key}" if self._server.key else ""
         return f"http://{host}:{self.port}/{key}"
 
@@ -123,10 +123,14 @@ class RaceBroadcast:
         for number, kart in enumerate(scene.kart_indices):
             totals[kart] = (rewards or {}).get(f"kart_{number}", 0.0)
         controls = control_rows(scene, snapshot, actions or {})
-        traces = trace_row(snapshot, controls, totals)
+        traces = trace_row(scene, snapshot, controls, totals)
         self._board.traces.add(steps, traces)
-        form = moment_form(scene, snapshot, steps, traces, controls)
-        self._board.set_moment({**form, "failures": dict(failures or {})}, sights or {})
+
+        def make_form() -> dict[str, Any]:
+            form = moment_form(scene, snapshot, steps, traces, controls)
+            return {**form, "failures": dict(failures or {})}
+
+        self._board.set_moment(steps, make_form, sights or {})
         self._server.wake()
 
     def wait_turn(self) -> bool:
@@ -144,15 +148,16 @@ class RaceBroadcast:
         Args:
             result: as :meth:`stkzoo.race.RaceResult.to_json` has it.
         """
-        self._board.set_result({"type": "result", "result": result})
         self.control.finish()
+        self._board.set_result({"type": "result", "result": result})
+        self._server.wake()
 
     def close(self) -> None:
         """Ends the page; viewers keep what they have. May be called again."""
         self._server.close()
 
     def _tell_state(self) -> None:
-        self._board.state_text = encoded({"type": "state", **self.control.form})
+        self._board.set_state(lambda: {"type": "state", **self.control.form})
         self._server.wake()
 
 

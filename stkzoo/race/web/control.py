@@ -81,8 +81,10 @@ class RaceControl:
         self._set(_speed=_checked(speed), _last=time.monotonic())
 
     def begin(self) -> None:
-        """A race begins; from now on it may be stopped."""
-        self._set(_over=False, _stopped=False, _last=time.monotonic())
+        """A race begins. A stop that came before the first one still holds."""
+        with self._changed:
+            is_stopped = self._stopped and not self._over
+            self._set(_over=False, _stopped=is_stopped, _last=time.monotonic())
 
     def finish(self) -> None:
         """The race is over."""

@@ -103,13 +103,17 @@ def control_rows(scene: Scene, snapshot: Snapshot, actions: Mapping[str, Any]) -
     return rows
 
 
-def trace_row(snapshot: Snapshot, controls: FloatArray, rewards: Sequence[float]) -> FloatArray:
+def trace_row(
+    scene: Scene, snapshot: Snapshot, controls: FloatArray, rewards: Sequence[float]
+) -> FloatArray:
     """What the charts show of a moment: ``(C, K)``; see :data:`stkzoo.race.web.traces.COLUMNS`."""
     karts = snapshot.karts
+    distances = _distances(scene, snapshot)
     brakes = controls[:, _COLUMN["brake"]] > 0
     throttle = np.where(brakes, -1.0, controls[:, _COLUMN["acceleration"]])
     steer = controls[:, _COLUMN["steer"]]
-    parts = [karts["speed"], karts["position"], rewards, steer, throttle]
+    gaps = distances.max() - distances
+    parts = [karts["speed"], karts["position"], gaps, rewards, steer, throttle]
     return np.stack([np.asarray(part, np.float32) for part in parts])
 
 
@@ -121,10 +125,10 @@ def moment_form(
     ways = (karts["front"] - karts["location"])[:, ::2]
     laps = scene.setup.laps
     length = scene.track_map.length * laps
-    distance = np.clip(karts["overall_distance"], 0.0, length)
+    distance = _distances(scene, snapshot)
     finished = karts["has_finished_race"] != 0
     buttons = controls[:, [_COLUMN[name] for name in _BUTTONS]] > 0
-    speed, rank, reward, steer, throttle = traces
+    speed, rank, _, reward, steer, throttle = traces
     return {
         "type": "moment",
         "steps": steps,
@@ -137,7 +141,7 @@ def moment_form(
             "speed": _rounded(speed),
             "rank": rank.astype(int).tolist(),
             "lap": np.clip(karts["finished_laps"] + 1, 1, laps).tolist(),
-            "progress": _rounded(np.where(finished, 1.0, distance / length), 4),
+            "progress": _rounded(distance / length, 4),
             "distance": _rounded(distance),
             "finish_time": _rounded(np.where(finished, karts["finish_time"], 0.0)),
             "reward": _rounded(reward),
@@ -156,6 +160,14 @@ def moment_form(
             )
         ],
     }
+
+
+def _distances(scene: Scene, snapshot: Snapshot) -> FloatArray:
+    """How far every kart has come, from the start to the finish [m]."""
+    length = scene.track_map.length * scene.setup.laps
+    karts = snapshot.karts
+    distances = np.where(karts["has_finished_race"] != 0, length, karts["overall_distance"])
+    return np.clip(distances, 0.0, length).astype(np.float32)
 
 
 def plain(value: Any, name: str = "", depth: int = 0) -> Any:

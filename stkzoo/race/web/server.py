@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import ipaddress
 import logging
 import mimetypes
 import socket
@@ -66,6 +67,7 @@ class LiveServer:
         self._is_waking = False
         self._listener = _listener(host, port)
         self.port: int = self._listener.getsockname()[1]
+        self.address = _shown(host)
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, name="stkzoo-live-page", daemon=True)
         self._thread.start()
@@ -142,7 +144,9 @@ class LiveServer:
     async def _guarded(self, request: web.Request, handler: _Handler) -> web.StreamResponse:
         host, origin = request.headers.get("Host"), request.headers.get("Origin")
         if not self._guard.knows_host(host):
-            raise web.HTTPForbidden(text="this page is served under another name\n")
+            raise web.HTTPForbidden(
+                text="this page is served under another name; open it by its address\n"
+            )
         if not self._guard.knows_origin(origin, host):
             raise web.HTTPForbidden(text="this page takes requests from itself only\n")
         return await handler(request)
@@ -184,6 +188,20 @@ def _listener(host: str, port: int) -> socket.socket:
             f"the live page cannot be served on {host}, port {port}: {error}; choose another "
             "port (0 takes a free one), or end the program that has it"
         ) from error
+
+
+def _shown(host: str) -> str:
+    """An address to open in a browser: this machine's own where all are served."""
+    try:
+        family, _, _, _, (address, *_) = _resolved(host, 0)[0]
+        if not ipaddress.ip_address(str(address).split("%")[0]).is_unspecified:
+            return host
+        beyond = "2001:db8::1" if family == socket.AF_INET6 else "192.0.2.1"
+        with socket.socket(family, socket.SOCK_DGRAM) as way:
+            way.connect((beyond, 9))  # asks which way it would go; sends nothing
+            return str(way.getsockname()[0])
+    except (OSError, ValueError):
+        return host
 
 
 def _resolved(host: str, port: int) -> list[Any]:

@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 __all__ = ["COLUMNS", "TraceLog"]
 
-#: ``throttle`` is the acceleration, 0 to 1, or -1 while the kart brakes; ``reward`` is the
-#: sum since the start.
-COLUMNS = ("speed", "rank", "reward", "steer", "throttle")
+#: ``gap`` is the way behind the leader [m]; ``throttle`` is the acceleration, 0 to 1, or -1
+#: while the kart brakes; ``reward`` is the sum since the start.
+COLUMNS = ("speed", "rank", "gap", "reward", "steer", "throttle")
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -28,15 +28,9 @@ class TraceLog:
 
     def __init__(self, most: int = 3000) -> None:
         self._lock = threading.Lock()
-        self._most = most
-        self.clear()
-
-    def clear(self) -> None:
-        """Forgets everything."""
-        with self._lock:
-            self._steps: list[int] = []
-            self._rows: list[FloatArray] = []
-            self._stride = 1
+        self._most, self._stride = most, 1
+        self._steps: list[int] = []
+        self._rows: list[FloatArray] = []
 
     def add(self, step: int, row: FloatArray) -> None:
         """Adds a step.

@@ -5,6 +5,7 @@ import { colour, fitted, lineColour } from "./theme.js";
 const CHARTS = [
   { name: "speed", title: "Speed", unit: "m/s", digits: 1, low: 0 },
   { name: "rank", title: "Rank", unit: "", digits: 0, isDown: true, isStepped: true },
+  { name: "gap", title: "Behind the leader", unit: "m", digits: 1, low: 0, isDown: true },
   { name: "reward", title: "Reward so far", unit: "", digits: 1 },
   { name: "steer", title: "Steering", unit: "left −1, right +1", digits: 2, low: -1, high: 1, isAction: true },
   { name: "throttle", title: "Throttle", unit: "brake −1, full +1", digits: 2, low: -1, high: 1, isAction: true },
@@ -89,7 +90,7 @@ export class Charts {
     const order = [...this.race.karts.keys()].filter((k) => k !== chosen);
     for (const k of [...order, chosen]) {
       if (k < 0) continue;
-      draw.globalAlpha = k === chosen ? 1 : chart.isAction ? 0.22 : 0.55;
+      draw.globalAlpha = k === chosen ? 1 : chart.isAction ? 0.25 : 0.75;
       draw.lineWidth = k === chosen ? 2.2 : 1.2;
       draw.strokeStyle = lineColour(this.race.karts[k].colour);
       draw.setLineDash(DASHES[Math.floor(k / 8) % DASHES.length]);

@@ -67,7 +67,7 @@ export class RaceMap {
     this.drawItems(draw, at, view.scale);
     this.drawTrails(draw, at);
     const order = [...karts.rank.keys()].sort((a, b) => karts.rank[b] - karts.rank[a]);
-    const radius = Math.max(1.1 * view.scale, 8);
+    const radius = Math.max(1.5 * view.scale, 8);
     for (const k of order) this.drawKart(draw, at(karts.x[k], karts.z[k]), karts.way[k], k, radius, k === chosen);
   }
 

@@ -41,7 +41,7 @@ function take(message) {
 
 function takeRace(race) {
   Object.assign(now, { race, moment: null, outcomes: {}, leader: -1 });
-  now.chosen = Math.max(0, race.karts.findIndex((kart) => kart.agent !== null));
+  now.chosen = Math.max(0, race.karts.findIndex((kart) => kart.agent === "kart_0"));
   find("title").textContent = race.title;
   document.title = `${race.title} · stkzoo`;
   const laps = race.laps === 1 ? "1 lap" : `${race.laps} laps`;
@@ -126,7 +126,9 @@ function tellLeader(leader) {
 }
 
 function fillAgents(race) {
-  const options = race.karts.map((kart, k) => new Option(`${kart.agent ?? "game"} · ${kart.name}`, k));
+  const place = (k) => (race.karts[k].agent === null ? Infinity : Number(race.karts[k].agent.split("_")[1]));
+  const order = [...race.karts.keys()].sort((a, b) => (place(a) > place(b)) - (place(a) < place(b)));
+  const options = order.map((k) => new Option(`${race.karts[k].agent ?? "game"} · ${race.karts[k].name}`, k));
   find("agent").replaceChildren(...options);
 }
 
@@ -184,18 +186,21 @@ function showButtons(pressed) {
   pressed.forEach((isOn, n) => place.children[n].classList.toggle("on", Boolean(isOn)));
 }
 
-let drawnAt = 0;
+const drawn = { map: 0, charts: 0 };
 function frame(time) {
-  const isDue = map.isMoving || charts.isStale || time - drawnAt > 250;
-  if (isDue) {
+  if (map.isMoving || time - drawn.map > 250) {
     map.draw(time, now.chosen);
-    if (charts.isStale && time - drawnAt > 30) charts.draw(now.chosen);
-    drawnAt = time;
+    drawn.map = time;
+  }
+  if (charts.isStale && time - drawn.charts > 60) {
+    charts.draw(now.chosen);
+    drawn.charts = time;
   }
   requestAnimationFrame(frame);
 }
 requestAnimationFrame(frame);
 addEventListener("resize", () => (charts.isStale = true));
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => (charts.isStale = true));
 
 // ---------------------------------------------------------------- what is pressed
 

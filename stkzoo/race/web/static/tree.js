@@ -102,5 +102,7 @@ function countOf(value) {
 function textOf(value) {
   if (Array.isArray(value)) return value.length ? value.map(textOf).join("  ") : "none";
   if (typeof value !== "number") return String(value);
-  return String(Number.isInteger(value) ? value : +value.toPrecision(4)).replace("-", "−");
+  const isTiny = value !== 0 && Math.abs(value) < 1e-3;
+  const text = isTiny ? value.toExponential(1) : String(Number.isInteger(value) ? value : +value.toPrecision(4));
+  return text.replaceAll("-", "−");
 }

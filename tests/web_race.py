@@ -1,0 +1,116 @@
+"""What the tests of the live page share: a race that is watched, and a viewer."""
+
+import asyncio
+import contextlib
+import json
+import threading
+
+import aiohttp
+
+from stkzoo.race import run_race
+from stkzoo.race.web import LivePage
+
+PATIENCE = 20.0
+
+
+class WatchedRace:
+    """A race in a thread of its own, with its page."""
+
+    def __init__(self, drivers=("ai", "random"), *, steps=100_000, track="olivermath", **options):
+        self.page = LivePage(**{"port": 0, "paused": True, **options})
+        self.result = self.error = None
+        self._drivers, self._settings = drivers, {"track": track, "max_steps": steps, "seed": 3}
+        self._thread = threading.Thread(target=self._race)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self.page.broadcast.control.stop()
+        self.join()
+
+    def join(self):
+        """Waits for the race's end and returns the result."""
+        self._thread.join(60)
+        assert not self._thread.is_alive()
+        if self.error is not None:
+            raise self.error
+        return self.result
+
+    def _race(self):
+        try:
+            self.result = run_race(self._drivers, listeners=[self.page], **self._settings)
+        except BaseException as error:  # noqa: BLE001 - the test raises it
+            self.error = error
+
+    def watch(self, scenario, viewers=1):
+        """Runs ``await scenario(viewer, ...)`` and returns what it returns."""
+        return asyncio.run(self._watch(scenario, viewers))
+
+    async def _watch(self, scenario, viewers):
+        async with contextlib.AsyncExitStack() as life:
+            session = await life.enter_async_context(aiohttp.ClientSession())
+            joined = [
+                await life.enter_async_context(viewer(session, self.page.url))
+                for _ in range(viewers)
+            ]
+            return await asyncio.wait_for(scenario(*joined), 3 * PATIENCE)
+
+
+@contextlib.asynccontextmanager
+async def viewer(session, url, **options):
+    """A viewer of a page; options are those of ``ws_connect`` and the ``key``."""
+    address, key = url.split("#")[0], options.pop("key", "")
+    async with session.ws_connect(
+        f"{address}live", params={"version": "1", "key": key}, max_msg_size=0, **options
+    ) as socket:
+        yield Viewer(socket)
+
+
+class Viewer:
+    """A program that speaks the page's protocol."""
+
+    def __init__(self, socket):
+        self.socket = socket
+        self.kinds = []
+
+    async def send(self, kind, **fields):
+        """Sends a message."""
+        await self.socket.send_str(json.dumps({"type": kind, **fields}))
+
+    async def next(self, kind, accept=lambda _: True):
+        """The next message of a kind that is accepted."""
+        while True:
+            message = await self.socket.receive(timeout=PATIENCE)
+            assert message.type == aiohttp.WSMsgType.TEXT, message
+            form = json.loads(message.data)
+            self.kinds.append(form["type"])
+            if form["type"] == kind and accept(form):
+                return form
+
+    async def mode(self, mode):
+        """Waits until the race is in a mode."""
+        return await self.next("state", lambda form: form["mode"] == mode)
+
+    async def moment(self, steps):
+        """The first moment after at least so many steps."""
+        return await self.next("moment", lambda form: form["steps"] >= steps)
+
+    async def silence(self, seconds=0.4):
+        """Asserts that nothing moves."""
+        assert await self._moments(seconds) == []
+
+    async def halt(self, seconds=0.4):
+        """Waits until a paused race stands; the step under way may still come, no more."""
+        await self.mode("paused")
+        assert len(await self._moments(seconds)) <= 1
+
+    async def _moments(self, seconds):
+        """The steps that come until nothing has come for a while."""
+        steps = []
+        with contextlib.suppress(asyncio.TimeoutError):
+            while True:
+                form = json.loads((await self.socket.receive(timeout=seconds)).data)
+                steps += [form["steps"]] if form["type"] == "moment" else []
+        return steps
