@@ -108,6 +108,7 @@ def _show(replay: Replay, playback: Playback, *, as_json: bool) -> None:
             "type": "replay-check",
             "is_exact": playback.is_exact,
             "first_difference": playback.first_difference,
+            "result_differences": playback.result_differences,
             "steps": playback.steps,
             "recorded_steps": replay.steps,
             "result": json.loads(playback.result.to_json()),
@@ -120,6 +121,13 @@ def _show(replay: Replay, playback: Playback, *, as_json: bool) -> None:
     if playback.is_exact:
         text = f"All {playback.steps} steps are as recorded, to the last bit."
         print(text, file=sys.stderr if as_json else sys.stdout)
+        return
+    if playback.first_difference is None:
+        print(
+            f"stkzoo: all {playback.steps} steps are as recorded, but not the result in the file; "
+            f"somebody has changed it: {'; '.join(playback.result_differences)}",
+            file=sys.stderr,
+        )
         return
     where = (
         f"after step {playback.first_difference}"

@@ -9,17 +9,20 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import stat
 import tempfile
 import zipfile
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+from zipfile import ZIP_DEFLATED, ZIP_STORED
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.snapshot import CONTROLS
+from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.race.replay.record import DIGEST_SIZE, Replay, ReplayAgent
 from stkzoo.race.result import RaceResult
@@ -71,7 +74,7 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> None:
         with os.fdopen(handle, "wb") as stream, zipfile.ZipFile(stream, "w") as archive:
             for member, data in members.items():
                 entry = zipfile.ZipInfo(member, _DATE)
-                entry.compress_type = zipfile.ZIP_DEFLATED
+                entry.compress_type = ZIP_DEFLATED
                 archive.writestr(entry, data)
         os.chmod(name, 0o644)
         os.replace(name, file)
@@ -110,7 +113,10 @@ def load_replay(path: str | os.PathLike[str]) -> Replay:
 
 
 def _check_size(file: Path) -> None:
-    size = file.stat().st_size
+    about = file.stat()
+    if not stat.S_ISREG(about.st_mode):  # a pipe, for one, would be waited for
+        raise ReplayError(f"{file} is no file; expected what `stkzoo race --replay` wrote")
+    size = about.st_size
     if size > _MAX_FILE:
         raise ReplayError(
             f"the replay {file} has {size} bytes, expected at most {_MAX_FILE}; a race of an "
@@ -130,6 +136,9 @@ def _members(file: Path) -> dict[str, bytes]:
     members = {}
     with zipfile.ZipFile(file) as archive:
         for name, limit in _MAX_MEMBER.items():
+            # The others unpack without a bound.
+            if archive.getinfo(name).compress_type not in (ZIP_STORED, ZIP_DEFLATED):
+                raise _damaged(file, f"{name} is packed in a way that no replay is")
             with archive.open(name) as stream:
                 data = stream.read(limit + 1)
             if len(data) > limit:
@@ -154,14 +163,22 @@ def _replay_of(members: dict[str, bytes]) -> Replay:
         raise ValueError("start_positions are not each place once")
     if not all(isinstance(kart, str) for kart in kart_types):
         raise TypeError("kart_types are not names")
-    max_paths, step_size = form["max_paths"], form["step_size"]
-    return Replay(
+    options = RaceOptions(  # which checks them
+        num_kart=count,
         track=_text(form, "track"),
         reverse=_get(form, "reverse", bool),
-        laps=_whole(form, "laps", 1),
+        laps=_whole(form, "laps"),
         difficulty=_whole(form, "difficulty"),
-        max_paths=None if max_paths is None else _whole(form, "max_paths", 1),
-        step_size=float(step_size),
+        max_paths=None if form["max_paths"] is None else _whole(form, "max_paths"),
+        step_size=_get(form, "step_size", float),
+    )
+    return Replay(
+        track=_text(form, "track"),
+        reverse=options.reverse,
+        laps=options.laps,
+        difficulty=options.difficulty,
+        max_paths=options.max_paths,
+        step_size=options.step_size,
         seed=_whole(form, "seed"),
         num_tracks=_whole(form, "num_tracks", 1, 10_000),
         engine_seed=_whole(form, "engine_seed"),

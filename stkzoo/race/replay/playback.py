@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,6 +20,8 @@ from stkzoo.race.runner import run_race
 __all__ = ["Playback", "play_replay"]
 
 _DIFFERS = "differs"
+_RACE_FACTS = ("track", "reverse", "laps", "difficulty", "seed", "race_length", "steps")
+_AGENT_FACTS = ("start_position", "rank", "finish_time", "laps", "distance", "reward")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,16 +34,19 @@ class Playback:
         steps: steps played.
         first_difference: the first step after which a kart was not where it had been, 0 on
             the grid; ``None`` if all were, to the last bit.
+        result_differences: where the recorded result is not what the race came to, in
+            words. Somebody has changed it, if all karts were where they had been.
     """
 
     result: RaceResult
     steps: int
     first_difference: int | None
+    result_differences: tuple[str, ...] = ()
 
     @property
     def is_exact(self) -> bool:
         """Whether everything was as recorded."""
-        return self.first_difference is None
+        return self.first_difference is None and not self.result_differences
 
 
 def play_replay(
@@ -85,7 +91,8 @@ def play_replay(
         max_steps=replay.steps + 1,  # the judge ends the race
         action_timeout=None,
     )
-    return Playback(judge.told(result), judge.steps, judge.first_difference)
+    differences = tuple(judge.differences(result))
+    return Playback(judge.told(result), judge.steps, judge.first_difference, differences)
 
 
 def _check_engine(replay: Replay, any_engine: bool) -> None:
@@ -135,6 +142,10 @@ class _Judge(RaceListener):
     def started(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
         self._compare(race)
+        info = race.env.race
+        assert info is not None  # noqa: S101 - a race has started
+        if info.seed != self._replay.engine_seed:
+            self._differ(race)
 
     def stepped(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
@@ -142,11 +153,28 @@ class _Judge(RaceListener):
 
     def told(self, result: RaceResult) -> RaceResult:
         """The recorded result if this race came to it."""
-        recorded, replay = self._replay.result, self._replay
-        is_whole = self.steps == replay.steps and not replay.is_partial
-        if recorded is None or self.first_difference is not None or not is_whole:
+        recorded = self._recorded()
+        if recorded is None or self.differences(result):
             return result
         return replace(recorded, wall_time=result.wall_time)
+
+    def differences(self, result: RaceResult) -> list[str]:
+        """Where the recorded result is not what this race came to."""
+        recorded = self._recorded()
+        if recorded is None:
+            return []
+        then, now = _facts(recorded), _facts(result)
+        return [
+            f"{name} is {now.get(name)}, and {then.get(name)} in the file"
+            for name in sorted(then.keys() | now.keys())
+            if not _is_equal(then.get(name), now.get(name))
+        ]
+
+    def _recorded(self) -> RaceResult | None:
+        """The recorded result, if this race is that one from start to end."""
+        replay = self._replay
+        is_whole = self.steps == replay.steps and not replay.is_partial
+        return replay.result if is_whole and self.first_difference is None else None
 
     def _compare(self, race: RaceProgress) -> None:
         replay, snapshot = self._replay, race.env.snapshot
@@ -154,11 +182,28 @@ class _Judge(RaceListener):
         self.steps = race.steps
         self._digest = next_digest(self._digest, snapshot)
         if self.first_difference is None and self._digest != replay.digests[race.steps].tobytes():
-            self.first_difference = race.steps
-            if not self._to_the_end:
-                race.stop(_DIFFERS)
-        if race.steps == replay.steps:
-            race.stop(replay.status)
+            self._differ(race)
+        elif race.steps == replay.steps:
+            race.stop(_DIFFERS if self.first_difference is not None else replay.status)
+
+    def _differ(self, race: RaceProgress) -> None:
+        self.first_difference = race.steps
+        if not self._to_the_end or race.steps == self._replay.steps:
+            race.stop(_DIFFERS)
+
+
+def _facts(result: RaceResult) -> dict[str, Any]:
+    """What of a result follows from the race itself."""
+    facts = {name: getattr(result, name) for name in _RACE_FACTS}
+    for row in result.agents:
+        facts |= {f"{row.agent}'s {name}": getattr(row, name) for name in _AGENT_FACTS}
+    return facts
+
+
+def _is_equal(one: Any, two: Any) -> bool:
+    if isinstance(one, float) and isinstance(two, float):  # the kernel rounds otherwise than numpy
+        return math.isclose(one, two, rel_tol=1e-4, abs_tol=1e-2)
+    return bool(one == two)
 
 
 class _Retold(RaceListener):

@@ -47,8 +47,9 @@ class Journal:
                 f"another program runs the tournament in {self.folder}; wait for its end, or "
                 "choose another folder"
             )
-        for part in self.folder.rglob(_PART):  # of a program that was killed while it wrote
-            part.unlink(missing_ok=True)
+        for place in (self.folder, self.folder / _RACES):
+            for part in place.glob(_PART):  # of a program that was killed while it wrote
+                part.unlink(missing_ok=True)
 
     def __enter__(self) -> Journal:
         return self
@@ -56,8 +57,11 @@ class Journal:
     def __exit__(self, *exception: object) -> None:
         self._lock.close()
 
-    def keep_plan(self, plan: TournamentPlan) -> None:
+    def keep_plan(self, plan: TournamentPlan) -> TournamentPlan:
         """Writes the plan, or checks that it is the one that was begun here.
+
+        Returns:
+            The plan as it was begun.
 
         Raises:
             ConfigError: another tournament was begun in this folder.
@@ -65,14 +69,15 @@ class Journal:
         file = self.folder / _PLAN
         if not file.exists():
             write_whole(file, plan.to_json() + "\n")
-            return
-        differences = read_plan(self.folder).differences(plan)
+            return plan
+        begun = read_plan(self.folder)
+        differences = begun.differences(plan)
         if differences:
             raise ConfigError(
                 f"{self.folder} has another tournament: {'; '.join(differences)}. Choose another "
-                "folder, or go on with that one: stkzoo tournament --resume "
-                f"{self.folder}"
+                f"folder, or put that right and go on: stkzoo tournament --resume {self.folder}"
             )
+        return begun
 
     def done(self, plan: TournamentPlan) -> dict[int, RaceResult]:
         """The results of the races that have been run, by number."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -15,6 +15,7 @@ from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.race.drivers import driver_names, find_driver
 from stkzoo.race.result import versions_now
 from stkzoo.race.settings import RaceSettings
+from stkzoo.race.tournament.fingerprint import fingerprint
 from stkzoo.race.tournament.schedule import ScheduledRace, make_schedule
 
 __all__ = ["PLAN_VERSION", "Entrant", "TournamentPlan", "plan_tournament"]
@@ -26,6 +27,7 @@ _NAME_MARK = "@:"
 _MAX_RACES, _MAX_PER_RACE = 100_000, 20
 _USUAL_PER_RACE = 4
 _MAX_SEED = 2**62
+_MAX_SHOWN = 80
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +37,17 @@ class Entrant:
     Attributes:
         label: what it is called; nobody else is.
         source: its name or where its files are, for :func:`~stkzoo.race.find_driver`.
+        files: a digest of each of its files, by path.
     """
 
     label: str
     source: str
+    files: Mapping[str, str] = field(default_factory=dict, hash=False)
+
+    @classmethod
+    def of(cls, label: str, source: str) -> Entrant:
+        """An agent with its files as they are now."""
+        return cls(label, source, fingerprint(source))
 
     @property
     def text(self) -> str:
@@ -110,11 +119,30 @@ class TournamentPlan:
     def differences(self, other: TournamentPlan) -> list[str]:
         """What another plan has otherwise, in words."""
         mine, theirs = _flat(self), _flat(other)
-        return [
-            f"{name} is {theirs.get(name)!r} and was {mine.get(name)!r}"
+        found = [
+            f"{name} is {_shown(theirs.get(name))} and was {_shown(mine.get(name))}"
             for name in sorted(set(mine) | set(theirs))
             if mine.get(name) != theirs.get(name)
         ]
+        for one, two in zip(self.entrants, other.entrants, strict=False):
+            changed = [name for name, sum_ in one.files.items() if two.files.get(name) != sum_]
+            if changed and one.text == two.text:
+                found.append(f"the files of agent {one.label!r} are others: {_shown(changed)}")
+        return found
+
+    def as_of_now(self) -> TournamentPlan:
+        """The plan with the software and the agents' files that are here now.
+
+        Raises:
+            ConfigError: an agent's files are there, but no agent any more.
+        """
+        entrants = tuple(Entrant.of(entrant.label, entrant.source) for entrant in self.entrants)
+        return replace(self, entrants=entrants, versions=versions_now())
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= _MAX_SHOWN else text[:_MAX_SHOWN] + "..."
 
 
 def _flat(plan: TournamentPlan) -> dict[str, Any]:
@@ -224,7 +252,7 @@ def _entrants(agents: Sequence[str], settings: RaceSettings) -> tuple[Entrant, .
                 f"{count} agents are called {label!r}; give each a name of its own, such as "
                 f"{agents[labels.index(label)].partition(_NAME_MARK)[0]}@:{label}-2"
             )
-    return tuple(map(Entrant, labels, sources))
+    return tuple(map(Entrant.of, labels, sources))
 
 
 def _lasting(source: str) -> str:

@@ -136,11 +136,9 @@ def _listed(tracks: tuple[str, ...]) -> str:
 def _save(figure: Any, file: Path) -> None:
     name = ""
     try:
-        handle, name = tempfile.mkstemp(
-            prefix=f".{file.name}.", suffix=file.suffix or ".png", dir=file.parent
-        )
+        handle, name = tempfile.mkstemp(prefix=f".{file.name}.", suffix=".part", dir=file.parent)
         os.close(handle)
-        figure.savefig(name, dpi=110)
+        figure.savefig(name, format=file.suffix[1:] or "png", dpi=110)
         os.chmod(name, 0o644)
         os.replace(name, file)
     except (OSError, ValueError) as error:

@@ -9,7 +9,7 @@ import queue
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -43,8 +43,8 @@ class Outcome:
 
 def run_in_parallel(
     plan: TournamentPlan, races: Sequence[ScheduledRace], jobs: int, race_timeout: float
-) -> Iterator[Outcome]:
-    """Runs races and yields each as soon as it is over.
+) -> Generator[Outcome, None, None]:
+    """Runs races and yields each as soon as it is over; closing it ends those that run.
 
     Args:
         plan: the tournament.
@@ -87,7 +87,7 @@ class _Lane(threading.Thread):
         self._plan, self._race_timeout = plan, race_timeout
         self._waiting, self._outcomes = waiting, outcomes
         self._worker: _Worker | None = None
-        self._is_closed = False
+        self._is_closed = self._was_late = False
         self._lock = threading.Lock()
 
     def run(self) -> None:
@@ -112,7 +112,7 @@ class _Lane(threading.Thread):
         outcome = Outcome(race)
         for _ in range(_TRIES):
             outcome = self._try(race)
-            if outcome.result or self._is_closed:
+            if outcome.result or self._is_closed or self._was_late:
                 break
         return outcome
 
@@ -122,6 +122,7 @@ class _Lane(threading.Thread):
                 return Outcome(race, error="the tournament was ended")
             worker = self._worker = self._worker or _Worker()
         answer = worker.run(_order(self._plan, race), self._race_timeout)
+        self._was_late = worker.was_late
         if not worker.is_alive:
             with self._lock:
                 self._worker = None
@@ -141,7 +142,7 @@ class _Worker:
     """A process of :mod:`stkzoo.race.tournament.worker`."""
 
     def __init__(self) -> None:
-        self.is_alive = True
+        self.is_alive, self.was_late = True, False
         paths = [path for path in sys.path if path]
         self._process = subprocess.Popen(  # noqa: S603 - our own program
             [sys.executable, "-m", _WORKER],
@@ -167,7 +168,8 @@ class _Worker:
             answer: dict[str, Any] = json.loads(process.stdout.readline())
         except (OSError, ValueError):  # its output is closed, or cut off
             self.is_alive = False
-            return {"error": self._why(timeout, is_late=watch.finished.is_set())}
+            self.was_late = watch.finished.is_set()
+            return {"error": self._why(timeout)}
         finally:
             watch.cancel()
         return answer
@@ -184,10 +186,10 @@ class _Worker:
                 with contextlib.suppress(OSError):  # what was not sent yet
                     stream.close()
 
-    def _why(self, timeout: float, *, is_late: bool) -> str:
+    def _why(self, timeout: float) -> str:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(_END_TIMEOUT)
-        if is_late:
+        if self.was_late:
             return f"it was not over after {timeout:g} s"
         code, said = self._process.returncode, self._said.text()
         return f"its process ended with code {code}" + (f"; last lines:\n{said}" if said else "")

@@ -62,7 +62,9 @@ def rate(races: Sequence[Sequence[int]], num_agents: int, seed: int = 0) -> list
     """Rates agents.
 
     The interval is a bootstrap's: it says how far ratings would move had other races been
-    drawn, whatever the model believes. Where few races were run it is too narrow.
+    drawn, whatever the model believes. To the races that are drawn from belongs one more,
+    with all agents in an order by chance, so that what has not happened yet is not taken for
+    impossible.
 
     Args:
         races: the agents of each race, best first.
@@ -76,10 +78,7 @@ def rate(races: Sequence[Sequence[int]], num_agents: int, seed: int = 0) -> list
     chance = random.Random(seed)
     orders = [_pass(model, chance.sample(races, len(races)), num_agents) for _ in range(_ORDERS)]
     draws = max(_FEWEST_DRAWS, min(_MOST_DRAWS, _MOST_RACES_RATED // max(len(races), 1)))
-    drawn = [
-        _pass(model, chance.choices(races, k=len(races)) if races else [], num_agents)
-        for _ in range(draws)
-    ]
+    drawn = [_pass(model, _redrawn(races, num_agents, chance), num_agents) for _ in range(draws)]
     values, sigmas = np.mean(np.array(orders), axis=0).T.tolist()
     tail = 50 * (1 - CONFIDENCE)
     lows, highs = np.percentile(np.array(drawn)[:, :, 0], (tail, 100 - tail), axis=0).tolist()
@@ -87,6 +86,15 @@ def rate(races: Sequence[Sequence[int]], num_agents: int, seed: int = 0) -> list
         Rating(value, min(low, value), max(high, value), sigma)
         for value, low, high, sigma in zip(values, lows, highs, sigmas, strict=True)
     ]
+
+
+def _redrawn(
+    races: Sequence[Sequence[int]], num_agents: int, chance: random.Random
+) -> list[Sequence[int]]:
+    """As many races as there are and one, with repeats, of these and one by chance."""
+    everybody = range(num_agents)
+    numbers = chance.choices(range(len(races) + 1), k=len(races) + 1)
+    return [races[n] if n < len(races) else chance.sample(everybody, num_agents) for n in numbers]
 
 
 def _pass(model: Any, races: Sequence[Sequence[int]], num_agents: int) -> list[tuple[float, float]]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from stkzoo.errors import ConfigError, StkzooError
-from stkzoo.race.result import RaceResult, versions_now
+from stkzoo.race.result import RaceResult
 from stkzoo.race.tournament.journal import Journal, read_plan, read_races, write_whole
 from stkzoo.race.tournament.plan import TournamentPlan, plan_tournament
 from stkzoo.race.tournament.plot import plot_library, save_plot
@@ -116,9 +117,8 @@ def resume_tournament(
 
     Raises: as :func:`run_tournament`.
     """
-    plan = read_plan(Path(folder))
-    now = replace(plan, versions=versions_now())
-    return _Tournament(now, jobs, plot, race_timeout, on_race).run_in(folder)
+    plan = read_plan(Path(folder)).as_of_now()
+    return _Tournament(plan, jobs, plot, race_timeout, on_race).run_in(folder)
 
 
 def load_tournament(folder: str | os.PathLike[str]) -> TournamentResult:
@@ -154,7 +154,7 @@ class _Tournament:
 
     def run_in(self, folder: str | os.PathLike[str]) -> TournamentResult:
         with Journal(folder) as journal:
-            journal.keep_plan(self._plan)
+            self._plan = journal.keep_plan(self._plan)
             results = journal.done(self._plan)
             errors = self._run(journal, results)
             result = tournament_result(self._plan, results)
@@ -170,14 +170,16 @@ class _Tournament:
         left = [race for race in self._plan.schedule() if race.number not in results]
         errors: dict[int, str] = {}
         self._tell(TournamentProgress(len(results), self._plan.races))
-        for outcome in run_in_parallel(self._plan, left, self._jobs, self._race_timeout):
-            last = None
-            if outcome.error:
-                errors[outcome.race.number] = outcome.error
-            else:
-                journal.add(outcome.race, outcome.result)
-                last = results[outcome.race.number] = RaceResult.from_json(outcome.result)
-            self._tell(TournamentProgress(len(results), self._plan.races, last, outcome.error))
+        running = run_in_parallel(self._plan, left, self._jobs, self._race_timeout)
+        with closing(running) as outcomes:  # which ends the races that run, also after an error
+            for outcome in outcomes:
+                last = None
+                if outcome.error:
+                    errors[outcome.race.number] = outcome.error
+                else:
+                    journal.add(outcome.race, outcome.result)
+                    last = results[outcome.race.number] = RaceResult.from_json(outcome.result)
+                self._tell(TournamentProgress(len(results), self._plan.races, last, outcome.error))
         return errors
 
     def _tell(self, progress: TournamentProgress) -> None:

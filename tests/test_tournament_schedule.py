@@ -1,0 +1,64 @@
+"""The schedule of a tournament favours nobody."""
+
+from collections import Counter
+from itertools import combinations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stkzoo.race.tournament import make_schedule
+
+
+def spread(counts, keys):
+    """By how much the counts of some keys differ at most."""
+    values = [counts[key] for key in keys]
+    return max(values) - min(values)
+
+
+@st.composite
+def shapes(draw):
+    agents = draw(st.integers(2, 12))
+    tracks = [f"track_{number}" for number in range(draw(st.integers(1, 6)))]
+    return agents, tracks, draw(st.integers(1, 60)), draw(st.integers(2, min(agents, 8)))
+
+
+@settings(max_examples=150, deadline=None)
+@given(shapes(), st.integers(0, 1000))
+def test_nobody_is_favoured(shape, seed):
+    num_agents, tracks, num_races, per_race = shape
+    races = make_schedule(*shape, seed)
+    agents, places = range(num_agents), range(per_race)
+    assert [race.number for race in races] == list(range(num_races))
+    assert all(len(set(race.grid)) == per_race for race in races)
+    assert spread(Counter(race.track for race in races), tracks) <= 1
+    assert spread(Counter(agent for race in races for agent in race.grid), agents) <= 1
+    on_track = Counter((agent, race.track) for race in races for agent in race.grid)
+    for track in tracks:
+        assert spread(on_track, [(agent, track) for agent in agents]) <= 1
+    at_place = Counter((agent, place) for race in races for place, agent in enumerate(race.grid))
+    for agent in agents:
+        assert spread(at_place, [(agent, place) for place in places]) <= 1
+
+
+@pytest.mark.parametrize(("num_agents", "per_race"), [(6, 4), (6, 2), (5, 3), (4, 4)])
+def test_everybody_meets_everybody_equally_often(num_agents, per_race):
+    races = make_schedule(num_agents, ["a", "b", "c"], 60, per_race, 1)
+    met = Counter(frozenset(pair) for race in races for pair in combinations(race.grid, 2))
+    pairs = [frozenset(pair) for pair in combinations(range(num_agents), 2)]
+    assert spread(met, pairs) <= 1
+
+
+def test_every_part_of_a_tournament_has_all_tracks():
+    races = make_schedule(4, ["a", "b", "c"], 30, 3, 1)
+    for first in range(0, 30, 3):
+        assert {race.track for race in races[first : first + 3]} == {"a", "b", "c"}
+
+
+def test_races_have_seeds_of_their_own():
+    assert [race.seed for race in make_schedule(3, ["a"], 4, 2, 10)] == [10, 11, 12, 13]
+
+
+def test_same_seed_is_the_same_schedule():
+    assert make_schedule(6, ["a", "b"], 20, 4, 1) == make_schedule(6, ["a", "b"], 20, 4, 1)
+    assert make_schedule(6, ["a", "b"], 20, 4, 1) != make_schedule(6, ["a", "b"], 20, 4, 2)
