@@ -1,8 +1,10 @@
-"""What pystk2-gymnasium 0.10.0 gets wrong (D01 to D18) and stkzoo gets right, on the real game."""
+"""What pystk2-gymnasium 0.10.0 gets wrong and stkzoo gets right, on the real game."""
 
+import re
 import subprocess
 import sys
 from itertools import pairwise
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -907,3 +909,26 @@ def test_whole_numbers_of_numpy_are_numbers():
         num_kart=np.int64(2), laps=np.int32(1), agents=np.int64(1), track=SHORT_TRACK
     ) as env:
         assert list(env.reset(seed=np.int64(3))[0]) == ["kart_0"]
+
+
+def test_d28_x_points_to_the_right():
+    with race_v0.parallel_env(num_kart=1, track=SHORT_TRACK, view="full") as env:
+        env.reset(seed=1)
+        for _ in range(UNTIL_MOVING):
+            before = env.step({"kart_0": action(1.0)})[0]["kart_0"]
+        for _ in range(8):
+            after = env.step({"kart_0": action(1.0, 1.0)})[0]["kart_0"]
+        ahead = max(range(5), key=lambda number: before["paths_end"][number][2])
+        gone = before["paths_distance"][ahead], [row[0] for row in after["paths_distance"]]
+        same_node = gone[1].index(gone[0][0])
+        # Who has turned to the right sees on the left what was ahead.
+        assert after["paths_end"][same_node][0] < before["paths_end"][ahead][0] - 1.0
+
+
+def test_every_test_that_the_page_of_differences_names_exists():
+    root = Path(__file__).parents[1]
+    page = (root / "docs" / "differences.md").read_text()
+    code = "".join(file.read_text() for file in (root / "tests").glob("test_*.py"))
+    named = set(re.findall(r"`(test_\w+)`", page))
+    assert len(named) > 40
+    assert {name for name in named if f"def {name}(" not in code} == set()
