@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-GRAPHICS_PACKAGES := libegl1 libgl1 libgl1-mesa-dri
+GRAPHICS_PACKAGES := libegl1 libgl1 libgl1-mesa-dri xvfb
 BROWSER_PACKAGES := chromium chromium-driver
 
 .PHONY: browser graphics help race test check bench docs clean
@@ -41,17 +41,18 @@ docs: $(VENV)/.dev
 	$(BIN)/stkzoo assets install
 	$(BIN)/python -m pytest --doctest-modules --doctest-glob='*.md' stkzoo README.md docs $(ARGS)
 
-# The game draws off-screen with these libraries. Where they cannot be installed, the map
-# is drawn instead, and the tests look for that.
+# The game draws off-screen with these libraries, and its window is tried in Xvfb. Where they
+# cannot be installed, the map is drawn instead, and the tests look for that.
 graphics:
-	@if ldconfig -p 2>/dev/null | grep -q 'libEGL\.so' && \
-		ls /usr/lib/*/dri/*_dri.so >/dev/null 2>&1; then :; \
+	@if PATH="$$PATH:/usr/sbin:/sbin" ldconfig -p 2>/dev/null | grep -q 'libEGL\.so' && \
+		ls /usr/lib/*/dri/*_dri.so /usr/lib64/dri/*_dri.so /usr/lib/*/libnvidia-eglcore* \
+		2>/dev/null | grep -q . && command -v Xvfb >/dev/null; then :; \
 	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
 		{ apt-get install -y -q $(GRAPHICS_PACKAGES) >/dev/null 2>&1 || \
 		{ apt-get update -q && apt-get install -y -q $(GRAPHICS_PACKAGES); }; } || \
 		echo "the game's own pictures cannot be drawn here; the map is drawn instead"; \
 	else \
-		echo "for the game's own pictures: sudo apt install $(GRAPHICS_PACKAGES)"; \
+		echo "for the game's own pictures and window: sudo apt install $(GRAPHICS_PACKAGES)"; \
 	fi
 
 # The live page is tried in this browser. Where it cannot be installed, these tests say so.

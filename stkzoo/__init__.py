@@ -17,7 +17,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from stkzoo.config import AgentSpec
+from stkzoo.config import AgentSpec, RandomStart, Start
 from stkzoo.env.ids import register_ids, register_view
 from stkzoo.errors import (
     ActionError,
@@ -49,7 +49,9 @@ from stkzoo.wrappers import (
 if TYPE_CHECKING:
     from stkzoo.env.multi import STKRaceMultiEnv
     from stkzoo.env.parallel import RaceParallelEnv
+    from stkzoo.env.scenario import Scenario
     from stkzoo.env.single import STKRaceEnv
+    from stkzoo.env.starts import StartCurriculum
     from stkzoo.env.state import RaceState
     from stkzoo.env.vec.env import RaceVectorEnv
     from stkzoo.env.vector import make_stkrace_vec
@@ -86,10 +88,14 @@ __all__ = [
     "RaceParallelEnv",
     "RaceState",
     "RaceVectorEnv",
+    "RandomStart",
     "RemoteError",
     "Reward",
     "STKRaceEnv",
     "STKRaceMultiEnv",
+    "Scenario",
+    "Start",
+    "StartCurriculum",
     "StkzooError",
     "make_stkrace_vec",
     "register_view",
@@ -103,6 +109,8 @@ _LAZY = {
     "Reward": "stkzoo.mdp.rewards",
     "STKRaceEnv": "stkzoo.env.single",
     "STKRaceMultiEnv": "stkzoo.env.multi",
+    "Scenario": "stkzoo.env.scenario",
+    "StartCurriculum": "stkzoo.env.starts",
     "make_stkrace_vec": "stkzoo.env.vector",
 }
 

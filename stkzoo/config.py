@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, fields
 
+from stkzoo.errors import ConfigError
 from stkzoo.names import CameraMode
 
-__all__ = ["AgentSpec"]
+__all__ = ["AgentSpec", "RandomStart", "Start"]
+
+#: Karts go no faster without nitro and bonuses [m/s].
+_MAX_START_SPEED = 25.0
 
 
 @dataclass
@@ -31,3 +36,74 @@ class AgentSpec:
     camera_mode: CameraMode = CameraMode.AUTO
     kart: str = ""
     color: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Start:
+    """A place on the track to start from, and how fast.
+
+    Attributes:
+        distance: along the centre line from the start line on [m]; below 0 is before it.
+        share: the same as a share of the lap, from 0 up to 1; give one of both.
+        offset: to the right of the centre line [m].
+        heading: to the right of the road's direction [rad].
+        speed: forwards [m/s].
+        behind: so much before that place [m].
+
+    Raises:
+        ConfigError: a number cannot be.
+    """
+
+    distance: float | None = None
+    share: float | None = None
+    offset: float = 0.0
+    heading: float = 0.0
+    speed: float = 0.0
+    behind: float = 0.0
+
+    def __post_init__(self) -> None:
+        if (self.distance is None) == (self.share is None):
+            raise ConfigError(f"{self!r} needs either a distance [m] or a share of the lap")
+        if self.share is not None:
+            _check_number("share of a start", self.share, 0.0, 1.0)
+        else:
+            _check_number("distance of a start", self.distance, -1e3, 1e5)
+        _check_number("offset of a start", self.offset, -100.0, 100.0)
+        _check_number("heading of a start", self.heading, -math.pi, math.pi)
+        _check_number("speed of a start", self.speed, 0.0, _MAX_START_SPEED)
+        _check_number("behind of a start", self.behind, 0.0, 2e3)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RandomStart:
+    """Starts drawn anew at every reset, each number evenly between two bounds.
+
+    Attributes:
+        share: where, as a share of the lap, from 0 up to 1.
+        offset: to the right of the centre line [m].
+        heading: to the right of the road's direction [rad].
+        speed: forwards [m/s].
+
+    Raises:
+        ConfigError: bounds cannot be.
+    """
+
+    share: tuple[float, float] = (0.0, 1.0)
+    offset: tuple[float, float] = (0.0, 0.0)
+    heading: tuple[float, float] = (0.0, 0.0)
+    speed: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            bounds = getattr(self, field.name)
+            if not isinstance(bounds, (tuple, list)) or len(bounds) != 2:
+                raise ConfigError(f"{field.name} is {bounds!r}, expected (lowest, highest)")
+            low, high = (Start(**{"share": 0.0, field.name: bound}) for bound in bounds)
+            if getattr(low, field.name) > getattr(high, field.name):
+                raise ConfigError(f"{field.name} is {bounds!r}, expected (lowest, highest)")
+
+
+def _check_number(name: str, value: object, low: float, high: float) -> None:
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not is_number or not low <= value <= high:  # type: ignore[operator]
+        raise ConfigError(f"{name} is {value!r}, expected a number from {low:g} to {high:g}")

@@ -20,7 +20,7 @@ LAYERS = [
     ("wrappers", ["stkzoo.wrappers"]),
     ("env", ["stkzoo.env", "stkzoo.race_v0"]),
     ("front", ["stkzoo", "stkzoo.compat", "stkzoo.checks"]),
-    ("race", ["stkzoo.race"]),
+    ("race", ["stkzoo.race", "stkzoo.play"]),
     ("cli", ["stkzoo.cli", "stkzoo.__main__"]),
 ]
 

@@ -52,7 +52,7 @@ def race(env, steps=30, seed=7):
 @pytest.mark.parametrize("env_id", IDS)
 def test_check_env_passes_without_another_warning(env_id):
     with gym.make(env_id, **OPTIONS) as env:
-        # The only mode, "human", needs a display.
+        # "human" needs a display; test_render.py has the check with the other modes.
         check_env(env.unwrapped, skip_render_check=True)
 
 

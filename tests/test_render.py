@@ -1,9 +1,11 @@
 """Render modes, cameras and who draws."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import time
 import warnings
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.save_video import save_video
+from PIL import ImageGrab
 
 import stkzoo  # noqa: F401 - registers the ids
 from stkzoo import AgentSpec, race_v0
@@ -102,12 +105,87 @@ def test_pictures_a_second_follow_the_step_size():
         ({"render_mode": "human", "render_backend": "map"}, "opens the game's window"),
         ({"render_size": (0, 10)}, "expected \\(width, height\\)"),
         ({"render_size": 7}, "expected \\(width, height\\)"),
+        ({"render_size": (640, 480, 3)}, "expected \\(width, height\\)"),
+        ({"render_size": "640x480"}, "expected \\(width, height\\)"),
+        ({"render_size": (5000, 480)}, "from 32 to 4096"),
+        ({"num_cameras": 9}, "num_cameras is 9, expected a whole number from 0 to 8"),
+        ({"num_cameras": -1}, "num_cameras is -1"),
         ({"graphics_config": "ultra"}, "unknown graphics_config"),
     ],
 )
 def test_what_cannot_be_is_refused(options, match):
     with pytest.raises(ConfigError, match=match):
         small_race(**options)
+
+
+def test_a_window_without_a_display_is_refused(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("stkzoo.env.graphics.sys.platform", "linux")
+    with pytest.raises(ConfigError, match=r"names a display; start .* `xvfb-run`"):
+        small_race(render_mode="human")
+
+
+@pytest.mark.slow
+def test_a_window_on_a_display_that_is_not_there_is_told(monkeypatch):
+    if who_draws() == "map":
+        pytest.skip("no graphics libraries here; missing ones have a test of their own")
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.delenv("SDL_VIDEODRIVER", raising=False)
+    monkeypatch.setenv("DISPLAY", ":4095")
+    with (
+        small_race(render_mode="human", render_size=SMALL) as env,
+        pytest.raises(EngineCrashed, match=r"could not open its window; .* `xvfb-run`"),
+    ):
+        env.reset(seed=1)
+
+
+class Display:
+    """An X server without a screen, and pictures of it."""
+
+    def __init__(self):
+        self.pictures = []
+        self._server = subprocess.Popen(
+            ["Xvfb", "-displayfd", "1", "-screen", "0", "320x240x24", "-nolisten", "tcp"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        self.name = f":{self._server.stdout.readline().strip()}"
+
+    def shoot(self):
+        self.pictures.append(np.asarray(ImageGrab.grab(xdisplay=self.name)))
+
+    def close(self):
+        self._server.terminate()
+        self._server.communicate(timeout=10)
+
+
+@pytest.fixture
+def display(monkeypatch):
+    if shutil.which("Xvfb") is None or who_draws() == "map":
+        pytest.skip("needs Xvfb and the graphics libraries; `make graphics` installs them")
+    display = Display()
+    for name in ("WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("DISPLAY", display.name)
+    yield display
+    display.close()
+
+
+@pytest.mark.slow
+def test_the_window_follows_the_race(display):
+    with small_race(render_mode="human", render_size=(320, 240), num_cameras=1) as env:
+        moments = []
+        for now in drive(env, 40):
+            moments.append(now.snapshot.to_bytes())
+            if len(moments) in (30, 41):
+                display.shoot()
+        assert env.render() is None
+    first, last = display.pictures
+    assert len(np.unique(first.reshape(-1, 3), axis=0)) > 300
+    assert (first != last).any(axis=2).mean() > 0.02
+    assert moments == history(40)
 
 
 # ------------------------------------------------------------------ cameras
@@ -178,6 +256,53 @@ def test_the_game_draws_where_it_can_and_else_the_map(caplog):
 
 
 @pytest.mark.slow
+def test_a_camera_is_behind_its_own_kart():
+    """Models tell the karts apart: the one of kart_0 is red, the others are not."""
+    agents = [AgentSpec(kart="tux"), AgentSpec(kart="gavroche"), AgentSpec(kart="puffy")]
+    options = {"num_cameras": 3, "render_mode": "rgb_array", "render_size": (160, 120)}
+    with race_v0.parallel_env(num_kart=5, agents=agents, track="hacienda", **options) as env:
+        env.reset(seed=2)
+        assert env.scene.kart_indices == (3, 1, 2)
+        frames = env.frames()
+        if env.render_backend == "map":
+            return
+    ahead = {agent: is_red(frame[70:100, 65:95]).sum() for agent, frame in frames.items()}
+    assert ahead["kart_0"] > 100
+    assert max(ahead["kart_1"], ahead["kart_2"]) < 10
+
+
+def is_red(picture):
+    red, green, blue = picture.transpose(2, 0, 1).astype(int)
+    return (red > 2 * green) & (red > 2 * blue) & (red > 120)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("size", "cameras"), [((320, 240), (2, 3, 5, 8)), ((1920, 1440), (1,)), ((1024, 768), (2,))]
+)
+def test_a_kart_has_its_shape_whatever_the_screen(size, cameras):
+    """The game splits its screen, and has none larger than 1024 x 768 where there is none."""
+    one = shape_of_a_kart((320, 240), 1)
+    for number in cameras:
+        assert shape_of_a_kart(size, number) == pytest.approx(one, rel=0.12)
+
+
+def shape_of_a_kart(size, cameras):
+    """Width by height of the red kart in its own camera's picture."""
+    agents = [AgentSpec(kart="tux"), *[AgentSpec(kart="puffy")] * 7]
+    options = {"num_cameras": cameras, "render_mode": "rgb_array", "render_size": size}
+    with race_v0.parallel_env(num_kart=8, agents=agents, track="hacienda", **options) as env:
+        env.reset(seed=1)
+        frame = env.frames()["kart_0"]
+        if env.render_backend == "map":
+            return 1.0
+    middle = frame[size[1] // 2 :, size[0] // 5 : -size[0] // 5]
+    rows, columns = np.nonzero(is_red(middle))
+    sides = [np.diff(np.quantile(places, (0.01, 0.99)))[0] for places in (columns, rows)]
+    return sides[0] / sides[1]
+
+
+@pytest.mark.slow
 def test_the_drawn_karts_stand_where_the_real_ones_do():
     if who_draws() == "map":
         with pytest.raises((AssetError, ConfigError), match=r"stkzoo assets install|sudo apt"):
@@ -223,6 +348,42 @@ def test_a_dead_drawing_process_says_so_and_the_race_lives():
             env.render()
         next(steps)
         assert is_picture(env.render())  # a new process draws
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere it ends when it has drawn")
+def test_a_program_that_dies_while_the_game_draws_takes_it_along():
+    code = """
+import os, signal, threading, time
+from stkzoo import race_v0
+options = {"render_mode": "rgb_array", "graphics_config": "hd"}  # half a minute, without a card
+env = race_v0.parallel_env(num_kart=2, track="lighthouse", **options)
+env.reset(seed=1)
+def die():
+    while not (env.render_backend == "map" or env._rendering._renderer._is_game_ready):
+        time.sleep(0.1)
+    game = env._rendering._renderer._game
+    print(game._session.pid if game else "map", flush=True)
+    time.sleep(2)
+    os.kill(os.getpid(), signal.SIGKILL)
+threading.Thread(target=die).start()
+while True:
+    env.render()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    said = done.stdout.strip()
+    assert said.isdigit() == (who_draws() == "engine")
+    if said.isdigit():
+        wait_until(lambda: not Path(f"/proc/{said}").exists())
+
+
+def wait_until(condition, seconds=5.0):
+    """Waits until something is so; far sooner than the picture that is being drawn."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
 
 
 def test_missing_libraries_are_named_and_the_map_is_drawn(monkeypatch, caplog):

@@ -25,12 +25,16 @@ FFMPEG = imageio_ffmpeg.get_ffmpeg_exe()
 
 
 def read(path):
-    """All pictures of a video and how many a second it says it has."""
+    """All pictures of a video and how many a second it says it has.
+
+    In one thread: ffmpeg's Theora decoder gives other pictures of the same file now and then
+    when it has several.
+    """
     said = subprocess.run([FFMPEG, "-i", path], capture_output=True, text=True).stderr
     width, height = map(int, re.search(r", (\d+)x(\d+)", said).groups())
     rate = float(re.search(r"([\d.]+) (?:fps|tbr)", said)[1])
     form = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-fps_mode", "passthrough")
-    command = [FFMPEG, "-loglevel", "error", "-i", path, *form, "-"]
+    command = [FFMPEG, "-loglevel", "error", "-threads", "1", "-i", path, *form, "-"]
     raw = subprocess.run(command, capture_output=True, check=True).stdout
     return np.frombuffer(raw, np.uint8).reshape(-1, height, width, 3), rate
 

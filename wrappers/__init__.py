@@ -9,6 +9,7 @@ share a chain (:class:`BatchedWrapper`).
 from stkzoo.wrappers.action_observation import ActionObservationWrapper
 from stkzoo.wrappers.adapter import MonoAgentWrapperAdapter
 from stkzoo.wrappers.batched import BatchedWrapper
+from stkzoo.wrappers.camera import CameraObservations
 from stkzoo.wrappers.chain import AgentChains
 from stkzoo.wrappers.constant_size import ConstantSizedObservations
 from stkzoo.wrappers.continuous_actions import OnlyContinuousActionsWrapper
@@ -22,6 +23,7 @@ __all__ = [
     "ActionObservationWrapper",
     "AgentChains",
     "BatchedWrapper",
+    "CameraObservations",
     "ConstantSizedObservations",
     "DiscreteActionsWrapper",
     "Discretizer",

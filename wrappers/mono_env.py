@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, SupportsFloat
+from typing import TYPE_CHECKING, Any, Protocol, SupportsFloat
 
 import gymnasium as gym
 from gymnasium import spaces
+
+if TYPE_CHECKING:
+    from stkzoo.wrappers.camera import Camera
 
 __all__ = ["AgentStep", "MonoAgentEnv", "StepHandler"]
 
@@ -27,10 +30,16 @@ class MonoAgentEnv(gym.Env[Any, Any]):
     All agents move together, so this environment does nothing by itself: it hands out
     what :meth:`start` was given, and passes actions to a handler.
 
+    Attributes:
+        camera: the agent's camera, where the race can draw; set before the wrappers are made.
+
     Args:
         observation_space: the agent's observations before any wrapper.
         action_space: the agent's actions after all wrappers.
     """
+
+    # No part of what is remembered (:mod:`stkzoo.wrappers.memory`): it belongs to the race.
+    __slots__ = ("camera",)
 
     # Annotated afresh because gymnasium leaves the values' types open.
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
@@ -41,6 +50,7 @@ class MonoAgentEnv(gym.Env[Any, Any]):
     ) -> None:
         self.observation_space = observation_space
         self.action_space = action_space
+        self.camera: Camera | None = None
         self._handler: StepHandler | None = None
         self._first: tuple[Any, dict[str, Any]] | None = None
 

@@ -16,7 +16,17 @@ __all__ = ["COMMANDS", "build_parser", "main"]
 #: with ``add_parser(subparsers)``, which sets ``run``: a function of the parsed
 #: arguments that returns the exit code. It is light to import: what is heavy is
 #: imported when it runs.
-COMMANDS = ("race", "replay", "tournament", "race-server", "race-client", "keys", "assets", "doctor")
+COMMANDS = (
+    "race",
+    "play",
+    "replay",
+    "tournament",
+    "race-server",
+    "race-client",
+    "keys",
+    "assets",
+    "doctor",
+)
 
 _EPILOG = """\
 first steps:

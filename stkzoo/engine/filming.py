@@ -16,15 +16,14 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine import wire
-from stkzoo.engine.process import WINDOW_START_TIMEOUT, RaceProcess, start_shadow_process
+from stkzoo.engine.process import DRAWING_START_TIMEOUT, RaceProcess, start_shadow_process
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.errors import ApiOrderError, ConfigError, EngineCrashed, EngineTimeout
 
-__all__ = ["POSE_SIZE", "TICK", "Footage", "ShadowSession", "check_graphics_libraries"]
+__all__ = ["TICK", "Footage", "ShadowSession", "check_graphics_libraries", "has_graphics_card"]
 
-#: See :mod:`stkzoo.engine.shadow`, which a program that only films does not load.
+#: Game time of one move of the drawn karts [s].
 TICK = 1 / 60
-POSE_SIZE = 8
 
 #: Debian's names of what drawing without a screen needs.
 GRAPHICS_PACKAGES = "libegl1 libgl1 libgl1-mesa-dri"
@@ -67,6 +66,14 @@ def check_graphics_libraries() -> None:
         )
 
 
+def has_graphics_card() -> bool:
+    """Whether there is a graphics card; without one, fine drawing takes minutes a picture."""
+    if sys.platform != "linux":
+        return True
+    names = ("dri/renderD*", "nvidia[0-9]*", "dxg")
+    return any(True for name in names for _ in Path("/dev").glob(name))
+
+
 class ShadowSession:
     """Draws races in a process of its own, one at a time.
 
@@ -94,7 +101,7 @@ class ShadowSession:
         fields |= {"screen_width": size[0], "screen_height": size[1]}
         self._root, self._graphics = root, json.dumps(fields)
         self._has_window = has_window
-        self._timeouts = {wire.BEGIN: WINDOW_START_TIMEOUT, wire.DRAW: timeout}
+        self._timeouts = {wire.BEGIN: DRAWING_START_TIMEOUT, wire.DRAW: timeout}
         self._process: RaceProcess | None = None
         self._has_drawn = False
         self._owner = os.getpid()
@@ -113,30 +120,42 @@ class ShadowSession:
         if self._owner != os.getpid():
             self.close()
         if self._process is None:
-            self._process = start_shadow_process(self._root, self._graphics, self._variables())
+            self._process = self._start_process()
             self._has_drawn = False
             self._owner = os.getpid()
         self._ask(wire.BEGIN, setup.to_json())
 
     def draw(
-        self, poses: npt.NDArray[np.float32], *, images: bool = True, depths: bool = False
+        self,
+        poses: npt.NDArray[np.float32],
+        *,
+        seconds: float = TICK,
+        images: bool = True,
+        depths: bool = False,
+        in_real_time: bool = False,
     ) -> Footage:
         """Moves the karts and looks.
 
         Args:
-            poses: ``(T, K, 8)``: where every kart is, one moment every :data:`TICK`: location
-                [m], rotation (w, x, y, z), speed [m/s].
+            poses: ``(T, K, 8)``: where every kart is: location [m], rotation (w, x, y, z),
+                speed [m/s].
+            seconds: game time from one moment to the next [s].
             images: give the pictures.
             depths: give the depth buffers.
+            in_real_time: take no less time than the karts.
 
         Raises:
             ApiOrderError: no race was started.
             EngineError: the game died or hangs.
         """
-        wishes = bytes([images + 2 * depths, 0, 0, 0])
-        facts, image, depth, places = self._ask(
-            wire.DRAW, wishes + np.ascontiguousarray(poses, np.float32).tobytes()
-        )
+        wishes = {
+            "seconds": seconds,
+            "images": images,
+            "depths": depths,
+            "in_real_time": in_real_time,
+        }
+        moments = np.ascontiguousarray(poses, np.float32).tobytes()
+        facts, image, depth, places = self._ask(wire.DRAW, json.dumps(wishes).encode(), moments)
         shape: dict[str, int] = json.loads(facts)
         height, width = shape["height"], shape["width"]
         return Footage(
@@ -160,19 +179,35 @@ class ShadowSession:
         with contextlib.suppress(Exception):  # the interpreter may be half gone
             self.close()
 
-    def _variables(self) -> dict[str, str]:
-        if self._has_window or sys.platform != "linux":
-            return {}
-        return {"SDL_VIDEODRIVER": "offscreen", "MESA_EXTENSION_OVERRIDE": _NO_ANISOTROPY}
+    def _start_process(self) -> RaceProcess:
+        try:
+            return start_shadow_process(self._root, self._graphics, self._variables())
+        except EngineCrashed as error:
+            if not self._has_window:
+                raise
+            raise EngineCrashed(
+                "the game could not open its window; look whether the display is there that "
+                "DISPLAY or WAYLAND_DISPLAY names, start one with `xvfb-run`, or use "
+                'render_mode="rgb_array"',
+                error.log,
+            ) from None
 
-    def _ask(self, kind: bytes, data: bytes) -> list[bytes]:
+    def _variables(self) -> dict[str, str]:
+        if sys.platform != "linux":
+            return {}
+        mesa = {} if has_graphics_card() else {"MESA_EXTENSION_OVERRIDE": _NO_ANISOTROPY}
+        if not self._has_window:
+            return {"SDL_VIDEODRIVER": "offscreen", **mesa}
+        return {**mesa, **_window_variables()}
+
+    def _ask(self, kind: bytes, *data: bytes) -> list[bytes]:
         if self._process is None or self._owner != os.getpid():
             raise ApiOrderError("nothing is being drawn; start a race first")
         process = self._process
         with self._ending_what_fails(process):
             patience = 1 if self._has_drawn or kind != wire.DRAW else 10
             process.connection.settimeout(self._timeouts[kind] * patience)
-            wire.send(process.connection, kind, data)
+            wire.send(process.connection, kind, *data)
             answers = process.reply()
         self._has_drawn = self._has_drawn or kind == wire.DRAW
         return answers
@@ -201,3 +236,13 @@ class ShadowSession:
         how, log = process.end(), process.log.tail()
         process.log.close()
         return how, log
+
+
+def _window_variables() -> dict[str, str]:
+    """What brings the window to the user's display, and nowhere else."""
+    systems = {"DISPLAY": "x11", "WAYLAND_DISPLAY": "wayland"}
+    named = ",".join(system for name, system in systems.items() if os.environ.get(name))
+    variables = {"SDL_VIDEODRIVER": os.environ.get("SDL_VIDEODRIVER") or named}
+    # The game's home is not the user's, where X looks for its key.
+    key = os.environ.get("XAUTHORITY") or str(Path.home() / ".Xauthority")
+    return {**variables, "XAUTHORITY": key} if Path(key).is_file() else variables

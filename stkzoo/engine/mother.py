@@ -47,7 +47,7 @@ def main(control_fd: int, self_destruct_after: int) -> None:
     libc = ctypes.CDLL(None)
     _unbuffer_output(libc)
     faulthandler.enable()
-    init_engine("none")
+    init_engine()
     control.send(READY)
     try:
         _Mother(control, self_destruct_after).run()

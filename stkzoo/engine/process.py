@@ -1,8 +1,8 @@
 """The processes that hold the game, seen from the program that uses them.
 
 A race runs in a :class:`RaceProcess`. :func:`start_race_process` makes one: a fork of
-this program's mother process (:mod:`stkzoo.engine.mother`) where that exists and no
-window is wanted, else a fresh interpreter. Both speak :mod:`stkzoo.engine.wire`.
+this program's mother process (:mod:`stkzoo.engine.mother`) where that exists, else a fresh
+interpreter. Both speak :mod:`stkzoo.engine.wire`.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from typing import IO, Any
 
 from stkzoo.engine import wire
 from stkzoo.engine.mother import READY
-from stkzoo.errors import EngineCrashed, EngineError, EngineTimeout
+from stkzoo.errors import ConfigError, EngineCrashed, EngineError, EngineTimeout
 
 __all__ = [
+    "DRAWING_START_TIMEOUT",
     "START_TIMEOUT",
-    "WINDOW_START_TIMEOUT",
     "Log",
     "RaceProcess",
     "can_fork",
@@ -40,10 +40,10 @@ __all__ = [
     "start_shadow_process",
 ]
 
-#: Seconds that a process may take to start, and a headless race to stand on its grid.
+#: Seconds that a process may take to start, and a race to stand on its grid.
 START_TIMEOUT = 60.0
-#: The same for a race in a window: without a graphics card, shaders take minutes.
-WINDOW_START_TIMEOUT = 300.0
+#: The same for a race that is drawn: without a graphics card, shaders take minutes.
+DRAWING_START_TIMEOUT = 300.0
 #: A request that still runs after this many seconds ends the engine process from inside.
 _SELF_DESTRUCT_SECONDS = 600
 _LOG_TAIL_BYTES = 4096
@@ -122,6 +122,8 @@ class RaceProcess:
         kind, frames = wire.receive(self.connection)
         if kind == wire.ERROR:
             error = json.loads(frames[0])
+            if error["type"] == ConfigError.__name__:
+                raise ConfigError(error["message"])
             raise EngineError(
                 f"the game refused: {error['type']}: {error['message']}\n{error['traceback']}",
                 self.log.tail(),
@@ -146,23 +148,22 @@ class RaceProcess:
         self.log.close()
 
 
-def start_race_process(root: Path, graphics: str) -> RaceProcess:
+def start_race_process(root: Path) -> RaceProcess:
     """Starts a process that can run races.
 
     Args:
         root: the game's data, as :attr:`stkzoo.engine.assets.Assets.root`.
-        graphics: preset as in :func:`stkzoo.engine.race.init_engine`.
 
     Raises:
         EngineCrashed: the engine could not start.
         EngineTimeout: it took too long to start.
     """
-    if graphics == "none" and can_fork():
+    if can_fork():
         try:
             return start_mother(root).fork()
         except EngineCrashed:  # the mother was killed since it was last used
             return start_mother(root).fork()
-    return _SpawnedRace(root, graphics)
+    return _SpawnedRace(root, "worker")
 
 
 def start_shadow_process(root: Path, graphics: str, variables: Mapping[str, str]) -> RaceProcess:
@@ -175,7 +176,7 @@ def start_shadow_process(root: Path, graphics: str, variables: Mapping[str, str]
 
     Raises: as :func:`start_race_process`.
     """
-    return _SpawnedRace(root, graphics, "shadow", variables)
+    return _SpawnedRace(root, "shadow", {"STKZOO_GRAPHICS": graphics, **variables})
 
 
 def engine_environment(root: Path, home: str) -> dict[str, str]:
@@ -367,21 +368,13 @@ def _connection_and_log() -> tuple[socket.socket, socket.socket, Log]:
 class _SpawnedRace(RaceProcess):
     """An interpreter of its own, reached over the loopback interface."""
 
-    def __init__(
-        self,
-        root: Path,
-        graphics: str,
-        module: str = "worker",
-        variables: Mapping[str, str] | None = None,
-    ) -> None:
+    def __init__(self, root: Path, module: str, variables: Mapping[str, str] | None = None) -> None:
         self._home = tempfile.mkdtemp(prefix="stkzoo-")
         log = Log()
         token = secrets.token_bytes(_TOKEN_BYTES)
         environment = engine_environment(root, self._home) | {"STKZOO_TOKEN": token.hex()}
-        environment["STKZOO_GRAPHICS"] = graphics
+        environment.setdefault("XDG_RUNTIME_DIR", self._home)  # a window asks for one
         environment |= variables or {}
-        if graphics != "none":  # the user's own display and its session
-            environment["XDG_RUNTIME_DIR"] = os.environ.get("XDG_RUNTIME_DIR", self._home)
         with socket.create_server(("127.0.0.1", 0)) as listener:
             listener.settimeout(0.25)
             port = listener.getsockname()[1]

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from stkzoo.engine.reader import WorldReader
 from stkzoo.engine.setup import KartSetup, RaceSetup
 from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, Snapshot
+from stkzoo.engine.starting import put_karts
 from stkzoo.engine.track import encode_track
 from stkzoo.errors import EngineError
 from stkzoo.kernel import kernel
@@ -52,13 +53,13 @@ class RaceStart:
         return cls(tuple(json.loads(kart_types)), track, Snapshot.from_bytes(snapshot))
 
 
-def init_engine(graphics: str) -> None:
+def init_engine(graphics: str = "none") -> None:
     """Starts the engine in this process, once; later calls do nothing.
 
     Args:
-        graphics: name of a preset of ``pystk2.GraphicsConfig``: ``"none"`` for headless,
-            ``"ld"``, ``"sd"`` or ``"hd"`` for the game's window; or its fields as a JSON
-            object, in which ``preset`` names the preset for those left out.
+        graphics: fields of ``pystk2.GraphicsConfig`` as a JSON object, in which ``preset``
+            names the preset for those left out; or the name of a preset alone, ``"none"``
+            for no graphics.
     """
     global _is_initialised
     if _is_initialised:
@@ -129,6 +130,8 @@ class GameRace:
             raise EngineError(f"the race on {self._setup.track!r} never became ready")
         self._track.update()
         track = self._track
+        if self._setup.starts:
+            put_karts(self._race, self._world, track, self._setup, self._make_action)
         return RaceStart(
             kart_types=tuple(kart.kart_type for kart in self._world.karts),
             track=encode_track(

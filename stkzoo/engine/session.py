@@ -18,7 +18,6 @@ import numpy.typing as npt
 from stkzoo.engine import wire
 from stkzoo.engine.process import (
     START_TIMEOUT,
-    WINDOW_START_TIMEOUT,
     Log,
     RaceProcess,
     engine_environment,
@@ -81,13 +80,10 @@ class Session(Protocol):
 
 
 class WorkerSession:
-    """Races in processes of their own.
+    """Races in processes of their own: a fresh one each, whose results repeat bit for bit.
 
     Args:
         root: the game's data.
-        graphics: preset as in :func:`stkzoo.engine.race.init_engine`. Headless races get a
-            fresh process each, whose results repeat bit for bit; with a window one
-            process is kept from race to race.
         timeout: seconds that one step may take.
 
     Attributes:
@@ -95,13 +91,11 @@ class WorkerSession:
         remedy: what an error says to do when it has ended.
     """
 
-    def __init__(self, root: Path, graphics: str = "none", timeout: float = 30.0) -> None:
+    def __init__(self, root: Path, timeout: float = 30.0) -> None:
         self.what = "the game's process"
         self.remedy = "call reset() to start a new one"
         self._root = root
-        self._graphics = graphics
-        start_timeout = START_TIMEOUT if graphics == "none" else WINDOW_START_TIMEOUT
-        self._timeouts = {wire.BEGIN: start_timeout, wire.ACT: timeout, wire.FORK: timeout}
+        self._timeouts = {wire.BEGIN: START_TIMEOUT, wire.ACT: timeout, wire.FORK: timeout}
         self._asked: bytes | None = None  # the kind of a request whose answer is to come
         self._process: RaceProcess | None = None
         self._owner = os.getpid()
@@ -123,11 +117,8 @@ class WorkerSession:
 
     def start_async(self, setup: RaceSetup) -> None:
         """Asks for a race; :meth:`start_wait` gives it."""
-        if self._owner != os.getpid() or self._graphics == "none":
-            self.close()
-        if self._process is None:
-            self._process = start_race_process(self._root, self._graphics)
-            self._owner = os.getpid()
+        self.close()
+        self._process, self._owner = start_race_process(self._root), os.getpid()
         self._send(wire.BEGIN, setup.to_json())
 
     def start_wait(self) -> RaceStart:
@@ -146,13 +137,13 @@ class WorkerSession:
 
     def branch(self) -> WorkerSession:
         """See :meth:`Session.branch`."""
-        branch = WorkerSession(self._root, self._graphics, self._timeouts[wire.ACT])
+        branch = WorkerSession(self._root, self._timeouts[wire.ACT])
         branch._process = self._fork()
         return branch
 
     def resume(self, other: Session) -> None:
         """See :meth:`Session.resume`."""
-        if self._graphics != "none" or not isinstance(other, WorkerSession):
+        if not isinstance(other, WorkerSession):
             raise EngineError(_NO_COPIES)
         process = other._fork()
         self.close()
@@ -249,10 +240,10 @@ class WorkerSession:
         return how, log
 
 
-#: Why a race in this process or in a window cannot be saved and copied.
+#: Why a race in this process cannot be saved and copied.
 _NO_COPIES = (
-    "a race's state can be saved and copied only while it runs without a window in a process "
-    "of its own; leave use_subprocess at True and render_mode at None"
+    "a race's state can be saved and copied only while it runs in a process of its own; leave "
+    "use_subprocess at True"
 )
 
 #: The session that holds the engine of this process, if any.
@@ -267,9 +258,8 @@ class LocalSession:
     crash of this program.
     """
 
-    def __init__(self, root: Path, graphics: str = "none") -> None:
+    def __init__(self, root: Path) -> None:
         self._root = root
-        self._graphics = graphics
         self._race: GameRace | None = None
         self._controls: Controls | None = None
 
@@ -278,7 +268,7 @@ class LocalSession:
         self.close()
         self._take_engine()
         with _quiet_output():
-            _init_here(self._root, self._graphics)
+            _init_here(self._root)
             self._race = GameRace(setup)
             return self._race.begin()
 
@@ -349,14 +339,14 @@ def _quiet_output() -> Iterator[None]:
         log.close()
 
 
-def _init_here(root: Path, graphics: str) -> None:
+def _init_here(root: Path) -> None:
     """Starts the engine in this process, with the environment that engine processes have."""
     home = tempfile.mkdtemp(prefix="stkzoo-")
     atexit.register(shutil.rmtree, home, ignore_errors=True)
     environment = dict(os.environ)
     os.environ.update(engine_environment(root, home))
     try:
-        init_engine(graphics)
+        init_engine()
     finally:
         os.environ.clear()
         os.environ.update(environment)

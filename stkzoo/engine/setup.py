@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 
+from stkzoo.config import Start
+
 __all__ = ["KartSetup", "RaceSetup"]
 
 
@@ -31,7 +33,10 @@ class KartSetup:
 
 @dataclass(frozen=True, slots=True)
 class RaceSetup:
-    """One race. ``karts`` is in grid order, first place first."""
+    """One race. ``karts`` is in grid order, first place first.
+
+    ``starts`` says for each kart where it is put; by default all stay on the grid.
+    """
 
     track: str
     karts: tuple[KartSetup, ...]
@@ -41,6 +46,7 @@ class RaceSetup:
     seed: int = 0
     step_size: float = 0.1
     num_cameras: int = 0
+    starts: tuple[Start, ...] = ()
 
     def to_json(self) -> bytes:
         """The setup as UTF-8 JSON."""
@@ -51,4 +57,5 @@ class RaceSetup:
         """Reads what :meth:`to_json` wrote."""
         values = json.loads(data)
         karts = tuple(KartSetup(**kart) for kart in values.pop("karts"))
-        return cls(karts=karts, **values)
+        starts = tuple(Start(**start) for start in values.pop("starts", ()))
+        return cls(karts=karts, starts=starts, **values)

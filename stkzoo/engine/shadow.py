@@ -8,11 +8,15 @@ change a race, and costs nothing while nobody looks.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
 import socket
+import sys
+import time
 import traceback
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -22,16 +26,15 @@ from stkzoo.engine import wire
 from stkzoo.engine.race import init_engine
 from stkzoo.engine.setup import RaceSetup
 
-__all__ = ["POSE_SIZE", "TICK", "ShadowRace", "main"]
+__all__ = ["ShadowRace", "main"]
 
-#: Game time of one move of the shadow's karts [s].
-TICK = 1 / 60
 #: Numbers of a pose: location [m], rotation (w, x, y, z), speed [m/s].
-POSE_SIZE = 8
+_POSE_SIZE = 8
 #: Laps that nobody finishes: a finished kart cannot be moved.
 _MANY_LAPS = 999
-#: The race clock from which karts can be moved [s], and more ticks than that takes.
-_FREE_AFTER, _MAX_WARMUP_TICKS = 1.01, 10_000
+#: The race clock from which karts can be moved [s]; how far a step goes until then [s], for
+#: a window draws every step; and more steps than that takes.
+_FREE_AFTER, _WARMUP_STEP, _MAX_WARMUP_STEPS = 1.01, 0.5, 1000
 
 Poses = npt.NDArray[np.float32]
 
@@ -40,7 +43,7 @@ class ShadowRace:
     """The drawn race. At most one may live at a time in a process.
 
     Args:
-        setup: the race to shadow; ``num_cameras`` of its first karts with a camera are drawn.
+        setup: the race to shadow; the karts whose ``camera_mode`` is on have a camera.
     """
 
     def __init__(self, setup: RaceSetup) -> None:
@@ -50,20 +53,30 @@ class ShadowRace:
         self._race = pystk2.Race(_config(pystk2, setup))
         self._race.start()
         self._world = pystk2.WorldState()
-        for _ in range(_MAX_WARMUP_TICKS):
+        self._due = 0.0
+        for _ in range(_MAX_WARMUP_STEPS):
             self._race.step(self._coast)
             self._world.update()
             if self._world.time >= _FREE_AFTER:
                 break
 
-    def follow(self, poses: Poses) -> None:
-        """Moves the karts through ``(T, K, 8)`` poses, one tick each."""
+    def follow(self, poses: Poses, seconds: float, *, in_real_time: bool = False) -> None:
+        """Moves the karts through ``(T, K, 8)`` poses, so much game time each [s]."""
+        self._race.config.step_size = seconds
         move = self._world.set_kart_location
         for moment in poses.tolist():
             for kart, (x, y, z, qw, qx, qy, qz, speed) in enumerate(moment):
                 move(kart, [x, y, z], [qx, qy, qz, qw], speed)
             self._race.step(self._coast)
+            if in_real_time:
+                self._wait(seconds)
         self._world.update()
+
+    def _wait(self, seconds: float) -> None:
+        """Waits until so long after the last pose; what is late is not made up for."""
+        now = time.monotonic()
+        self._due = max(self._due + seconds, now)
+        time.sleep(min(self._due - now, seconds))
 
     def pictures(self) -> list[npt.NDArray[np.uint8]]:
         """What each camera sees: ``(H, W, 3)`` uint8."""
@@ -87,8 +100,8 @@ def _config(pystk2: Any, setup: RaceSetup) -> Any:
         num_kart=len(setup.karts), seed=setup.seed, track=setup.track, laps=_MANY_LAPS
     )
     config.reverse = setup.reverse
-    config.step_size = TICK
-    config.num_cameras = setup.num_cameras
+    config.step_size = _WARMUP_STEP
+    config.num_cameras = 0  # any other number is that of the first karts, whatever they ask for
     config.overlay = False
     config.players.clear()
     kinds = pystk2.PlayerConfig
@@ -121,16 +134,18 @@ def _serve(connection: socket.socket, self_destruct_after: int) -> None:
         try:
             kind, frames = wire.receive(connection)
             _set_alarm(self_destruct_after)
-            if kind == wire.BEGIN:
-                if race is not None:
-                    race.stop()
-                    race = None  # the engine counts a race until its object is gone
-                race = ShadowRace(RaceSetup.from_json(frames[0]))
-                wire.send(connection, wire.OK)
-            elif kind == wire.DRAW and race is not None:
-                wire.send(connection, wire.OK, *_draw(race, frames[0]))
-            else:
-                return
+            answer: list[bytes] = []
+            with _ending_with(connection):
+                if kind == wire.BEGIN:
+                    if race is not None:
+                        race.stop()
+                        race = None  # the engine counts a race until its object is gone
+                    race = ShadowRace(RaceSetup.from_json(frames[0]))
+                elif kind == wire.DRAW and race is not None:
+                    answer = _draw(race, *frames)
+                else:
+                    return
+            wire.send(connection, wire.OK, *answer)
         except (EOFError, OSError):
             return
         except Exception as error:  # noqa: BLE001 - it is the program that must hear of it
@@ -138,14 +153,13 @@ def _serve(connection: socket.socket, self_destruct_after: int) -> None:
         _set_alarm(0)
 
 
-def _draw(race: ShadowRace, request: bytes) -> list[bytes]:
-    """Answers a :data:`~stkzoo.engine.wire.DRAW`: one byte of wishes, then poses."""
-    num_kart = len(race.locations())
-    poses = np.frombuffer(request, np.float32, offset=4).reshape(-1, num_kart, POSE_SIZE)
-    race.follow(poses)
-    wishes = request[0]
-    images = race.pictures() if wishes & 1 else []
-    depths = race.depths() if wishes & 2 else []
+def _draw(race: ShadowRace, request: bytes, poses: bytes) -> list[bytes]:
+    """Answers a :data:`~stkzoo.engine.wire.DRAW`: what is wanted, as JSON, and poses."""
+    wishes = json.loads(request)
+    moments = np.frombuffer(poses, np.float32).reshape(-1, len(race.locations()), _POSE_SIZE)
+    race.follow(moments, wishes["seconds"], in_real_time=wishes["in_real_time"])
+    images = race.pictures() if wishes["images"] else []
+    depths = race.depths() if wishes["depths"] else []
     shape = (images or depths)[0].shape[:2] if images or depths else (0, 0)
     facts = {"images": len(images), "depths": len(depths), "height": shape[0], "width": shape[1]}
     return [
@@ -154,6 +168,26 @@ def _draw(race: ShadowRace, request: bytes) -> list[bytes]:
         b"".join(depth.tobytes() for depth in depths),
         race.locations().tobytes(),
     ]
+
+
+@contextlib.contextmanager
+def _ending_with(connection: socket.socket) -> Iterator[None]:
+    """Ends this process if the program ends meanwhile, for drawing can take minutes."""
+    if sys.platform != "linux":
+        yield
+        return
+    import fcntl
+
+    flags = fcntl.fcntl(connection, fcntl.F_GETFL)
+    fcntl.fcntl(connection, fcntl.F_SETOWN, os.getpid())
+    fcntl.fcntl(connection, fcntl.F_SETFL, flags | os.O_ASYNC)  # a SIGIO at the end, which kills
+    try:
+        with contextlib.suppress(BlockingIOError):
+            if not connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT):
+                raise EOFError
+        yield
+    finally:
+        fcntl.fcntl(connection, fcntl.F_SETFL, flags)
 
 
 def _set_alarm(seconds: int) -> None:

@@ -1,6 +1,6 @@
 """A fresh interpreter that runs races for the program that started it.
 
-Used where forking is not to be had, and for the game's own window.
+Used where forking is not to be had.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ __all__ = ["main"]
 def main(port: int, self_destruct_after: int) -> None:
     """Connects back to the program and serves it until it is gone."""
     token = bytes.fromhex(os.environ.pop("STKZOO_TOKEN"))
-    init_engine(os.environ.pop("STKZOO_GRAPHICS"))
+    init_engine()
     with socket.create_connection(("127.0.0.1", port)) as connection:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.sendall(token)

@@ -13,6 +13,7 @@ import numpy as np
 from stkzoo.engine.session import Session
 from stkzoo.env.episode import Episode
 from stkzoo.env.options import RaceOptions
+from stkzoo.env.scenario import Scenario, digest_of
 from stkzoo.env.state import Moment, RaceState, check_max_snapshots
 from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.wrappers.chain import AgentChains
@@ -77,6 +78,23 @@ class BranchingRace:
         state = RaceState(self._session.branch(), moment)
         self._states.add(state)
         return state
+
+    def scenario(self) -> Scenario:
+        """This moment as a value that can be saved as a file and reached again elsewhere.
+
+        Raises:
+            ApiOrderError: before the first ``reset``, or while a step is under way.
+        """
+        if self._asked is not None:
+            raise ApiOrderError("a step is under way; call step_wait() first")
+        episode = self._running("scenario")
+        return Scenario(
+            setup=episode.setup,
+            kart_indices=episode.race.kart_indices,
+            agents=tuple(self.agents),
+            controls=episode.past_controls(),
+            digest=digest_of(episode.snapshot),
+        )
 
     def restore_state(self, state: RaceState) -> None:
         """Goes on from a saved moment, with everything as it was then.

@@ -17,6 +17,7 @@ from stkzoo.engine.track import decode_track
 from stkzoo.env.grid import RaceInfo
 from stkzoo.env.infos import EpisodeRecord
 from stkzoo.env.options import RaceOptions
+from stkzoo.env.scenario import past_controls
 from stkzoo.kernel import kernel
 from stkzoo.mdp.observations import KartObserver, ai_actions
 from stkzoo.mdp.rewards import Reward
@@ -60,6 +61,7 @@ class Episode:
         self._are_all_players = bool(self._is_player.all())
         self._asked_for: tuple[tuple[str, ...], npt.NDArray[np.intp]] = (), np.empty(0, np.intp)
         self._reports_control = any(kart.reports_control for kart in setup.karts)
+        self._past: Any = None  # (what was before, the latest controls), shared by copies
         self._start(options, rewards)
 
     def copy(self) -> Episode:
@@ -92,6 +94,14 @@ class Episode:
         controls = np.zeros((len(self._is_player), len(CONTROLS)), np.float32)
         controls[self._karts(agents)] = actions
         return controls if self._are_all_players else controls[self._is_player]
+
+    def remember(self, controls: npt.NDArray[np.float32]) -> None:
+        """Takes note of what the engine is told in a step."""
+        self._past = self._past, controls.tobytes()
+
+    def past_controls(self) -> npt.NDArray[np.float32]:
+        """What the engine was told in all steps since the race began: ``(T, P, 7)`` float32."""
+        return past_controls(self._past, int(self._is_player.sum()))
 
     def advance(self, snapshot: Snapshot, agents: Sequence[str]) -> dict[str, float]:
         """Takes in the moment after a step and returns the agents' rewards."""

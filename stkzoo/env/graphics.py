@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
+from stkzoo.engine.filming import has_graphics_card
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.render.renderer import BACKENDS
 
@@ -51,13 +52,13 @@ def drawing_preset(mode: str | None, choice: Any) -> str | dict[str, Any]:
     Args:
         mode: the render mode.
         choice: a preset's name, a ``pystk2.GraphicsConfig``, or ``None``: the finest in a
-            window, the quickest for pictures.
+            window if there is a graphics card, else the quickest.
 
     Raises:
         ConfigError: the choice cannot be.
     """
     if choice is None:
-        return "hd" if mode == "human" else "ld"
+        return "hd" if mode == "human" and has_graphics_card() else "ld"
     if isinstance(choice, str) and choice in _PRESETS:
         return choice
     if not hasattr(choice, "screen_width"):

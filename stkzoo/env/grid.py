@@ -10,6 +10,7 @@ import numpy as np
 from stkzoo.config import AgentSpec
 from stkzoo.engine.setup import KartSetup, RaceSetup
 from stkzoo.env.options import MAX_CAMERAS, RaceOptions, camera_mode
+from stkzoo.env.starts import draw_starts
 from stkzoo.names import CameraMode
 
 __all__ = ["RaceInfo", "draw_race"]
@@ -67,6 +68,7 @@ def draw_race(
             color=float(agent.color),
             camera_mode=int(camera),
         )
+    names = [f"kart_{number}" for number in range(len(agents))]
     setup = RaceSetup(
         track=track,
         karts=tuple(karts),
@@ -76,6 +78,7 @@ def draw_race(
         seed=seed,
         step_size=float(options.step_size),
         num_cameras=num_cameras,
+        starts=draw_starts(options.start, names, kart_indices, options.num_kart, random),
     )
     info = RaceInfo(
         track=track,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gymnasium
 import pettingzoo
 
-from stkzoo.env.views import VIEWS, View
+from stkzoo.env.views import CAMERA_VIEWS, VIEWS, View
 from stkzoo.errors import ConfigError
 
 __all__ = ["MAX_EPISODE_STEPS", "register_ids", "register_view"]
@@ -16,7 +16,7 @@ _NAMESPACE = "supertuxkart"
 
 def register_ids() -> None:
     """Registers all ids; called when ``stkzoo`` is imported."""
-    for name in VIEWS:
+    for name in (*VIEWS, *CAMERA_VIEWS):
         _register_view_id(name)
     gymnasium.register(
         id=f"{_NAMESPACE}/multi-full-v0",
@@ -41,7 +41,7 @@ def register_view(name: str, view: View) -> None:
     """
     if not isinstance(name, str) or not name.isidentifier():
         raise ConfigError(f"view name is {name!r}, expected letters, digits and underscores")
-    if name in VIEWS:
+    if name in VIEWS or name in CAMERA_VIEWS:
         raise ConfigError(f"view {name!r} exists already; choose another name")
     if not callable(view):
         raise ConfigError(f"view {name!r} is {view!r}, expected a function that wraps a gym.Env")
@@ -53,6 +53,7 @@ def _register_view_id(name: str) -> None:
     gymnasium.register(
         id=f"{_NAMESPACE}/{name}-v0",
         entry_point="stkzoo.env.single:STKRaceEnv",
+        vector_entry_point="stkzoo.env.vector:single_kart_races",
         kwargs={"view": name},
         max_episode_steps=MAX_EPISODE_STEPS,
     )

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from stkzoo.config import AgentSpec
+from stkzoo.env.starts import check_start
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.names import CameraMode
 from stkzoo.tracks import SPLITS
@@ -37,6 +38,9 @@ class RaceOptions:
         max_paths: how many track segments ahead are observed; ``None`` is all.
         step_size: game time of one step [s].
         max_cycles: steps after which the race is cut short; ``None`` is never.
+        start: where the karts start: ``None`` on the grid, a distance [m], a
+            :class:`~stkzoo.config.Start`, a :class:`~stkzoo.config.RandomStart` or ``"random"``,
+            or a mapping from agents to these.
     """
 
     num_kart: int = 3
@@ -47,8 +51,10 @@ class RaceOptions:
     max_paths: int | None = None
     step_size: float = 0.1
     max_cycles: int | None = 1500
+    start: Any = None
 
     def __post_init__(self) -> None:
+        check_start(self.start)
         _check_whole("num_kart", self.num_kart, 1, _MAX_KARTS)
         _check_whole("laps", self.laps, 1, _MAX_LAPS)
         _check_whole("difficulty", self.difficulty, 0, 3)

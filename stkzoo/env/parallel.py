@@ -20,6 +20,7 @@ from stkzoo.engine.session import LocalSession, Session, WorkerSession
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.engine.track import TrackMap
 from stkzoo.env.branching import BranchingRace
+from stkzoo.env.cameras import RaceCameras
 from stkzoo.env.episode import Episode
 from stkzoo.env.graphics import RENDER_MODES, frame_rate
 from stkzoo.env.grid import RaceInfo, draw_race
@@ -32,6 +33,8 @@ from stkzoo.env.options import (
     checked_seed,
 )
 from stkzoo.env.rendering import Rendering, scene_of
+from stkzoo.env.scenario import read_scenario
+from stkzoo.env.starts import MAX_START_DRAWS, is_random
 from stkzoo.env.views import views_of_agents
 from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
@@ -59,7 +62,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         agents: a list of :class:`~stkzoo.config.AgentSpec`, or how many; all karts by
             default. Karts beyond the agents are driven by the game.
         num_kart: see :class:`~stkzoo.env.options.RaceOptions`, as for ``track``, ``laps``,
-            ``difficulty``, ``max_paths``, ``step_size``, ``reverse`` and ``max_cycles``.
+            ``difficulty``, ``max_paths``, ``step_size``, ``reverse``, ``max_cycles`` and
+            ``start``.
         view: name of a view for all agents (:data:`stkzoo.env.views.VIEWS`), a function
             that wraps a Gymnasium environment, or a mapping from agents to these.
         reward: see :mod:`stkzoo.mdp.rewards`.
@@ -113,6 +117,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         graphics_config: Any = None,
         engine_timeout: float = 30.0,
         max_snapshots: int = 100,
+        start: Any = None,
     ) -> None:
         arguments = {name: value for name, value in locals().items() if name != "self"}
         EzPickle.__init__(self, **arguments)
@@ -125,6 +130,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
             max_paths=max_paths,
             step_size=0.1 if step_size is None else step_size,
             max_cycles=max_cycles,
+            start=start,
         )
         self.specs = _specs(agents, num_kart)
         check_num_cameras(num_cameras)
@@ -142,13 +148,14 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         self.agents: list[str] = []
         self._ai_agents = self._agents_of_ai()
         self._rewards = rewards_of_agents(reward, self.possible_agents)
+        self.cameras = RaceCameras(self.possible_agents, lambda: self._episode)
         self._chains = AgentChains(
             {
                 agent: kart_observation_space(agent in self._ai_agents)
                 for agent in self.possible_agents
             },
             {agent: kart_action_space() for agent in self.possible_agents},
-            views_of_agents(view, self.possible_agents),
+            self.cameras.connected(views_of_agents(view, self.possible_agents)),
             ignored=self._ai_agents,
             columns=CONTROLS,
         )
@@ -181,7 +188,9 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
                 alone, except ``num_kart``; others are ignored with a log line. ``state``
                 is a :class:`~stkzoo.env.state.RaceState`: the episode starts at that moment
                 of that race, with the agents that were racing, and counts from zero; of
-                the other options only ``max_cycles`` and ``max_paths`` go with it.
+                the other options only ``max_cycles`` and ``max_paths`` go with it. ``scenario``
+                is a :class:`~stkzoo.env.scenario.Scenario` or the path of its file: the
+                same with a moment that was kept as a file.
 
         Returns:
             Observations and infos by agent.
@@ -191,7 +200,10 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         options_now = self._options_now(options or {})
         self._check_specs()
         state = (options or {}).get("state")
-        if state is None:
+        scenario = (options or {}).get("scenario")
+        if scenario is not None:
+            agents, self._episode = self._reach(scenario, options or {}, options_now)
+        elif state is None:
             agents = list(self.possible_agents)
             self._episode = self._new_race(options_now, self._np_random)
         else:
@@ -261,6 +273,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         """The second half of :meth:`step_async`: asks the game for the step."""
         if self.agents:
             self._session.step_async(controls)
+            self._running("step").remember(controls)
         self._asked = self._running("step")
 
     def step_wait(self) -> StepResult:
@@ -322,6 +335,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         self.agents, self._episode, self._asked = [], None, None
         self._session.close()
         self._rendering.close()
+        self.cameras.close()
         self._chains.close()
 
     def __enter__(self) -> RaceParallelEnv:
@@ -400,9 +414,34 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
     def _new_race(self, options: RaceOptions, random: np.random.Generator) -> Episode:
         tracks = options.tracks(self._assets.tracks)
         has_window = self.render_mode == "human"
-        setup, race = draw_race(options, self.specs, tracks, self._num_cameras, has_window, random)
         self.agents, self._episode, self._asked = [], None, None  # in case the start fails
-        return Episode(options, setup, race, self._session.start(setup), self._rewards)
+        for draws_left in reversed(range(MAX_START_DRAWS)):
+            setup, race = draw_race(
+                options, self.specs, tracks, self._num_cameras, has_window, random
+            )
+            try:
+                begun = self._session.start(setup)
+                break
+            except ConfigError:  # a place where no kart can stand
+                if not draws_left or not is_random(options.start):
+                    raise
+        return Episode(options, setup, race, begun, self._rewards)
+
+    def _reach(
+        self, value: object, options: Mapping[str, Any], options_now: RaceOptions
+    ) -> tuple[list[str], Episode]:
+        """The agents of an episode that starts from a scenario, and the episode."""
+        fixed = {*RaceOptions.__dataclass_fields__, "state"} - {"max_cycles", "max_paths"}
+        scenario = read_scenario(value, options, fixed - {"num_kart"})
+        scenario.check_karts(
+            self.options.num_kart, self.possible_agents, self._ai_agents, self._assets.tracks
+        )
+        self.agents, self._episode, self._asked = [], None, None  # in case the start fails
+        begun = scenario.reach(self._session)
+        episode = Episode(options_now, scenario.setup, scenario.race_info(), begun, self._rewards)
+        for row in scenario.controls:
+            episode.remember(row)
+        return [agent for agent in self.possible_agents if agent in scenario.agents], episode
 
     def _running(self, method: str) -> Episode:
         if self._episode is None:
@@ -428,7 +467,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
                 f"options ask for {episode.num_kart} karts in an environment of "
                 f"{self.options.num_kart}; make another environment for that"
             )
-        unknown = set(options) - set(RaceOptions.__dataclass_fields__) - {"state"}
+        unknown = set(options) - set(RaceOptions.__dataclass_fields__) - {"state", "scenario"}
         if unknown:
             logger.warning("reset() ignores unknown options: %s", ", ".join(map(str, unknown)))
         return episode

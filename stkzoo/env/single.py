@@ -8,7 +8,10 @@ from gymnasium.utils import EzPickle
 
 from stkzoo.config import AgentSpec
 from stkzoo.env.gymnasium_base import GymnasiumRaceEnv
+from stkzoo.env.keyboard import keys_to_action
+from stkzoo.env.views import views_of_agents
 from stkzoo.errors import ApiOrderError, ConfigError
+from stkzoo.wrappers.camera import Camera
 
 __all__ = ["STKRaceEnv"]
 
@@ -36,6 +39,23 @@ class STKRaceEnv(GymnasiumRaceEnv):
     def kart_ix(self) -> int | None:
         """Index of your kart in grid order; ``None`` before the first reset."""
         return self.core.race.kart_indices[0] if self.core.race else None
+
+    @property
+    def camera(self) -> Camera:
+        """Your kart's camera, for :class:`~stkzoo.wrappers.CameraObservations`."""
+        return self.core.cameras.of(self._name)
+
+    def get_keys_to_action(self) -> dict[Any, Any]:
+        """What each combination of keys does, for :func:`gymnasium.utils.play.play`.
+
+        The keys are the game's: arrows, space fires, N is nitro, V drifts, backspace calls
+        the rescue bird.
+
+        Raises:
+            ConfigError: for a view of your own that cannot say what a key means in it.
+        """
+        view = self._ezpickle_kwargs.get("view", "full")
+        return keys_to_action(views_of_agents(view, [self._name])[self._name], repr(view))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -10,9 +10,48 @@ import gymnasium as gym
 from gymnasium import spaces
 from gymnasium.vector import AsyncVectorEnv
 
+from stkzoo.config import AgentSpec
+from stkzoo.env.vec.env import RaceVectorEnv
 from stkzoo.errors import ConfigError
 
-__all__ = ["make_stkrace_vec"]
+__all__ = ["make_stkrace_vec", "single_kart_races"]
+
+
+def single_kart_races(
+    num_envs: int = 1,
+    *,
+    view: Any = "full",
+    agent: AgentSpec | None = None,
+    max_episode_steps: int | None = None,
+    max_cycles: int | None = None,
+    **options: Any,
+) -> RaceVectorEnv:
+    """What ``gym.make_vec(id, vectorization_mode="vector_entry_point")`` makes of an id.
+
+    Races of one agent and the game's own karts, in one :class:`RaceVectorEnv`, so with the
+    id's spaces and a slot for each race.
+
+    Args:
+        num_envs: number of races.
+        view: the id's view, of fixed size.
+        agent: every race's agent.
+        max_episode_steps: truncates, as the id's ``TimeLimit`` does.
+        max_cycles: truncates as well; the smaller one counts.
+        **options: keywords of the id, and ``prefetch``.
+
+    Raises:
+        ConfigError: an argument cannot be, or the view's values differ in size.
+    """
+    if agent is not None and not isinstance(agent, AgentSpec):
+        raise ConfigError(f"agent is {agent!r}, expected an AgentSpec or None")
+    limits = [limit for limit in (max_episode_steps, max_cycles) if limit not in (None, -1)]
+    return RaceVectorEnv(
+        num_envs,
+        view=view,
+        agents=[agent or AgentSpec()],
+        max_cycles=min(limits) if limits else None,
+        **options,
+    )
 
 
 def make_stkrace_vec(

@@ -13,6 +13,7 @@ import gymnasium as gym
 
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.wrappers import (
+    CameraObservations,
     ConstantSizedObservations,
     DiscreteActionsWrapper,
     FlattenerWrapper,
@@ -21,8 +22,9 @@ from stkzoo.wrappers import (
     PolarObservations,
 )
 from stkzoo.wrappers.agent_names import by_agent
+from stkzoo.wrappers.control import ControlView
 
-__all__ = ["VIEWS", "View", "views_of_agents"]
+__all__ = ["CAMERA_VIEWS", "VIEWS", "View", "views_of_agents"]
 
 View = Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]]
 
@@ -57,6 +59,21 @@ def flattened_discrete(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
     return FlattenMultiDiscreteActions(flattened_multidiscrete(env))
 
 
+def camera(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """``flattened_discrete``, and the picture of the kart's camera, 84 by 84 pixels."""
+    return CameraObservations(flattened_discrete(env))
+
+
+def control(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """``simple``, acting by speed [m/s] and steering angle [rad]; see :class:`ControlView`."""
+    return ControlView()(env)
+
+
+def flattened_control(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """``flattened``, acting by speed and steering angle, each from -1 to 1."""
+    return ControlView(observe="flattened", normalize_act=True)(env)
+
+
 #: The known views, from which the Gymnasium ids are made; ``stkzoo.register_view`` adds to them.
 VIEWS: dict[str, View] = {
     view.__name__: view
@@ -67,8 +84,13 @@ VIEWS: dict[str, View] = {
         flattened_continuous_actions,
         flattened_multidiscrete,
         flattened_discrete,
+        control,
+        flattened_control,
     )
 }
+
+#: Views that need an environment which can draw: those of this package, but no agent's alone.
+CAMERA_VIEWS: dict[str, View] = {"camera": camera}
 
 
 def views_of_agents(choice: object, agents: Sequence[str]) -> dict[str, View]:
@@ -87,9 +109,10 @@ def views_of_agents(choice: object, agents: Sequence[str]) -> dict[str, View]:
 
 def _view(choice: object) -> View:
     if isinstance(choice, str):
-        if choice not in VIEWS:
-            raise unknown_name("view", choice, VIEWS)
-        return VIEWS[choice]
+        known = {**VIEWS, **CAMERA_VIEWS}
+        if choice not in known:
+            raise unknown_name("view", choice, known)
+        return known[choice]
     if callable(choice):
         return choice
     raise ConfigError(

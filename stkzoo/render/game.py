@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
@@ -24,11 +25,13 @@ Picture = npt.NDArray[np.uint8]
 
 #: After a longer way the karts are put in place at once, and the cameras given time [s].
 _LONGEST_WAY = 0.5
-_SETTLING_TICKS = 20
+_SETTLING_STEPS, _SETTLING_STEP = 4, 0.1
 #: The game splits its screen for so many cameras into cells of another shape than the
-#: screen's, and each picture has the cell's view: a screen larger by this much (width,
-#: height) mends the shape.
-_MENDS = {2: (1.0, 2.0), 5: (1.5, 1.0), 6: (1.5, 1.0)}
+#: screen's, and each picture has the cell's view: a screen higher by this much mends the shape.
+_MENDS = {2: 2.0, 5: 1.5, 6: 1.5}
+#: The largest screen that the game finds where there is none [pixels]; for a larger one it
+#: takes this instead, of another shape.
+_LARGEST_SCREEN = 1024, 768
 #: Models that are easy to tell apart, for karts whose model nobody has chosen.
 _MODELS = (
     *("tux", "gnu", "nolok", "kiki", "konqi", "suzanne", "wilber", "puffy"),
@@ -62,10 +65,10 @@ class GameView:
             check_graphics_libraries()
         self._assets = find_assets(graphics=True)
         self._karts, self._size = sorted(karts), size
-        mend = _MENDS.get(len(karts), (1.0, 1.0))
-        screen = round(size[0] * mend[0]), round(size[1] * mend[1])
+        screen = size if has_window else _screen_for(size, len(karts))
         self._session = ShadowSession(self._assets.root, screen, preset, has_window=has_window)
         self._last: Snapshot | None = None
+        self._pace = TICK  # seconds that a window takes for a pose
 
     def start(self, scene: Scene) -> None:
         """Starts drawing a race.
@@ -89,19 +92,37 @@ class GameView:
         depths = self._go(snapshot, images=False, depths=True).depths
         return dict(zip(self._karts, depths, strict=True))
 
+    def frames_and_depths(
+        self, snapshot: Snapshot
+    ) -> tuple[dict[int, Picture], dict[int, npt.NDArray[np.float32]]]:
+        """Frames and depth buffers of one drawing, ``(H, W, 3)`` and ``(H, W)``, by kart."""
+        footage = self._go(snapshot, images=True, depths=True)
+        depths = [_thinned(depth, self._size) for depth in footage.depths]
+        return self._frames(footage.images), dict(zip(self._karts, depths, strict=True))
+
     def show(self, snapshot: Snapshot) -> None:
-        """Moves the karts in the window."""
-        self._go(snapshot, images=False)
+        """Moves the karts in the window, in real time at most.
+
+        A window that is slow to draw gets fewer poses.
+        """
+        seconds = self._seconds_to(snapshot)
+        if seconds is None or self._last is None:
+            self._go(snapshot, images=False)
+            return
+        number = min(max(1, round(seconds / self._pace)), max(1, round(seconds / TICK)))
+        poses = poses_between(self._last, snapshot, _evenly(number))
+        begin, self._last = time.monotonic(), snapshot
+        self._session.draw(poses, seconds=seconds / number, images=False, in_real_time=True)
+        self._pace = (time.monotonic() - begin) / number
 
     def frames_between(self, snapshot: Snapshot, number: int) -> Iterator[dict[int, Picture]]:
         """The frames of so many moments after the last one drawn; the last is ``snapshot``."""
-        last = self._last
-        if last is None or not 0 < game_time(snapshot) - game_time(last) <= _LONGEST_WAY:
+        last, seconds = self._last, self._seconds_to(snapshot)
+        if last is None or seconds is None:
             yield self.frames(snapshot)
             return
-        ticks = max(1, round((game_time(snapshot) - game_time(last)) / TICK / number))
-        fractions = np.arange(1, number * ticks + 1, dtype=np.float32) / (number * ticks)
-        poses = poses_between(last, snapshot, fractions)
+        ticks = max(1, round(seconds / TICK / number))
+        poses = poses_between(last, snapshot, _evenly(number * ticks))
         self._last = snapshot
         for begin in range(0, len(poses), ticks):
             yield self._frames(self._session.draw(poses[begin : begin + ticks]).images)
@@ -111,23 +132,50 @@ class GameView:
         self._session.close()
 
     def _go(self, snapshot: Snapshot, *, images: bool, depths: bool = False) -> Footage:
-        poses = self._way_to(snapshot)
+        poses, seconds = self._way_to(snapshot)
         self._last = snapshot
-        return self._session.draw(poses, images=images, depths=depths)
+        return self._session.draw(poses, seconds=seconds, images=images, depths=depths)
 
-    def _way_to(self, snapshot: Snapshot) -> npt.NDArray[np.float32]:
-        last = self._last
-        seconds = game_time(snapshot) - game_time(last) if last is not None else np.inf
+    def _way_to(self, snapshot: Snapshot) -> tuple[npt.NDArray[np.float32], float]:
+        """Poses that lead to a moment, and the time from one to the next [s]."""
+        last, seconds = self._last, self._seconds_to(snapshot)
         if last is snapshot:
-            return poses_between(snapshot, snapshot, np.ones(0, np.float32))
-        if last is None or not 0 < seconds <= _LONGEST_WAY:
-            return poses_between(snapshot, snapshot, np.ones(_SETTLING_TICKS, np.float32))
-        ticks = max(1, round(seconds / TICK))
-        return poses_between(last, snapshot, np.arange(1, ticks + 1, dtype=np.float32) / ticks)
+            return poses_between(snapshot, snapshot, _evenly(0)), TICK
+        if last is None or seconds is None:
+            settled = np.ones(_SETTLING_STEPS, np.float32)
+            return poses_between(snapshot, snapshot, settled), _SETTLING_STEP
+        return poses_between(last, snapshot, _evenly(max(1, round(seconds / TICK)))), TICK
+
+    def _seconds_to(self, snapshot: Snapshot) -> float | None:
+        """Game time since the last moment drawn [s]; ``None`` after a leap, or at first."""
+        if self._last is None:
+            return None
+        seconds = game_time(snapshot) - game_time(self._last)
+        return seconds if 0 < seconds <= _LONGEST_WAY else None
 
     def _frames(self, images: Picture) -> dict[int, Picture]:
         pictures = [resized(image, self._size) for image in images]
         return dict(zip(self._karts, pictures, strict=True))
+
+
+def _thinned(depth: npt.NDArray[np.float32], size: tuple[int, int]) -> npt.NDArray[np.float32]:
+    """A depth buffer in another size; depths must not be mixed as colours are."""
+    height, width = depth.shape
+    rows = (np.arange(size[1]) + 0.5) * height / size[1]
+    columns = (np.arange(size[0]) + 0.5) * width / size[0]
+    return depth[np.ix_(rows.astype(np.intp), columns.astype(np.intp))]
+
+
+def _screen_for(size: tuple[int, int], cameras: int) -> tuple[int, int]:
+    """A screen whose pictures have the shape of a size, and are no larger than can be."""
+    width, height = size[0], size[1] * _MENDS.get(cameras, 1.0)
+    scale = min(1.0, _LARGEST_SCREEN[0] / width, _LARGEST_SCREEN[1] / height)
+    return max(1, round(width * scale)), max(1, round(height * scale))
+
+
+def _evenly(number: int) -> npt.NDArray[np.float32]:
+    """So many parts of a way, the last of which is its end."""
+    return np.linspace(0, 1, number + 1, dtype=np.float32)[1:]
 
 
 def _drawn_setup(scene: Scene, cameras: Sequence[int], models: Sequence[str]) -> RaceSetup:
@@ -141,7 +189,7 @@ def _drawn_setup(scene: Scene, cameras: Sequence[int], models: Sequence[str]) ->
         )
         for kart, setup in enumerate(scene.setup.karts)
     ]
-    return replace(scene.setup, karts=tuple(karts), num_cameras=len(cameras))
+    return replace(scene.setup, karts=tuple(karts))
 
 
 def _models(scene: Scene, known: Sequence[str]) -> list[str]:

@@ -108,6 +108,21 @@ class RaceRenderer:
                 self._maps[kart] = view
         return {kart: self._maps[kart].draw(snapshot) for kart in karts}
 
+    def pictures_and_depths(
+        self, snapshot: Snapshot
+    ) -> tuple[dict[int, Picture], dict[int, npt.NDArray[np.float32]]]:
+        """By the game: the pictures, and the depth buffers (:meth:`GameView.depths`), by kart.
+
+        Raises:
+            ConfigError: the map draws, which has no depth.
+            EngineError: the game cannot draw, or died.
+        """
+        game = self._ready_game()
+        if game is None:
+            raise ConfigError('the map has no depth; draw with the game, render_backend="engine"')
+        with self._giving_up_what_fails():
+            return game.frames_and_depths(snapshot)
+
     def pictures_between(self, snapshot: Snapshot, number: int) -> Iterator[dict[int, Picture]]:
         """By the game: what the cameras see at so many moments after the last picture.
 

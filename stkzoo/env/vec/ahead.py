@@ -70,7 +70,7 @@ class AheadSession(WorkerSession):
         if asked == setup and session._owner == os.getpid():
             try:
                 start = session.start_wait()
-            except EngineError as error:
+            except (ConfigError, EngineError) as error:
                 logger.info("a race that was started ahead was lost: %s", error)
             else:
                 self.close()

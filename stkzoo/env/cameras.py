@@ -1,0 +1,152 @@
+"""Cameras of agents: one drawing of a moment for all that look at it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import gymnasium as gym
+
+from stkzoo.engine.snapshot import Snapshot
+from stkzoo.env.episode import Episode
+from stkzoo.env.rendering import scene_of
+from stkzoo.env.views import View
+from stkzoo.errors import ApiOrderError, ConfigError
+from stkzoo.names import CameraMode
+from stkzoo.render.renderer import RaceRenderer
+from stkzoo.render.scene import Scene
+from stkzoo.wrappers.camera import Camera, CameraKind, Shot
+
+__all__ = ["RaceCameras"]
+
+_MOST_CAMERAS = 8
+
+
+class RaceCameras:
+    """The cameras of all agents of one environment.
+
+    Args:
+        agents: all agents' ids.
+        present: gives the episode under way.
+    """
+
+    def __init__(self, agents: Sequence[str], present: Callable[[], Episode | None]) -> None:
+        self._numbers = {agent: number for number, agent in enumerate(agents)}
+        self._present = present
+        self._drawings: dict[CameraKind, _Drawing] = {}
+
+    def of(self, agent: str) -> Camera:
+        """One agent's camera."""
+        return _AgentCamera(self, agent)
+
+    def connected(self, views: Mapping[str, View]) -> dict[str, View]:
+        """The agents' views, around environments that have cameras."""
+        return {agent: self._connected(agent, view) for agent, view in views.items()}
+
+    def open(self, agent: str, kind: CameraKind) -> None:
+        """See :class:`~stkzoo.wrappers.camera.Camera`.
+
+        Raises:
+            ConfigError: there are too many.
+        """
+        drawing = self._drawings.setdefault(kind, _Drawing(kind))
+        drawing.add(self._numbers[agent])
+        if len(drawing.agents) > _MOST_CAMERAS:
+            raise ConfigError(
+                f"{len(drawing.agents)} agents want a camera, but the game draws at most "
+                f"{_MOST_CAMERAS}; give the other agents another view"
+            )
+
+    def look(self, agent: str, kind: CameraKind) -> Shot:
+        """See :class:`~stkzoo.wrappers.camera.Camera`.
+
+        Raises:
+            ApiOrderError: before the first reset.
+            EngineError: the game cannot draw, or died.
+        """
+        episode = self._present()
+        if episode is None:
+            raise ApiOrderError("there is nothing to see before reset(); call reset() first")
+        self.open(agent, kind)  # a copied wrapper has opened the camera of another race
+        return self._drawings[kind].shots(episode)[self._numbers[agent]]
+
+    def close(self) -> None:
+        """Ends the processes that draw."""
+        for drawing in self._drawings.values():
+            drawing.close()
+
+    def _connected(self, agent: str, view: View) -> View:
+        def wrap(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+            env.camera = self.of(agent)  # type: ignore[attr-defined]
+            return view(env)
+
+        return wrap
+
+
+class _AgentCamera:
+    """One agent's side of the cameras."""
+
+    def __init__(self, cameras: RaceCameras, agent: str) -> None:
+        self._cameras, self._agent = cameras, agent
+
+    def open(self, kind: CameraKind) -> None:
+        self._cameras.open(self._agent, kind)
+
+    def look(self, kind: CameraKind) -> Shot:
+        return self._cameras.look(self._agent, kind)
+
+
+class _Drawing:
+    """All cameras of one kind."""
+
+    def __init__(self, kind: CameraKind) -> None:
+        self.agents: set[int] = set()
+        self._kind = kind
+        self._renderer = RaceRenderer(kind.backend, kind.size)
+        self._scene: Scene | None = None
+        self._shown: Snapshot | None = None
+        self._shots: dict[int, Shot] = {}
+
+    def add(self, agent: int) -> None:
+        """One more agent has such a camera."""
+        if agent not in self.agents:
+            self.agents.add(agent)
+            self._shown = None
+
+    def shots(self, episode: Episode) -> dict[int, Shot]:
+        """What they see at the present moment, by number of agent."""
+        if episode.snapshot is not self._shown:
+            self._turn_to(episode)
+            karts = episode.race.kart_indices
+            by_kart = self._draw(episode.snapshot)
+            self._shots = {agent: by_kart[karts[agent]] for agent in self.agents}
+            self._shown = episode.snapshot
+        return self._shots
+
+    def close(self) -> None:
+        self._scene = self._shown = None
+        self._renderer.close()
+
+    def _draw(self, snapshot: Snapshot) -> dict[int, Shot]:
+        if not self._kind.depth:
+            images = self._renderer.pictures(snapshot)
+            return {kart: Shot(image) for kart, image in images.items()}
+        images, depths = self._renderer.pictures_and_depths(snapshot)
+        return {kart: Shot(image, depths[kart][..., None]) for kart, image in images.items()}
+
+    def _turn_to(self, episode: Episode) -> None:
+        scene = _with_cameras(scene_of(episode), self.agents)
+        if scene != self._scene:
+            self._renderer.begin(scene)
+            self._scene = scene
+
+
+def _with_cameras(scene: Scene, agents: set[int]) -> Scene:
+    """The scene with cameras for these agents and nobody else."""
+    karts = {scene.kart_indices[agent] for agent in agents}
+    setups = tuple(
+        replace(kart, camera_mode=int(CameraMode.ON if number in karts else CameraMode.OFF))
+        for number, kart in enumerate(scene.setup.karts)
+    )
+    return replace(scene, setup=replace(scene.setup, karts=setups, num_cameras=len(karts)))

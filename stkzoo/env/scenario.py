@@ -1,0 +1,252 @@
+"""A moment of a race as a file: how the race began, and all that was done up to then."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import asdict, dataclass, field, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine.race import RaceStart
+from stkzoo.engine.session import Session
+from stkzoo.engine.setup import RaceSetup
+from stkzoo.engine.snapshot import CONTROLS, Snapshot
+from stkzoo.env.grid import RaceInfo
+from stkzoo.errors import ConfigError
+
+__all__ = ["Scenario", "digest_of", "past_controls", "read_scenario"]
+
+_TYPE, _FORMAT = "stkzoo-scenario", 1
+_ABOUT, _CONTROLS = "scenario.json", "controls.f4"
+_MAX_BYTES = 256 << 20
+_MAX_STEPS = 1_000_000
+_ENGINE = "PySuperTuxKart2"
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """A moment of a race that can be reached again, here or elsewhere, bit for bit.
+
+    Made by ``env.scenario()``, taken by ``reset(options={"scenario": ...})``. It holds no
+    state of the game but the way to it, so that reaching it takes as long as the engine needs
+    for the steps (a few milliseconds each).
+
+    Attributes:
+        setup: what the engine was told.
+        kart_indices: each agent's kart, in grid order.
+        agents: who was still racing.
+        controls: ``(T, P, 7)`` float32: what the player karts did in each step.
+        digest: of all karts at the moment, to check that it has been reached.
+        engine: version of the engine.
+    """
+
+    setup: RaceSetup
+    kart_indices: tuple[int, ...]
+    agents: tuple[str, ...]
+    controls: npt.NDArray[np.float32] = field(repr=False)
+    digest: str
+    engine: str = field(default_factory=lambda: version(_ENGINE))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes a file, whole or not at all.
+
+        Raises:
+            ConfigError: it cannot be written.
+        """
+        about = {
+            "type": _TYPE,
+            "format": _FORMAT,
+            "setup": asdict(self.setup),
+            "kart_indices": self.kart_indices,
+            "agents": self.agents,
+            "digest": self.digest,
+            "engine": self.engine,
+        }
+        file = Path(path)
+        try:
+            handle, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
+        except OSError as error:
+            raise ConfigError(f"the scenario {file} cannot be written: {error}") from error
+        try:
+            with os.fdopen(handle, "wb") as stream, zipfile.ZipFile(stream, "w") as archive:
+                compress = {"compress_type": zipfile.ZIP_DEFLATED}
+                archive.writestr(_ABOUT, json.dumps(about, indent=1), **compress)
+                archive.writestr(_CONTROLS, self.controls.astype("<f4").tobytes(), **compress)
+            os.chmod(name, 0o644)
+            os.replace(name, file)
+        except OSError as error:
+            raise ConfigError(f"the scenario {file} cannot be written: {error}") from error
+        finally:
+            with contextlib.suppress(OSError):
+                os.unlink(name)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Scenario:
+        """Reads what :meth:`save` wrote.
+
+        Raises:
+            ConfigError: there is no such file, or it is damaged or of another kind.
+        """
+        file = Path(path)
+        try:
+            with zipfile.ZipFile(file) as archive:
+                scenario = _read(_member(archive, _ABOUT), _member(archive, _CONTROLS))
+            _check(scenario)
+        except OSError as error:
+            raise ConfigError(f"the scenario {file} cannot be read: {error}") from error
+        except MemoryError:
+            raise
+        except Exception as error:  # zipfile, json and numpy tell of damage in many ways
+            raise ConfigError(
+                f"{file} is no scenario or is damaged ({type(error).__name__}: {error!s:.200}); "
+                "expected what env.scenario().save(path) wrote"
+            ) from error
+        return scenario
+
+    def reach(self, session: Session) -> RaceStart:
+        """Starts the race in a session and brings it to the moment.
+
+        Raises:
+            ConfigError: it was saved with another engine, whose races are not the same.
+            EngineError: the game died or hangs.
+        """
+        begun = session.start(self.setup)
+        snapshot = begun.snapshot
+        for row in self.controls:
+            snapshot = session.step(np.ascontiguousarray(row))
+        if digest_of(snapshot) != self.digest:
+            here = version(_ENGINE)
+            raise ConfigError(
+                f"the scenario on {self.setup.track!r} did not come out as it was saved, with "
+                f"{_ENGINE} {self.engine}; here is {here}. Use that version and the same data of "
+                "the game, or save the scenario anew"
+            )
+        return replace(begun, snapshot=snapshot)
+
+    def race_info(self) -> RaceInfo:
+        """Names of the race."""
+        return RaceInfo(
+            track=self.setup.track,
+            reverse=self.setup.reverse,
+            laps=self.setup.laps,
+            difficulty=self.setup.difficulty,
+            seed=self.setup.seed,
+            kart_indices=self.kart_indices,
+        )
+
+    def check_karts(
+        self, num_kart: int, agents: Sequence[str], ai_agents: Set[str], tracks: Sequence[str]
+    ) -> None:
+        """Checks that an environment can go on from here.
+
+        Raises:
+            ConfigError: it has other karts or agents, or not the track.
+        """
+        karts = self.setup.karts
+        driven = {
+            agent
+            for agent, kart in zip(agents, self.kart_indices, strict=False)
+            if karts[kart].is_bot
+        }
+        if (len(karts), len(self.kart_indices)) != (num_kart, len(agents)) or driven != ai_agents:
+            raise ConfigError(
+                f"the scenario is of {len(karts)} karts and {len(self.kart_indices)} agents, "
+                f"{len(driven)} of them with use_ai, but this environment has {num_kart}, "
+                f"{len(agents)} and {len(ai_agents)}; take one with the same"
+            )
+        if self.setup.track not in tracks:
+            raise ConfigError(
+                f"the scenario's track {self.setup.track!r} is not here; `stkzoo assets status` "
+                "shows where the game's data comes from"
+            )
+
+
+def read_scenario(value: object, options: Mapping[str, Any], fixed: Set[str]) -> Scenario:
+    """What stands in ``options["scenario"]``: a scenario or its file.
+
+    Raises:
+        ConfigError: it is neither, or options of the race stand beside it.
+    """
+    if fixed & set(options):
+        raise ConfigError(
+            f"options have a scenario and {', '.join(sorted(fixed & set(options)))}, which the "
+            "scenario's race has already; leave out one or the other"
+        )
+    if isinstance(value, (str, os.PathLike)):
+        return Scenario.load(value)
+    if not isinstance(value, Scenario):
+        raise ConfigError(f"scenario is {value!r}, expected a Scenario or the path of its file")
+    return value
+
+
+def digest_of(snapshot: Snapshot) -> str:
+    """A name for where all karts are and how they move."""
+    seen = hashlib.blake2b(digest_size=16)
+    for name in ("location", "rotation", "velocity"):
+        seen.update(np.ascontiguousarray(snapshot.karts[name], "<f4").tobytes())
+    return seen.hexdigest()
+
+
+def past_controls(past: Any, num_players: int) -> npt.NDArray[np.float32]:
+    """The chain of an episode's controls, latest first, as ``(T, P, 7)`` in driving order."""
+    rows = []
+    while past is not None:
+        past, row = past
+        rows.append(row)
+    shape = len(rows), num_players, len(CONTROLS)
+    numbers = np.frombuffer(b"".join(reversed(rows)), np.float32)
+    return np.array(numbers.reshape(shape))
+
+
+def _member(archive: zipfile.ZipFile, name: str) -> bytes:
+    with archive.open(name) as stream:
+        data = stream.read(_MAX_BYTES + 1)
+    if len(data) > _MAX_BYTES:
+        raise ValueError(f"{name} has more than {_MAX_BYTES} bytes")
+    return data
+
+
+def _read(text: bytes, numbers: bytes) -> Scenario:
+    about = json.loads(text)
+    if (about["type"], about["format"]) != (_TYPE, _FORMAT):
+        raise ValueError(f"it is {about['type']!r} of format {about['format']!r}")
+    setup = RaceSetup.from_json(json.dumps(about["setup"]).encode())
+    players = sum(not kart.is_bot for kart in setup.karts)
+    shape = -1 if players else 0, players, len(CONTROLS)
+    return Scenario(
+        setup=setup,
+        kart_indices=tuple(map(int, about["kart_indices"])),
+        agents=tuple(map(str, about["agents"])),
+        controls=np.frombuffer(numbers, "<f4").astype(np.float32).reshape(shape),
+        digest=str(about["digest"]),
+        engine=str(about["engine"]),
+    )
+
+
+def _check(scenario: Scenario) -> None:
+    """Nothing reaches the engine that an environment would not have sent."""
+    setup, controls = scenario.setup, scenario.controls
+    if len(controls) > _MAX_STEPS or not np.isfinite(controls).all():
+        raise ValueError("controls are too many or not finite")
+    low = np.array([0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    if (controls < low).any() or (controls > 1.0).any():
+        raise ValueError("controls are out of range")
+    if not 1 <= len(setup.karts) <= 256 or len(setup.starts) not in (0, len(setup.karts)):
+        raise ValueError("karts and starts do not fit")
+    if not 1e-3 <= setup.step_size <= 1.0 or not 1 <= setup.laps <= 1000:
+        raise ValueError("step_size or laps cannot be")
+    if setup.difficulty not in range(4) or not 0 <= setup.seed < 2**31:
+        raise ValueError("difficulty or seed cannot be")
+    indices = scenario.kart_indices
+    if len(set(indices)) != len(indices) or not set(indices) <= set(range(len(setup.karts))):
+        raise ValueError("agents' karts cannot be")

@@ -1,0 +1,172 @@
+"""Where karts start when they do not start on the grid, and which starts come next."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from stkzoo.config import RandomStart, Start
+from stkzoo.errors import ConfigError
+from stkzoo.wrappers.agent_names import by_agent
+
+__all__ = ["MAX_START_DRAWS", "StartCurriculum", "check_start", "draw_starts", "is_random"]
+
+#: How often a random start is drawn again because no kart can stand there.
+MAX_START_DRAWS = 20
+
+#: Karts that start at one place stand in rows of two, as on the grid [m].
+_ROW_LENGTH = 4.0
+_COLUMN_OFFSET = 1.2
+
+_EXPECTED = (
+    "expected None for the grid, a distance [m], a Start, a RandomStart, 'random', or a mapping "
+    "from agents to these"
+)
+
+
+def check_start(start: object) -> None:
+    """Checks what was asked for as ``start``.
+
+    Raises:
+        ConfigError: it cannot be.
+    """
+    if isinstance(start, Mapping):
+        if not start:
+            raise ConfigError(f"start is an empty mapping, {_EXPECTED}")
+        for choice in start.values():
+            if isinstance(choice, Mapping):
+                raise ConfigError(f"start has {choice!r} for an agent, {_EXPECTED}")
+            _read(choice)
+    elif start is not None:
+        _read(start)
+
+
+def is_random(start: object) -> bool:
+    """Whether another draw may give another place."""
+    choices = start.values() if isinstance(start, Mapping) else [start]
+    return any(isinstance(_read(choice), RandomStart) for choice in choices if choice is not None)
+
+
+def draw_starts(
+    start: object,
+    agents: Sequence[str],
+    kart_indices: Sequence[int],
+    num_kart: int,
+    random: np.random.Generator,
+) -> tuple[Start, ...]:
+    """The start of every kart, in grid order; empty for a start on the grid.
+
+    One start for all puts the front row of the grid there and the others behind it. With a
+    mapping, karts that it leaves out stand behind the first agent that it names.
+
+    Args:
+        start: what was asked for.
+        agents: the agents' ids.
+        kart_indices: the agents' karts, in grid order.
+        num_kart: the number of karts.
+        random: draws the random ones.
+    """
+    if start is None:
+        return ()
+    if not isinstance(start, Mapping):
+        first = _drawn(start, random)
+        return tuple(_in_row(first, place, num_kart) for place in range(num_kart))
+    chosen = by_agent(start, agents)
+    drawn = {agent: _drawn(chosen[agent], random) for agent in agents if agent in chosen}
+    numbers = dict(zip(agents, kart_indices, strict=True))
+    own = {numbers[agent]: place for agent, place in drawn.items()}
+    first = next(iter(drawn.values()))
+    others = [kart for kart in range(num_kart) if kart not in own]
+    behind = {kart: _in_row(first, place + 2, num_kart) for place, kart in enumerate(others)}
+    return tuple((own | behind)[kart] for kart in range(num_kart))
+
+
+def _read(choice: object) -> Start | RandomStart:
+    if isinstance(choice, (Start, RandomStart)):
+        return choice
+    if choice == "random":
+        return RandomStart()
+    if isinstance(choice, (int, float, np.integer, np.floating)) and not isinstance(choice, bool):
+        return Start(distance=float(choice))
+    raise ConfigError(f"start is {choice!r}, {_EXPECTED}")
+
+
+def _drawn(choice: object, random: np.random.Generator) -> Start:
+    start = _read(choice)
+    if isinstance(start, Start):
+        return start
+    bounds = {field.name: getattr(start, field.name) for field in fields(start)}
+    drawn: dict[str, Any] = {
+        name: float(low) if low == high else float(random.uniform(low, high))
+        for name, (low, high) in bounds.items()
+    }
+    return Start(**drawn)
+
+
+def _in_row(first: Start, place: int, num_kart: int) -> Start:
+    """A start some places behind the first."""
+    if num_kart == 1:
+        return first
+    side = _COLUMN_OFFSET if place % 2 else -_COLUMN_OFFSET
+    return replace(
+        first, offset=first.offset + side, behind=first.behind + place // 2 * _ROW_LENGTH
+    )
+
+
+class StartCurriculum:
+    """Starts that move from the end of the lap back to its beginning, as a learner succeeds.
+
+    >>> curriculum = StartCurriculum(stages=4, window=2)
+    >>> curriculum.start().share
+    (0.75, 1.0)
+    >>> curriculum.report(True), curriculum.report(True)
+    (False, True)
+    >>> curriculum.start().share
+    (0.5, 1.0)
+
+    Args:
+        stages: in how many steps the starts move back; the last one is the whole lap.
+        window: how many of the latest episodes count.
+        promote_at: the share of them that must succeed before the starts move on.
+        start: everything about the starts but where they are.
+
+    Raises:
+        ConfigError: a number cannot be.
+    """
+
+    def __init__(
+        self,
+        stages: int = 10,
+        *,
+        window: int = 20,
+        promote_at: float = 0.8,
+        start: RandomStart | None = None,
+    ) -> None:
+        for name, value in (("stages", stages), ("window", window)):
+            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+                raise ConfigError(f"{name} is {value!r}, expected a whole number of at least 1")
+        if not 0 < promote_at <= 1:
+            raise ConfigError(f"promote_at is {promote_at!r}, expected a share above 0, at most 1")
+        self.stages, self.stage = stages, 1
+        self._promote_at = promote_at
+        self._latest: deque[bool] = deque(maxlen=window)
+        self._start = RandomStart() if start is None else start
+
+    def start(self) -> RandomStart:
+        """Where the next episode starts: for ``reset(options={"start": ...})``."""
+        return replace(self._start, share=(1.0 - self.stage / self.stages, 1.0))
+
+    def report(self, success: bool) -> bool:
+        """Takes in how an episode went; whether the starts move on."""
+        self._latest.append(bool(success))
+        is_full = len(self._latest) == self._latest.maxlen
+        if not is_full or sum(self._latest) < self._promote_at * len(self._latest):
+            return False
+        self._latest.clear()
+        has_more = self.stage < self.stages
+        self.stage = min(self.stage + 1, self.stages)
+        return has_more

@@ -1,0 +1,135 @@
+"""What a person drove, as a file to learn from."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Space
+
+import stkzoo
+from stkzoo.env.views import VIEWS
+from stkzoo.errors import ConfigError
+from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.race import RaceListener, RaceProgress, RaceResult
+from stkzoo.wrappers.agent_chain import AgentChain
+
+__all__ = ["DatasetWriter"]
+
+_AGENT = "kart_0"
+
+
+class DatasetWriter(RaceListener):
+    """Keeps one driver's episode in an ``.npz`` file, which is written when the race is over.
+
+    For ``T`` steps the file has ``observations`` ``(T + 1, ...)``, ``actions`` ``(T, ...)``,
+    ``rewards`` ``(T,)`` float64, ``terminations`` and ``truncations`` ``(T,)`` bool, and
+    ``about``, a text of JSON: view, track, seed and the like. Observations and actions that are
+    dicts become an array for each entry, ``observations/continuous``. No pickle is in it.
+
+    Args:
+        path: the file.
+        view: name of a view of fixed size, made of stkzoo's own wrappers.
+
+    Raises:
+        ConfigError: the path or the view cannot be.
+    """
+
+    def __init__(self, path: str, view: str) -> None:
+        self._path = Path(path)
+        if self._path.suffix != ".npz":
+            raise ConfigError(f"the dataset is {path!r}, expected a path that ends in .npz")
+        if not self._path.absolute().parent.is_dir():
+            raise ConfigError(f"the dataset is {path!r}, but there is no such folder; make it")
+        self._view = view
+        self._chain = AgentChain(_AGENT, kart_observation_space(), kart_action_space(), VIEWS[view])
+        if not self._chain.is_batched or not self._chain.observation_space.is_np_flattenable:
+            raise ConfigError(
+                f"observations in view {view!r} differ in size from step to step, or need their "
+                "past; record in simple or a flattened view"
+            )
+        self._observations: list[Any] = []
+        self._actions: list[Any] = []
+        self._rewards: list[float] = []
+        self._is_finished = False
+        self._about: dict[str, Any] = {}
+
+    def decided(self, observation: Any, action: Any) -> None:
+        """The driver saw this and does that; both in the view."""
+        self._observations.append(observation)
+        self._actions.append(action)
+
+    def started(self, race: RaceProgress) -> None:
+        """Notes what the race is."""
+        assert race.env.race is not None  # noqa: S101 - it has started
+        self._about = {
+            "view": self._view,
+            "env_id": f"supertuxkart/{self._view}-v0",
+            "track": race.env.race.track,
+            "reverse": race.env.race.reverse,
+            "laps": race.env.options.laps,
+            "num_kart": race.env.options.num_kart,
+            "difficulty": race.env.options.difficulty,
+            "step_size": race.env.options.step_size,
+            "seed": race.seed,
+            "driver": race.names[_AGENT],
+            "stkzoo": stkzoo.__version__,
+        }
+
+    def stepped(self, race: RaceProgress) -> None:
+        """Notes what came of the driver's last action."""
+        if len(self._rewards) == len(self._actions):
+            return  # it has finished, and others race on
+        self._rewards.append(float(race.rewards[_AGENT]))
+        self._last = self._chain.observe(race.observations[_AGENT])
+        self._is_finished = race.infos[_AGENT]["finish_time"] > 0
+
+    def ended(self, _: RaceResult) -> None:
+        """Writes the file, whole or not at all.
+
+        Raises:
+            ConfigError: it cannot be written.
+        """
+        steps = len(self._rewards)
+        if not steps:
+            return
+        ends = np.zeros(steps, np.bool_)
+        ends[-1] = True
+        never = np.zeros(steps, np.bool_)
+        arrays = {
+            **_columns(
+                "observations",
+                self._chain.observation_space,
+                [*self._observations[:steps], self._last],
+            ),
+            **_columns("actions", self._chain.action_space, self._actions[:steps]),
+            "rewards": np.array(self._rewards),
+            "terminations": ends if self._is_finished else never,
+            "truncations": never if self._is_finished else ends,
+            "about": np.array(json.dumps(self._about)),
+        }
+        self._write(arrays)
+
+    def _write(self, arrays: dict[str, Any]) -> None:
+        beside = self._path.with_name(f".{self._path.name}.{os.getpid()}.part")
+        try:
+            with beside.open("wb") as file:
+                np.savez_compressed(file, **arrays)
+            beside.replace(self._path)
+        except OSError as error:
+            beside.unlink(missing_ok=True)
+            raise ConfigError(f"the dataset could not be written: {error}") from error
+
+
+def _columns(name: str, space: Space[Any], values: list[Any]) -> dict[str, Any]:
+    """Values of a space as arrays by name, with time as leading axis."""
+    parts = getattr(space, "spaces", None)
+    if not isinstance(parts, dict):
+        return {name: np.array(values, getattr(space, "dtype", None))}
+    columns: dict[str, Any] = {}
+    for key, part in parts.items():
+        columns |= _columns(f"{name}/{key}", part, [value[key] for value in values])
+    return columns

@@ -1,0 +1,177 @@
+"""A race in which a person drives the first kart."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from typing import Any
+
+from gymnasium import spaces
+
+from stkzoo.env.graphics import checked_size
+from stkzoo.env.keyboard import keys_to_action
+from stkzoo.env.views import VIEWS
+from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.names import Phase, PowerupType
+from stkzoo.play.dataset import DatasetWriter
+from stkzoo.play.screen import PlayScreen
+from stkzoo.race import Driver, RaceListener, RaceProgress, RaceResult, run_race
+from stkzoo.render.renderer import BACKENDS, RaceRenderer
+
+__all__ = ["play_race"]
+
+#: A step is a whole number of the game's ticks of 1/60 s.
+RATES = (10, 12, 15, 20, 30, 60)
+
+#: The person's agent: the first.
+_AGENT = "kart_0"
+
+
+def play_race(
+    opponents: Sequence[str | Driver] = ("ai", "ai", "ai"),
+    *,
+    name: str = "you",
+    backend: str = "auto",
+    size: Sequence[int] = (640, 480),
+    rate: int = 20,
+    view: str = "full",
+    dataset: str | None = None,
+    listeners: Sequence[RaceListener] = (),
+    **settings: Any,
+) -> RaceResult:
+    """Opens a window, lets a person drive, and returns how the race ended.
+
+    The race runs in real time, slower where a picture takes longer than a step. Escape and
+    closing the window end it.
+
+    Args:
+        opponents: the other drivers (:func:`stkzoo.race.find_driver`).
+        name: what to call the person.
+        backend: who draws: ``"engine"``, ``"map"``, or ``"auto"`` for the game where it can.
+        size: width and height of the picture [pixels].
+        rate: steps and pictures a second, one of 10, 12, 15, 20, 30 and 60.
+        view: in which the person's observations and actions are recorded; keys that it has
+            no action for do nothing.
+        dataset: path of an ``.npz`` file for what was driven (:class:`DatasetWriter`).
+        listeners: who else watches.
+        settings: of the race, as for :func:`stkzoo.race.run_race`.
+
+    Raises:
+        ConfigError: an argument cannot be, pygame is missing, or there is no display.
+        AgentError, AssetError, EngineError, RaceInterrupted: as :func:`stkzoo.race.run_race`.
+    """
+    _check(backend, rate, view)
+    actions = keys_to_action(VIEWS[view], repr(view))
+    with ExitStack() as life:
+        # Bad paths are found before a window opens.
+        writer = DatasetWriter(dataset, view) if dataset is not None else None
+        screen = PlayScreen(checked_size(size))
+        life.callback(screen.close)
+        person = _Person(screen, actions, writer)
+        watchers = [_Game(screen, checked_size(size), backend, rate), *listeners]
+        if writer is not None:
+            watchers.append(writer)
+        driver = Driver.of_actor(name, person.actor, view)
+        return run_race([driver, *opponents], listeners=watchers, **settings)
+
+
+def _check(backend: str, rate: int, view: str) -> None:
+    if backend not in BACKENDS:
+        raise unknown_name("backend", backend, BACKENDS)
+    if rate not in RATES:
+        raise ConfigError(
+            f"rate is {rate!r}, expected one of {', '.join(map(str, RATES))} steps a second"
+        )
+    if view not in VIEWS:
+        raise unknown_name("view", view, VIEWS)
+
+
+class _Person:
+    """The driver's side: the action for the keys that are down."""
+
+    def __init__(
+        self, screen: PlayScreen, actions: dict[Any, Any], writer: DatasetWriter | None
+    ) -> None:
+        self._screen, self._actions, self._writer = screen, actions, writer
+
+    def actor(self, _: spaces.Space[Any], __: spaces.Space[Any], ___: int) -> Any:
+        """Makes the actor of one race."""
+        return self._act
+
+    def _act(self, observation: Any) -> Any:
+        action = self._actions[tuple(sorted(self._screen.pressed)) or ""]
+        if self._writer is not None:
+            self._writer.decided(observation, action)
+        return action
+
+
+class _Game(RaceListener):
+    """The race's side: shows every step and lets no more steps pass than time."""
+
+    def __init__(self, screen: PlayScreen, size: tuple[int, int], backend: str, rate: int) -> None:
+        self._screen, self._seconds = screen, 1 / rate
+        self._renderer = RaceRenderer(backend, size)
+        self._due = 0.0
+
+    def env_options(self) -> dict[str, Any]:
+        """As many steps a second as were asked for."""
+        return {"step_size": self._seconds}
+
+    def started(self, race: RaceProgress) -> None:
+        """Shows the grid."""
+        scene = race.env.scene
+        assert scene is not None  # noqa: S101 - the race has started
+        self._kart = scene.kart_indices[race.env.possible_agents.index(_AGENT)]
+        self._renderer.begin(scene)
+        self._show(race)
+        self._due = time.monotonic() + self._seconds
+        self._wait(race)
+
+    def stepped(self, race: RaceProgress) -> None:
+        """Shows the step, then waits until the next one is due."""
+        self._show(race)
+        # A late picture makes the race slower; what is lost is not made up for by a rush.
+        self._due = max(self._due + self._seconds, time.monotonic())
+        self._wait(race)
+
+    def closed(self) -> None:
+        """Ends the process that draws."""
+        self._renderer.close()
+
+    def _wait(self, race: RaceProgress) -> None:
+        self._screen.wait(self._due)
+        while self._screen.is_paused and not self._screen.is_left:
+            self._show(race, "paused: P goes on   ")
+            self._screen.wait(time.monotonic() + 0.1)
+            self._due = time.monotonic()
+        if self._screen.is_left:
+            race.stop("left")
+
+    def _show(self, race: RaceProgress, note: str = "") -> None:
+        snapshot = race.env.snapshot
+        assert snapshot is not None  # noqa: S101 - the race runs
+        picture = self._renderer.pictures(snapshot)[self._kart]
+        self._screen.show(picture, note + _status(race, self._kart))
+
+
+def _status(race: RaceProgress, kart: int) -> str:
+    snapshot, info = race.env.snapshot, race.infos[_AGENT]
+    assert snapshot is not None  # noqa: S101 - the race runs
+    if info["finish_time"] > 0:
+        return f"finished in {info['finish_time']:.2f} s, place {info['position']}"
+    phase = Phase(snapshot.phase)
+    if phase < Phase.RACE_PHASE:
+        return {"READY_PHASE": "ready ...", "SET_PHASE": "set ..."}.get(phase.name, "go!")
+    state, laps = snapshot.karts[kart], race.env.options.laps
+    power = PowerupType(int(state["powerup_type"]))
+    parts = [
+        f"place {info['position']}/{len(snapshot.karts)}",
+        f"lap {min(info['lap'] + 1, laps)}/{laps}",
+        f"{snapshot.header['time']:.1f} s",
+        f"{float(state['speed']) * 3.6:.0f} km/h",
+        f"nitro {state['energy']:.0f}",
+    ]
+    if power != PowerupType.NOTHING:
+        parts.append(f"{power.name.lower()} x{state['powerup_num']}")
+    return "   ".join(parts)

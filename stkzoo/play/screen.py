@@ -1,0 +1,101 @@
+"""The window of a person who drives: it shows pictures and knows which keys are down."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.env.keyboard import KEYS
+from stkzoo.play.pygame_door import load_pygame
+
+__all__ = ["PlayScreen"]
+
+_TITLE = "stkzoo play"
+_BAR = 30  # [pixels]
+_BAR_COLOUR, _TEXT_COLOUR, _FAINT_COLOUR = (20, 24, 32), (235, 240, 245), (150, 160, 175)
+_HELP = "P pause   Esc leave"
+
+
+class PlayScreen:
+    """A window with a picture and a line of text below.
+
+    Attributes:
+        pressed: codes of the driving keys that are down (:mod:`stkzoo.env.keyboard`).
+        is_paused: whether P was pressed.
+        is_left: whether Escape was pressed or the window closed.
+
+    Args:
+        size: width and height of the picture [pixels].
+
+    Raises:
+        ConfigError: pygame is not installed, or there is no display.
+    """
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self._pygame = pygame = load_pygame()
+        pygame.display.init()
+        pygame.font.init()
+        pygame.display.set_caption(_TITLE)
+        self._window = pygame.display.set_mode((size[0], size[1] + _BAR), pygame.RESIZABLE)
+        self._font = pygame.font.Font(None, 22)
+        self._driving = frozenset(key.code for key in KEYS)
+        self.pressed: set[int] = set()
+        self.is_paused = False
+        self.is_left = False
+
+    def listen(self) -> None:
+        """Takes in what has happened at the keyboard and the window."""
+        pygame = self._pygame
+        for event in pygame.event.get():
+            if event.type == pygame.QUIT:
+                self.is_left = True
+            elif event.type == pygame.KEYDOWN:
+                self._press(event.key)
+            elif event.type == pygame.KEYUP:
+                self.pressed.discard(event.key)
+            elif event.type == pygame.WINDOWFOCUSLOST:
+                self.pressed.clear()  # their release will go to another window
+
+    def show(self, picture: npt.NDArray[np.uint8], text: str) -> None:
+        """Shows a picture, ``(H, W, 3)`` uint8, as large as fits, and a line of text."""
+        pygame, window = self._pygame, self._window
+        width, height = window.get_size()
+        scale = min(width / picture.shape[1], max(1, height - _BAR) / picture.shape[0])
+        size = round(picture.shape[1] * scale), round(picture.shape[0] * scale)
+        surface = pygame.surfarray.make_surface(picture.swapaxes(0, 1))
+        if size != surface.get_size():
+            surface = pygame.transform.smoothscale(surface, size)
+        window.fill(_BAR_COLOUR)
+        window.blit(surface, ((width - size[0]) // 2, (height - _BAR - size[1]) // 2))
+        self._write(text, width, height)
+        pygame.display.flip()
+
+    def wait(self, deadline: float) -> None:
+        """Listens until a moment of :func:`time.monotonic`, or until the person leaves."""
+        self.listen()
+        while not self.is_left and (left := deadline - time.monotonic()) > 0:
+            time.sleep(min(left, 0.01))
+            self.listen()
+
+    def close(self) -> None:
+        """Closes the window."""
+        self._pygame.display.quit()
+
+    def _press(self, key: int) -> None:
+        if key in self._driving:
+            self.pressed.add(key)
+        elif key == self._pygame.K_p:
+            self.is_paused = not self.is_paused
+        elif key == self._pygame.K_ESCAPE:
+            self.is_left = True
+
+    def _write(self, text: str, width: int, height: int) -> None:
+        top = height - _BAR + 8
+        line: Any = self._font.render(text, True, _TEXT_COLOUR)
+        self._window.blit(line, (10, top))
+        hint = self._font.render(_HELP, True, _FAINT_COLOUR)
+        if line.get_width() + hint.get_width() + 40 <= width:
+            self._window.blit(hint, (width - hint.get_width() - 10, top))

@@ -1,0 +1,218 @@
+"""Copies and specs of every id and wrapper stack play the same race."""
+
+import copy
+import pickle
+
+import cloudpickle
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import wrappers
+from gymnasium.envs.registration import EnvSpec
+
+import stkzoo
+from stkzoo import race_v0
+from stkzoo.checks.trace import fingerprint
+from stkzoo.wrappers import (
+    CameraObservations,
+    ConstantSizedObservations,
+    DiscreteActionsWrapper,
+    FlattenerWrapper,
+    FlattenMultiDiscreteActions,
+    MonoAgentWrapperAdapter,
+    OnlyContinuousActionsWrapper,
+    PolarObservations,
+)
+
+RACE = {"track": "lighthouse", "num_kart": 2}
+VIEWS = (
+    *("full", "simple", "flattened", "flattened_continuous_actions"),
+    *("flattened_multidiscrete", "flattened_discrete"),
+)
+IDS = [f"supertuxkart/{name}-v0" for name in (*VIEWS, "multi-full")]
+COPIES = {
+    "pickle": lambda env: pickle.loads(pickle.dumps(env)),
+    "cloudpickle": lambda env: cloudpickle.loads(cloudpickle.dumps(env)),
+    "deepcopy": copy.deepcopy,
+}
+
+
+def of_id(env_id):
+    return lambda: gym.make(env_id, **RACE)
+
+
+def stacked(*layers, base="full"):
+    def make():
+        env = gym.make(f"supertuxkart/{base}-v0", **RACE)
+        for layer, options in layers:
+            env = layer(env, **options)
+        return env
+
+    return make
+
+
+FLAT = [(ConstantSizedObservations, {"state_items": 3}), (PolarObservations, {})]
+#: Stacks of our wrappers and Gymnasium's.
+STACKS = {
+    "polar lists": stacked((PolarObservations, {})),
+    "one number": stacked(
+        *FLAT,
+        (DiscreteActionsWrapper, {"acceleration_steps": 3, "steer_steps": 5}),
+        (FlattenerWrapper, {}),
+        (FlattenMultiDiscreteActions, {}),
+        (wrappers.DelayObservation, {"delay": 1}),
+    ),
+    "numbers only": stacked(
+        *FLAT,
+        (OnlyContinuousActionsWrapper, {}),
+        (FlattenerWrapper, {}),
+        (wrappers.FlattenObservation, {}),
+        (wrappers.FrameStackObservation, {"stack_size": 3}),
+        (wrappers.NormalizeReward, {}),
+        (wrappers.RecordEpisodeStatistics, {}),
+    ),
+    "camera": stacked(
+        (CameraObservations, {"size": (32, 32), "backend": "map", "every": 2}),
+        (wrappers.RecordEpisodeStatistics, {}),
+        base="flattened_discrete",
+    ),
+}
+#: Plain pickle cannot take functions inside Gymnasium's own FlattenObservation.
+NOT_PICKLED = ("numbers only",)
+ALL = {**{env_id: of_id(env_id) for env_id in IDS}, **STACKS}
+
+
+def race(env, steps=15, seed=7):
+    """Fingerprints of a few steps with actions of a fixed seed."""
+    observation, info = env.reset(seed=seed)
+    prints = [fingerprint([observation, without_times(info)])]
+    space = copy.deepcopy(env.action_space)
+    space.seed(1)
+    for _ in range(steps):
+        *step, info = env.step(space.sample())
+        prints.append(fingerprint([*step, without_times(info)]))
+        if step[-1] or step[-2]:
+            break
+    env.close()
+    return prints
+
+
+def without_times(info):
+    return {key: value for key, value in info.items() if key != "episode"}
+
+
+@pytest.mark.parametrize("moment", ["before", "amid"])
+@pytest.mark.parametrize(
+    ("name", "library"),
+    [(n, c) for n in ALL for c in COPIES if (n, c) not in [(n, "pickle") for n in NOT_PICKLED]],
+)
+def test_a_copy_plays_the_same_race(name, library, moment):
+    with ALL[name]() as env:
+        if moment == "amid":
+            env.reset(seed=3)
+            env.step(env.action_space.sample())
+        again = COPIES[library](env)
+        assert [type(layer) for layer in layers(again)] == [type(layer) for layer in layers(env)]
+        assert race(again) == race(env)
+
+
+@pytest.mark.parametrize("name", NOT_PICKLED)
+def test_it_is_gymnasiums_wrapper_that_plain_pickle_cannot_take(name):
+    with ALL[name]() as env, pytest.raises((AttributeError, pickle.PicklingError), match="Flatten"):
+        pickle.dumps(env)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_spec_rebuilds_the_whole_stack(name):
+    expected = race(ALL[name]())
+    with ALL[name]() as env:
+        for spec in (env.spec, EnvSpec.from_json(env.spec.to_json()), copy.deepcopy(env.spec)):
+            again = gym.make(spec)
+            assert [type(layer) for layer in layers(again)] == [
+                type(layer) for layer in layers(env)
+            ]
+            assert again.observation_space == env.observation_space
+            assert race(again) == expected
+
+
+def layers(env):
+    while isinstance(env, gym.Wrapper):
+        yield env
+        env = env.env
+    yield env
+
+
+def discrete_polar(env):
+    return DiscreteActionsWrapper(PolarObservations(ConstantSizedObservations(env)))
+
+
+@pytest.mark.parametrize("library", COPIES)
+def test_the_adapter_of_many_agents_is_copied_with_its_wrappers(library):
+    def make():
+        env = gym.make("supertuxkart/multi-full-v0", **RACE, agents=[stkzoo.AgentSpec()] * 2)
+        return MonoAgentWrapperAdapter(env, wrapper_factories={"0": discrete_polar, "1": None})
+
+    with make() as env, COPIES[library](env) as again:
+        assert race(again) == race(env)
+
+
+def parallel_race(env, steps=15):
+    observations, infos = env.reset(seed=5)
+    prints = [fingerprint([observations, infos])]
+    random = np.random.default_rng(1)
+    for _ in range(steps):
+        actions = {agent: int(random.integers(1120)) for agent in env.agents}
+        prints.append(fingerprint(env.step(actions)))
+    env.close()
+    return prints
+
+
+@pytest.mark.parametrize("moment", ["before", "amid"])
+@pytest.mark.parametrize("library", COPIES)
+def test_the_parallel_environment_is_copied(library, moment):
+    with race_v0.parallel_env(**RACE, view="flattened_discrete", reward="placement") as env:
+        if moment == "amid":
+            env.reset(seed=1)
+        assert parallel_race(COPIES[library](env)) == parallel_race(env)
+
+
+@pytest.mark.parametrize("library", COPIES)
+def test_the_turn_by_turn_form_is_copied(library):
+    env = race_v0.env(**RACE, view="flattened_discrete")
+    again = COPIES[library](env)
+    results = []
+    for each in (env, again):
+        each.reset(seed=4)
+        prints = []
+        for _ in range(12):
+            each.step(484)
+            prints.append(fingerprint(list(each.last())))
+        each.close()
+        results.append(prints)
+    assert results[0] == results[1]
+
+
+@pytest.mark.parametrize("library", COPIES)
+def test_many_races_are_copied(library):
+    envs = stkzoo.RaceVectorEnv(2, **RACE, view="flattened_discrete")
+    again = COPIES[library](envs)
+    results = []
+    for each in (envs, again):
+        prints = [fingerprint(list(each.reset(seed=2)))]
+        prints += [fingerprint(list(each.step(np.full(4, 484)))) for _ in range(10)]
+        each.close()
+        results.append(prints)
+    assert results[0] == results[1]
+
+
+def test_a_registered_view_of_ones_own_is_copied_and_rebuilt():
+    stkzoo.register_view("pickled_polar", discrete_polar)
+    try:
+        with gym.make("supertuxkart/pickled_polar-v0", **RACE) as env:
+            expected = race(env)
+            assert race(pickle.loads(pickle.dumps(env))) == expected
+            assert race(gym.make(EnvSpec.from_json(env.spec.to_json()))) == expected
+    finally:
+        from stkzoo.env.views import VIEWS as KNOWN
+
+        del KNOWN["pickled_polar"], gym.registry["supertuxkart/pickled_polar-v0"]

@@ -1,0 +1,380 @@
+"""Driving with the keyboard: Gymnasium's play(), `stkzoo play`, and what is recorded of it.
+
+Keys are synthetic events, under SDL's dummy driver unless there is a display.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import stkzoo
+from stkzoo.cli.main import main
+from stkzoo.env.keyboard import KEYS, base_action
+from stkzoo.env.views import VIEWS
+from stkzoo.errors import ConfigError
+from stkzoo.play import play_race
+from stkzoo.race import RaceListener
+
+pygame = pytest.importorskip("pygame")
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")  # without a display it says that it cannot plot
+    from gymnasium.utils import play as gym_play
+
+CODES = {key.name: key.code for key in KEYS}
+UP, DOWN, LEFT, RIGHT = (CODES[name] for name in ("up", "down", "left", "right"))
+SMALL = {"render_mode": "rgb_array", "render_backend": "map", "render_size": (160, 120)}
+
+
+@pytest.fixture(autouse=True)
+def dummy_screen(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    yield
+    pygame.quit()
+
+
+class Fingers:
+    """Presses and lets go of keys."""
+
+    def __init__(self):
+        self.down = set()
+
+    def hold(self, *keys):
+        for key in sorted(set(keys) - self.down):
+            pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
+        for key in sorted(self.down - set(keys)):
+            pygame.event.post(pygame.event.Event(pygame.KEYUP, key=key))
+        self.down = set(keys)
+
+    def follow(self, ahead):
+        """Throttle, and steering towards ``(x, y, z)`` in the kart's frame."""
+        angle = np.arctan2(ahead[0], ahead[2])
+        self.hold(UP, *([RIGHT] if angle > 0.06 else [LEFT] if angle < -0.06 else []))
+
+
+def press(key):
+    pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
+    pygame.event.post(pygame.event.Event(pygame.KEYUP, key=key))
+
+
+def leave():
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+
+
+def make(view, **options):
+    return gym.make(f"supertuxkart/{view}-v0", track="lighthouse", **SMALL, **options)
+
+
+# ------------------------------------------------------------------ Gymnasium's play()
+
+
+def test_the_keys_have_the_numbers_that_pygame_gives_them():
+    pygame.init()
+    assert {key.name: key.code for key in KEYS} == {
+        name: pygame.key.key_code(name) for name in CODES
+    }
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_every_combination_of_keys_is_an_action_of_the_view(view):
+    env = make(view, num_kart=2)
+    actions = env.unwrapped.get_keys_to_action()
+    assert len(actions) == 2 ** len(KEYS)
+    assert all(action in env.action_space for action in actions.values())
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ([], {}),
+        ([UP], {"acceleration": 1}),
+        ([UP, LEFT], {"acceleration": 1, "steer": -1}),
+        ([UP, RIGHT, CODES["v"]], {"acceleration": 1, "steer": 1, "drift": 1}),
+        ([UP, DOWN], {"brake": 1}),
+        ([LEFT, RIGHT], {}),
+        ([CODES["space"], CODES["n"], CODES["backspace"]], {"fire": 1, "nitro": 1, "rescue": 1}),
+    ],
+)
+def test_keys_mean_what_is_written_on_them(keys, expected):
+    action = {name: float(np.ravel(value)[0]) for name, value in base_action(keys).items()}
+    assert action == {**dict.fromkeys(action, 0.0), **expected}
+
+
+def test_keys_of_the_discrete_view_drive_as_those_of_the_full_view():
+    distances = []
+    for view in ("full", "flattened_discrete"):
+        env = make(view, num_kart=1)
+        env.reset(seed=1)
+        actions = env.unwrapped.get_keys_to_action()
+        held = [tuple(sorted((UP, RIGHT))), (UP,), (UP,), (UP,)] * 15
+        infos = [env.step(actions[keys])[4] for keys in held]
+        distances.append(infos[-1]["distance"])
+        env.close()
+    assert distances[0] == distances[1] > 5
+
+
+def test_a_view_that_hides_what_a_key_means_says_so():
+    stkzoo.register_view(
+        "keyless",
+        lambda env: gym.wrappers.TransformAction(
+            gym.wrappers.FilterObservation(VIEWS["simple"](env), ["velocity"]), lambda a: a, None
+        ),
+    )
+    try:
+        with pytest.raises(ConfigError, match="'keyless' does not say which of its actions"):
+            make("keyless").unwrapped.get_keys_to_action()
+    finally:
+        del VIEWS["keyless"], gym.registry["supertuxkart/keyless-v0"]
+
+
+@pytest.mark.parametrize("view", ["flattened_discrete", "full"])
+def test_play_with_keys_pressed_from_what_is_seen_finishes_a_lap(view):
+    fingers, ends = Fingers(), []
+    env = make(view, num_kart=2)
+
+    def look(_, seen, action, reward, terminated, truncated, info):
+        assert action in env.action_space
+        ahead = seen["paths_end"][2] if view == "full" else ahead_in(seen)
+        fingers.follow(ahead)
+        if terminated or truncated:
+            ends.append((terminated, info["finish_time"], reward))
+            leave()
+
+    gym_play.play(env, fps=100_000, callback=look, seed=1)
+    env.close()
+    ((finished, seconds, reward),) = ends
+    assert finished
+    assert 20 < seconds < 100
+    assert reward > 5
+
+
+def ahead_in(seen):
+    """The end of the third segment ahead, from the flat observation, as a point."""
+    simple = gym.make("supertuxkart/simple-v0").observation_space
+    first = 0
+    for name, part in simple.spaces.items():  # in the order of their names
+        if name == "paths_end":
+            break
+        first += part.shape != () and part.dtype.kind == "f" and int(np.prod(part.shape))
+    side, up, distance = seen["continuous"][first + 6 : first + 9]
+    return [np.sin(side) * distance, np.sin(up) * distance, np.cos(side) * distance]
+
+
+def test_play_plot_draws_what_it_is_told(monkeypatch, tmp_path):
+    from matplotlib import pyplot
+
+    with pyplot.rc_context():
+        pyplot.switch_backend("Agg")
+        monkeypatch.setattr(gym_play, "plt", pyplot)
+        monkeypatch.setattr(pyplot, "pause", lambda _: None)  # a window would be drawn here
+        plot = gym_play.PlayPlot(lambda *step: [step[3], step[6]["distance"]], 40, ["reward", "m"])
+        env, fingers = make("flattened_discrete", num_kart=1), Fingers()
+
+        def look(*step):
+            plot.callback(*step)
+            fingers.hold(UP)
+            if plot.t == 60:
+                leave()
+
+        gym_play.play(env, fps=100_000, callback=look, seed=1)
+        env.close()
+        rewards, metres = plot.data
+        assert len(rewards) == 40
+        assert metres[-1] > 3
+        plot.fig.savefig(tmp_path / "plot.png")
+        pyplot.close("all")
+    assert (tmp_path / "plot.png").stat().st_size > 1000
+
+
+# ------------------------------------------------------------------ stkzoo play
+
+
+class Driving(RaceListener):
+    """Drives by keys, and does things at some steps."""
+
+    def __init__(self, **at):
+        self.fingers, self.at, self.steps = Fingers(), at, 0
+
+    def stepped(self, race):
+        self.steps = race.steps
+        if "kart_0" in race.observations:
+            self.fingers.follow(race.observations["kart_0"]["paths_end"][2])
+        if (todo := self.at.get(f"step_{race.steps}")) is not None:
+            todo()
+
+
+WINDOW = {"backend": "map", "size": (160, 120), "track": "lighthouse", "seed": 3}
+
+
+def test_the_person_drives_the_first_kart_against_others():
+    result = play_race(["ai", "random"], rate=60, max_steps=300, listeners=[Driving()], **WINDOW)
+    assert [agent.driver for agent in sorted(result.agents, key=lambda a: a.agent)] == [
+        "you",
+        "ai",
+        "random",
+    ]
+    assert next(a for a in result.agents if a.driver == "you").distance > 3
+    assert result.wall_time >= 4.9  # 300 steps of 1/60 s pass in real time
+
+
+@pytest.mark.parametrize(
+    "leaving", [lambda: press(pygame.K_ESCAPE), leave], ids=["escape", "closed window"]
+)
+def test_leaving_ends_the_race(leaving):
+    driving = Driving(step_5=leaving)
+    result = play_race([], rate=20, listeners=[driving], **WINDOW)
+    assert result.status == "left"
+    assert driving.steps == 6
+
+
+def test_a_pause_lasts_until_the_key_is_pressed_again():
+    import threading
+
+    driving = Driving(step_5=lambda: press(pygame.K_p))
+    goes_on = threading.Timer(1.0, lambda: press(pygame.K_p))
+    driving.at["step_6"] = lambda: None
+    goes_on.start()
+    result = play_race([], rate=60, max_steps=10, listeners=[driving], **WINDOW)
+    goes_on.join()
+    assert result.status == "max_steps"
+    assert result.wall_time > 0.5
+
+
+def test_keys_are_let_go_when_the_window_loses_the_focus():
+    from stkzoo.play import PlayScreen
+
+    screen = PlayScreen((160, 120))
+    fingers = Fingers()
+    fingers.hold(UP, LEFT)
+    screen.listen()
+    assert screen.pressed == {UP, LEFT}
+    pygame.event.post(pygame.event.Event(pygame.WINDOWFOCUSLOST))
+    screen.listen()
+    assert screen.pressed == set()
+    screen.close()
+
+
+def test_what_was_driven_is_a_dataset_that_drives_the_same_race_again(tmp_path):
+    path = tmp_path / "me.npz"
+    play_race(
+        [],
+        rate=10,
+        view="flattened_discrete",
+        dataset=str(path),
+        max_steps=45,
+        listeners=[Driving()],
+        **WINDOW,
+    )
+    with np.load(path) as data:
+        data = dict(data)
+    about = json.loads(str(data["about"]))
+    assert set(data) == {
+        *("observations/continuous", "observations/discrete"),
+        *("actions", "rewards", "terminations", "truncations", "about"),
+    }
+    env = gym.make(
+        about["env_id"],
+        num_kart=about["num_kart"],
+        track=about["track"],
+        step_size=about["step_size"],
+    )
+    observation, _ = env.reset(seed=about["seed"])
+    seen, rewards = [observation["continuous"]], []
+    for action in data["actions"]:
+        observation, reward, *_ = env.step(action)
+        seen.append(observation["continuous"])
+        rewards.append(reward)
+    env.close()
+    assert len(set(data["actions"].tolist())) > 1
+    # The compiled kernel differs in the last places.
+    np.testing.assert_allclose(data["observations/continuous"], seen, rtol=1e-5, atol=1e-5)
+    np.testing.assert_array_equal(data["rewards"], rewards)
+    assert data["truncations"].tolist() == [False] * 44 + [True]
+    assert not data["terminations"].any()
+
+
+def test_dict_actions_become_one_array_an_entry(tmp_path):
+    path = tmp_path / "me.npz"
+    play_race([], rate=60, view="simple", dataset=str(path), max_steps=5, **WINDOW)
+    with np.load(path) as data:
+        assert data["actions/acceleration"].shape == (5, 1)
+        assert data["actions/brake"].dtype == np.int64
+        assert data["observations/paths_end"].shape == (6, 5, 3)
+        assert data["observations/kart_type"].shape == (6,)
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"rate": 25}, "rate is 25, expected one of 10, 12"),
+        ({"backend": "mapp"}, "backend 'mapp'.*map"),
+        ({"view": "flat"}, "view 'flat'"),
+        ({"size": (1, 2)}, "render_size"),
+        ({"dataset": "me.csv"}, "ends in .npz"),
+        ({"dataset": "nowhere/me.npz"}, "no such folder"),
+        ({"dataset": "me.npz", "view": "full"}, "differ in size"),
+    ],
+)
+def test_what_cannot_be_is_refused(options, match):
+    with pytest.raises(ConfigError, match=match):
+        play_race([], **{**WINDOW, **options})
+
+
+def test_without_a_display_it_says_what_to_do(monkeypatch):
+    for name in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    with pytest.raises(ConfigError, match="start a desktop session, or `xvfb-run`"):
+        play_race([], **WINDOW)
+
+
+def test_without_pygame_it_names_the_extra():
+    code = (
+        "import sys; sys.modules['pygame'] = None\n"
+        "from stkzoo.play import play_race\n"
+        "play_race([], backend='map')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert "pip install 'stkzoo[play]'" in done.stderr
+    assert "ConfigError" in done.stderr
+
+
+def test_the_package_does_not_load_pygame():
+    code = "import sys, stkzoo.play, stkzoo.cli.play; print('pygame' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stdout == "False\n"
+
+
+def test_the_command_plays_and_records(tmp_path, capsys):
+    arguments = ["play", "ai", "--track", "lighthouse", "--seed", "1", "--map", "--max-steps", "8"]
+    window = ["--width", "160", "--height", "120"]
+    files = ["--dataset", str(tmp_path / "me.npz"), "--replay", str(tmp_path / "me.stkz")]
+    assert main([*arguments, *window, *files]) == 0
+    assert "Over after 8 steps, in 0.8 s of game time" in capsys.readouterr().out
+    assert sorted(os.listdir(tmp_path)) == ["me.npz", "me.stkz"]
+    assert main(["replay", str(tmp_path / "me.stkz")]) == 0
+
+
+@pytest.mark.parametrize(
+    ("flags", "match"),
+    [
+        (["--view", "simple"], "give --dataset too"),
+        (["--rate", "7"], "rate is 7"),
+        (["nobody"], "nobody"),
+        (["--map", "--3d"], "not allowed with"),
+    ],
+)
+def test_bad_flags_are_bad_usage(flags, match, capsys):
+    assert main(["play", *flags]) == 2
+    assert match in capsys.readouterr().err

@@ -1,0 +1,405 @@
+"""Races that start anywhere on the track, and moments of races kept as files."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import stkzoo
+from benchmarks.starts import summary, track_starts
+from stkzoo import (
+    AgentSpec,
+    ApiOrderError,
+    ConfigError,
+    RandomStart,
+    Scenario,
+    Start,
+    StartCurriculum,
+    race_v0,
+)
+from stkzoo.agents.heuristic import HeuristicDriver, create_state
+from stkzoo.engine.road import Road
+from stkzoo.env.starts import draw_starts
+
+
+def race(num_kart=1, track="lighthouse", **options):
+    return race_v0.parallel_env(num_kart=num_kart, track=track, **options)
+
+
+def expected_point(env, start):
+    """The place that was asked for, from the track's own arrays."""
+    track = env.track_map
+    distance = (start.share or 0) * track.length if start.distance is None else start.distance
+    distance -= start.behind
+    marks, node = track.path_distance, 0
+    while not marks[node, 0] <= distance % track.length <= marks[node, 1]:
+        node = track.successors[node][0]
+    share = (distance % track.length - marks[node, 0]) / (marks[node, 1] - marks[node, 0])
+    begin, end = track.path_nodes[node].astype(float)
+    along = (end - begin) / np.linalg.norm((end - begin)[[0, 2]])
+    return begin + share * (end - begin) + start.offset * np.array([along[2], 0.0, -along[0]])
+
+
+def coast(env, steps, throttle=0.0):
+    action = {
+        "acceleration": np.array([throttle], np.float32),
+        "steer": np.zeros(1, np.float32),
+        **dict.fromkeys(("brake", "drift", "fire", "nitro", "rescue"), 0),
+    }
+    states = []
+    for _ in range(steps):
+        env.step(dict.fromkeys(env.agents, action))
+        states.append(env.state())
+    return np.array(states)
+
+
+# ------------------------------------------------------------------ on the engine
+
+
+@pytest.mark.parametrize(
+    ("track", "start"),
+    [
+        ("lighthouse", Start(distance=30.0)),
+        ("lighthouse", Start(distance=400.0, speed=15.0, offset=2.0)),
+        ("lighthouse", Start(distance=870.0, speed=3.0, heading=0.4)),
+        ("zengarden", Start(share=0.5, speed=8.0)),
+        ("olivermath", Start(share=0.3, offset=-3.0)),
+        ("lighthouse", Start(distance=-10.0)),
+    ],
+)
+def test_a_kart_stands_where_it_was_asked_to_and_as_fast(track, start):
+    with race(track=track) as env:
+        observations, _ = env.reset(seed=1, options={"start": start})
+        assert env.observation_space("kart_0").contains(observations["kart_0"])
+        kart = env.snapshot.karts[0]
+        away = kart["location"] - expected_point(env, start)
+        assert np.hypot(away[0], away[2]) < 1.0
+        assert abs(away[1]) < 1.3
+        assert kart["velocity_lc"][2] == pytest.approx(start.speed, abs=0.5)
+        assert np.abs(kart["velocity_lc"][:2]).max() < 1.0
+        assert kart["is_on_road"]
+        laps = kart["finished_laps"]
+        assert laps == (-1 if start.distance is not None and start.distance < 0 else 0)
+        height = float(kart["location"][1])
+        coast(env, 5)
+        assert abs(float(env.snapshot.karts[0]["location"][1]) - height) < 2.0
+
+
+def test_the_distance_is_that_of_the_place():
+    with race() as env:
+        for distance in (5.0, 200.0, 700.0):
+            _, infos = env.reset(seed=1, options={"start": distance})
+            assert infos["kart_0"]["distance"] == pytest.approx(distance, abs=3.0)
+            assert infos["kart_0"]["reward/progress"] == 0.0
+            _, rewards, *_ = env.step({"kart_0": env.action_space("kart_0").sample()})
+            assert abs(rewards["kart_0"]) < 5.0
+
+
+def test_a_heading_turns_the_kart_to_the_right():
+    with race() as env:
+        fronts = []
+        for heading in (0.0, 0.5):
+            env.reset(seed=1, options={"start": Start(distance=300.0, heading=heading)})
+            kart = env.snapshot.karts[0]
+            fronts.append(kart["front"] - kart["location"])
+        yaws = [np.arctan2(front[0], front[2]) for front in fronts]
+        assert yaws[1] - yaws[0] == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_kart_that_starts_late_in_the_lap_finishes():
+    driver, state = HeuristicDriver(), create_state()
+    with race(track="zengarden") as env:
+        observations, infos = env.reset(seed=1, options={"start": Start(share=0.85, speed=10.0)})
+        ended = {"kart_0": False}
+        for _ in range(300):
+            action = driver(state, observations["kart_0"])
+            observations, _, ended, _, infos = env.step({"kart_0": action})
+            if not env.agents:
+                break
+        assert ended == {"kart_0": True}
+        assert infos["kart_0"]["finish_time"] < 20.0
+
+
+def test_two_laps_are_two_laps():
+    with race(track="zengarden", laps=2) as env:
+        env.reset(seed=1, options={"start": Start(share=0.95, speed=15.0)})
+        assert env.snapshot.karts[0]["finished_laps"] == 0
+        coast(env, 60, throttle=0.6)
+        assert env.agents == ["kart_0"]
+
+
+def test_bots_and_agents_start_in_rows_behind_the_first():
+    agents = [AgentSpec(rank_start=1), AgentSpec(rank_start=2)]
+    with race(num_kart=4, agents=agents, track="hacienda") as env:
+        env.reset(seed=1, options={"start": Start(distance=400.0, speed=10.0)})
+        karts = env.snapshot.karts
+        along = karts["overall_distance"] - karts["overall_distance"][0]
+        assert along == pytest.approx([0.0, 0.0, -4.0, -4.0], abs=1.5)
+        assert karts["velocity_lc"][:, 2] == pytest.approx([10.0] * 4, abs=2.0)
+        assert len({tuple(place) for place in karts["location"].round(1).tolist()}) == 4
+
+
+def test_agents_start_where_they_are_asked_to_each():
+    with race(num_kart=3, agents=3, track="hacienda") as env:
+        starts = {"kart_0": 700.0, 1: Start(distance=300.0, speed=8.0)}
+        env.reset(seed=1, options={"start": starts})
+        rows = env.snapshot.karts[list(env.race.kart_indices)]
+        assert rows["overall_distance"] == pytest.approx([700.0, 300.0, 696.0], abs=8.0)
+        assert rows["velocity_lc"][1, 2] == pytest.approx(8.0, abs=0.5)
+        assert rows["velocity_lc"][0, 2] == pytest.approx(0.0, abs=0.5)
+
+
+def test_tracks_can_be_driven_the_other_way_round():
+    with race(reverse=True) as env:
+        _, infos = env.reset(seed=1, options={"start": Start(distance=300.0, speed=10.0)})
+        assert infos["kart_0"]["distance"] == pytest.approx(300.0, abs=3.0)
+        coast(env, 5, throttle=0.5)
+        assert env.infos(["kart_0"])["kart_0"]["distance"] > 303.0
+
+
+def test_the_same_seed_and_start_are_the_same_race():
+    def play(env, seed):
+        env.reset(seed=seed, options={"start": RandomStart(speed=(5.0, 15.0))})
+        first = env.state()
+        return np.concatenate([first[None], coast(env, 15, throttle=0.5)])
+
+    with race(num_kart=3, agents=1) as env, race(num_kart=3, agents=1) as other:
+        first = play(env, 7)
+        assert np.array_equal(play(env, 7), first)
+        assert np.array_equal(play(other, 7), first)
+        assert not np.array_equal(play(env, 8), first)
+
+
+def test_a_race_on_the_grid_is_as_if_there_were_no_starts():
+    with race(num_kart=2, agents=1) as env:
+        env.reset(seed=3)
+        before = coast(env, 30, throttle=1.0)
+        env.reset(options={"start": "random"})
+        env.reset(seed=3, options={"start": None})
+        assert np.array_equal(coast(env, 30, throttle=1.0), before)
+
+
+def test_a_place_without_ground_is_refused_and_the_next_race_starts():
+    with race() as env:
+        env.reset(seed=1)
+        half = Road(env.track_map).half_width(300.0)
+        with pytest.raises(ConfigError, match=r"20\.0 m beside the centre line .* has room for"):
+            env.reset(options={"start": Start(distance=300.0, offset=20.0)})
+        with pytest.raises(ConfigError, match=r"expected at most 879\.9 m, the length of the lap"):
+            env.reset(options={"start": 5000.0})
+        env.reset(options={"start": Start(distance=300.0, offset=half - 0.6)})
+        coast(env, 2)
+
+
+def test_a_speed_that_karts_do_not_reach_is_refused():
+    with (
+        race(difficulty=0) as env,
+        pytest.raises(ConfigError, match="karts reach 15 m/s at difficulty 0"),
+    ):
+        env.reset(seed=1, options={"start": Start(distance=300.0, speed=25.0)})
+
+
+def test_starts_work_without_a_process_and_through_gymnasium():
+    with race(use_subprocess=False) as env:
+        env.reset(seed=1, options={"start": 300.0})
+        assert env.snapshot.karts[0]["overall_distance"] == pytest.approx(300.0, abs=3.0)
+    env = gym.make("supertuxkart/simple-v0", num_kart=1, track="lighthouse", start=Start(share=0.5))
+    env.reset(seed=1)
+    assert env.unwrapped.core.snapshot.karts[0]["overall_distance"] == pytest.approx(440, abs=3)
+    env.reset(seed=1, options={"start": 100.0})
+    assert env.unwrapped.core.snapshot.karts[0]["overall_distance"] == pytest.approx(100, abs=3)
+    env.close()
+
+
+def test_many_races_start_anywhere():
+    envs = stkzoo.RaceVectorEnv(2, num_kart=1, track="lighthouse", start="random", view="flattened")
+    envs.reset(seed=4)
+    for _ in range(3):
+        *_, infos = envs.step(envs.action_space.sample())
+    assert len(set(np.round(infos["distance"]))) == 2
+    envs.close()
+
+
+# ------------------------------------------------------------------ what can be asked for
+
+
+@pytest.mark.parametrize(
+    ("start", "message"),
+    [
+        ("grid?", "start is 'grid\\?', expected None for the grid"),
+        (True, "start is True"),
+        ({}, "empty mapping"),
+        ({"kart_0": {"kart_1": 3.0}}, "for an agent"),
+        (float("nan"), "distance of a start is nan"),
+        ([3.0], "start is \\[3.0\\]"),
+    ],
+)
+def test_wrong_starts_are_refused_before_the_race(start, message):
+    with pytest.raises(ConfigError, match=message):
+        race(start=start)
+
+
+def test_an_agent_that_is_not_there_cannot_start():
+    with race() as env, pytest.raises(ConfigError, match="kart_7"):
+        env.reset(options={"start": {"kart_7": 3.0}})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({}, "either a distance"),
+        ({"distance": 1.0, "share": 0.5}, "either a distance"),
+        ({"share": 1.5}, "share of a start is 1.5"),
+        ({"share": 0.5, "speed": -1.0}, "speed of a start is -1"),
+        ({"share": 0.5, "speed": 99.0}, "from 0 to 25"),
+        ({"share": 0.5, "heading": 4.0}, "heading of a start is 4"),
+        ({"distance": "5"}, "distance of a start is '5'"),
+    ],
+)
+def test_wrong_numbers_of_a_start_are_refused(arguments, message):
+    with pytest.raises(ConfigError, match=message):
+        Start(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"share": (0.5, 0.2)}, "expected \\(lowest, highest\\)"),
+        ({"speed": 3.0}, "speed is 3.0"),
+        ({"speed": (0.0, 50.0)}, "speed of a start is 50"),
+    ],
+)
+def test_wrong_bounds_are_refused(arguments, message):
+    with pytest.raises(ConfigError, match=message):
+        RandomStart(**arguments)
+
+
+def test_random_starts_stay_within_their_bounds():
+    wish = RandomStart(share=(0.2, 0.4), speed=(5.0, 6.0), offset=(-1.0, 1.0))
+    random = np.random.default_rng(1)
+    drawn = [draw_starts(wish, ["kart_0"], [0], 1, random)[0] for _ in range(200)]
+    assert all(0.2 <= start.share <= 0.4 and 5.0 <= start.speed <= 6.0 for start in drawn)
+    assert len({start.share for start in drawn}) == 200
+    assert {start.heading for start in drawn} == {0.0}
+
+
+def test_a_curriculum_moves_back_with_success():
+    curriculum = StartCurriculum(stages=2, window=2, promote_at=0.5)
+    assert curriculum.start().share == (0.5, 1.0)
+    assert [curriculum.report(success) for success in (False, False, True)] == [False, False, True]
+    assert curriculum.start().share == (0.0, 1.0)
+    assert [curriculum.report(True) for _ in range(4)] == [False] * 4
+    with pytest.raises(ConfigError, match="stages is 0"):
+        StartCurriculum(0)
+    with pytest.raises(ConfigError, match="promote_at is 2"):
+        StartCurriculum(promote_at=2)
+
+
+# ------------------------------------------------------------------ scenarios
+
+
+def test_a_scenario_file_goes_on_as_the_race_did(tmp_path):
+    path = tmp_path / "hairpin.stkscene"
+    options = {"num_kart": 3, "agents": 2}
+    with race(**options) as env:
+        env.reset(seed=5, options={"start": Start(distance=100.0, speed=5.0)})
+        coast(env, 25, throttle=0.7)
+        env.scenario().save(path)
+        after = coast(env, 20, throttle=0.3)
+    with race(**options) as env:
+        observations, infos = env.reset(options={"scenario": path})
+        assert set(observations) == {"kart_0", "kart_1"}
+        assert infos["kart_0"]["episode/length"] == 0
+        assert np.array_equal(coast(env, 20, throttle=0.3), after)
+        again = env.scenario()
+        assert len(again.controls) == 45
+    assert Scenario.load(path).controls.shape == (25, 2, 7)
+    assert [file.name for file in tmp_path.iterdir()] == ["hairpin.stkscene"]
+
+
+def test_a_scenario_knows_the_way_through_saved_states():
+    with race() as env:
+        env.reset(seed=5)
+        coast(env, 25, throttle=1.0)
+        with env.save_state() as state:
+            coast(env, 10)
+            env.restore_state(state)
+        coast(env, 5, throttle=0.5)
+        scenario = env.scenario()
+        after = coast(env, 5, throttle=1.0)
+        assert len(scenario.controls) == 30
+        env.reset(options={"scenario": scenario})
+        assert np.array_equal(coast(env, 5, throttle=1.0), after)
+
+
+def test_wrong_scenarios_are_refused(tmp_path):
+    bad = tmp_path / "bad.stkscene"
+    bad.write_bytes(b"nothing")
+    with race() as env:
+        with pytest.raises(ApiOrderError, match="before reset"):
+            env.scenario()
+        env.reset(seed=1)
+        scenario = env.scenario()
+        with pytest.raises(ConfigError, match="is no scenario or is damaged"):
+            env.reset(options={"scenario": bad})
+        with pytest.raises(ConfigError, match="cannot be read"):
+            env.reset(options={"scenario": tmp_path / "none"})
+        with pytest.raises(ConfigError, match="scenario is 3"):
+            env.reset(options={"scenario": 3})
+        with pytest.raises(ConfigError, match="a scenario and track"):
+            env.reset(options={"scenario": scenario, "track": "mines"})
+        with pytest.raises(ConfigError, match="cannot be written"):
+            scenario.save(tmp_path / "no" / "folder")
+    with race(num_kart=2) as env, pytest.raises(ConfigError, match="1 karts and 1 agents"):
+        env.reset(options={"scenario": scenario})
+
+
+def test_a_scenario_that_comes_out_otherwise_is_told():
+    with race() as env:
+        env.reset(seed=1)
+        coast(env, 30, throttle=1.0)
+        scenario = env.scenario()
+        changed = scenario.controls.copy()
+        changed[25:, 0, 0] = 0.0
+        fields = {name: getattr(scenario, name) for name in ("setup", "kart_indices", "agents")}
+        other = Scenario(**fields, controls=changed, digest=scenario.digest)
+        with pytest.raises(ConfigError, match="did not come out as it was saved"):
+            env.reset(options={"scenario": other})
+        env.reset(seed=1)
+
+
+def test_a_damaged_file_is_one_clear_error(tmp_path):
+    path, random = tmp_path / "s", np.random.default_rng(1)
+    with race() as env:
+        env.reset(seed=1)
+        coast(env, 3, throttle=1.0)
+        env.scenario().save(path)
+    good, refused = path.read_bytes(), 0
+    for _ in range(200):
+        data = bytearray(good)
+        for _ in range(8):
+            data[random.integers(len(data))] = random.integers(256)
+        path.write_bytes(bytes(data[: random.integers(10, len(data) + 1)]))
+        try:
+            Scenario.load(path)
+        except ConfigError:
+            refused += 1
+    assert refused > 150
+
+
+def test_the_benchmark_of_starts_counts_what_it_tries():
+    row = track_starts("lighthouse", 2, seed=0)
+    assert (row["starts"], row["fallen"], row["bad"], row["finishes"]) == (2, 0, [], True)
+    assert summary([row, row])["starts"] == 4
+
+
+def test_a_random_start_that_is_refused_is_drawn_again():
+    wish = RandomStart(share=(0.3, 0.3), offset=(-20.0, 20.0))
+    with race() as env:
+        for seed in range(3):
+            env.reset(seed=seed, options={"start": wish})
+            (start,) = env._episode.setup.starts
+            assert abs(start.offset) < 6.0
+            assert env.snapshot.karts[0]["is_on_road"]
+        beside = RandomStart(share=(0.3, 0.3), offset=(18.0, 20.0))
+        with pytest.raises(ConfigError, match="beside the centre line"):
+            env.reset(seed=1, options={"start": beside})

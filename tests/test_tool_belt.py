@@ -1,0 +1,435 @@
+"""Gymnasium's stock wrappers and utilities on our ids; docs/tool-belt.md has the table."""
+
+import argparse
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import wrappers
+from gymnasium.spaces import Box
+from gymnasium.utils import env_checker, performance, seeding
+from gymnasium.utils.save_video import save_video
+from gymnasium.utils.step_api_compatibility import step_api_compatibility
+from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import vector
+
+import stkzoo
+from stkzoo.env.views import VIEWS
+from stkzoo.errors import ConfigError
+
+RACE = {"track": "lighthouse", "num_kart": 2}
+DRAWN = {"render_mode": "rgb_array", "render_backend": "map", "render_size": (64, 64)}
+FLAT = ["simple", "flattened", "flattened_discrete", "flattened_continuous_actions"]
+EVERY = ["full", "multi-full", *FLAT, "flattened_multidiscrete"]
+NUMBERS = ["flattened_continuous_actions"]
+
+
+def pixels(env):
+    return wrappers.AddRenderObservation(env)
+
+
+def flat(env):
+    return wrappers.FlattenObservation(env)
+
+
+def reshaped(env):
+    (size,) = env.observation_space.shape
+    return wrappers.ReshapeObservation(env, (1, size))
+
+
+def same_action(env):
+    return wrappers.TransformAction(env, lambda action: action, env.action_space)
+
+
+def same_observation(env):
+    return wrappers.TransformObservation(env, lambda seen: seen, env.observation_space)
+
+
+def to_torch(env):
+    import torch
+
+    return wrappers.ArrayConversion(env, env_xp=np, target_xp=torch)
+
+
+def first_key(env):
+    return wrappers.FilterObservation(env, [next(iter(env.observation_space.spaces))])
+
+
+#: How each wrapper goes around an environment, and around which ids.
+WORKING = {
+    "AddRenderObservation": (pixels, EVERY),
+    "AddWhiteNoise": (lambda env: wrappers.AddWhiteNoise(env, 0.2), EVERY),
+    "ArrayConversion": (to_torch, EVERY),
+    "Autoreset": (wrappers.Autoreset, EVERY),
+    "ClipAction": (wrappers.ClipAction, NUMBERS),
+    "ClipReward": (lambda env: wrappers.ClipReward(env, -1, 1), EVERY),
+    "DelayObservation": (lambda env: wrappers.DelayObservation(env, 2), EVERY),
+    "DiscretizeAction": (lambda env: wrappers.DiscretizeAction(env, bins=3), NUMBERS),
+    "DtypeObservation": (lambda env: wrappers.DtypeObservation(flat(env), np.float64), FLAT),
+    "FilterObservation": (first_key, EVERY),
+    "FlattenObservation": (flat, EVERY),
+    "FrameStackObservation": (lambda env: wrappers.FrameStackObservation(env, 3), EVERY),
+    "GrayscaleObservation": (lambda env: wrappers.GrayscaleObservation(pixels(env)), EVERY),
+    "HumanRendering": (wrappers.HumanRendering, EVERY),
+    "MaxAndSkipObservation": (lambda env: wrappers.MaxAndSkipObservation(flat(env), 2), FLAT),
+    "NormalizeObservation": (lambda env: wrappers.NormalizeObservation(flat(env)), FLAT),
+    "NormalizeReward": (wrappers.NormalizeReward, EVERY),
+    "NumpyToTorch": (lambda env: wrappers.NumpyToTorch(env), EVERY),
+    "ObstructView": (lambda env: wrappers.ObstructView(env, 0.2, obstruction_width=4), EVERY),
+    "OrderEnforcing": (wrappers.OrderEnforcing, EVERY),
+    "PassiveEnvChecker": (wrappers.PassiveEnvChecker, EVERY),
+    "RecordEpisodeStatistics": (wrappers.RecordEpisodeStatistics, EVERY),
+    "RenderCollection": (wrappers.RenderCollection, EVERY),
+    "RepeatAction": (lambda env: wrappers.RepeatAction(env, 3), EVERY),
+    "RescaleAction": (
+        lambda env: wrappers.RescaleAction(env, np.float32(-1), np.float32(1)),
+        NUMBERS,
+    ),
+    "RescaleObservation": (
+        lambda env: wrappers.RescaleObservation(pixels(env), np.float32(0), np.float32(1)),
+        EVERY,
+    ),
+    "ReshapeObservation": (lambda env: reshaped(flat(env)), FLAT),
+    "ResizeObservation": (lambda env: wrappers.ResizeObservation(pixels(env), (32, 32)), EVERY),
+    "StickyAction": (lambda env: wrappers.StickyAction(env, 0.3), EVERY),
+    "TimeAwareObservation": (wrappers.TimeAwareObservation, EVERY),
+    "TimeLimit": (lambda env: wrappers.TimeLimit(env, 3), EVERY),
+    "TransformAction": (same_action, EVERY),
+    "TransformObservation": (same_observation, EVERY),
+    "TransformReward": (lambda env: wrappers.TransformReward(env, lambda r: 2 * r), EVERY),
+}
+#: Those with tests of their own below, or in test_render.py.
+ELSEWHERE = {"RecordVideo", "DiscretizeObservation"}
+#: Those that are for other environments: Atari's, and ones written in JAX.
+FOREIGN = {"AtariPreprocessing", "JaxToNumpy", "JaxToTorch"}
+PAIRS = [
+    pytest.param(make, view, id=f"{name}-{view}")
+    for name, (make, views) in WORKING.items()
+    for view in ("full", "flattened_discrete", "flattened_continuous_actions", "multi-full")
+    if view in views
+]
+
+
+@pytest.fixture(autouse=True)
+def dummy_screen(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+
+
+def make(view, **options):
+    return gym.make(f"supertuxkart/{view}-v0", **{**RACE, **options})
+
+
+def action_for(env):
+    action = env.action_space.sample()
+    if any(isinstance(layer, wrappers.ArrayConversion) for layer in layers(env)):
+        from gymnasium.wrappers.numpy_to_torch import numpy_to_torch
+
+        return numpy_to_torch(action)
+    return action
+
+
+def layers(env):
+    while isinstance(env, gym.Wrapper):
+        yield env
+        env = env.env
+
+
+def test_every_wrapper_of_gymnasium_is_tried():
+    known = {*WORKING, *ELSEWHERE, *FOREIGN, "vector"}
+    assert {name for name in wrappers.__all__ if name not in known} == set()
+
+
+@pytest.mark.parametrize(("wrap", "view"), PAIRS)
+@pytest.mark.filterwarnings("ignore:.*The obs returned by the .* method:UserWarning")
+def test_a_stock_wrapper_goes_around_the_id(wrap, view):
+    with wrap(make(view, **DRAWN)) as env:
+        observation, _ = env.reset(seed=1)
+        for _ in range(3):
+            observation, reward, _, _, _ = env.step(action_for(env))
+        if env.unwrapped.render_mode is not None:
+            assert env.render() is not None or isinstance(env, wrappers.HumanRendering)
+        assert np.isfinite(float(reward))
+        if not any(isinstance(layer, wrappers.ArrayConversion) for layer in layers(env)):
+            assert observation in env.observation_space
+
+
+def test_discretize_observation_takes_what_has_bounds():
+    def speed_class(env):
+        bounded = Box(-60.0, 60.0, (3,), np.float32)
+        env = wrappers.TransformObservation(
+            env, lambda seen: seen["velocity"].clip(-60, 60), bounded
+        )
+        return wrappers.DiscretizeObservation(env, bins=5)
+
+    with speed_class(make("simple")) as env:
+        observation, _ = env.reset(seed=1)
+        assert observation in env.observation_space
+
+
+def test_normalize_observation_tames_the_flat_vector():
+    with wrappers.NormalizeObservation(flat(make("flattened_discrete"))) as env:
+        env.reset(seed=1)
+        seen = [env.step(env.action_space.sample())[0] for _ in range(200)]
+    assert np.abs(np.mean(seen[100:])) < 1
+    assert np.isfinite(seen).all()
+
+
+def test_statistics_of_an_episode_are_those_of_the_env():
+    with wrappers.RecordEpisodeStatistics(make("flattened_discrete", max_episode_steps=20)) as env:
+        env.reset(seed=1)
+        rewards, truncated = [], False
+        while not truncated:
+            _, reward, _, truncated, info = env.step(0)
+            rewards.append(reward)
+    assert info["episode"]["l"] == 20 == info["episode/length"]
+    assert (
+        info["episode"]["r"] == pytest.approx(info["episode/return"]) == pytest.approx(sum(rewards))
+    )
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_record_video_and_save_video_film_a_race(tmp_path):
+    options = {"max_episode_steps": 12, "num_kart": 1}
+    drawn = {**DRAWN, "render_size": (128, 96)}
+    with wrappers.RecordVideo(
+        make("full", **options, **drawn), str(tmp_path / "a"), disable_logger=True
+    ) as env:
+        env.reset(seed=1)
+        for _ in range(12):
+            env.step(env.action_space.sample())
+    with make("full", **options, **{**drawn, "render_mode": "rgb_array_list"}) as env:
+        env.reset(seed=1)
+        for _ in range(12):
+            env.step(env.action_space.sample())
+        save_video(env.render(), str(tmp_path / "b"), fps=env.metadata["render_fps"])
+    films = [path for folder in "ab" for path in (tmp_path / folder).glob("*.mp4")]
+    assert len(films) == 2
+    assert all(film.stat().st_size > 1000 for film in films)
+
+
+# ------------------------------------------------------------------ vectors
+
+
+def vector_reshaped(envs):
+    (size,) = envs.single_observation_space.shape
+    return vector.ReshapeObservation(envs, (1, size))
+
+
+VECTORS = {
+    "ArrayConversion": lambda env: vector.NumpyToTorch(env),
+    "ClipAction": vector.ClipAction,
+    "ClipReward": lambda env: vector.ClipReward(env, -1, 1),
+    "DictInfoToList": vector.DictInfoToList,
+    "NormalizeReward": vector.NormalizeReward,
+    "NumpyToTorch": lambda env: vector.NumpyToTorch(env),
+    "RecordEpisodeStatistics": vector.RecordEpisodeStatistics,
+    "RescaleAction": lambda env: vector.RescaleAction(env, np.float32(-1), np.float32(1)),
+    "TransformAction": lambda env: vector.TransformAction(env, lambda action: action),
+    "TransformReward": lambda env: vector.TransformReward(env, lambda reward: reward),
+    "VectorizeTransformAction": lambda env: vector.VectorizeTransformAction(
+        env, wrappers.ClipAction
+    ),
+    "VectorizeTransformReward": lambda env: vector.VectorizeTransformReward(
+        env, wrappers.TransformReward, func=lambda reward: reward
+    ),
+}
+#: Gymnasium refuses these where races start again in the step that ends them.
+NEXT_STEP_ONLY = {
+    "DtypeObservation": lambda env: vector.DtypeObservation(
+        vector.FlattenObservation(env), np.float64
+    ),
+    "FilterObservation": lambda env: vector.FilterObservation(env, ["continuous"]),
+    "FlattenObservation": vector.FlattenObservation,
+    "NormalizeObservation": lambda env: vector.NormalizeObservation(vector.FlattenObservation(env)),
+    "ReshapeObservation": lambda env: vector_reshaped(vector.FlattenObservation(env)),
+    "TransformObservation": lambda env: vector.TransformObservation(env, lambda seen: seen),
+}
+#: Those for pictures, for windows and films, and for environments in JAX.
+NOT_HERE = {
+    "GrayscaleObservation",
+    "HumanRendering",
+    "JaxToNumpy",
+    "JaxToTorch",
+    "RecordVideo",
+    "RescaleObservation",
+    "ResizeObservation",
+    "VectorizeTransformObservation",
+}
+
+
+def make_vec(view="flattened_continuous_actions", mode="vector_entry_point", num=2, **options):
+    return gym.make_vec(
+        f"supertuxkart/{view}-v0", num_envs=num, vectorization_mode=mode, **{**RACE, **options}
+    )
+
+
+def test_every_vector_wrapper_of_gymnasium_is_tried():
+    assert set(vector.__all__) == {*VECTORS, *NEXT_STEP_ONLY, *NOT_HERE}
+
+
+@pytest.mark.parametrize("name", VECTORS)
+def test_a_stock_vector_wrapper_goes_around_many_races(name):
+    envs = VECTORS[name](make_vec())
+    envs.reset(seed=1)
+    actions = envs.action_space.sample()
+    if name in ("NumpyToTorch", "ArrayConversion"):
+        import torch
+
+        actions = torch.as_tensor(actions)
+    for _ in range(3):
+        _, rewards, *_ = envs.step(actions)
+    assert len(rewards) == 2
+    envs.close()
+
+
+@pytest.mark.parametrize("name", NEXT_STEP_ONLY)
+def test_vector_wrappers_of_observations_go_around_the_sync_form(name):
+    envs = NEXT_STEP_ONLY[name](make_vec(mode="sync"))
+    envs.reset(seed=1)
+    observations, *_ = envs.step(envs.action_space.sample())
+    assert observations in envs.observation_space
+    envs.close()
+    quick = make_vec()
+    with pytest.raises(ValueError, match="SAME_STEP"):
+        NEXT_STEP_ONLY[name](quick)
+    quick.close()
+
+
+def test_in_a_view_an_observation_wrapper_goes_into_the_quick_form_too():
+    envs = stkzoo.RaceVectorEnv(
+        2, **RACE, view=lambda env: wrappers.FlattenObservation(VIEWS["flattened_discrete"](env))
+    )
+    observations, _ = envs.reset(seed=1)
+    assert observations.shape == (4, envs.single_observation_space.shape[0])
+    envs.close()
+
+
+@pytest.mark.parametrize("view", [*FLAT, "flattened_multidiscrete"])
+def test_make_vec_gives_our_vector_of_single_agents_with_the_ids_spaces(view):
+    envs = make_vec(view, num=3)
+    assert isinstance(envs.unwrapped, stkzoo.RaceVectorEnv)
+    assert (envs.num_envs, envs.unwrapped.num_agents) == (3, 1)
+    assert envs.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
+    with make(view) as env:
+        assert envs.single_observation_space == env.observation_space
+        assert envs.single_action_space == env.action_space
+    envs.close()
+
+
+def test_make_vec_drives_the_races_of_the_id():
+    envs = make_vec("flattened_discrete", max_episode_steps=15)
+    observations, _ = envs.reset(seed=5)
+    singles = [make("flattened_discrete", max_episode_steps=15) for _ in range(2)]
+    for number, env in enumerate(singles):
+        observation, _ = env.reset(seed=5 + number)
+        np.testing.assert_array_equal(observations["continuous"][number], observation["continuous"])
+    for _ in range(15):
+        observations, rewards, _, cuts, infos = envs.step(np.array([484, 500]))
+        for number, (env, action) in enumerate(zip(singles, (484, 500), strict=True)):
+            observation, reward, _, cut, _ = env.step(action)
+            assert (rewards[number], cuts[number]) == (reward, cut)
+            last = infos["final_obs"][number] if cut else None
+            seen = last["continuous"] if cut else observations["continuous"][number]
+            np.testing.assert_array_equal(seen, observation["continuous"])
+    assert cuts.all()
+    for env in (envs, *singles):
+        env.close()
+
+
+def test_make_vec_takes_the_ids_keywords():
+    agent = stkzoo.AgentSpec(name="me", kart="gnu", rank_start=0)
+    envs = make_vec("flattened", num=1, agent=agent, track="hacienda", num_kart=4)
+    envs.reset(seed=1)
+    (race,) = envs.unwrapped.races
+    assert (race.race.track, race.race.kart_indices, len(race.snapshot.karts)) == (
+        "hacienda",
+        (0,),
+        4,
+    )
+    envs.close()
+
+
+def test_make_vec_of_lists_of_varying_length_says_what_to_choose():
+    with pytest.raises(ConfigError, match=r'differ in size.*choose view="simple"'):
+        make_vec("full")
+    with pytest.raises(ConfigError, match="expected an AgentSpec"):
+        make_vec("flattened", agent=3)
+
+
+def test_the_id_of_many_agents_has_no_vector_of_its_own():
+    with pytest.raises(gym.error.Error):
+        gym.make_vec(
+            "supertuxkart/multi-full-v0", num_envs=2, vectorization_mode="vector_entry_point"
+        )
+
+
+# ------------------------------------------------------------------ utilities
+
+
+def test_steps_convert_to_the_old_form_and_back():
+    with make("flattened_discrete", max_episode_steps=3) as env:
+        env.reset(seed=1)
+        old = [
+            step_api_compatibility(env.step(484), output_truncation_bool=False) for _ in range(3)
+        ]
+    observation, _, done, info = old[-1]
+    assert done is True
+    assert info["TimeLimit.truncated"] is True
+    assert [step[2] for step in old] == [False, False, True]
+    *_, terminated, truncated, _ = step_api_compatibility(old[-1], output_truncation_bool=True)
+    assert (terminated, truncated) == (False, True)
+    assert observation in env.observation_space
+
+
+@pytest.mark.parametrize("view", ["flattened_discrete", "multi-full"])
+def test_the_random_stream_is_gymnasiums(view):
+    with make(view, track=None) as env:
+        env.reset(seed=11)
+        expected, used = seeding.np_random(11)
+        assert env.unwrapped.np_random_seed == used == 11
+        drawn = env.unwrapped.np_random.bit_generator.state
+        assert drawn["bit_generator"] == expected.bit_generator.state["bit_generator"]
+        first = env.unwrapped.core.race.track
+        env.reset(seed=11)
+        assert env.unwrapped.core.race.track == first
+        assert env.unwrapped.np_random.bit_generator.state == drawn
+        env.reset()
+        assert env.unwrapped.np_random.bit_generator.state != drawn
+
+
+@pytest.mark.parametrize("view", EVERY)
+def test_check_env_remarks_on_nothing_but_endless_bounds(view):
+    with make(view, **DRAWN) as env, warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        env_checker.check_env(env.unwrapped, skip_render_check=True)
+    texts = {str(warning.message) for warning in caught}
+    # Gymnasium's own tests leave out these two remarks, for its own environments.
+    endless = ("minimum value is -infinity", "maximum value is infinity")
+    assert all(any(remark in text for remark in endless) for text in texts), texts
+
+
+def test_gymnasiums_benchmark_functions_run():
+    with make("flattened_discrete", **DRAWN) as env:
+        assert performance.benchmark_step(env, target_duration=0, seed=1) > 0
+        assert performance.benchmark_render(env, target_duration=0) > 0
+    made = []
+
+    def made_and_kept():
+        made.append(make("full"))
+        return made[-1]
+
+    assert performance.benchmark_init(made_and_kept, target_duration=0, seed=1) > 0
+    for env in made:
+        env.close()
+
+
+def test_the_benchmark_of_this_page_measures():
+    from benchmarks import bench_tool_belt
+
+    for spec in (
+        {"group": "step", "who": "stkzoo", "id": "full"},
+        {"group": "cameras", "who": "the map", "karts": 2},
+    ):
+        options = argparse.Namespace(track="lighthouse", seconds=0, steps=2)
+        assert bench_tool_belt._measure(spec, options) > 0

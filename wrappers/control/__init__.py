@@ -1,0 +1,28 @@
+"""Actions in physical units: speed or acceleration, steering angle or steering speed.
+
+The parts are pure functions over arrays with any leading axes: :class:`LongitudinalAction`
+and :class:`SteerAction` turn what is asked for into an acceleration and a wheel angle,
+:class:`Pedals` and :class:`CarAction` these into what the game takes. :class:`ControlWrapper`
+puts them around one agent, and :class:`ControlView` makes a view of that.
+"""
+
+from stkzoo.wrappers.control.car_action import CarAction, from_single_to_multi_action_space
+from stkzoo.wrappers.control.longitudinal import LongitudinalAction, LongitudinalActionEnum
+from stkzoo.wrappers.control.parameters import CarParameters
+from stkzoo.wrappers.control.pedals import Pedals
+from stkzoo.wrappers.control.steering import SteerAction, SteerActionEnum
+from stkzoo.wrappers.control.view import ControlView
+from stkzoo.wrappers.control.wrapper import ControlWrapper
+
+__all__ = [
+    "CarAction",
+    "CarParameters",
+    "ControlView",
+    "ControlWrapper",
+    "LongitudinalAction",
+    "LongitudinalActionEnum",
+    "Pedals",
+    "SteerAction",
+    "SteerActionEnum",
+    "from_single_to_multi_action_space",
+]

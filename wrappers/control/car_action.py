@@ -1,0 +1,196 @@
+"""Both numbers of an action, and what the game is told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from gymnasium.vector.utils import batch_space
+
+from stkzoo.errors import ConfigError
+from stkzoo.wrappers.control.longitudinal import LongitudinalAction, LongitudinalActionEnum
+from stkzoo.wrappers.control.parameters import CarParameters
+from stkzoo.wrappers.control.pedals import Pedals
+from stkzoo.wrappers.control.steering import SteerAction, SteerActionEnum
+
+__all__ = ["CarAction", "from_single_to_multi_action_space"]
+
+FloatArray = npt.NDArray[np.floating[Any]]
+
+_LONGITUDINAL = tuple(kind.value for kind in LongitudinalActionEnum)
+_STEERING = tuple(kind.value for kind in SteerActionEnum)
+
+
+class CarAction:
+    """An action of two numbers, ``[steering, longitudinal]``, in physical units.
+
+    The numbers stand in this order whatever the order of the names, as in F1TENTH gymkhana.
+    All methods are pure functions over arrays with any leading axes: one kart or many.
+
+    Attributes:
+        longitudinal: what the second number means.
+        steering: what the first number means.
+        space: ``(2,)`` float32, in physical units or in [-1, 1].
+        parameters: the kart's limits.
+
+    Args:
+        control_input: one of ``"speed"`` [m/s] and ``"accl"`` [m/s^2], and one of
+            ``"steering_angle"`` [rad] and ``"steering_speed"`` [rad/s]. One name alone goes
+            with ``"speed"`` or ``"steering_angle"``.
+        normalize_act: both numbers from -1 to 1 for the whole of their range, so that 0 is
+            its middle, which is not standing still for ``"speed"``.
+        parameters: the kart's limits; by default those of the game's default kart.
+
+    Raises:
+        ConfigError: an unknown name, or two of one kind.
+    """
+
+    def __init__(
+        self,
+        control_input: str | Sequence[str] = ("speed", "steering_angle"),
+        *,
+        normalize_act: bool = False,
+        parameters: CarParameters | None = None,
+    ) -> None:
+        self.parameters = CarParameters() if parameters is None else parameters
+        if not isinstance(self.parameters, CarParameters):
+            raise ConfigError(f"parameters is {parameters!r}, expected CarParameters")
+        if not isinstance(normalize_act, bool):
+            raise ConfigError(f"normalize_act is {normalize_act!r}, expected True or False")
+        longitudinal, steering = _kinds(control_input)
+        self.type = longitudinal.value, steering.value
+        self.longitudinal: LongitudinalAction = longitudinal.action(self.parameters)
+        self.steering: SteerAction = steering.action(self.parameters)
+        self.normalize_act = normalize_act
+        self._low = np.array([self.steering.low, self.longitudinal.low], np.float32)
+        self._high = np.array([self.steering.high, self.longitudinal.high], np.float32)
+        self.space = (
+            spaces.Box(-1.0, 1.0, (2,), np.float32)
+            if normalize_act
+            else spaces.Box(self._low, self._high, dtype=np.float32)
+        )
+        self._pedals = Pedals()
+
+    def memory(self, shape: tuple[int, ...] = ()) -> FloatArray:
+        """What :meth:`act` is given at the start of a race, ``(*shape, 2)``: all zero.
+
+        The angle of the wheels [rad], and the speed [m/s] that throttle and brake, which
+        cannot give every acceleration, still owe to what was asked for.
+        """
+        return np.zeros((*shape, 2))
+
+    def act(
+        self,
+        action: FloatArray,
+        speed: FloatArray,
+        max_steer_angle: FloatArray,
+        memory: FloatArray,
+        step_size: float = 0.1,
+    ) -> tuple[FloatArray, FloatArray]:
+        """What the game is told for an action.
+
+        Args:
+            action: ``(..., 2)`` in ``space``.
+            speed: ``(...)`` forward speed, as observed in ``velocity[2]`` [m/s].
+            max_steer_angle: ``(...)`` as observed [rad].
+            memory: ``(..., 2)`` of :meth:`memory`, or from the call before.
+            step_size: how long the action lasts [s].
+
+        Returns:
+            ``(..., 3)``: ``acceleration`` in [0, 1], ``steer`` in [-1, 1], ``brake`` 0 or 1;
+            and the memory for the next call.
+        """
+        asked = self.physical(action)
+        most = np.maximum(max_steer_angle, 1e-3)
+        angle = self.steering.act(asked[..., 0], memory[..., 0], most, step_size)
+        accl = self.longitudinal.act(asked[..., 1], speed, step_size)
+        owed = np.zeros_like(accl)
+        if not self.longitudinal.is_fed_back:
+            wanted = self._pedals.reach(accl, speed) + memory[..., 1] / step_size
+            throttle, brake = self._pedals.press(wanted, speed, step_size)
+            given = self._pedals.effect(throttle, brake, speed, step_size)
+            owed = np.clip((wanted - given) * step_size, -2.0, 2.0)
+        else:
+            throttle, brake = self._pedals.press(accl, speed, step_size)
+        controls = np.stack([throttle, angle / most, brake.astype(np.float64)], axis=-1)
+        return controls, np.stack([angle, owed], axis=-1)
+
+    def physical(self, action: FloatArray) -> FloatArray:
+        """An action ``(..., 2)`` of ``space`` in physical units, float64."""
+        values = np.asarray(action, np.float64)
+        low, high = self._low.astype(np.float64), self._high.astype(np.float64)
+        return low + (values + 1.0) / 2.0 * (high - low) if self.normalize_act else values
+
+    def read(
+        self,
+        controls: FloatArray,
+        speed: FloatArray,
+        max_steer_angle: FloatArray,
+        angle_before: FloatArray,
+        step_size: float = 0.1,
+    ) -> FloatArray:
+        """The action that asks for what a driver of the game's own controls did.
+
+        Args:
+            controls: ``(..., 3)``: ``acceleration``, ``steer`` and ``brake``.
+            speed: ``(...)`` forward speed [m/s].
+            max_steer_angle: ``(...)`` [rad].
+            angle_before: ``(...)`` angle of the wheels before it [rad].
+            step_size: how long it lasted [s].
+
+        Returns:
+            ``(..., 2)`` float32 in ``space``.
+        """
+        throttle, steer, brake = np.moveaxis(np.asarray(controls, np.float64), -1, 0)
+        accl = self._pedals.effect(throttle, brake > 0, speed, step_size)
+        numbers = [
+            self.steering.read(steer * max_steer_angle, angle_before, step_size),
+            self.longitudinal.read(accl, speed, step_size),
+        ]
+        action = np.stack(np.broadcast_arrays(*numbers), axis=-1)
+        if self.normalize_act:
+            action = (action - self._low) / (self._high - self._low) * 2.0 - 1.0
+        inside: FloatArray = np.clip(action, self.space.low, self.space.high).astype(np.float32)
+        return inside
+
+
+def from_single_to_multi_action_space(
+    single_action_space: spaces.Space[Any], num_agents: int
+) -> spaces.Space[Any]:
+    """The actions of several agents in one: ``(num_agents, 2)`` for a ``(2,)`` ``Box``.
+
+    Raises:
+        ConfigError: there is no agent.
+    """
+    if isinstance(num_agents, bool) or not isinstance(num_agents, int) or num_agents < 1:
+        raise ConfigError(f"num_agents is {num_agents!r}, expected a whole number of at least 1")
+    return batch_space(single_action_space, num_agents)
+
+
+def _kinds(control_input: object) -> tuple[LongitudinalActionEnum, SteerActionEnum]:
+    names = [control_input] if isinstance(control_input, str) else control_input
+    is_list = isinstance(names, Sequence) and all(isinstance(name, str) for name in names)
+    if not is_list or not 1 <= len(names) <= 2:  # type: ignore[arg-type]
+        raise ConfigError(f"control_input is {control_input!r}, {_EXPECTED}")
+    along = [name for name in names if name in _LONGITUDINAL]  # type: ignore[attr-defined]
+    across = [name for name in names if name not in _LONGITUDINAL]  # type: ignore[attr-defined]
+    steering = SteerActionEnum.STEERING_ANGLE
+    longitudinal = LongitudinalActionEnum.SPEED
+    for name in across:
+        if name not in _STEERING:
+            raise ConfigError(f"control_input has {name!r}, {_EXPECTED}")
+        steering = SteerActionEnum.from_string(name)
+    for name in along:
+        longitudinal = LongitudinalActionEnum.from_string(name)
+    if len(along) > 1 or len(across) > 1:
+        raise ConfigError(f"control_input is {control_input!r}, two of one kind; {_EXPECTED}")
+    return longitudinal, steering
+
+
+_EXPECTED = (
+    f"expected one of {', '.join(_LONGITUDINAL)} and one of {', '.join(_STEERING)}, "
+    "such as ['speed', 'steering_angle']"
+)

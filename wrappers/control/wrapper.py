@@ -1,0 +1,159 @@
+"""One agent that acts in physical units."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.wrappers.action_observation import ActionObservationWrapper
+from stkzoo.wrappers.arguments import dict_space, observed_action, with_observed_action
+from stkzoo.wrappers.control.car_action import CarAction
+from stkzoo.wrappers.control.parameters import CarParameters
+
+__all__ = ["BUTTONS", "ControlWrapper"]
+
+#: The game's own buttons that can stand beside the two numbers.
+BUTTONS = ("drift", "fire", "nitro", "rescue")
+
+_PEDALS = ("acceleration", "steer", "brake")
+
+
+class ControlWrapper(ActionObservationWrapper, gym.utils.RecordConstructorArgs):
+    """Steers by ``control`` (2,), as :class:`CarAction` says, and buttons beside it.
+
+    The action is a dict of ``control`` and the chosen buttons (0 or 1); buttons that were
+    not chosen are never pressed. The observation stays as it is; the game AI's own
+    ``action``, where it is there, is what would have asked for what the AI did.
+
+    Within a drift the game turns the wheels by a map of its own, and more than asked for.
+
+    Args:
+        env: an environment with the game's own actions, whose observation has ``velocity``
+            and ``max_steer_angle``; so this goes inside the wrappers that flatten.
+        control_input: see :class:`CarAction`, as for ``normalize_act`` and ``parameters``.
+        buttons: some of ``drift``, ``fire``, ``nitro`` and ``rescue``.
+        step_size: game time of one step [s], that of the race; ``reset`` options that
+            change it for an episode are heeded.
+
+    Raises:
+        ConfigError: an argument cannot be, or the environment is of another kind.
+    """
+
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        *,
+        control_input: str | Sequence[str] = ("speed", "steering_angle"),
+        normalize_act: bool = False,
+        buttons: Sequence[str] = (),
+        parameters: CarParameters | None = None,
+        step_size: float = 0.1,
+    ) -> None:
+        self.car_action = CarAction(
+            control_input, normalize_act=normalize_act, parameters=parameters
+        )
+        self.buttons = _checked_buttons(buttons)
+        self.step_size = _checked_step(step_size)
+        gym.utils.RecordConstructorArgs.__init__(
+            self,
+            control_input=self.car_action.type,
+            normalize_act=normalize_act,
+            buttons=self.buttons,
+            parameters=self.car_action.parameters,
+            step_size=self.step_size,
+        )
+        super().__init__(env)
+        self._idle = _idle_buttons(dict_space(env.action_space, "actions", "ControlWrapper"))
+        _check_observations(dict_space(env.observation_space, "observations", "ControlWrapper"))
+        own = {button: spaces.Discrete(2) for button in self.buttons}
+        self.action_space = spaces.Dict({"control": copy.deepcopy(self.car_action.space), **own})
+        self._has_action = observed_action(env.observation_space) is not None
+        self.observation_space = with_observed_action(env.observation_space, self.action_space)
+        self._start(self.step_size)
+
+    def _start(self, step_size: float) -> None:
+        self._step_size = step_size
+        self._memory = self.car_action.memory()
+        self._speed = self._max_angle = np.float64(0.0)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Resets the environment, with the wheels straight."""
+        self._start(_checked_step((options or {}).get("step_size", self.step_size)))
+        return super().reset(seed=seed, options=options)
+
+    def action(self, action: dict[str, Any]) -> dict[str, Any]:
+        """The game's own action."""
+        controls, self._memory = self.car_action.act(
+            np.asarray(action["control"]),
+            self._speed,
+            self._max_angle,
+            self._memory,
+            self._step_size,
+        )
+        numbers = controls.astype(np.float32)
+        return {
+            **self._idle,
+            "acceleration": numbers[:1],
+            "steer": numbers[1:2],
+            "brake": int(numbers[2]),
+            **{button: int(action[button]) for button in self.buttons},
+        }
+
+    def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
+        """The observation, from which the controllers learn how fast the kart is."""
+        before = self._memory[0]
+        speed, max_angle = self._speed, self._max_angle
+        self._speed = np.float64(observation["velocity"][2])
+        self._max_angle = np.float64(observation["max_steer_angle"][0])
+        if not self._has_action:
+            return observation
+        done = observation["action"]
+        controls = np.array([float(np.reshape(done[key], -1)[0]) for key in _PEDALS])
+        read = self.car_action.read(controls, speed, max_angle, before, self._step_size)
+        self._memory[0] = controls[1] * max_angle
+        buttons = {button: int(done[button]) for button in self.buttons}
+        return {**observation, "action": {"control": read, **buttons}}
+
+
+def _checked_buttons(buttons: object) -> tuple[str, ...]:
+    if isinstance(buttons, str) or not isinstance(buttons, Sequence):
+        raise ConfigError(f"buttons is {buttons!r}, expected some of {', '.join(BUTTONS)}")
+    for button in buttons:
+        if button not in BUTTONS:
+            raise unknown_name("button", button, BUTTONS)
+    return tuple(button for button in BUTTONS if button in buttons)
+
+
+def _checked_step(step_size: Any) -> float:
+    is_number = isinstance(step_size, (int, float)) and not isinstance(step_size, bool)
+    if not is_number or not (math.isfinite(step_size) and step_size > 0):
+        raise ConfigError(f"step_size is {step_size!r}, expected seconds above 0")
+    return float(step_size)
+
+
+def _idle_buttons(space: spaces.Dict) -> dict[str, int]:
+    keys = {*_PEDALS, *BUTTONS}
+    if set(space.spaces) != keys or not isinstance(space["acceleration"], spaces.Box):
+        raise ConfigError(
+            f"ControlWrapper needs the game's own actions ({', '.join(sorted(keys))}), but found "
+            f"{space!r}. Put it around full or simple, not around other actions."
+        )
+    return dict.fromkeys(BUTTONS, 0)
+
+
+def _check_observations(space: spaces.Dict) -> None:
+    missing = [key for key in ("velocity", "max_steer_angle") if key not in space.spaces]
+    if missing:
+        raise ConfigError(
+            f"ControlWrapper needs {' and '.join(missing)} in the observation, but found "
+            f"{', '.join(space.spaces)}. Put it inside the wrappers that leave out or flatten."
+        )
