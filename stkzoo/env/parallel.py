@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -148,7 +149,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         self.agents: list[str] = []
         self._ai_agents = self._agents_of_ai()
         self._rewards = rewards_of_agents(reward, self.possible_agents)
-        self.cameras = RaceCameras(self.possible_agents, lambda: self._episode)
+        this = weakref.ref(self)  # cameras do not keep the environment alive
+        self.cameras = RaceCameras(self.possible_agents, lambda: getattr(this(), "_episode", None))
         self._chains = AgentChains(
             {
                 agent: kart_observation_space(agent in self._ai_agents)
