@@ -278,7 +278,7 @@ def is_red(picture):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("size", "cameras"), [((320, 240), (2, 3, 5, 8)), ((1920, 1440), (1,)), ((1024, 768), (2,))]
+    ("size", "cameras"), [((320, 240), (2, 5)), ((1920, 1440), (1,)), ((1024, 768), (2,))]
 )
 def test_a_kart_has_its_shape_whatever_the_screen(size, cameras):
     """The game splits its screen, and has none larger than 1024 x 768 where there is none."""
@@ -360,9 +360,10 @@ options = {"render_mode": "rgb_array", "graphics_config": "hd"}  # half a minute
 env = race_v0.parallel_env(num_kart=2, track="lighthouse", **options)
 env.reset(seed=1)
 def die():
-    while not (env.render_backend == "map" or env._rendering._renderer._is_game_ready):
+    renderer = env._rendering._renderer
+    while not (renderer.backend == "map" or (renderer._game and renderer._game._session.pid)):
         time.sleep(0.1)
-    game = env._rendering._renderer._game
+    game = renderer._game
     print(game._session.pid if game else "map", flush=True)
     time.sleep(2)
     os.kill(os.getpid(), signal.SIGKILL)
