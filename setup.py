@@ -5,7 +5,7 @@ import sys
 import numpy
 from setuptools import Extension, setup
 
-_PARTS = ("module", "world", "view", "controls", "record")
+_PARTS = ("module", "world", "view", "controls", "record", "rows")
 
 setup(
     ext_modules=[

@@ -38,7 +38,7 @@ HEADER_DTYPE = np.dtype(
 KART_DTYPE = np.dtype(
     [
         ("location", "f4", 3),  # [m]
-        ("rotation", "f4", 4),  # unit quaternion w, x, y, z: kart frame to world
+        ("rotation", "f4", 4),  # unit quaternion w, x, y, z: world to kart frame
         ("front", "f4", 3),  # middle of the front edge [m]
         ("velocity", "f4", 3),  # [m/s]
         ("velocity_lc", "f4", 3),  # [m/s], kart frame: x right, y up, z forward

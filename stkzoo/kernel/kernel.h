@@ -45,6 +45,7 @@ PyObject *score(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
 PyObject *add_up(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
 PyObject *finished(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
 PyObject *make_infos(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
+PyObject *join_rows(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
 
 extern PyTypeObject ViewType;
 extern PyTypeObject ControlsType;

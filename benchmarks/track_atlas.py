@@ -1,0 +1,176 @@
+"""Writes ``docs/tracks.md``: every track with its numbers, the AI's times and a map.
+
+``python -m benchmarks.track_atlas`` draws and writes; with ``--measure FOLDER`` it first races the
+game's AI on all tracks (840 races, kept in the folder, gone on with after an interruption) and
+puts its times where ``stkzoo benchmark`` reads them.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+from PIL import Image
+
+from stkzoo import race_v0
+from stkzoo.race.batch import BatchProgress, write_whole
+from stkzoo.race.benchmark import AiTimes, load_ai_times, measure_ai_times
+from stkzoo.tracks import SPLITS, TEST_TRACKS
+
+ROOT = Path(__file__).parent.parent
+PAGE, PICTURES = ROOT / "docs" / "tracks.md", ROOT / "docs" / "images" / "tracks"
+AI_TIMES = Path(str(files("stkzoo.race.benchmark") / "ai_times.json"))
+_SIZE, _COLOURS, _COLUMNS = (300, 220), 32, 3
+_DIFFICULTIES = (0, 1, 2, 3)
+
+_HEAD = """\
+# Tracks
+
+This page is written by `python -m benchmarks.track_atlas`.
+
+The game has 21 race tracks. Each can be driven the other way round too (`reverse=True`), and
+the game's AI finds its way there as well.
+
+## Training and test
+
+`track="train"` and `track="test"` draw one of a fixed list
+([`stkzoo/tracks.py`](../stkzoo/tracks.py)). Nothing that learns may be trained or tuned on the
+six test tracks. They are fixed by name so that "unseen tracks" means the same to everybody, and
+chosen so that they are like the others: short and long ones, with and without forks, with few
+and many items, easy and hard for drivers that just follow the line. *black_forest* is a
+training track although it is the longest by far: in a test it would take as long as all the
+others together. A track driven the other way round belongs to the same list as forwards, because
+its road, its jumps and its scenery are the same.
+
+"""
+
+_ABOUT = """\
+*Length* is that of a lap; *nodes* are the segments of the driving line, *forks* those after
+which it parts; *items* lie there at the start. *AI times* are medians [s] of {karts} karts
+in races of five, all driven by the game, forwards and reversed, by difficulty 0 to 3; those at
+one's own difficulty are what [`stkzoo benchmark`](benchmark-protocol.md) divides by. With best
+and worst they are in `stkzoo/race/benchmark/ai_times.json`.
+
+Higher difficulties are faster because the game gives its AI more, not only because it drives
+better: at 3 all karts, an agent's too, have stronger engines than at 2.
+
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What is counted on a track."""
+
+    length: float
+    nodes: int
+    forks: int
+    items: int
+
+
+def survey(track: str) -> Facts:
+    """Counts what is on a track and draws its map."""
+    env = race_v0.parallel_env(
+        num_kart=1,
+        track=track,
+        max_paths=1,
+        render_mode="rgb_array",
+        render_backend="map",
+        render_size=_SIZE,
+    )
+    try:
+        env.reset(seed=0)
+        road, snapshot = env.track_map, env.snapshot
+        if road is None or snapshot is None:
+            raise RuntimeError(f"no race on {track}")
+        forks = sum(len(nodes) > 1 for nodes in road.successors)
+        picture = Image.fromarray(env.render())
+        picture.quantize(_COLOURS).save(PICTURES / f"{track}.png", optimize=True)
+        return Facts(road.length, road.num_nodes, forks, len(snapshot.items))
+    finally:
+        env.close()
+
+
+def page(facts: dict[str, Facts], times: AiTimes) -> str:
+    """The whole page."""
+    karts = next(iter(times.by_race.values())).karts
+    versions = ", ".join(f"{name} {number}" for name, number in times.versions.items())
+    return "".join(
+        (
+            _HEAD,
+            _ABOUT.format(karts=karts),
+            _table(facts, times),
+            f"\n{_unfinished(times)} Measured with {versions}.\n\n## Maps\n\n",
+            "The kart stands at the start and looks ahead. Squares are gift boxes, discs are\n",
+            "bananas, nitro and other items. Brighter road is higher.\n\n",
+            _maps(list(facts)),
+        )
+    )
+
+
+def _table(facts: dict[str, Facts], times: AiTimes) -> str:
+    lines = [
+        "| track | split | length [m] | nodes | forks | items | AI times, forwards | reversed |",
+        "| :-- | :-- | --: | --: | --: | --: | --: | --: |",
+    ]
+    for track, found in facts.items():
+        split = "**test**" if track in TEST_TRACKS else "train"
+        lines.append(
+            f"| {track} | {split} | {found.length:.0f} | {found.nodes} | {found.forks} | "
+            f"{found.items} | {_times(track, False, times)} | {_times(track, True, times)} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _times(track: str, reverse: bool, times: AiTimes) -> str:
+    return " / ".join(
+        f"{times.of(track, reverse, difficulty).median:.1f}" for difficulty in _DIFFICULTIES
+    )
+
+
+def _unfinished(times: AiTimes) -> str:
+    karts = sum(time.karts for time in times.by_race.values())
+    lost = {key: time.karts - time.finished for key, time in times.by_race.items()}
+    places = [
+        f"{count} on {track}{' reversed' if reverse else ''} at difficulty {difficulty}"
+        for (track, reverse, difficulty), count in lost.items()
+        if count
+    ]
+    if not places:
+        return f"All {karts} karts finished."
+    return f"{sum(lost.values())} of {karts} karts did not finish: {', '.join(places)}."
+
+
+def _maps(tracks: list[str]) -> str:
+    blank = "| " + " | ".join([" "] * _COLUMNS) + " |\n| " + " | ".join([":-:"] * _COLUMNS) + " |\n"
+    rows = [tracks[first : first + _COLUMNS] for first in range(0, len(tracks), _COLUMNS)]
+    cells = [[f"![{track}](images/tracks/{track}.png)<br>{track}" for track in row] for row in rows]
+    return blank + "".join(f"| {' | '.join(row)} |\n" for row in cells)
+
+
+def _tell(progress: BatchProgress) -> None:
+    if progress.last is not None:
+        last = progress.last
+        way = "reversed" if last.reverse else "forward"
+        print(
+            f"{progress.done} of {progress.total}: {last.track} {way} at {last.difficulty}",
+            flush=True,
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--measure", metavar="FOLDER", help="measure the AI's times first")
+    parser.add_argument("--jobs", type=int, help="races at a time")
+    arguments = parser.parse_args()
+    if arguments.measure:
+        times = measure_ai_times(arguments.measure, jobs=arguments.jobs, on_race=_tell)
+        write_whole(AI_TIMES, times.to_json() + "\n")
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    facts = {track: survey(track) for track in SPLITS["all"]}
+    write_whole(PAGE, page(facts, load_ai_times()))
+
+
+if __name__ == "__main__":
+    main()
