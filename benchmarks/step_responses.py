@@ -236,9 +236,10 @@ def show(results: dict[str, Any]) -> None:
 
 def draw(responses: dict[str, Any], path: Path) -> None:
     """The step responses as one picture."""
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
 
-    figure, grid = plt.subplots(2, 2, figsize=(10, 7), layout="constrained")
+    figure = Figure(figsize=(10, 7), layout="constrained")
+    grid = figure.subplots(2, 2)
     (speeds, accls), (circles, wheels) = grid
     for row in [*responses["speed"], *responses["speed_down"]]:
         times = 0.1 * (1 + np.arange(len(row["speed"])))
@@ -273,7 +274,6 @@ def draw(responses: dict[str, Any], path: Path) -> None:
     circles.set_aspect("equal")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=100)
-    plt.close(figure)
 
 
 if __name__ == "__main__":

@@ -40,8 +40,8 @@ the game's AI finds its way there as well.
 six test tracks. They are fixed by name so that "unseen tracks" means the same to everybody, and
 chosen so that they are like the others: short and long ones, with and without forks, with few
 and many items, easy and hard for drivers that just follow the line. *black_forest* is a
-training track although it is the longest by far: in a test it would take as long as all the
-others together. A track driven the other way round belongs to the same list as forwards, because
+training track although it is the longest: a lap there takes the time of two on most others, and
+far more work. A track driven the other way round belongs to the same list as forwards, because
 its road, its jumps and its scenery are the same.
 
 """

@@ -58,9 +58,10 @@ with lock(cache_folder(), Progress()), staging_folder(cache_folder()) as folder:
 
 
 def run_python(program, *arguments, **variables):
+    """The last line that a fresh interpreter prints, what the game prints at its end apart."""
     process = subprocess.run(
         [sys.executable, "-c", program, *arguments],
-        env={**os.environ, **variables},
+        env={**os.environ, "PYTHONUNBUFFERED": "1", **variables},
         capture_output=True,
         text=True,
         check=True,

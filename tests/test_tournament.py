@@ -15,6 +15,8 @@ import pytest
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceResult
+from stkzoo.race.batch.fingerprint import fingerprint
+from stkzoo.race.batch.pool import run_in_parallel
 from stkzoo.race.tournament import (
     TournamentError,
     load_tournament,
@@ -23,8 +25,6 @@ from stkzoo.race.tournament import (
     run_tournament,
     save_plot,
 )
-from stkzoo.race.tournament.fingerprint import fingerprint
-from stkzoo.race.tournament.pool import run_in_parallel
 from stkzoo.race.tournament.ratings import rate
 from tests.processes import children_of, process_exists, run_program, wait_until
 
@@ -250,7 +250,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
 
 def test_a_race_whose_process_is_killed_is_run_again():
     plan = plan_tournament(["ai", "heuristic"], tracks=["lighthouse"], races=2, max_steps=300)
-    outcomes = run_in_parallel(plan, plan.schedule(), 1, 100)
+    outcomes = run_in_parallel(plan.orders(), 1, 100)
     first = next(outcomes)
     (worker,) = [pid for pid in children_of(os.getpid()) if "worker" in cmdline(pid)]
     os.kill(worker, signal.SIGKILL)

@@ -21,6 +21,7 @@ COMMANDS = (
     "play",
     "replay",
     "tournament",
+    "benchmark",
     "race-server",
     "race-client",
     "keys",

@@ -23,6 +23,7 @@ __all__ = ["RaceBar", "show_race", "show_series"]
 
 _ENDINGS = {
     "finished": "",
+    "awaited_finished": "all that were waited for had finished",
     "karts_finished": "as many karts had finished as --karts-finished asks for",
     "max_steps_after_first": "--max-steps-after-first had passed since the first finish",
     "max_steps": "cut short by --max-steps",

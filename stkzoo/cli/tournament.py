@@ -6,15 +6,13 @@ import argparse
 import os
 import sys
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
+from stkzoo.cli.batch_bar import BatchBar
 from stkzoo.cli.flags import add_flags, flags_given
 
 if TYPE_CHECKING:
-    from typing_extensions import Self  # a part of gymnasium
-
-    from stkzoo.race.tournament import TournamentProgress, TournamentResult
+    from stkzoo.race.tournament import TournamentResult
 
 __all__ = ["add_parser"]
 
@@ -99,7 +97,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     folder = Path(arguments.resume or arguments.output)
     code = 0
-    with _Bar() as bar:
+    with BatchBar() as bar:
         try:
             result = _result(arguments, folder, bar)
         except ConfigError as error:
@@ -123,7 +121,7 @@ def _run(arguments: argparse.Namespace) -> int:
     return code or (_AGENT_FAILED if has_failed else 0)
 
 
-def _result(arguments: argparse.Namespace, folder: Path, bar: _Bar) -> TournamentResult:
+def _result(arguments: argparse.Namespace, folder: Path, bar: BatchBar) -> TournamentResult:
     from stkzoo.errors import ConfigError
     from stkzoo.race.settings import RaceSettings
     from stkzoo.race.tournament import resume_tournament, run_tournament
@@ -148,59 +146,6 @@ def _result(arguments: argparse.Namespace, folder: Path, bar: _Bar) -> Tournamen
         settings=RaceSettings(**flags_given(arguments, RaceSettings, leave_out=_LEFT_OUT)),
         **how,
     )
-
-
-class _Bar:
-    """The races done, on a terminal's stderr."""
-
-    def __init__(self) -> None:
-        from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            TextColumn,
-            TimeRemainingColumn,
-        )
-
-        console = Console(stderr=True)
-        self._bars = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[last]}"),
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        )
-        self._task = self._bars.add_task("races", total=None, last="")
-        self.done = self.total = 0
-
-    def __enter__(self) -> Self:
-        self._bars.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.stop()
-
-    def stop(self) -> None:
-        """Takes the bar away."""
-        self._bars.stop()
-
-    def tell(self, progress: TournamentProgress) -> None:
-        """Moves the bar."""
-        from rich.markup import escape
-
-        self.done, self.total = progress.done, progress.total
-        last = progress.last
-        text = f"{last.track}: {escape(last.agents[0].driver)}" if last else ""
-        self._bars.update(self._task, completed=self.done, total=self.total, last=text)
 
 
 def _kept(folder: Path) -> list[str]:

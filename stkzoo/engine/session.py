@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import ctypes
 import os
 import shutil
 import tempfile
@@ -323,6 +324,7 @@ class LocalSession:
 def _quiet_output() -> Iterator[None]:
     """Keeps what the game writes off the terminal; an error carries it instead."""
     log = Log()
+    _flush_c_streams()
     streams = {stream: os.dup(stream) for stream in (1, 2)}
     try:
         for stream in streams:
@@ -333,10 +335,16 @@ def _quiet_output() -> Iterator[None]:
     except Exception as error:
         raise EngineError(f"the game refused: {error!r}", log.tail()) from error
     finally:
+        _flush_c_streams()  # or what the game wrote comes out when this program ends
         for stream, original in streams.items():
             os.dup2(original, stream)
             os.close(original)
         log.close()
+
+
+def _flush_c_streams() -> None:
+    if os.name == "posix":
+        ctypes.CDLL(None).fflush(None)
 
 
 def _init_here(root: Path) -> None:

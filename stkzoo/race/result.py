@@ -75,6 +75,8 @@ class AgentResult:
         laps: laps done.
         distance: driven along the track since the start line [m].
         reward: the sum over the race.
+        rescues: how often its kart was put back on the road; ``None`` in results from before
+            this was counted.
         num_errors: how often the agent failed.
         errors: the first of these failures.
         action_time: how long it thought; ``None`` for the game's AI.
@@ -90,6 +92,7 @@ class AgentResult:
     laps: int
     distance: float
     reward: float
+    rescues: int | None = None
     num_errors: int = 0
     errors: tuple[AgentFailure, ...] = ()
     action_time: ActionTime | None = field(compare=False, default=None)
@@ -107,10 +110,11 @@ class RaceResult:
     """How a race ended.
 
     Attributes:
-        status: ``"finished"`` (everybody who still drove has), ``"karts_finished"``,
-            ``"max_steps_after_first"``, ``"max_steps"``, ``"time_limit"`` (the runner's own
-            patience), ``"abandoned"`` (nobody drives any more and nobody has finished),
-            ``"interrupted"``, or a listener's reason to stop.
+        status: ``"finished"`` (everybody who still drove has), ``"awaited_finished"`` (all that
+            were waited for have), ``"karts_finished"``, ``"max_steps_after_first"``,
+            ``"max_steps"``, ``"time_limit"`` (the runner's own patience), ``"abandoned"``
+            (nobody drives any more and nobody has finished), ``"interrupted"``, or a
+            listener's reason to stop.
         track: its name.
         reverse: whether it was driven the other way round.
         laps: laps to drive.

@@ -16,6 +16,7 @@ from stkzoo.errors import ActionError, ConfigError, unknown_name
 from stkzoo.race.crew import Crew
 from stkzoo.race.drivers import Driver, find_driver
 from stkzoo.race.listeners import RaceListener, RaceProgress
+from stkzoo.race.rescues import RescueCounter
 from stkzoo.race.result import ActionTime, AgentResult, RaceResult
 from stkzoo.race.settings import RaceSettings
 
@@ -45,6 +46,7 @@ def run_race(
     listeners: Sequence[RaceListener] = (),
     settings: RaceSettings | None = None,
     start_positions: Sequence[int] | None = None,
+    wait_for: Sequence[int] | None = None,
     **changes: Any,
 ) -> RaceResult:
     """Runs one race until everybody has finished.
@@ -59,6 +61,8 @@ def run_race(
         settings: how the race is run.
         start_positions: each driver's place on the grid, 1 is in front; by default they are
             drawn.
+        wait_for: drivers by number, 0 is the first in ``drivers``: the race is over as soon as
+            these have finished or failed, whatever the others do.
         changes: fields of :class:`~stkzoo.race.RaceSettings` that are other than in
             ``settings``, such as ``track="lighthouse"``.
 
@@ -76,12 +80,13 @@ def run_race(
         raise ConfigError("no drivers; name at least one, such as 'heuristic'")
     chosen = _settings(settings, changes)
     places = _places(start_positions, len(drivers))
+    awaited = _awaited(wait_for, len(drivers))
     crew = [_driver(driver, chosen) for driver in drivers]
     with ExitStack() as life:
         for listener in listeners:
             life.callback(listener.closed)
         env = life.enter_context(_env(crew, chosen, places, listeners))
-        return _Run(env, crew, chosen, listeners, life).to_the_end()
+        return _Run(env, crew, awaited, chosen, listeners, life).to_the_end()
 
 
 def _settings(settings: RaceSettings | None, changes: Mapping[str, Any]) -> RaceSettings:
@@ -106,6 +111,16 @@ def _places(start_positions: Sequence[int] | None, count: int) -> list[int | Non
             f"start_positions is {list(start_positions)}, expected each of 1 to {count} once"
         )
     return [int(position) - 1 for position in start_positions]
+
+
+def _awaited(wait_for: Sequence[int] | None, count: int) -> list[str]:
+    if wait_for is None:
+        return []
+    if not wait_for or not set(wait_for) <= set(range(count)):
+        raise ConfigError(
+            f"wait_for is {list(wait_for)}, expected some of the drivers' numbers, 0 to {count - 1}"
+        )
+    return [f"kart_{number}" for number in wait_for]
 
 
 def _env(
@@ -141,6 +156,7 @@ class _Run:
         self,
         env: RaceParallelEnv,
         drivers: Sequence[Driver],
+        awaited: Sequence[str],
         settings: RaceSettings,
         listeners: Sequence[RaceListener],
         life: ExitStack,
@@ -148,6 +164,8 @@ class _Run:
         self._begin = time.monotonic()
         self._env, self._settings, self._listeners = env, settings, listeners
         self._drivers = dict(zip(env.possible_agents, drivers, strict=True))
+        self._awaited = awaited
+        self._rescues = RescueCounter(len(self._drivers), env.options.step_size)
         self._crew = Crew(self._drivers, env.observation_spaces, env.action_spaces, settings)
         life.callback(self._crew.close)
         self._steps = 0
@@ -194,6 +212,8 @@ class _Run:
         for agent, reward in self._rewards.items():
             self._totals[agent] += reward
         self._steps += 1
+        assert self._env.snapshot is not None  # noqa: S101 - since reset
+        self._rescues.look(self._env.snapshot.karts)
         if self._steps_at_first is None and self._num_finished():
             self._steps_at_first = self._steps
 
@@ -212,6 +232,8 @@ class _Run:
             return self._stop
         if not self._crew.driving(self._env.agents):
             return "finished" if finished else "abandoned"
+        if self._awaited and not self._crew.driving(self._racing(self._awaited)):
+            return "awaited_finished"
         if settings.karts_finished is not None and finished >= settings.karts_finished:
             return "karts_finished"
         if settings.max_steps is not None and self._steps >= settings.max_steps:
@@ -224,6 +246,9 @@ class _Run:
 
     def _steps_since_first(self) -> int:
         return 0 if self._steps_at_first is None else self._steps - self._steps_at_first
+
+    def _racing(self, agents: Sequence[str]) -> list[str]:
+        return [agent for agent in agents if agent in self._env.agents]
 
     def _num_finished(self) -> int:
         return sum(info["finish_time"] > 0 for info in self._infos.values())
@@ -308,6 +333,7 @@ class _Run:
             laps=info["lap"],
             distance=info["distance"],
             reward=self._totals[agent],
+            rescues=int(self._rescues.counts[start_position - 1]),
             num_errors=member.num_failures if member else 0,
             errors=tuple(member.failures) if member else (),
             action_time=ActionTime.of(member.seconds) if member else None,

@@ -2,36 +2,26 @@
 
 from __future__ import annotations
 
-import importlib
 import os
-import tempfile
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from stkzoo.errors import ConfigError
+from stkzoo.race.batch.figure import BLUE, INK, plot_library, save_figure, short, without_frame
 from stkzoo.race.tournament.result import TournamentResult
 
-__all__ = ["plot_library", "save_plot"]
+__all__ = ["check_plot_library", "save_plot"]
 
-_INK, _BLUE, _GREY = "#22303c", "#2f6db5", "#8a949c"
-_SHORT = 18
+_EXTRA = "tournament"
 
 
-def plot_library() -> Any:
-    """The library's figures.
+def check_plot_library() -> None:
+    """Checks that the library which draws is there.
 
     Raises:
         ConfigError: it is not installed.
     """
-    try:
-        return importlib.import_module("matplotlib.figure")
-    except ImportError as error:
-        raise ConfigError(
-            f"the plot needs the library matplotlib ({error}); pip install "
-            "'stkzoo[tournament]', or leave the plot out (--no-plot)"
-        ) from error
+    plot_library(_EXTRA)
 
 
 def save_plot(result: TournamentResult, path: str | os.PathLike[str]) -> None:
@@ -46,7 +36,9 @@ def save_plot(result: TournamentResult, path: str | os.PathLike[str]) -> None:
     """
     count = len(result.standings)
     height = 2.2 + 0.42 * count
-    figure = plot_library().Figure(figsize=(5.6 + 0.55 * count + 3, height), layout="constrained")
+    figure = plot_library(_EXTRA).Figure(
+        figsize=(5.6 + 0.55 * count + 3, height), layout="constrained"
+    )
     ratings, matrix = figure.subplots(1, 2, width_ratios=(5.2, 2.4 + 0.62 * count))
     _draw_ratings(ratings, result)
     _draw_matrix(matrix, result)
@@ -54,10 +46,10 @@ def save_plot(result: TournamentResult, path: str | os.PathLike[str]) -> None:
     figure.suptitle(
         f"{count} agents, {num_races} races of {result.plan.per_race} on "
         f"{_listed(result.plan.tracks)}",
-        color=_INK,
+        color=INK,
         fontsize=11,
     )
-    _save(figure, Path(path))
+    save_figure(figure, path)
 
 
 def _draw_ratings(axes: Any, result: TournamentResult) -> None:
@@ -72,8 +64,8 @@ def _draw_ratings(axes: Any, result: TournamentResult) -> None:
         *(values, rows),
         xerr=errors,
         fmt="o",
-        color=_BLUE,
-        ecolor=_BLUE,
+        color=BLUE,
+        ecolor=BLUE,
         elinewidth=1.6,
         capsize=4,
         markersize=6,
@@ -86,14 +78,14 @@ def _draw_ratings(axes: Any, result: TournamentResult) -> None:
             textcoords="offset points",
             ha="center",
             fontsize=8,
-            color=_INK,
+            color=INK,
         )
-    axes.set_yticks(rows, [_short(standing.label) for standing in result.standings])
+    axes.set_yticks(rows, [short(standing.label) for standing in result.standings])
     axes.set_ylim(len(rows) - 0.4, -0.7)
-    axes.set_title("Rating, with 95 % interval", fontsize=10, color=_INK)
+    axes.set_title("Rating, with 95 % interval", fontsize=10, color=INK)
     axes.grid(axis="x", alpha=0.3)
     axes.margins(x=0.08)
-    _without_frame(axes)
+    without_frame(axes)
 
 
 def _draw_matrix(axes: Any, result: TournamentResult) -> None:
@@ -110,39 +102,14 @@ def _draw_matrix(axes: Any, result: TournamentResult) -> None:
                 ha="center",
                 va="center",
                 fontsize=8,
-                color="white" if is_dark else _INK,
+                color="white" if is_dark else INK,
             )
-    labels = [_short(standing.label) for standing in result.standings]
+    labels = [short(standing.label) for standing in result.standings]
     axes.set_xticks(range(count), labels, rotation=35, ha="right", rotation_mode="anchor")
     axes.set_yticks(range(count), labels)
-    axes.set_title("Races in which the row beats the column [%]", fontsize=10, color=_INK)
-    _without_frame(axes)
-
-
-def _without_frame(axes: Any) -> None:
-    for spine in axes.spines.values():
-        spine.set_visible(False)
-    axes.tick_params(length=0, colors=_INK, labelsize=9)
-
-
-def _short(label: str) -> str:
-    return label if len(label) <= _SHORT else label[: _SHORT - 3] + "..."
+    axes.set_title("Races in which the row beats the column [%]", fontsize=10, color=INK)
+    without_frame(axes)
 
 
 def _listed(tracks: tuple[str, ...]) -> str:
     return ", ".join(tracks) if len(tracks) <= 4 else f"{len(tracks)} tracks"
-
-
-def _save(figure: Any, file: Path) -> None:
-    name = ""
-    try:
-        handle, name = tempfile.mkstemp(prefix=f".{file.name}.", suffix=".part", dir=file.parent)
-        os.close(handle)
-        figure.savefig(name, format=file.suffix[1:] or "png", dpi=110)
-        os.chmod(name, 0o644)
-        os.replace(name, file)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"the plot {file} cannot be written: {error}") from error
-    finally:
-        if name:
-            Path(name).unlink(missing_ok=True)

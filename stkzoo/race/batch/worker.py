@@ -1,4 +1,4 @@
-"""The process that runs races of a tournament, one after another.
+"""The process that runs races of a batch, one after another.
 
 It reads one JSON line a race from its standard input and writes one line with the outcome
 to its standard output. It ends at once when its input is closed, also in the middle of a
@@ -34,11 +34,12 @@ def _run(order: dict[str, Any]) -> dict[str, Any]:
         result = run_race(
             drivers,
             start_positions=range(1, len(drivers) + 1),
+            wait_for=order["wait_for"],
             settings=RaceSettings(**order["settings"]),
         )
     except StkzooError as error:
         return {"error": str(error)}
-    except Exception:  # noqa: BLE001 - told to the tournament, which tells the user
+    except Exception:  # noqa: BLE001 - told to the program, which tells the user
         return {"error": traceback.format_exc()}
     return {"result": result.to_json()}
 

@@ -10,16 +10,15 @@ import subprocess
 import sys
 import threading
 from collections.abc import Generator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
+from stkzoo.race.batch.order import RaceOrder
 from stkzoo.race.output_tail import OutputTail
-from stkzoo.race.tournament.plan import TournamentPlan
-from stkzoo.race.tournament.schedule import ScheduledRace
 
 __all__ = ["Outcome", "run_in_parallel"]
 
-_WORKER = "stkzoo.race.tournament.worker"
+_WORKER = "stkzoo.race.batch.worker"
 #: How often a race is tried whose process dies.
 _TRIES = 2
 _END_TIMEOUT = 5.0  # [s]
@@ -31,36 +30,35 @@ class Outcome:
     """What came of one race.
 
     Attributes:
-        race: which.
+        order: which.
         result: its result as JSON; empty if it could not be run.
         error: why it could not be run.
     """
 
-    race: ScheduledRace
+    order: RaceOrder
     result: str = ""
     error: str = ""
 
 
 def run_in_parallel(
-    plan: TournamentPlan, races: Sequence[ScheduledRace], jobs: int, race_timeout: float
+    orders: Sequence[RaceOrder], jobs: int, race_timeout: float
 ) -> Generator[Outcome, None, None]:
     """Runs races and yields each as soon as it is over; closing it ends those that run.
 
     Args:
-        plan: the tournament.
-        races: which of its races.
+        orders: the races.
         jobs: how many at a time.
         race_timeout: for one race [s]; its process is ended then.
     """
-    waiting: queue.SimpleQueue[ScheduledRace] = queue.SimpleQueue()
-    for race in races:
-        waiting.put(race)
+    waiting: queue.SimpleQueue[RaceOrder] = queue.SimpleQueue()
+    for order in orders:
+        waiting.put(order)
     outcomes: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
-    lanes = [_Lane(plan, waiting, outcomes, race_timeout) for _ in range(min(jobs, len(races)))]
+    lanes = [_Lane(waiting, outcomes, race_timeout) for _ in range(min(jobs, len(orders)))]
     try:
         for lane in lanes:
             lane.start()
-        for _ in races:
+        for _ in orders:
             yield _next(outcomes)
     finally:
         for lane in lanes:
@@ -78,13 +76,12 @@ class _Lane(threading.Thread):
 
     def __init__(
         self,
-        plan: TournamentPlan,
-        waiting: queue.SimpleQueue[ScheduledRace],
+        waiting: queue.SimpleQueue[RaceOrder],
         outcomes: queue.SimpleQueue[Outcome],
         race_timeout: float,
     ) -> None:
         super().__init__(daemon=True)
-        self._plan, self._race_timeout = plan, race_timeout
+        self._race_timeout = race_timeout
         self._waiting, self._outcomes = waiting, outcomes
         self._worker: _Worker | None = None
         self._is_closed = self._was_late = False
@@ -94,10 +91,10 @@ class _Lane(threading.Thread):
         """Runs what is waiting."""
         while not self._is_closed:
             try:
-                race = self._waiting.get_nowait()
+                order = self._waiting.get_nowait()
             except queue.Empty:
                 break
-            self._outcomes.put(self._outcome(race))
+            self._outcomes.put(self._outcome(order))
         self.close()
 
     def close(self) -> None:
@@ -108,38 +105,30 @@ class _Lane(threading.Thread):
         if worker is not None:
             worker.close()
 
-    def _outcome(self, race: ScheduledRace) -> Outcome:
-        outcome = Outcome(race)
+    def _outcome(self, order: RaceOrder) -> Outcome:
+        outcome = Outcome(order)
         for _ in range(_TRIES):
-            outcome = self._try(race)
+            outcome = self._try(order)
             if outcome.result or self._is_closed or self._was_late:
                 break
         return outcome
 
-    def _try(self, race: ScheduledRace) -> Outcome:
+    def _try(self, order: RaceOrder) -> Outcome:
         with self._lock:
             if self._is_closed:
-                return Outcome(race, error="the tournament was ended")
+                return Outcome(order, error="the batch was ended")
             worker = self._worker = self._worker or _Worker()
-        answer = worker.run(_order(self._plan, race), self._race_timeout)
+        answer = worker.run(order.to_form(), self._race_timeout)
         self._was_late = worker.was_late
         if not worker.is_alive:
             with self._lock:
                 self._worker = None
             worker.close()
-        return Outcome(race, **answer)
-
-
-def _order(plan: TournamentPlan, race: ScheduledRace) -> dict[str, Any]:
-    settings = replace(plan.settings, track=race.track, seed=race.seed)
-    return {
-        "drivers": [plan.entrants[number].text for number in race.grid],
-        "settings": asdict(settings),
-    }
+        return Outcome(order, **answer)
 
 
 class _Worker:
-    """A process of :mod:`stkzoo.race.tournament.worker`."""
+    """A process of :mod:`stkzoo.race.batch.worker`."""
 
     def __init__(self) -> None:
         self.is_alive, self.was_late = True, False

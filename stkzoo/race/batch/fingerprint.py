@@ -1,4 +1,4 @@
-"""What an agent's files are, so that a tournament is not continued with others."""
+"""What an agent's files are, so that a batch is not continued with others."""
 
 from __future__ import annotations
 

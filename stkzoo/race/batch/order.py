@@ -1,0 +1,43 @@
+"""One race of a batch."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from stkzoo.race.settings import RaceSettings
+
+__all__ = ["NAME_MARK", "RaceOrder"]
+
+#: Stands before a driver's name in its text.
+NAME_MARK = "@:"
+
+
+@dataclass(frozen=True, slots=True)
+class RaceOrder:
+    """A race that is to be run.
+
+    Attributes:
+        number: counts the races of the batch, from 0.
+        drivers: texts for :func:`~stkzoo.race.find_driver`, first place of the grid first.
+        settings: of the race, with its track and seed.
+        wait_for: see :func:`~stkzoo.race.run_race`.
+    """
+
+    number: int
+    drivers: tuple[str, ...]
+    settings: RaceSettings
+    wait_for: tuple[int, ...] | None = None
+
+    @property
+    def labels(self) -> list[str]:
+        """What the drivers are called, in the same order; each needs a name in its text."""
+        return [text.rpartition(NAME_MARK)[2] for text in self.drivers]
+
+    def to_form(self) -> dict[str, Any]:
+        """What the process that runs it needs to know."""
+        return {
+            "drivers": self.drivers,
+            "settings": asdict(self.settings),
+            "wait_for": self.wait_for,
+        }

@@ -1,0 +1,144 @@
+"""The races of the benchmark: who drives where, from which place, with which seed."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from stkzoo.errors import ConfigError
+
+__all__ = [
+    "DECIDED",
+    "FORMS",
+    "BenchmarkRace",
+    "RaceForm",
+    "direction_name",
+    "make_races",
+    "race_seed",
+]
+
+#: The race forms of the protocol.
+FORMS = ("PAAAA", "PPAAA", "P")
+#: Fields of :class:`~stkzoo.race.RaceSettings` that the protocol decides.
+DECIDED = (
+    *("track", "laps", "difficulty", "reverse", "seed"),
+    *("max_steps", "max_steps_after_first", "karts_finished"),
+)
+
+_FORM = re.compile(r"(P+)(A*)")
+_MAX_KARTS = 20
+_SEED_BYTES = 4
+#: Ends of the grid.
+FRONT, BACK = "front", "back"
+
+
+@dataclass(frozen=True, slots=True)
+class RaceForm:
+    """How many karts are the agent's, and how many are the game's AI's.
+
+    Attributes:
+        name: ``"PPAAA"`` is two karts of the agent and three of the AI.
+        agents: karts of the agent.
+        rivals: karts of the AI.
+    """
+
+    name: str
+    agents: int
+    rivals: int
+
+    @classmethod
+    def of(cls, name: str) -> RaceForm:
+        """The form that a name means.
+
+        Raises:
+            ConfigError: it is not one or more P and then any number of A.
+        """
+        found = _FORM.fullmatch(name) if isinstance(name, str) else None
+        if found is None or len(name) > _MAX_KARTS:
+            raise ConfigError(
+                f"race form {name!r} is unknown; expected P for each kart of the agent, then A for "
+                f"each of the game's AI, such as PAAAA, at most {_MAX_KARTS} together"
+            )
+        return cls(name, len(found[1]), len(found[2]))
+
+    @property
+    def ends(self) -> tuple[str, ...]:
+        """The ends of the grid from which the agent starts; one if it drives alone."""
+        return (FRONT, BACK) if self.rivals else (FRONT,)
+
+    @property
+    def chance(self) -> float:
+        """The share of races that the agent would win if all were equally good."""
+        return self.agents / (self.agents + self.rivals)
+
+    def places(self, end: str) -> tuple[int, ...]:
+        """The agent's places on the grid, 0 is in front."""
+        first = 0 if end == FRONT else self.rivals
+        return tuple(range(first, first + self.agents))
+
+
+@dataclass(frozen=True, slots=True)
+class BenchmarkRace:
+    """One race of a benchmark.
+
+    Attributes:
+        number: counts the races, from 0.
+        track: the track's name.
+        reverse: driven the other way round.
+        form: who drives.
+        end: the end of the grid from which the agent starts: ``"front"`` or ``"back"``.
+        index: counts the races that are alike but for their seeds, from 0.
+    """
+
+    number: int
+    track: str
+    reverse: bool
+    form: RaceForm
+    end: str
+    index: int
+
+    @property
+    def kind(self) -> tuple[str, bool, str, str]:
+        """What it has in common with those that are alike but for their seeds."""
+        return self.track, self.reverse, self.form.name, self.end
+
+    @property
+    def seed(self) -> int:
+        """Decides what the race leaves to chance; the same for every agent."""
+        return race_seed(*self.kind, self.index)
+
+
+def race_seed(track: str, reverse: bool, form: str, end: str, index: int) -> int:
+    """The seed of a race: a digest of what the race is, and of nothing else."""
+    text = "/".join((track, direction_name(reverse), form, end, str(index)))
+    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=_SEED_BYTES).digest(), "big")
+
+
+def direction_name(reverse: bool) -> str:
+    """``"forward"`` or ``"reversed"``."""
+    return "reversed" if reverse else "forward"
+
+
+def make_races(
+    tracks: Sequence[str], directions: Sequence[bool], forms: Sequence[RaceForm], seeds: int
+) -> tuple[BenchmarkRace, ...]:
+    """All races; those with the first seed come first, so that a part of them is balanced.
+
+    Args:
+        tracks: the tracks.
+        directions: ``False`` is forward, ``True`` is reversed.
+        forms: who drives.
+        seeds: how many races of each kind.
+    """
+    kinds = [
+        (track, reverse, form, end)
+        for track, reverse, form in itertools.product(tracks, directions, forms)
+        for end in form.ends
+    ]
+    return tuple(
+        BenchmarkRace(number, *kind, index)
+        for number, (index, kind) in enumerate(itertools.product(range(seeds), kinds))
+    )

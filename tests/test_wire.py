@@ -1,0 +1,73 @@
+"""Messages between a program and its engine processes."""
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from stkzoo.engine import wire
+
+
+@pytest.fixture
+def ends():
+    ours, theirs = wire.pair()
+    ours.settimeout(5.0)
+    with ours, theirs:
+        yield ours, theirs
+
+
+def after(seconds, deed, *arguments):
+    timer = threading.Timer(seconds, deed, arguments)
+    timer.start()
+    return timer
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.01, 0.1])
+def test_a_message_comes_whole_whenever_it_is_sent(ends, delay):
+    ours, theirs = ends
+    frames = [b"", b"a", bytes(100_000)]
+    sending = after(delay, wire.send, theirs, wire.OK, *frames)
+    assert wire.receive(ours) == (wire.OK, frames)
+    sending.join()
+
+
+def test_the_end_of_the_other_is_noticed(ends):
+    ours, theirs = ends
+    closing = after(0.02, theirs.close)
+    with pytest.raises(EOFError):
+        wire.receive(ours)
+    closing.join()
+
+
+def test_waiting_ends_with_the_time_out(ends):
+    ours, _ = ends
+    ours.settimeout(0.1)
+    begin = time.monotonic()
+    with pytest.raises(TimeoutError):
+        wire.receive(ours)
+    assert 0.09 < time.monotonic() - begin < 3.0
+
+
+def test_an_interrupt_ends_the_waiting(ends):
+    ours, _ = ends
+    pressing = after(0.1, os.kill, os.getpid(), signal.SIGINT)
+    begin = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        wire.receive(ours)
+    assert time.monotonic() - begin < 3.0
+    pressing.join()
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"O", b"O\x01", b"O\x01\xff\xff\xff\xff", b"O\x01\x01\x00\x00\x00ab"],
+    ids=["no number", "no length", "too long", "too much"],
+)
+def test_a_broken_message_is_an_end(ends, data):
+    ours, theirs = ends
+    theirs.send(data)
+    theirs.close()
+    with pytest.raises(EOFError):
+        wire.receive(ours)
