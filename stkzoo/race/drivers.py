@@ -21,6 +21,8 @@ from stkzoo.race.seats import Seat, SeatOpener, SeatRequest
 __all__ = ["Actor", "ActorMaker", "Driver", "driver_names", "find_driver"]
 
 _AGENTS = "stkzoo.agents"
+#: What is there beside drivers that can be raced by name.
+_NO_DRIVERS = {"planner", "training"}
 _NAME_MARK = "@:"
 
 
@@ -59,7 +61,8 @@ class Driver:
 def driver_names() -> list[str]:
     """The names of the drivers that come with stkzoo."""
     folder = importlib.import_module(_AGENTS).__path__
-    return ["ai", "random", *sorted(module.name for module in pkgutil.iter_modules(folder))]
+    found = {module.name for module in pkgutil.iter_modules(folder)}
+    return ["ai", "random", *sorted(found - _NO_DRIVERS)]
 
 
 def find_driver(text: str, *, inline: bool = False, adapter: str | None = None) -> Driver:

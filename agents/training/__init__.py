@@ -1,0 +1,1 @@
+"""Programs that make drivers better: tuning and learning. None of them is a driver itself."""
