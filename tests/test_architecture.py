@@ -13,7 +13,17 @@ ROOT = Path(stkzoo.__file__).resolve().parent
 
 #: Bottom first. A layer may import those before it and itself.
 LAYERS = [
-    ("base", ["stkzoo.errors", "stkzoo.names", "stkzoo.config", "stkzoo.tracks", "stkzoo.kernel"]),
+    (
+        "base",
+        [
+            "stkzoo.errors",
+            "stkzoo.names",
+            "stkzoo.config",
+            "stkzoo.tracks",
+            "stkzoo.whole_file",
+            "stkzoo.kernel",
+        ],
+    ),
     ("engine", ["stkzoo.engine"]),
     ("mdp", ["stkzoo.mdp"]),
     ("render", ["stkzoo.render"]),

@@ -33,6 +33,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.race import Driver, RaceSettings, run_race
 from stkzoo.race.benchmark import load_ai_times
 from stkzoo.tracks import TRAIN_TRACKS
+from stkzoo.whole_file import whole_file
 
 __all__ = ["BOUNDS", "Trial", "drive", "from_unit", "main", "to_unit"]
 
@@ -228,9 +229,8 @@ class _Search:
         with (self.folder / _LOG).open("a") as log:
             log.write(json.dumps(line) + "\n")
         mean = from_unit(list(map(float, self._strategy.result.xfavorite)))
-        part = self.folder / f".{_BEST}.part"
-        part.write_text(json.dumps(asdict(mean), indent=1) + "\n")
-        os.replace(part, self.folder / _BEST)
+        with whole_file(self.folder / _BEST) as part:
+            part.write_text(json.dumps(asdict(mean), indent=1) + "\n")
 
 
 def _library() -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import random
 import sys
 from collections.abc import Sequence
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from stkzoo.cli.flags import add_flags, flags_given
 from stkzoo.errors import AgentError, ConfigError
+from stkzoo.whole_file import whole_file
 
 if TYPE_CHECKING:
     from stkzoo.race import Driver, RaceListener, RaceResult
@@ -206,12 +206,10 @@ def _as_json(results: Sequence[RaceResult], *, is_series: bool) -> str:
 
 def _write(text: str, file: Path) -> int:
     """Writes the whole file or none."""
-    beside = file.with_name(f".{file.name}.{os.getpid()}.part")
     try:
-        beside.write_text(text + "\n", encoding="utf-8")
-        beside.replace(file)
+        with whole_file(file) as part:
+            part.write_text(text + "\n", encoding="utf-8")
     except OSError as error:
-        beside.unlink(missing_ok=True)
         print(f"stkzoo: the result could not be written: {error}", file=sys.stderr)
         return 1
     return 0

@@ -17,6 +17,7 @@ import os
 import platform
 import signal
 import socket
+from typing import Any
 
 __all__ = ["die_with", "fork_beside", "move_to"]
 
@@ -26,7 +27,7 @@ _CLONE_PARENT = 0x8000
 _SYS_CLONE = {"x86_64": 56, "aarch64": 220}
 
 # Unlike CDLL, PyDLL keeps Python's lock during a call, so that the copy starts with it.
-_libc = ctypes.PyDLL(None, use_errno=True)
+_libc: Any = ctypes.PyDLL(None, use_errno=True) if os.name == "posix" else None
 
 
 def die_with(parent: int) -> None:

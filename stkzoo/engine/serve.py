@@ -15,7 +15,7 @@ from stkzoo.engine.race import GameRace
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS
 
-__all__ = ["serve"]
+__all__ = ["describe", "serve", "set_alarm"]
 
 
 def serve(
@@ -37,7 +37,7 @@ def serve(
             kind, frames = wire.receive(connection)
         except (EOFError, OSError):
             return
-        _set_alarm(self_destruct_after)
+        set_alarm(self_destruct_after)
         try:
             if kind == wire.ACT and race is not None:
                 controls = np.frombuffer(frames[0], np.float32).reshape(-1, len(CONTROLS))
@@ -55,8 +55,8 @@ def serve(
         except (EOFError, BrokenPipeError):
             return
         except Exception as error:  # noqa: BLE001 - it is the program that must hear of it
-            wire.send(connection, wire.ERROR, _describe(error))
-        _set_alarm(0)
+            wire.send(connection, wire.ERROR, describe(error))
+        set_alarm(0)
 
 
 def _fork(connection: socket.socket, mother: int) -> socket.socket:
@@ -79,12 +79,14 @@ def _fork(connection: socket.socket, mother: int) -> socket.socket:
     return connection
 
 
-def _set_alarm(seconds: int) -> None:
+def set_alarm(seconds: int) -> None:
+    """Ends this process after so many seconds, where that can be; never with 0."""
     if hasattr(signal, "alarm"):
         signal.alarm(seconds)
 
 
-def _describe(error: Exception) -> bytes:
+def describe(error: Exception) -> bytes:
+    """An error that is being handled, as what an answer of kind ``ERROR`` has in it."""
     return json.dumps(
         {
             "type": type(error).__name__,

@@ -11,11 +11,9 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import signal
 import socket
 import sys
 import time
-import traceback
 from collections.abc import Iterator
 from typing import Any
 
@@ -24,6 +22,7 @@ import numpy.typing as npt
 
 from stkzoo.engine import wire
 from stkzoo.engine.race import init_engine
+from stkzoo.engine.serve import describe, set_alarm
 from stkzoo.engine.setup import RaceSetup
 
 __all__ = ["ShadowRace", "main"]
@@ -133,7 +132,7 @@ def _serve(connection: socket.socket, self_destruct_after: int) -> None:
     while True:
         try:
             kind, frames = wire.receive(connection)
-            _set_alarm(self_destruct_after)
+            set_alarm(self_destruct_after)
             answer: list[bytes] = []
             with _ending_with(connection):
                 if kind == wire.BEGIN:
@@ -149,8 +148,8 @@ def _serve(connection: socket.socket, self_destruct_after: int) -> None:
         except (EOFError, OSError):
             return
         except Exception as error:  # noqa: BLE001 - it is the program that must hear of it
-            wire.send(connection, wire.ERROR, _describe(error))
-        _set_alarm(0)
+            wire.send(connection, wire.ERROR, describe(error))
+        set_alarm(0)
 
 
 def _draw(race: ShadowRace, request: bytes, poses: bytes) -> list[bytes]:
@@ -188,18 +187,3 @@ def _ending_with(connection: socket.socket) -> Iterator[None]:
         yield
     finally:
         fcntl.fcntl(connection, fcntl.F_SETFL, flags)
-
-
-def _set_alarm(seconds: int) -> None:
-    if hasattr(signal, "alarm"):
-        signal.alarm(seconds)
-
-
-def _describe(error: Exception) -> bytes:
-    return json.dumps(
-        {
-            "type": type(error).__name__,
-            "message": str(error),
-            "traceback": traceback.format_exc(),
-        }
-    ).encode()

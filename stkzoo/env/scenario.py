@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import os
-import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import asdict, dataclass, field, replace
@@ -23,6 +21,7 @@ from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.env.grid import RaceInfo
 from stkzoo.errors import ConfigError
+from stkzoo.whole_file import whole_file
 
 __all__ = ["Scenario", "digest_of", "past_controls", "read_scenario"]
 
@@ -74,21 +73,12 @@ class Scenario:
         }
         file = Path(path)
         try:
-            handle, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
-        except OSError as error:
-            raise ConfigError(f"the scenario {file} cannot be written: {error}") from error
-        try:
-            with os.fdopen(handle, "wb") as stream, zipfile.ZipFile(stream, "w") as archive:
+            with whole_file(file) as part, zipfile.ZipFile(part, "w") as archive:
                 compress = {"compress_type": zipfile.ZIP_DEFLATED}
                 archive.writestr(_ABOUT, json.dumps(about, indent=1), **compress)
                 archive.writestr(_CONTROLS, self.controls.astype("<f4").tobytes(), **compress)
-            os.chmod(name, 0o644)
-            os.replace(name, file)
         except OSError as error:
             raise ConfigError(f"the scenario {file} cannot be written: {error}") from error
-        finally:
-            with contextlib.suppress(OSError):
-                os.unlink(name)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Scenario:

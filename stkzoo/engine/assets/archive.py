@@ -7,7 +7,6 @@ import hashlib
 import io
 import os
 import tarfile
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from lzma import LZMAError
@@ -18,6 +17,7 @@ from stkzoo.engine.assets.progress import Progress
 from stkzoo.engine.assets.staging import check_space
 from stkzoo.engine.assets.tree import MARKER, check_files, read_marker
 from stkzoo.errors import AssetError
+from stkzoo.whole_file import whole_file
 
 __all__ = ["SUMS", "read_archive", "write_archive"]
 
@@ -48,7 +48,8 @@ def write_archive(root: Path, file: Path, progress: Progress) -> None:
     names = sorted(path.relative_to(root).as_posix() for path in _regular_files(root))
     sums = "".join(f"{_sha256(root / name)}  {name}\n" for name in names)
     try:
-        _write_whole(root, names, sums.encode(), file, progress)
+        with whole_file(file) as part:
+            _write_members(root, names, sums.encode(), part, progress)
     except OSError as error:
         raise AssetError(f"the archive {file} cannot be written: {error}.") from error
 
@@ -64,19 +65,6 @@ def _sha256(path: Path) -> str:
         while block := stream.read(_BLOCK):
             digest.update(block)
     return digest.hexdigest()
-
-
-def _write_whole(root: Path, names: list[str], sums: bytes, file: Path, progress: Progress) -> None:
-    descriptor, temporary = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.absolute().parent)
-    os.close(descriptor)
-    try:
-        _write_members(root, names, sums, Path(temporary), progress)
-        Path(temporary).chmod(0o644)
-        os.replace(temporary, file)
-    except BaseException:
-        with contextlib.suppress(FileNotFoundError):
-            os.unlink(temporary)
-        raise
 
 
 def _write_members(

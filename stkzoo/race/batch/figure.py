@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import importlib
 import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
 from stkzoo.errors import ConfigError
+from stkzoo.whole_file import whole_file
 
 __all__ = ["BLUE", "GREY", "INK", "plot_library", "save_figure", "short", "without_frame"]
 
@@ -52,15 +52,9 @@ def save_figure(figure: Any, path: str | os.PathLike[str]) -> None:
     Raises:
         ConfigError: it cannot be written.
     """
-    file, name = Path(path), ""
+    file = Path(path)
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{file.name}.", suffix=".part", dir=file.parent)
-        os.close(handle)
-        figure.savefig(name, format=file.suffix[1:] or "png", dpi=110)
-        os.chmod(name, 0o644)
-        os.replace(name, file)
+        with whole_file(file) as part:
+            figure.savefig(part, format=file.suffix[1:] or "png", dpi=110)
     except (OSError, ValueError) as error:
         raise ConfigError(f"the plot {file} cannot be written: {error}") from error
-    finally:
-        if name:
-            Path(name).unlink(missing_ok=True)

@@ -6,7 +6,6 @@ whatever ends the program, a race is there whole or not at all.
 
 from __future__ import annotations
 
-import contextlib
 import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -16,11 +15,11 @@ from typing import IO, Any, Generic, Protocol, TypeVar
 from stkzoo.errors import ConfigError
 from stkzoo.race.batch.order import RaceOrder
 from stkzoo.race.result import RaceResult
+from stkzoo.whole_file import PARTS, whole_file
 
 __all__ = ["BatchFolder", "BatchKind", "BatchPlan", "read_races", "write_whole"]
 
 _PLAN, _RACES, _LOCK = "plan.json", "races", "lock"
-_PART = ".*.part"
 
 
 class BatchPlan(Protocol):
@@ -91,7 +90,7 @@ class BatchFolder(Generic[Plan]):
                 "choose another folder"
             )
         for place in (self.path, self.path / _RACES):
-            for part in place.glob(_PART):  # of a program that was killed while it wrote
+            for part in place.glob(PARTS):  # of a program that was killed while it wrote
                 part.unlink(missing_ok=True)
 
     def __enter__(self) -> BatchFolder[Plan]:
@@ -175,31 +174,15 @@ def write_whole(file: Path, text: str) -> None:
     Raises:
         ConfigError: it cannot be written.
     """
-    beside = file.with_name(_PART.replace("*", f"{file.name}.{os.getpid()}"))
     try:
-        with beside.open("w", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        beside.replace(file)
-        _flush_folder(file.parent)
+        with whole_file(file) as part:
+            part.write_text(text, encoding="utf-8")
     except OSError as error:
-        with contextlib.suppress(OSError):
-            beside.unlink()
         raise ConfigError(f"{file} cannot be written: {error}") from error
 
 
 def _race_file(folder: Path, number: int) -> Path:
     return folder / _RACES / f"{number:05d}.json"
-
-
-def _flush_folder(folder: Path) -> None:
-    with contextlib.suppress(OSError, AttributeError):  # not everywhere can folders be flushed
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
 
 
 def _take(lock: IO[str]) -> bool:

@@ -6,11 +6,9 @@ time and memory.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import stat
-import tempfile
 import zipfile
 from collections.abc import Callable
 from dataclasses import asdict
@@ -26,6 +24,7 @@ from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.race.replay.record import DIGEST_SIZE, Replay, ReplayAgent
 from stkzoo.race.result import RaceResult
+from stkzoo.whole_file import whole_file
 
 __all__ = ["FORMAT", "ReplayError", "load_replay", "save_replay"]
 
@@ -67,22 +66,13 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> None:
     }
     file = Path(path)
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{file.name}.", suffix=".part", dir=file.parent)
-    except OSError as error:
-        raise ReplayError(f"the replay {file} cannot be written: {error}") from error
-    try:
-        with os.fdopen(handle, "wb") as stream, zipfile.ZipFile(stream, "w") as archive:
+        with whole_file(file) as part, zipfile.ZipFile(part, "w") as archive:
             for member, data in members.items():
                 entry = zipfile.ZipInfo(member, _DATE)
                 entry.compress_type = ZIP_DEFLATED
                 archive.writestr(entry, data)
-        os.chmod(name, 0o644)
-        os.replace(name, file)
     except OSError as error:
         raise ReplayError(f"the replay {file} cannot be written: {error}") from error
-    finally:
-        with contextlib.suppress(OSError):
-            os.unlink(name)
 
 
 def load_replay(path: str | os.PathLike[str]) -> Replay:
