@@ -167,13 +167,8 @@ class ShadowSession:
     def close(self) -> None:
         """Ends the process; :meth:`start` still works."""
         process, self._process = self._process, None
-        if process is None:
-            return
-        if self._owner == os.getpid():
-            process.drop()
-        else:
-            process.connection.close()
-            process.log.close()
+        if process is not None:
+            process.let_go(self._owner)
 
     def __del__(self) -> None:
         with contextlib.suppress(Exception):  # the interpreter may be half gone

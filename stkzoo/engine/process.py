@@ -111,6 +111,17 @@ class RaceProcess:
         """Ends the process without waiting for it, and frees what belongs to it."""
         raise NotImplementedError
 
+    def let_go(self, owner: int) -> None:
+        """:meth:`drop` in the program that started it; forks of that only free their ends.
+
+        Args:
+            owner: process id of the program that started it.
+        """
+        if owner == os.getpid():
+            self.drop()
+        else:
+            self._free()
+
     def reply(self) -> list[bytes]:
         """Waits for the frames of one answer of the process.
 

@@ -153,13 +153,8 @@ class WorkerSession:
     def close(self) -> None:
         """See :meth:`Session.close`."""
         process, self._process, self._asked = self._process, None, None
-        if process is None:
-            return
-        if self._owner == os.getpid():
-            process.drop()
-        else:
-            process.connection.close()
-            process.log.close()
+        if process is not None:
+            process.let_go(self._owner)
 
     def __del__(self) -> None:
         with contextlib.suppress(Exception):  # the interpreter may be half gone
