@@ -237,8 +237,9 @@ class AgentChains:
                 if not group.chain.is_batched:
                     (agent,) = group.agents
                     own = group.chain.finish_step(_part(result, agent))
-                    for part, value in zip(result, own, strict=True):
-                        cast(dict[str, Any], part)[agent] = value
+                    parts = cast(tuple[dict[str, Any], ...], result)
+                    for part, value in zip(parts, own, strict=True):
+                        part[agent] = value
         except BaseException:
             self._abandon()
             raise
