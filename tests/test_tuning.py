@@ -11,15 +11,18 @@ import pytest
 from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.training.tune_heuristic import BOUNDS, draw_trials, from_unit, to_unit
 from stkzoo.tracks import TEST_TRACKS, TRAIN_TRACKS
+from tests.processes import children_of, process_exists, wait_until
+
+
+def command(folder, generations):
+    options = {"output": folder, "generations": generations, "population": 3, "races": 1}
+    words = [f"--{name}={value}" for name, value in options.items()]
+    module = "stkzoo.agents.training.tune_heuristic"
+    return [sys.executable, "-m", module, *words, "--alone=1", "--jobs=2"]
 
 
 def tune(folder, generations):
-    command = [sys.executable, "-m", "stkzoo.agents.training.tune_heuristic"]
-    options = {"output": folder, "generations": generations, "population": 3, "races": 1}
-    words = [f"--{name}={value}" for name, value in options.items()]
-    return subprocess.run(
-        [*command, *words, "--alone=1", "--jobs=2"], capture_output=True, text=True, timeout=300
-    )
+    return subprocess.run(command(folder, generations), capture_output=True, text=True, timeout=300)
 
 
 def test_present_numbers_are_within_their_bounds_and_come_back():
@@ -55,3 +58,11 @@ def test_tuning_goes_on_where_it_was(tmp_path):
     assert [line["generation"] for line in lines] == [0, 1]
     assert (whole / "log.jsonl").read_text() == (parts / "log.jsonl").read_text()
     assert DriverParameters(**json.loads((parts / "best.json").read_text()))
+
+
+def test_nothing_goes_on_when_tuning_is_killed(tmp_path):
+    with subprocess.Popen(command(tmp_path, 5)) as program:
+        assert wait_until(lambda: len(children_of(program.pid)) >= 3, 30)  # 2, and a tracker
+        workers = children_of(program.pid)
+        program.kill()
+    assert wait_until(lambda: not any(map(process_exists, workers)), 10)

@@ -22,6 +22,8 @@ import multiprocessing
 import os
 import random
 import sys
+import threading
+import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
@@ -242,6 +244,17 @@ def _library() -> Any:
         ) from error
 
 
+def _end_with(parent: int) -> None:
+    """Ends this process when its parent is gone, which the pool alone would not do."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     words = argparse.ArgumentParser(
@@ -261,7 +274,9 @@ def main(arguments: list[str] | None = None) -> int:
     options = words.parse_args(arguments)
     search = _Search(options)
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(options.jobs, mp_context=context) as pool:
+    with ProcessPoolExecutor(
+        options.jobs, mp_context=context, initializer=_end_with, initargs=(os.getpid(),)
+    ) as pool:
         for _ in range(options.generations):
             line = search.run_one(pool)
             told = line["told"]
