@@ -21,6 +21,7 @@ __all__ = [
     "Contender",
     "Spec",
     "Times",
+    "answer_of",
     "contenders",
     "engine_variables",
     "race_together",
@@ -123,6 +124,31 @@ class Contender:
     def _tail(self) -> str:
         self._log.seek(0)
         return self._log.read().decode(errors="replace")[-3000:]
+
+
+def answer_of(
+    module: str, spec: Mapping[str, Any], words: Sequence[str], variables: Mapping[str, str]
+) -> float:
+    """The figure that a command of this folder gives for one ``--contender``.
+
+    Args:
+        module: the command's, which runs in an interpreter of its own.
+        spec: the contender.
+        words: more arguments.
+        variables: more environment variables.
+    """
+    command = [sys.executable, "-m", f"benchmarks.{module}", "--contender", json.dumps(spec)]
+    answer = subprocess.run(  # noqa: S603 - our own interpreter and words
+        [*command, *words],
+        cwd=Path(__file__).parents[1],
+        env={**os.environ, **variables},
+        capture_output=True,
+        check=False,
+        text=True,
+    )
+    if answer.returncode:
+        raise SystemExit(f"{spec} failed:\n{answer.stderr[-3000:]}")
+    return float(json.loads(answer.stdout.splitlines()[-1]))
 
 
 def engine_variables() -> dict[str, str]:

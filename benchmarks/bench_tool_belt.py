@@ -15,19 +15,16 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
-import os
 import statistics
-import subprocess
 import sys
 import time
 import warnings
 from collections.abc import Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from benchmarks.bench_common import Table, parser, print_tables, progress_bar, save
-from benchmarks.bench_driver import engine_variables
+from benchmarks.bench_driver import answer_of, engine_variables
 
 _IDS = ("full", "flattened", "flattened_discrete")
 _LIBRARIES = {"stkzoo": "stkzoo", "reference": "pystk2_gymnasium"}
@@ -87,21 +84,11 @@ def _contenders(options: argparse.Namespace) -> list[dict[str, Any]]:
 
 
 def _in_an_interpreter_of_its_own(spec: Mapping[str, Any], options: argparse.Namespace) -> float:
-    command = [sys.executable, "-m", "benchmarks.bench_tool_belt", "--track", options.track]
-    command += ["--contender", json.dumps(spec), "--seconds", str(options.seconds)]
-    command += ["--steps", str(options.steps)]
-    answer = subprocess.run(  # noqa: S603 - our own interpreter and words
-        command,
-        cwd=Path(__file__).parents[1],
-        # The game's pictures need its full data, which stkzoo finds by itself.
-        env={**os.environ, **(engine_variables() if spec["who"] == "reference" else {})},
-        capture_output=True,
-        check=False,
-        text=True,
-    )
-    if answer.returncode:
-        raise SystemExit(f"{spec} failed:\n{answer.stderr[-3000:]}")
-    return float(json.loads(answer.stdout.splitlines()[-1]))
+    words = ["--track", options.track, "--seconds", str(options.seconds)]
+    words += ["--steps", str(options.steps)]
+    # The game's pictures need its full data, which stkzoo finds by itself.
+    variables = engine_variables() if spec["who"] == "reference" else {}
+    return answer_of("bench_tool_belt", spec, words, variables)
 
 
 def _measure(spec: Mapping[str, Any], options: argparse.Namespace) -> float:

@@ -15,13 +15,10 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
-import os
 import statistics
-import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,7 +32,7 @@ from benchmarks.bench_common import (
     save,
     spread,
 )
-from benchmarks.bench_driver import engine_variables
+from benchmarks.bench_driver import answer_of, engine_variables
 
 _SINGLE_RACES = 2
 _SINGLE = ("stkzoo, RaceVectorEnv", "stkzoo, make_stkrace_vec", "reference, make_stkrace_vec")
@@ -76,19 +73,8 @@ def _contenders(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
 
 def _in_an_interpreter_of_its_own(spec: Mapping[str, Any], options: argparse.Namespace) -> float:
-    command = [sys.executable, "-m", "benchmarks.bench_vector", "--contender", json.dumps(spec)]
-    command += ["--steps", str(options.steps), "--track", options.track]
-    answer = subprocess.run(  # noqa: S603 - our own interpreter and words
-        command,
-        cwd=Path(__file__).parents[1],
-        env={**os.environ, **engine_variables()},
-        capture_output=True,
-        check=False,
-        text=True,
-    )
-    if answer.returncode:
-        raise SystemExit(f"{spec} failed:\n{answer.stderr[-3000:]}")
-    return float(json.loads(answer.stdout.splitlines()[-1]))
+    words = ["--steps", str(options.steps), "--track", options.track]
+    return answer_of("bench_vector", spec, words, engine_variables())
 
 
 def _rate(spec: Mapping[str, Any], options: argparse.Namespace) -> float:

@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from stkzoo.engine.road import Road
 from stkzoo.errors import ConfigError
 from stkzoo.names import AttachmentType
 from stkzoo.tracks import SPLITS
+from stkzoo.whole_file import whole_file
 
 RESULTS = Path(__file__).parent / "results" / "starts.json"
 
@@ -152,9 +152,8 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def write(path: Path, results: dict[str, Any]) -> None:
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(results, indent=1) + "\n")
-    os.replace(part, path)
+    with whole_file(path) as part:
+        part.write_text(json.dumps(results, indent=1) + "\n")
 
 
 if __name__ == "__main__":

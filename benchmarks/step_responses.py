@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ import numpy as np
 
 from stkzoo import AgentSpec, Start, race_v0
 from stkzoo.agents.pursuit import PursuitDriver, PursuitState, control_of
+from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.control import CarParameters, ControlView
 from stkzoo.wrappers.control.parameters import KARTS
 
@@ -50,9 +50,8 @@ def main() -> None:
         "laps": [lap(kinds) for kinds in KINDS],
     }
     results = kart | {"responses": responses}
-    part = arguments.output.with_suffix(".part")
-    part.write_text(json.dumps(results, indent=1) + "\n")
-    os.replace(part, arguments.output)
+    with whole_file(arguments.output) as part:
+        part.write_text(json.dumps(results, indent=1) + "\n")
     show(results)
     draw(responses, arguments.plot)
 

@@ -38,6 +38,7 @@ __all__ = [
     "ProtocolError",
     "RemoteError",
     "StkzooError",
+    "check_whole",
     "unknown_name",
 ]
 
@@ -130,6 +131,24 @@ class RemoteError(StkzooError):
 
 class ProtocolError(RemoteError):
     """The other end sent something that the protocol does not allow."""
+
+
+def check_whole(name: str, value: object, low: int, high: int | None = None) -> None:
+    """Checks that a value is a whole number within bounds.
+
+    Args:
+        name: what the value is for, such as ``"jobs"``.
+        value: the value as it came.
+        low: the lowest that can be.
+        high: the highest; ``None`` for no bound.
+
+    Raises:
+        ConfigError: it is none.
+    """
+    is_whole = isinstance(value, int) and not isinstance(value, bool)
+    if not is_whole or value < low or (high is not None and value > high):  # type: ignore[operator]
+        bounds = f"of {low} or more" if high is None else f"from {low} to {high}"
+        raise ConfigError(f"{name} is {value!r}, expected a whole number {bounds}")
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> ConfigError:

@@ -21,6 +21,7 @@ LAYERS = [
             "stkzoo.config",
             "stkzoo.tracks",
             "stkzoo.whole_file",
+            "stkzoo.cores",
             "stkzoo.kernel",
         ],
     ),

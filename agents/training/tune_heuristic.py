@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from stkzoo.agents.heuristic import DriverParameters, DriverState, HeuristicDriver
+from stkzoo.cores import usable_cores
 from stkzoo.errors import ConfigError
 from stkzoo.race import Driver, RaceSettings, run_race
 from stkzoo.race.benchmark import load_ai_times
@@ -270,7 +271,7 @@ def main(arguments: list[str] | None = None) -> int:
     words.add_argument("--difficulty", type=int, default=3, help="of the AI (default: 3)")
     words.add_argument("--sigma", type=float, default=0.08, help="first step, of the ranges")
     words.add_argument("--seed", type=int, default=0, help="(default: 0)")
-    words.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="races at a time")
+    words.add_argument("--jobs", type=int, default=usable_cores(), help="races at a time")
     options = words.parse_args(arguments)
     search = _Search(options)
     context = multiprocessing.get_context("spawn")

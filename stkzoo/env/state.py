@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any, NoReturn
 
 import numpy as np
@@ -14,7 +13,7 @@ from stkzoo.engine.session import Session, WorkerSession
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.env.episode import Episode
 from stkzoo.env.grid import RaceInfo
-from stkzoo.errors import ApiOrderError, ConfigError
+from stkzoo.errors import ApiOrderError, ConfigError, check_whole
 from stkzoo.wrappers.memory import Memory
 
 __all__ = ["Moment", "RaceState", "check_max_snapshots"]
@@ -133,12 +132,7 @@ class RaceState:
     def __enter__(self) -> RaceState:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
     def __reduce__(self) -> NoReturn:
@@ -164,5 +158,4 @@ def check_max_snapshots(value: object) -> None:
     Raises:
         ConfigError: it is no whole number of 0 or more.
     """
-    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise ConfigError(f"max_snapshots is {value!r}, expected a whole number of 0 or more")
+    check_whole("max_snapshots", value, 0)

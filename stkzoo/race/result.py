@@ -19,6 +19,7 @@ __all__ = [
     "AgentFailure",
     "AgentResult",
     "RaceResult",
+    "check_form",
     "versions_now",
 ]
 
@@ -165,12 +166,7 @@ class RaceResult:
         """
         try:
             form = json.loads(text)
-            found = form["type"], form["schema_version"]
-            if found != ("race-result", SCHEMA_VERSION):
-                raise ConfigError(
-                    f"the file is a {found[0]} of version {found[1]}, expected a race-result of "
-                    f"version {SCHEMA_VERSION}; another version of stkzoo wrote it"
-                )
+            check_form(form, "race-result", SCHEMA_VERSION)
             agents = tuple(_agent_of(entry) for entry in form["agents"])
             return cls(**{**_known(cls, form), "agents": agents})
         except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
@@ -178,6 +174,26 @@ class RaceResult:
                 f"the text is no race result ({type(error).__name__}: {error}); expected what "
                 "`stkzoo race --output` wrote"
             ) from error
+
+
+def check_form(form: dict[str, Any], kind: str, version: int) -> None:
+    """Checks what is read from a JSON file.
+
+    Args:
+        form: what is in it.
+        kind: its ``type``.
+        version: its ``schema_version``.
+
+    Raises:
+        ConfigError: it is something else, or of another version.
+        KeyError: it does not say what it is.
+    """
+    found = form["type"], form["schema_version"]
+    if found != (kind, version):
+        raise ConfigError(
+            f"the file is a {found[0]} of version {found[1]}, expected a {kind} of version "
+            f"{version}; another version of stkzoo wrote it"
+        )
 
 
 def _agent_of(form: dict[str, Any]) -> AgentResult:

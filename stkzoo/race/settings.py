@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, check_whole
 from stkzoo.race.seats import SeatLimits
 
 __all__ = ["ERROR_HANDLING", "RaceSettings"]
@@ -73,11 +73,11 @@ class RaceSettings:
     )
 
     def __post_init__(self) -> None:
-        _check_whole("seed", self.seed, 0)
-        _check_whole("max_restarts", self.max_restarts, 0)
+        check_whole("seed", self.seed, 0)
+        check_whole("max_restarts", self.max_restarts, 0)
         for name in ("max_steps", "max_steps_after_first", "karts_finished"):
             if getattr(self, name) is not None:
-                _check_whole(name, getattr(self, name), 1)
+                check_whole(name, getattr(self, name), 1)
         for name in ("action_timeout", "agent_memory"):
             if getattr(self, name) == 0:
                 object.__setattr__(self, name, None)
@@ -85,7 +85,7 @@ class RaceSettings:
             _check_seconds("action_timeout", self.action_timeout)
         _check_seconds("start_timeout", self.start_timeout)
         if self.agent_memory is not None:
-            _check_whole("agent_memory", self.agent_memory, 1)
+            check_whole("agent_memory", self.agent_memory, 1)
         if self.error_handling not in ERROR_HANDLING:
             raise ConfigError(
                 f"error_handling is {self.error_handling!r}, expected one of "
@@ -96,11 +96,6 @@ class RaceSettings:
     def limits(self) -> SeatLimits:
         """What each driver may use."""
         return SeatLimits(self.action_timeout, self.start_timeout, self.agent_memory)
-
-
-def _check_whole(name: str, value: object, low: int) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or value < low:
-        raise ConfigError(f"{name} is {value!r}, expected a whole number of {low} or more")
 
 
 def _check_seconds(name: str, value: object) -> None:

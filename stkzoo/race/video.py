@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.env.graphics import checked_size
-from stkzoo.errors import ConfigError, EngineError
+from stkzoo.errors import ConfigError, EngineError, check_whole
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.result import AgentResult, RaceResult
 from stkzoo.render.cards import ResultRow, end_card, with_labels
@@ -75,8 +75,8 @@ class RaceFilm:
         on_frame: Callable[[int], None] | None = None,
     ) -> None:
         if cameras is not None:
-            _check_whole("cameras", cameras, _MOST_CAMERAS)
-        _check_whole("sub_steps", sub_steps, _MOST_SUB_STEPS)
+            check_whole("cameras", cameras, 1, _MOST_CAMERAS)
+        check_whole("sub_steps", sub_steps, 1, _MOST_SUB_STEPS)
         self.path = check_video_path(path)
         width, height = checked_size(size)
         self._size = width & ~1, height & ~1  # video formats hold whole pairs of pixels
@@ -274,8 +274,3 @@ class RaceVideo(RaceListener):
     def closed(self) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
         self.film.abort()
-
-
-def _check_whole(name: str, value: object, high: int) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= high:
-        raise ConfigError(f"{name} is {value!r}, expected a whole number from 1 to {high}")

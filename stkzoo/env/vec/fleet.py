@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -12,9 +11,10 @@ from gymnasium import spaces
 from gymnasium.vector.utils import concatenate, create_empty_array
 from gymnasium.wrappers.utils import create_zero_array
 
+from stkzoo.cores import usable_cores
 from stkzoo.env.vec.ahead import AheadRace
 from stkzoo.env.vec.slots import RaceSlots, SlotSteps
-from stkzoo.errors import ActionError, ApiOrderError, ConfigError
+from stkzoo.errors import ActionError, ApiOrderError, ConfigError, check_whole
 from stkzoo.wrappers.actions import read_actions
 
 __all__ = ["RaceFleet"]
@@ -46,11 +46,10 @@ class RaceFleet:
     """
 
     def __init__(self, num_races: int, prefetch: bool | None, options: Mapping[str, Any]) -> None:
-        if not isinstance(num_races, int) or isinstance(num_races, bool) or num_races < 1:
-            raise ConfigError(f"num_races is {num_races!r}, expected a whole number of 1 or more")
+        check_whole("num_races", num_races, 1)
         if not isinstance(prefetch, (bool, type(None))):
             raise ConfigError(f"prefetch is {prefetch!r}, expected True, False or None")
-        self.prefetch = _num_cores() > num_races if prefetch is None else prefetch
+        self.prefetch = usable_cores() > num_races if prefetch is None else prefetch
         self.races = tuple(AheadRace(**options) for _ in range(num_races))
         self.agents = tuple(self.races[0].possible_agents)
         self.single_observation_space = _shared(self.races[0].observation_spaces, "observation")
@@ -190,12 +189,6 @@ class RaceFleet:
     def _require_open(self, method: str) -> None:
         if self._is_closed:
             raise ApiOrderError(f"{method}() after close(); make a new environment")
-
-
-def _num_cores() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _shared(by_agent: Mapping[str, spaces.Space[Any]], kind: str) -> spaces.Space[Any]:

@@ -15,7 +15,6 @@ from stkzoo.race.batch.entrant import Entrant
 from stkzoo.race.settings import RaceSettings
 
 __all__ = [
-    "check_whole",
     "find_tracks",
     "read_form",
     "settings_of",
@@ -78,16 +77,6 @@ def find_tracks(tracks: str | Sequence[str], settings: RaceSettings) -> tuple[st
         )
         found.update(dict.fromkeys(options.tracks(known)))
     return tuple(found)
-
-
-def check_whole(name: str, value: object, low: int, high: int) -> None:
-    """Checks a whole number.
-
-    Raises:
-        ConfigError: it is none, or out of bounds.
-    """
-    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-        raise ConfigError(f"{name} is {value!r}, expected a whole number from {low} to {high}")
 
 
 def write_form(kind: str, version: int, form: Mapping[str, Any]) -> str:

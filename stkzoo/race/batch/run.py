@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
-from stkzoo.errors import ConfigError
+from stkzoo.cores import usable_cores
+from stkzoo.errors import ConfigError, check_whole
 from stkzoo.race.batch.folder import BatchFolder
 from stkzoo.race.batch.order import RaceOrder
 from stkzoo.race.batch.pool import run_in_parallel
@@ -59,11 +59,11 @@ class BatchRunner:
         race_timeout: float = RACE_TIMEOUT,
         on_race: ProgressListener | None = None,
     ) -> None:
-        if jobs is not None and (not isinstance(jobs, int) or isinstance(jobs, bool) or jobs < 1):
-            raise ConfigError(f"jobs is {jobs!r}, expected a whole number of 1 or more")
+        if jobs is not None:
+            check_whole("jobs", jobs, 1)
         if not 0 < race_timeout < 1e9:
             raise ConfigError(f"race_timeout is {race_timeout!r}, expected seconds above 0")
-        self._jobs = jobs or _processors()
+        self._jobs = jobs or usable_cores()
         self._race_timeout, self._on_race = race_timeout, on_race
 
     def run(
@@ -105,10 +105,3 @@ def errors_in_words(errors: Mapping[int, str], total: int) -> str:
         f"{len(errors)} of {total} races could not be run; the others are kept, and the same "
         f"command tries these again:{lines}{more}"
     )
-
-
-def _processors() -> int:
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on every system
-        return os.cpu_count() or 1

@@ -13,7 +13,7 @@ from typing import Any
 
 from stkzoo.errors import ConfigError
 from stkzoo.race.benchmark.races import direction_name
-from stkzoo.race.result import RaceResult, versions_now
+from stkzoo.race.result import RaceResult, check_form, versions_now
 
 __all__ = ["SCHEMA_VERSION", "AiTime", "AiTimes", "load_ai_times"]
 
@@ -122,12 +122,7 @@ class AiTimes:
         """
         try:
             form = json.loads(text)
-            found = form["type"], form["schema_version"]
-            if found != (_TYPE, SCHEMA_VERSION):
-                raise ConfigError(
-                    f"the file is a {found[0]} of version {found[1]}, expected {_TYPE} of version "
-                    f"{SCHEMA_VERSION}"
-                )
+            check_form(form, _TYPE, SCHEMA_VERSION)
             return cls(dict(map(_entry, form["times"])), form["versions"])
         except (KeyError, TypeError, json.JSONDecodeError) as error:
             raise ConfigError(

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from stkzoo.errors import ConfigError, StkzooError
+from stkzoo.errors import ConfigError, StkzooError, check_whole
 from stkzoo.race.batch import (
     RACE_TIMEOUT,
     BatchFolder,
@@ -20,7 +20,6 @@ from stkzoo.race.batch import (
     write_whole,
 )
 from stkzoo.race.batch.plans import (
-    check_whole,
     find_tracks,
     read_form,
     what_changed,

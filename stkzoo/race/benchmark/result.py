@@ -13,7 +13,7 @@ from stkzoo.race.benchmark.figures import CONFIDENCE, Estimate, estimate
 from stkzoo.race.benchmark.outcome import RaceOutcome
 from stkzoo.race.benchmark.plan import BenchmarkPlan
 from stkzoo.race.benchmark.races import BenchmarkRace, direction_name
-from stkzoo.race.result import RaceResult
+from stkzoo.race.result import RaceResult, check_form
 
 __all__ = [
     "FIGURES",
@@ -145,12 +145,7 @@ class BenchmarkResult:
         """
         try:
             form = json.loads(text)
-            found = form["type"], form["schema_version"]
-            if found != (_TYPE, SCHEMA_VERSION):
-                raise ConfigError(
-                    f"the file is a {found[0]} of version {found[1]}, expected a {_TYPE} of "
-                    f"version {SCHEMA_VERSION}; another version of stkzoo wrote it"
-                )
+            check_form(form, _TYPE, SCHEMA_VERSION)
             plan = BenchmarkPlan.from_form(form["plan"])
             races = {race.number: race for race in plan.races()}
             outcomes = [_outcome(entry, races[entry["number"]], plan) for entry in form["races"]]

@@ -6,7 +6,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
-from types import TracebackType
 from typing import Any, NoReturn
 
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError, RemoteError
@@ -88,12 +87,7 @@ class RemoteCrew:
     def __enter__(self) -> RemoteCrew:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
     def close(self) -> None:

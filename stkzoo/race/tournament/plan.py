@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, check_whole
 from stkzoo.race.batch import BatchKind, Entrant, RaceOrder, find_entrants
 from stkzoo.race.batch.plans import (
-    check_whole,
     find_tracks,
     read_form,
     settings_of,
