@@ -5,7 +5,7 @@ import sys
 import numpy
 from setuptools import Extension, setup
 
-_PARTS = ("module", "world", "view", "controls", "record", "rows")
+_PARTS = ("module", "engine", "track", "view", "controls", "outcome", "rows")
 
 setup(
     ext_modules=[

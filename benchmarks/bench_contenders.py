@@ -83,16 +83,15 @@ class _Server:
         return self._runner.race()
 
     def steps(self, count: int) -> dict[str, list[float | None]]:
-        """Takes steps; seconds of each, in all, inside ``Race.step`` and ``GameRace.step``."""
+        """Takes steps; seconds of each, in all and inside ``Race.step``."""
         runner, clock = self._runner, self._clock
-        times: dict[str, list[float | None]] = {"total": [], "engine": [], "game": []}
+        times: dict[str, list[float | None]] = {"total": [], "engine": []}
         for _ in range(count):
             action = runner.action(self._controls.next())
             start = time.perf_counter()
             self.last = runner.step(action)
             times["total"].append(time.perf_counter() - start)
-            times["engine"].append(clock.take(Clock.RACE))
-            times["game"].append(clock.take(Clock.GAME))
+            times["engine"].append(clock.take())
         return times
 
     def distances(self) -> list[float]:

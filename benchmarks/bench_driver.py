@@ -32,7 +32,7 @@ __all__ = [
 WARMUP = 40
 
 #: Seconds of every measured step of a contender: ``total`` for the caller, ``engine`` inside
-#: ``pystk2.Race.step``, ``game`` inside stkzoo's ``GameRace.step`` (``None``: not measured).
+#: ``pystk2.Race.step`` (``None``: not measured).
 Times = dict[str, list[Any]]
 
 
@@ -206,7 +206,7 @@ def race_together(
     for name in names:
         started[name].ask("reset", track=track, seed=seed, race=race, controls=controls)
         race = race or started[name].ask("race")
-    times: dict[str, Times] = {name: {"total": [], "engine": [], "game": []} for name in names}
+    times: dict[str, Times] = {name: {"total": [], "engine": []} for name in names}
     for name in names:
         started[name].ask("steps", count=warmup)
     for turn, count in enumerate(_blocks(steps, block)):

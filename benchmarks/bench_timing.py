@@ -1,9 +1,9 @@
 """A clock around the engine's own step, in whichever process that step runs.
 
-:func:`time_the_engine` puts a thin shell around ``pystk2.Race`` and stkzoo's ``GameRace``
-when they are imported. The seconds of the last step go into memory that a process shares
-with those that it starts, so that the caller can read what its step cost inside the engine.
-A shell costs about a microsecond a step. This module needs the standard library alone.
+:func:`time_the_engine` puts a thin shell around ``pystk2.Race`` when that is imported. The
+seconds of the last step go into memory that a process shares with those that it starts, so
+that the caller can read what its step cost inside the engine. The shell costs about a
+microsecond a step. This module needs the standard library alone.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ __all__ = ["CLOCK_VARIABLE", "Clock", "time_the_engine"]
 #: Names the clock's file to engine processes; read by ``bench_instrument/sitecustomize.py``.
 CLOCK_VARIABLE = "STKZOO_BENCH_CLOCK"
 
-_SLOTS = struct.Struct("<d")
+_SECONDS = struct.Struct("<d")
 _SIZE = 4096
 
 
@@ -35,8 +35,6 @@ class Clock:
     Args:
         path: the clock of another process, as its :attr:`path`; a new one by default.
     """
-
-    RACE, GAME = 0, 8  # inside pystk2.Race.step; inside stkzoo's GameRace.step
 
     def __init__(self, path: str | None = None) -> None:
         if path is None:
@@ -51,14 +49,14 @@ class Clock:
         """Where another process finds this clock; its file has no name of its own."""
         return f"/proc/{os.getpid()}/fd/{self._file.fileno()}"
 
-    def set(self, slot: int, seconds: float) -> None:
+    def set(self, seconds: float) -> None:
         """Notes the seconds of a step."""
-        _SLOTS.pack_into(self._memory, slot, seconds)
+        _SECONDS.pack_into(self._memory, 0, seconds)
 
-    def take(self, slot: int) -> float | None:
+    def take(self) -> float | None:
         """The seconds of the last step, once; ``None`` if there was none since."""
-        (seconds,) = _SLOTS.unpack_from(self._memory, slot)
-        _SLOTS.pack_into(self._memory, slot, 0.0)
+        (seconds,) = _SECONDS.unpack_from(self._memory)
+        self.set(0.0)
         return float(seconds) or None
 
 
@@ -68,32 +66,22 @@ def time_the_engine(clock: Clock) -> None:
     def time_race(module: Any) -> None:
         module.Race = _timed_race(module.Race, clock)
 
-    def time_game(module: Any) -> None:
-        game = module.GameRace
-        game.step = _timed(game.step, clock, Clock.GAME)
-
-    sys.meta_path.insert(0, _AfterImport({"pystk2": time_race, "stkzoo.engine.race": time_game}))
-
-
-def _timed(function: Callable[..., Any], clock: Clock, slot: int) -> Callable[..., Any]:
-    def timed(*arguments: Any) -> Any:
-        start = time.perf_counter()
-        result = function(*arguments)
-        clock.set(slot, time.perf_counter() - start)
-        return result
-
-    return timed
+    sys.meta_path.insert(0, _AfterImport({"pystk2": time_race}))
 
 
 def _timed_race(race_class: Any, clock: Clock) -> type:
     class TimedRace:
         def __init__(self, *arguments: Any) -> None:
             self._race = race_class(*arguments)
-            self._timed_step = _timed(self._race.step, clock, Clock.RACE)
+            self._step = self._race.step
 
         def step(self, *actions: Any) -> Any:
-            # Steps without actions warm a race up, perhaps another one than that measured.
-            return self._timed_step(*actions) if actions else self._race.step()
+            if not actions:  # it warms a race up, perhaps another one than that measured
+                return self._step()
+            start = time.perf_counter()
+            result = self._step(*actions)
+            clock.set(time.perf_counter() - start)
+            return result
 
         def __getattr__(self, name: str) -> Any:
             return getattr(self._race, name)

@@ -8,8 +8,6 @@ The same race in process and in the default worker, a few steps each in turn. St
 - ``step``: the worker's step minus the one in process;
 - ``outside the engine``: the same without the time that each spent inside
   ``pystk2.Race.step``, whose noise is larger than what is sought: the transport's figure;
-- ``outside the child``: of the worker's step, what did not pass inside ``GameRace.step``:
-  the transport and the caller's own work together;
 - ``pipes alone``: the floor, measured right after: two processes that do nothing but send as
   many bytes there and back over pipes, the other one busy in between for as long as the engine.
 
@@ -161,7 +159,6 @@ def differences(here: Times, there: Times) -> dict[str, Any]:
     found = {
         "step": _minus(there["total"], here["total"]),
         "outside_engine": _minus(outside[THERE], outside[HERE]),
-        "outside_child": _minus(there["total"], there["game"]),
     }
     return {
         name: quantiles(1e6 * v for v in values) if values else None
@@ -177,15 +174,7 @@ def _minus(left: Sequence[Any], right: Sequence[Any]) -> list[float]:
 
 def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
     """The results as one table."""
-    columns = (
-        "view",
-        "karts",
-        "cores",
-        "step",
-        "outside the engine",
-        "outside the child",
-        "pipes alone",
-    )
+    columns = ("view", "karts", "cores", "step", "outside the engine", "pipes alone")
     rows = [
         (
             result["view"],
@@ -193,7 +182,6 @@ def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
             str(result["cores"]),
             spread(result["step"]),
             spread(result["outside_engine"]),
-            spread(result["outside_child"]),
             spread(result["pipes_alone"]),
         )
         for result in results

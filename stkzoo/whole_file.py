@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import tempfile
 from collections.abc import Iterator
@@ -22,9 +23,11 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     file is the new one, the old one, or none. After an error, nothing is left of it.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: it cannot be written, or it is a device, a pipe or a folder.
     """
     file = Path(path)
+    if file.exists() and not file.is_file():  # a device, for one, would be replaced
+        raise FileExistsError(errno.EEXIST, "it is there and is no plain file", str(file))
     folder = file.absolute().parent
     handle, name = tempfile.mkstemp(prefix=f".{file.name}.", suffix=".part", dir=folder)
     os.close(handle)

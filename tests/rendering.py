@@ -51,7 +51,7 @@ def history(steps=40, **options):
     with small_race(**options) as env:
         moments = []
         for now in drive(env, steps):
-            moments.append(now.snapshot.to_bytes())
+            moments.append(now.snapshot.data)
             if options.get("render_mode") == "rgb_array" and len(moments) % 20 == 0:
                 now.render()
         return moments

@@ -20,6 +20,7 @@ LAYERS = [
             "stkzoo.names",
             "stkzoo.config",
             "stkzoo.tracks",
+            "stkzoo.scratch",
             "stkzoo.whole_file",
             "stkzoo.cores",
             "stkzoo.kernel",

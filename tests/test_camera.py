@@ -91,7 +91,7 @@ def test_cameras_change_no_race_and_nothing_else_in_an_observation():
                 for key, value in bare[agent].items():
                     # The compiled kernel differs in the last places.
                     np.testing.assert_allclose(seen[agent][key], value, rtol=1e-5, atol=1e-5)
-            assert env.snapshot.to_bytes() == plain.snapshot.to_bytes()
+            assert env.snapshot.data == plain.snapshot.data
 
 
 def test_what_was_handed_out_is_the_agents_own():

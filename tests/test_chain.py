@@ -95,14 +95,14 @@ class Race:
         agents = self.agents if agents is None else agents
         self.controls = decoded(self.chains, actions, agents)
         self.last_batch = self.batch(len(agents))
-        return self.chains.step(
-            agents,
-            BatchSight(self.last_batch),
+        parts = (
+            dict.fromkeys(agents),
             {agent: float(self.agents.index(agent) + 1) for agent in agents},
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, False),
             {agent: {"position": 1} for agent in agents},
         )
+        return self.chains.step(agents, BatchSight(self.last_batch), parts)
 
     def sample(self):
         return {agent: space.sample() for agent, space in self.chains.action_spaces.items()}
@@ -506,10 +506,11 @@ def test_the_infos_handed_in_are_not_changed():
     race = Race(chains)
     race.reset()
     decoded(chains, race.sample(), ["kart_0"])
-    infos = {"kart_0": {"position": 1}}
-    yes, no = {"kart_0": True}, {"kart_0": False}
-    chains.step(["kart_0"], BatchSight(race.batch(1)), {"kart_0": 1.0}, yes, no, infos)
-    assert infos == {"kart_0": {"position": 1}}
+    info = {"position": 1}
+    parts = [{"kart_0": value} for value in (None, 1.0, True, False, info)]
+    chains.step(["kart_0"], BatchSight(race.batch(1)), tuple(parts))
+    assert info == {"position": 1}
+    assert len(parts[-1]["kart_0"]) > 1
 
 
 # ---------------------------------------------------------------- failures

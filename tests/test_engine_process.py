@@ -39,7 +39,7 @@ def drive_on(session, steps=100):
 
 def trajectory(session, steps=80):
     session.start(SETUP)
-    return b"".join(session.step(full_throttle()).to_bytes() for _ in range(steps))
+    return b"".join(session.step(full_throttle()).data for _ in range(steps))
 
 
 @pytest.fixture
@@ -124,7 +124,7 @@ def test_others_do_not_notice_a_crash(root, session):
     for step in range(80):
         if step == 40:
             os.kill(session.pid, signal.SIGKILL)
-        parts.append(other.step(full_throttle()).to_bytes())
+        parts.append(other.step(full_throttle()).data)
     assert b"".join(parts) == expected
     other.close()
 
@@ -185,7 +185,7 @@ PROGRAM = """
     session = WorkerSession(Path({root!r}))
     session.start(RaceSetup("olivermath", (KartSetup(is_bot=False), KartSetup())))
     print(session.pid, process.start_mother(Path({root!r}))._process.pid,
-          process.start_mother(Path({root!r}))._home, flush=True)
+          process.start_mother(Path({root!r}))._home.path, flush=True)
     {ending}
 """
 

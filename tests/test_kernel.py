@@ -8,14 +8,17 @@ import sys
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from stkzoo import race_v0
-from stkzoo.engine.reader import WorldReader
-from stkzoo.env import infos as infos_module
+from stkzoo.config import AgentSpec
+from stkzoo.engine.snapshot import HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
+from stkzoo.engine.track import TrackMap
 from stkzoo.env.views import VIEWS as ALL_VIEWS
 from stkzoo.errors import ActionError
 from stkzoo.kernel import kernel
-from stkzoo.mdp import rewards as rewards_module
+from stkzoo.tracks import SPLITS
 from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarObservations
 from stkzoo.wrappers import chain as chain_module
 
@@ -41,8 +44,9 @@ def flat_actions_only(env):
     return FlattenerWrapper(env, flatten_observations=False)
 
 
-#: Those in physical units remember how fast the kart is, which the kernel does not.
-VIEWS = [view for view in ALL_VIEWS if "control" not in view]
+#: Those that the kernel does not know.
+OTHERS = ("control", "racing", "box", "masked")
+VIEWS = [view for view in ALL_VIEWS if not any(word in view for word in OTHERS)]
 
 CHAINS = [*VIEWS, masked, masked_dict, polar_lists, flat_actions_only]
 
@@ -79,9 +83,8 @@ def numpy_only(monkeypatch):
     """A switch that makes everything made from then on do without the kernel."""
 
     def turn_off():
-        monkeypatch.setattr("stkzoo.wrappers.fused.kernel", None)
-        monkeypatch.setattr(infos_module, "kernel", None)
-        monkeypatch.setattr(rewards_module, "kernel", None)
+        for module in ("wrappers.fused", "env.episode", "mdp.rewards"):
+            monkeypatch.setattr(f"stkzoo.{module}.kernel", None)
 
     return turn_off
 
@@ -234,24 +237,54 @@ def test_the_kernel_reads_no_action_otherwise_than_numpy(view):
     for _ in range(2000):
         actions = {"kart_0": fuzzed(random, space.sample())}
         ours = np.zeros((1, 7), np.float32)
-        if not chain_module._is_read(group, actions, ours):
+        if not chain_module._is_read(group, actions, group.rows, ours):
             continue
         num_taken += 1
         theirs = np.zeros_like(ours)
-        chains._decode_group(group, chains._read(group, actions), theirs)
+        chains._decode_group(group, chains._read(group, actions), group.rows, theirs)
         assert ours.tolist() == theirs.tolist(), actions
     assert num_taken > 100
 
 
+def track_of(successors, length=20.0, count=None):
+    begins = np.cumsum([0, *map(len, successors)]).astype(np.intp)
+    ends = np.array([node for nodes in successors for node in nodes], np.intp)
+    count = len(successors) if count is None else count
+    sizes = (6, 1, 2)
+    arrays = (np.arange(size * count, dtype=np.float32) for size in sizes)
+    return kernel.Track(*arrays, begins, ends, length)
+
+
+#: Of an Outcome of one agent alone: karts, rows, last, sums, keys.
+ALONE = (
+    ("kart_0",),
+    np.zeros(1, np.intp),
+    np.zeros(1, np.intp),
+    np.zeros((1, 1)),
+    np.zeros((1, 1)),
+    ("position", "distance", "lap", "finish_time", "now", "sum", "return", "length"),
+    20.0,
+)
+
+
+def outcome_of(*, alone=ALONE, rewards=(), groups=(), num_paths=1):
+    return kernel.Outcome(*alone, rewards, groups, track_of([[0]]), num_paths, ("tux",))
+
+
 def test_the_kernel_checks_what_it_is_given():
     numbers = np.zeros(3, np.intp)
+    one = np.zeros(1, np.intp)
+    snapshot = Snapshot.of(
+        np.zeros((), HEADER_DTYPE), np.zeros(1, KART_DTYPE), np.zeros(2, ITEM_DTYPE)
+    )
     with pytest.raises(TypeError):
-        kernel.score()
-    plan = np.array([[0, 0, 1]], np.int32)
-    with pytest.raises(ValueError, match="outside"):
-        kernel.copy_fields(b"12", np.zeros(1, np.intp), np.zeros(1, "f4"), plan)
-    with pytest.raises(TypeError):
-        kernel.View(("energy",)).observe(*[numbers] * 11)
+        kernel.View(("energy",)).observe(*[numbers] * 5)
+    with pytest.raises(ValueError, match="no snapshot"):
+        kernel.View(("energy",)).observe(track_of([[0]]), 1, ("tux",), snapshot.data[:-1], one)
+    with pytest.raises(IndexError, match="kart 1 of 1"):
+        kernel.View(("energy",)).observe(track_of([[0]]), 1, ("tux",), snapshot.data, one + 1)
+    with pytest.raises(ValueError, match="2 of 1 segments"):
+        kernel.View(("energy",)).observe(track_of([[0]]), 2, ("tux",), snapshot.data, one)
     with pytest.raises(ValueError, match="no entry"):
         kernel.View(("colour",))
     with pytest.raises(ValueError, match="fixed size"):
@@ -260,20 +293,107 @@ def test_the_kernel_checks_what_it_is_given():
         kernel.Controls((), (((0.0, 3.0, True, 0, np.zeros((3, 2), "f4")),),), 2)
     with pytest.raises(ValueError, match="last column"):
         kernel.Controls((), (((0.0, 1.0, True, 7, None),),), 7)
+    for wrong in ([[1]], [[-1]], []):
+        with pytest.raises(ValueError, match="do not fit"):
+            track_of(wrong)
+    with pytest.raises(ValueError, match="do not fit"):
+        track_of([[0]], count=2)
+    with pytest.raises(IndexError):
+        track_of([[0]]).ahead(1)
 
 
-def test_a_reader_without_the_kernel_reads_the_same(monkeypatch):
-    env = race_v0.parallel_env(num_kart=3, track="lighthouse", use_subprocess=False)
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"alone": (*ALONE[:1], one_off := np.ones(1, np.intp), *ALONE[2:])},
+        {"alone": (*ALONE[:2], one_off, *ALONE[3:])},
+        {"alone": (*ALONE[:3], np.zeros((1, 2)), *ALONE[4:])},
+        {"alone": (*ALONE[:5], ALONE[5][1:], *ALONE[6:])},
+        {"rewards": ((one_off * 6, np.ones(1), np.zeros(1, np.intp), np.zeros(1, np.intp)),)},
+        {"rewards": ((one_off, np.ones(1), one_off, np.zeros(1, np.intp)),)},
+        {"rewards": ((one_off, np.ones(1), np.zeros(1, np.intp), one_off),)},
+        {"num_paths": 2},
+    ],
+)
+def test_an_outcome_checks_what_it_is_given(wrong):
+    outcome_of()
+    with pytest.raises(ValueError, match=r"do not fit|segments"):
+        outcome_of(**wrong)
+
+
+def test_an_outcome_refuses_snapshots_of_another_race():
+    snapshots = [
+        Snapshot.of(np.zeros((), HEADER_DTYPE), np.zeros(n, KART_DTYPE), np.zeros(0, ITEM_DTYPE))
+        for n in (1, 2)
+    ]
+    one, two = (snapshot.data for snapshot in snapshots)
+    assert outcome_of().step(one, one, False, 1)[0] == {"kart_0": None}
+    with pytest.raises(ValueError, match="another race"):
+        outcome_of().step(one, two, False, 1)
+    with pytest.raises(ValueError, match="no snapshot"):
+        outcome_of().step(one, b"", False, 1)
+
+
+def test_the_order_ahead_is_the_same_on_every_track_and_segment():
+    for name in SPLITS["all"]:
+        with race_v0.parallel_env(num_kart=1, track=name) as env:
+            env.reset(seed=0)
+            track = env.track_map
+        for node in range(0, track.num_nodes, 1 + track.num_nodes // 40):
+            assert track.in_kernel.ahead(node).tolist() == track._order_from(node), (name, node)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.integers(1, 12).flatmap(
+        lambda n: st.lists(st.lists(st.integers(0, n - 1), max_size=3), min_size=n, max_size=n)
+    )
+)
+def test_the_order_ahead_is_the_same_on_any_graph(successors):
+    count = len(successors)
+    track = TrackMap(
+        length=float(3 * count),
+        path_nodes=np.zeros((count, 2, 3), np.float32),
+        path_width=np.ones((count, 1), np.float32),
+        path_distance=np.arange(2 * count, dtype=np.float32).reshape(count, 2),
+        successors=successors,
+    )
+    for node in range(count):
+        assert track.in_kernel.ahead(node).tolist() == track._order_from(node)
+
+
+def test_the_engine_reads_what_its_attributes_say():
+    agents = [AgentSpec(use_ai=True), AgentSpec(), AgentSpec()]
+    env = race_v0.parallel_env(agents=agents, num_kart=4, track="lighthouse", use_subprocess=False)
     env.reset(seed=0)
-    for _ in range(5):
+    race = env._session._race
+    assert race._engine is not None
+    for _ in range(45):  # over all phases
         env.step({a: env.action_space(a).sample() for a in env.agents})
-    reader = env._session._race._reader
-    assert isinstance(reader, WorldReader)
-    assert reader.is_fast
-    ours = reader.read()
-    monkeypatch.setattr("stkzoo.engine.reader.kernel", None)
-    assert [part.tobytes() for part in ours] == [part.tobytes() for part in reader.read()]
+        assert race._read(running=True).data == env.snapshot.data
+        assert race._reader.is_fast
+        assert [part.tobytes() for part in race._reader.read()] == [
+            part.tobytes() for part in race._reader._read_attributes()
+        ]
+    with pytest.raises(ValueError, match="bytes of controls"):
+        race._engine.step(b"1234")
     env.close()
+
+
+def test_an_engine_without_the_kernel_steps_the_same(monkeypatch):
+    def race():
+        env = race_v0.parallel_env(num_kart=3, track="lighthouse", use_subprocess=False)
+        env.reset(seed=0)
+        for space in env.action_spaces.values():
+            space.seed(0)
+        for _ in range(30):
+            env.step({a: env.action_space(a).sample() for a in env.agents})
+            yield env.snapshot.data
+        env.close()
+
+    with_kernel = list(race())
+    monkeypatch.setattr("stkzoo.engine.race.kernel", None)
+    assert list(race()) == with_kernel
 
 
 def test_a_variable_turns_the_kernel_off():

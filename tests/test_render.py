@@ -178,7 +178,7 @@ def test_the_window_follows_the_race(display):
     with small_race(render_mode="human", render_size=(320, 240), num_cameras=1) as env:
         moments = []
         for now in drive(env, 40):
-            moments.append(now.snapshot.to_bytes())
+            moments.append(now.snapshot.data)
             if len(moments) in (30, 41):
                 display.shoot()
         assert env.render() is None

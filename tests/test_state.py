@@ -361,7 +361,7 @@ def test_stateless_views_may_differ(env):
     state = started(env).save_state()
     with make(view="flattened", agents=2) as other:
         other.restore_state(state)
-        assert other.snapshot.to_bytes() == env.snapshot.to_bytes()
+        assert other.snapshot.data == env.snapshot.data
 
 
 # ---------------------------------------------------------------------- refusals

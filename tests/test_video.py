@@ -172,7 +172,7 @@ def test_a_kart_that_is_put_elsewhere_does_not_glide(moments):
     after = moments[-1]
     karts = after.karts.copy()
     karts["location"][0] += [50, 0, 0]
-    leapt = type(after)(after.header, karts, after.items)
+    leapt = type(after).of(after.header, karts, after.items)
     places = poses_between(moments[-2], leapt, [0.5, 1.0])[:, 0, :3]
     np.testing.assert_allclose(places[0], moments[-2].karts["location"][0])
     np.testing.assert_allclose(places[1], karts["location"][0], rtol=1e-5)

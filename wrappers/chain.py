@@ -31,6 +31,9 @@ StepParts: TypeAlias = tuple[
 ]
 
 
+_Dicts: TypeAlias = tuple[dict[str, Any], ...]
+
+
 class Sight(Protocol):
     """What the agents of one call see at one moment, made in the form that is asked for."""
 
@@ -124,10 +127,17 @@ class AgentChains:
         self._plan_key: tuple[str, ...] | None = None
         self._plan: list[_Group] = []
         self._fused: dict[Hashable, tuple[Any, Any]] = {}
+        self._targets_of: tuple[Any, Any, list[npt.NDArray[np.intp]]] = None, None, []
         self.observation_spaces = {a: chain.observation_space for a, chain in self._chains.items()}
         self.action_spaces = {a: chain.action_space for a, chain in self._chains.items()}
 
-    def decode(self, actions: Mapping[str, Any], agents: Sequence[str]) -> npt.NDArray[np.float32]:
+    def decode(
+        self,
+        actions: Mapping[str, Any],
+        agents: Sequence[str],
+        rows: npt.NDArray[np.intp] | None = None,
+        num_rows: int | None = None,
+    ) -> npt.NDArray[np.float32]:
         """The base actions for the agents' actions.
 
         All actions are checked before any wrapper sees one. Actions of others than
@@ -136,28 +146,46 @@ class AgentChains:
         Args:
             actions: actions by agent, in each agent's ``action_spaces``.
             agents: the agents that act.
+            rows: in which row of the result each agent's base action goes; by default in
+                the agents' order. Those of agents that are ignored go nowhere.
+            num_rows: how many rows there are, by default as many as agents; those of nobody
+                are zeros.
 
         Returns:
-            ``(A, n)`` float32: a row for each of ``agents``, and the columns that the
-            constructor was told of.
+            ``(num_rows, n)`` float32, with the columns that the constructor was told of.
 
         Raises:
             ActionError: an action is missing or not in its space.
             AgentException: a wrapper failed.
         """
         groups = self._groups(agents)
-        self._require_actions(actions, agents)
-        controls = np.zeros((len(agents), len(self._columns)), np.float32)
-        unread = [group for group in groups if not _is_read(group, actions, controls)]
-        checked = [self._read(group, actions) for group in unread]
+        targets = self._targets(groups, rows)
+        count = len(agents) if num_rows is None else num_rows
+        controls = np.zeros((count, len(self._columns)), np.float32)
+        unread = [
+            (group, target)
+            for group, target in zip(groups, targets, strict=True)
+            if not _is_read(group, actions, target, controls)
+        ]
+        if unread:
+            self._require_actions(actions, agents)
+            self._decode_unread(unread, actions, controls)
+        return controls
+
+    def _decode_unread(
+        self,
+        unread: Sequence[tuple[_Group, npt.NDArray[np.intp]]],
+        actions: Mapping[str, Any],
+        controls: npt.NDArray[np.float32],
+    ) -> None:
+        checked = [self._read(group, actions) for group, _ in unread]
         try:
-            for group, batch in zip(unread, checked, strict=True):
+            for (group, target), batch in zip(unread, checked, strict=True):
                 if batch is not None:
-                    self._decode_group(group, batch, controls)
+                    self._decode_group(group, batch, target, controls)
         except BaseException:
             self._abandon()
             raise
-        return controls
 
     def reset(
         self,
@@ -198,24 +226,19 @@ class AgentChains:
                 observations[agent], new_infos[agent] = observation, info
         return _ordered(observations, agents), _ordered(new_infos, agents)
 
-    def step(
-        self,
-        agents: Sequence[str],
-        sight: Sight,
-        rewards: Mapping[str, float],
-        terminations: Mapping[str, bool],
-        truncations: Mapping[str, bool],
-        infos: Mapping[str, dict[str, Any]],
-    ) -> StepParts:
+    def views(self, agents: Sequence[str]) -> list[tuple[Any, npt.NDArray[np.intp]]]:
+        """The kernel's views, each with the numbers of the agents that it shows all to."""
+        return [(g.view, g.rows) for g in self._groups(agents) if g.view is not None]
+
+    def step(self, agents: Sequence[str], sight: Sight, parts: StepParts) -> StepParts:
         """The agents' views of one step; call it once after each :meth:`decode`.
 
         Args:
             agents: the agents that acted, in the order of the sight's rows.
             sight: what they see.
-            rewards: reward by agent, for the same agents in the same order, as all that follow.
-            terminations: whether the agent's race is over, by agent.
-            truncations: whether its race was cut short, by agent.
-            infos: info by agent; they are handed on.
+            parts: what happened to them, by agent in the same order; it becomes the
+                result. Observations other than ``None`` are there already, through
+                :meth:`views`.
 
         Returns:
             Observations, rewards, terminations, truncations and infos by agent.
@@ -223,27 +246,21 @@ class AgentChains:
         Raises:
             AgentException: a wrapper failed.
         """
-        observations: dict[str, Any] = dict.fromkeys(agents)
-        result: StepParts = (
-            observations,
-            dict(rewards),
-            dict(terminations),
-            dict(truncations),
-            dict(infos),
-        )
+        observations = parts[0]
         try:
             for group in self._groups(agents):
+                if observations[group.agents[0]] is not None:
+                    continue
                 observations.update(zip(group.agents, self._seen(group, sight), strict=True))
                 if not group.chain.is_batched:
                     (agent,) = group.agents
-                    own = group.chain.finish_step(_part(result, agent))
-                    parts = cast(tuple[dict[str, Any], ...], result)
-                    for part, value in zip(parts, own, strict=True):
+                    own = group.chain.finish_step(_part(parts, agent))
+                    for part, value in zip(cast(_Dicts, parts), own, strict=True):
                         part[agent] = value
         except BaseException:
             self._abandon()
             raise
-        return result
+        return parts
 
     def memory(self) -> dict[str, Memory | None]:
         """What each agent's wrappers remember between steps, as a value.
@@ -304,7 +321,13 @@ class AgentChains:
 
     def __getstate__(self) -> dict[str, Any]:
         # What the kernel has made of the chains is made again when it is needed.
-        return {**self.__dict__, "_plan_key": None, "_plan": [], "_fused": {}}
+        fresh: dict[str, Any] = {
+            "_plan_key": None,
+            "_plan": [],
+            "_fused": {},
+            "_targets_of": (None, None, []),
+        }
+        return {**self.__dict__, **fresh}
 
     def _require_actions(self, actions: Mapping[str, Any], agents: Sequence[str]) -> None:
         if not isinstance(actions, Mapping):
@@ -333,18 +356,32 @@ class AgentChains:
         chosen = [actions[agent] if agent in acting else idle for agent in group.agents]
         return read_actions(chain.action_space, chosen, group.agents)
 
-    def _decode_group(self, group: _Group, batch: Any, controls: npt.NDArray[np.float32]) -> None:
+    def _targets(
+        self, groups: Sequence[_Group], rows: npt.NDArray[np.intp] | None
+    ) -> list[npt.NDArray[np.intp]]:
+        """The rows of the controls that belong to each group's agents."""
+        if rows is None:
+            return [group.rows for group in groups]
+        if self._targets_of[0] is not groups or self._targets_of[1] is not rows:
+            self._targets_of = groups, rows, [rows[group.rows] for group in groups]
+        return self._targets_of[2]
+
+    def _decode_group(
+        self,
+        group: _Group,
+        batch: Any,
+        target: npt.NDArray[np.intp],
+        controls: npt.NDArray[np.float32],
+    ) -> None:
         chain = group.chain
         if chain.is_batched:
             with agent_failures(group.agents[0], "change its action"):
                 base = chain.act(batch)
         else:
             base = chain.begin_base_step(split(chain.action_space, batch)[0])
+        acting = [agent not in self._ignored for agent in group.agents]
         for column, key in enumerate(self._columns):
-            controls[group.rows, column] = np.reshape(base[key], -1)
-        if group.has_ignored:
-            idle = [agent in self._ignored for agent in group.agents]
-            controls[group.rows[idle]] = 0
+            controls[target[acting], column] = np.reshape(base[key], -1)[acting]
 
     def _seen(self, group: _Group, sight: Sight) -> list[Any]:
         """What a group's agents see: the final view of a batched group, else the base view."""
@@ -373,13 +410,16 @@ def _part(result: StepParts, agent: str) -> AgentStep:
     return observations[agent], rewards[agent], terminations[agent], truncations[agent], info
 
 
-def _is_read(group: _Group, actions: Mapping[str, Any], controls: npt.NDArray[np.float32]) -> bool:
+def _is_read(
+    group: _Group,
+    actions: Mapping[str, Any],
+    target: npt.NDArray[np.intp],
+    controls: npt.NDArray[np.float32],
+) -> bool:
     """Whether the kernel could read a group's actions, and has."""
     if group.controls is None or group.has_ignored:
         return False
-    return bool(
-        group.controls.read([actions[agent] for agent in group.agents], group.rows, controls)
-    )
+    return bool(group.controls.read(actions, group.agents, target, controls))
 
 
 def _shared_space(action_spaces: Mapping[str, spaces.Space[Any]]) -> spaces.Dict:

@@ -9,7 +9,7 @@ children of the mother too: she ends and reaps them like all others, once the pr
 told her of them.
 
 It talks with the program over one packet socket: a JSON object a packet, with the
-child's socket and log file handed over as file descriptors.
+child's socket and log file handed over as file descriptors. An answer has its request's number.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ def main(control_fd: int, self_destruct_after: int) -> None:
     libc = ctypes.CDLL(None)
     _unbuffer_output(libc)
     faulthandler.enable()
-    init_engine()
-    control.send(READY)
     try:
+        init_engine()
+        control.send(READY)
         _Mother(control, self_destruct_after).run()
     finally:
         shutil.rmtree(os.environ["HOME"], ignore_errors=True)
@@ -82,17 +82,29 @@ class _Mother:
             return False
         request: dict[str, Any] = json.loads(data)
         if request["do"] == "fork":
-            self._reply(pid=self._fork(*fds))
+            self._reply(request, **self._try_to_fork(fds))
         elif request["do"] == "end":
-            self._reply(status=self._end(request["pid"]))
+            self._reply(request, status=self._end(request["pid"]))
         elif request["do"] == "drop":
             self._drop(request["pid"])
         elif request["do"] == "adopt":
             self._adopt(request["pid"])
         return True
 
-    def _reply(self, **values: int | None) -> None:
-        self._control.send(json.dumps(values).encode())
+    def _reply(self, request: dict[str, Any], **values: int | str | None) -> None:
+        self._control.send(json.dumps({"number": request["number"], **values}).encode())
+
+    def _try_to_fork(self, fds: list[int]) -> dict[str, Any]:
+        """A child, or why there is none, which is no reason to end the others."""
+        problem = "the game's mother process may open no more files"
+        if len(fds) == 2:
+            try:
+                return {"pid": self._fork(*fds)}
+            except OSError as error:
+                problem = str(error)
+        for fd in fds:
+            os.close(fd)
+        return {"pid": None, "error": problem}
 
     def _fork(self, session_fd: int, log_fd: int) -> int:
         pid = os.fork()

@@ -13,20 +13,20 @@ import hmac
 import json
 import os
 import secrets
-import shutil
 import signal
 import socket
 import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
 
 from stkzoo.engine import wire
 from stkzoo.engine.mother import READY
 from stkzoo.errors import ConfigError, EngineCrashed, EngineError, EngineTimeout
+from stkzoo.scratch import ScratchFolder
 
 __all__ = [
     "DRAWING_START_TIMEOUT",
@@ -169,12 +169,13 @@ def start_race_process(root: Path) -> RaceProcess:
         EngineCrashed: the engine could not start.
         EngineTimeout: it took too long to start.
     """
-    if can_fork():
+    with _told_what_is_missing():
+        if not can_fork():
+            return _SpawnedRace(root, "worker")
         try:
             return start_mother(root).fork()
         except EngineCrashed:  # the mother was killed since it was last used
             return start_mother(root).fork()
-    return _SpawnedRace(root, "worker")
 
 
 def start_shadow_process(root: Path, graphics: str, variables: Mapping[str, str]) -> RaceProcess:
@@ -187,7 +188,20 @@ def start_shadow_process(root: Path, graphics: str, variables: Mapping[str, str]
 
     Raises: as :func:`start_race_process`.
     """
-    return _SpawnedRace(root, "shadow", {"STKZOO_GRAPHICS": graphics, **variables})
+    with _told_what_is_missing():
+        return _SpawnedRace(root, "shadow", {"STKZOO_GRAPHICS": graphics, **variables})
+
+
+@contextlib.contextmanager
+def _told_what_is_missing() -> Iterator[None]:
+    """Tells in words that there is no room for another process."""
+    try:
+        yield
+    except OSError as error:
+        raise EngineError(
+            f"the game's process cannot be started: {error}; close() what is no longer needed, "
+            "or raise the system's limits (ulimit -a shows them, df the room on its disks)"
+        ) from error
 
 
 def engine_environment(root: Path, home: str) -> dict[str, str]:
@@ -230,16 +244,17 @@ class Mother:
 
     def __init__(self, root: Path) -> None:
         self._log = Log()
-        self._home = tempfile.mkdtemp(prefix="stkzoo-")
+        self._home = ScratchFolder("home")
         self._lock = threading.Lock()
         self._is_ready = False
+        self._number = 0  # of the last request
         self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._control.settimeout(START_TIMEOUT)
         with theirs:
             self._process = _spawn(
                 "mother",
                 [theirs.fileno(), _SELF_DESTRUCT_SECONDS],
-                engine_environment(root, self._home),
+                engine_environment(root, str(self._home.path)),
                 self._log,
                 pass_fds=[theirs.fileno()],
             )
@@ -247,13 +262,14 @@ class Mother:
     def fork(self) -> RaceProcess:
         """A new child that has run no race yet."""
         with contextlib.ExitStack() as on_failure, self._lock:
-            self._wait_until_ready()
             ours, theirs = wire.pair()
             log = Log()
             on_failure.callback(ours.close)
             on_failure.callback(log.close)
             with theirs:
                 answer = self._ask({"do": "fork"}, [theirs.fileno(), log.fileno()])
+            if answer["pid"] is None:
+                raise OSError(answer["error"])
             on_failure.pop_all()
         return _ForkedRace(ours, answer["pid"], log, self)
 
@@ -282,26 +298,29 @@ class Mother:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        shutil.rmtree(self._home, ignore_errors=True)
+        self._home.close()
         self._log.close()
 
     def forget(self) -> None:
         """Lets go of a mother that belongs to the process this one was forked from."""
         self._control.close()
         self._process.returncode = 0  # not our child: nothing to wait for
-
-    def _wait_until_ready(self) -> None:
-        if not self._is_ready:
-            if self._receive() != READY:
-                self._fail("could not start")
-            self._is_ready = True
+        self._home.let_go()
 
     def _ask(self, request: Mapping[str, Any], fds: list[int] | None = None) -> Any:
+        """Waits for the answer to a request; that to an interrupted one is passed over."""
+        self._number += 1
+        form = json.dumps({"number": self._number, **request}).encode()
         try:
-            socket.send_fds(self._control, [json.dumps(request).encode()], fds or [])
+            socket.send_fds(self._control, [form], fds or [])
         except OSError:
-            self._fail("is gone")
-        return json.loads(self._receive() or self._fail("is gone"))
+            self._fail()
+        while True:
+            packet = self._receive() or self._fail()
+            if packet == READY:
+                self._is_ready = True
+            elif (answer := json.loads(packet))["number"] == self._number:
+                return answer
 
     def _receive(self) -> bytes:
         try:
@@ -315,8 +334,9 @@ class Mother:
         except OSError:
             return b""
 
-    def _fail(self, what: str) -> bytes:
+    def _fail(self) -> bytes:
         log = self._log.tail()
+        what = "is gone" if self._is_ready else "could not start"
         _retire(self)
         raise EngineCrashed(
             f"the game's mother process {what}; `stkzoo doctor` looks for the cause", log
@@ -380,11 +400,12 @@ class _SpawnedRace(RaceProcess):
     """An interpreter of its own, reached over the loopback interface."""
 
     def __init__(self, root: Path, module: str, variables: Mapping[str, str] | None = None) -> None:
-        self._home = tempfile.mkdtemp(prefix="stkzoo-")
+        self._home = ScratchFolder("home")
+        home = str(self._home.path)
         log = Log()
         token = secrets.token_bytes(_TOKEN_BYTES)
-        environment = engine_environment(root, self._home) | {"STKZOO_TOKEN": token.hex()}
-        environment.setdefault("XDG_RUNTIME_DIR", self._home)  # a window asks for one
+        environment = engine_environment(root, home) | {"STKZOO_TOKEN": token.hex()}
+        environment.setdefault("XDG_RUNTIME_DIR", home)  # a window asks for one
         environment |= variables or {}
         with socket.create_server(("127.0.0.1", 0)) as listener:
             listener.settimeout(0.25)
@@ -423,7 +444,7 @@ class _SpawnedRace(RaceProcess):
             self._process.wait(0.2)
         except subprocess.TimeoutExpired:
             self._kill()
-        shutil.rmtree(self._home, ignore_errors=True)
+        self._home.close()
         return _describe_end(self._process.returncode)
 
     def drop(self) -> None:
@@ -433,7 +454,7 @@ class _SpawnedRace(RaceProcess):
     def _kill(self) -> None:
         self._process.kill()
         self._process.wait()
-        shutil.rmtree(self._home, ignore_errors=True)
+        self._home.close()
 
 
 def _describe_end(returncode: int) -> str:
@@ -453,7 +474,8 @@ def start_mother(root: Path) -> Mother:
     """This program's mother process for the given game data; does not wait for it."""
     with _mothers_lock:
         if root not in _mothers:
-            _mothers[root] = Mother(root)
+            with _told_what_is_missing():
+                _mothers[root] = Mother(root)
         return _mothers[root]
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import socket
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.engine.reader import WorldReader
+from stkzoo.engine.reader import BY_ATTRIBUTE, WorldReader
 from stkzoo.engine.setup import KartSetup, RaceSetup
 from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, Snapshot
 from stkzoo.engine.starting import put_karts
@@ -45,12 +46,12 @@ class RaceStart:
 
     def to_frames(self) -> tuple[bytes, bytes, bytes]:
         """The start as three blocks of bytes."""
-        return json.dumps(self.kart_types).encode(), self.track, self.snapshot.to_bytes()
+        return json.dumps(self.kart_types).encode(), self.track, self.snapshot.data
 
     @classmethod
     def from_frames(cls, kart_types: bytes, track: bytes, snapshot: bytes) -> RaceStart:
         """Reads what :meth:`to_frames` wrote."""
-        return cls(tuple(json.loads(kart_types)), track, Snapshot.from_bytes(snapshot))
+        return cls(tuple(json.loads(kart_types)), track, Snapshot(snapshot))
 
 
 def init_engine(graphics: str = "none") -> None:
@@ -105,8 +106,7 @@ class GameRace:
 
         self._setup = setup
         self._make_action = pystk2.Action
-        self._actions: list[Any] = []
-        self._present = np.empty((0, len(CONTROLS)), np.float32)  # what they say
+        self._actions = [self._make_action() for kart in setup.karts if not kart.is_bot]
         self._phases = {
             pystk2.WorldState.Phase.READY_PHASE: Phase.READY_PHASE,
             pystk2.WorldState.Phase.SET_PHASE: Phase.SET_PHASE,
@@ -117,6 +117,7 @@ class GameRace:
         self._race.start()
         self._world = pystk2.WorldState()
         self._reader: WorldReader | None = None
+        self._engine: Any = None  # the compiled kernel's hold on the race
         self._track = pystk2.Track()
 
     def begin(self) -> RaceStart:
@@ -132,6 +133,8 @@ class GameRace:
         track = self._track
         if self._setup.starts:
             put_karts(self._race, self._world, track, self._setup, self._make_action)
+        self._reader = WorldReader(self._world)
+        self._engine = self._kernel_engine(self._reader)
         return RaceStart(
             kart_types=tuple(kart.kart_type for kart in self._world.karts),
             track=encode_track(
@@ -144,22 +147,39 @@ class GameRace:
             snapshot=self._read(running=True),
         )
 
-    def step(self, controls: npt.NDArray[np.float32]) -> Snapshot:
+    def step(self, controls: bytes | npt.NDArray[np.float32]) -> Snapshot:
         """Advances the game by one step.
 
         Args:
-            controls: ``(P, 7)`` float32, a row for each player kart in grid order, columns
-                as in :data:`stkzoo.engine.snapshot.CONTROLS`.
+            controls: ``(P, 7)`` float32, or its bytes: a row for each player kart in grid
+                order, columns as in :data:`stkzoo.engine.snapshot.CONTROLS`.
         """
-        actions, present = self._actions, self._present
-        if len(actions) != len(controls):
-            self._actions = actions = [self._make_action() for _ in range(len(controls))]
-            self._present = present = np.full_like(controls, np.nan)
-        set_actions = _set_actions if kernel is None else kernel.set_actions
-        set_actions(actions, CONTROLS, controls, present)
-        running = self._race.step(actions) if actions else self._race.step()
+        if self._engine is not None:
+            return Snapshot(self._engine.step(controls))
+        rows = np.frombuffer(controls, np.float32).reshape(len(self._actions), len(CONTROLS))
+        for action, row in zip(self._actions, rows.tolist(), strict=True):
+            for column, (name, value) in enumerate(zip(CONTROLS, row, strict=True)):
+                setattr(action, name, value if column < _NUM_ANALOGUE else value > 0)
+        running = self._race.step(self._actions) if self._actions else self._race.step()
         self._world.update()
         return self._read(running)
+
+    @property
+    def can_serve(self) -> bool:
+        """Whether :meth:`serve` can be had."""
+        return hasattr(self._engine, "serve")
+
+    def serve(self, connection: socket.socket) -> bytes:
+        """Takes the steps that are asked for, until something else is, which it returns.
+
+        Args:
+            connection: one end of :func:`stkzoo.engine.wire.pair`, without a time-out.
+
+        Raises:
+            EOFError: the other end is gone.
+        """
+        request: bytes = self._engine.serve(connection.fileno())
+        return request
 
     def stop(self) -> None:
         """Ends the race; nothing else may be called afterwards."""
@@ -167,8 +187,7 @@ class GameRace:
 
     def _read(self, running: bool) -> Snapshot:
         world = self._world
-        if self._reader is None:
-            self._reader = WorldReader(world)
+        assert self._reader is not None  # noqa: S101 - it begins with the race
         karts, items = self._reader.read()
         for row in self._reporting:
             action = self._race.get_kart_action(row)
@@ -177,20 +196,24 @@ class GameRace:
         header = np.array(
             [(world.time, world.aux_ticks, phase, len(karts), len(items), running)], HEADER_DTYPE
         )
-        return Snapshot(header[0], karts, items)
+        return Snapshot.of(header[0], karts, items)
 
-
-def _set_actions(
-    actions: list[Any],
-    names: tuple[str, ...],
-    controls: npt.NDArray[np.float32],
-    present: npt.NDArray[np.float32],
-) -> None:
-    """Brings actions from what they say at present to what they should; so too ``present``."""
-    for row, column in zip(*np.nonzero(controls != present), strict=True):
-        value = controls[row, column].item()
-        setattr(actions[row], names[column], value if column < _NUM_ANALOGUE else value > 0)
-    present[...] = controls
+    def _kernel_engine(self, reader: WorldReader) -> Any:
+        """The kernel's way to step and read; ``None`` if it cannot, or reads otherwise."""
+        if kernel is None or not reader.is_fast:
+            return None
+        engine = kernel.Engine(
+            self._race,
+            self._world,
+            self._actions,
+            CONTROLS,
+            BY_ATTRIBUTE,
+            self._phases,
+            Phase.RACE_PHASE,
+            tuple(self._reporting),
+            reader.plans,
+        )
+        return engine if engine.read(True) == self._read(running=True).data else None
 
 
 def _race_config(pystk2: Any, setup: RaceSetup) -> Any:

@@ -21,9 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.snapshot import CONTROLS, ITEM_DTYPE, KART_DTYPE
-from stkzoo.kernel import kernel
 
-__all__ = ["WorldReader"]
+__all__ = ["BY_ATTRIBUTE", "WorldReader"]
 
 Records = npt.NDArray[np.void]
 
@@ -79,7 +78,7 @@ _STATE_ITEM = np.dtype(
 )
 
 #: Fields of a kart that the block does not hold, or not at a place that is known.
-_BY_ATTRIBUTE = ("angular_velocity", "speed")
+BY_ATTRIBUTE = ("angular_velocity", "speed")
 
 _COPIED_KART = [name for name in _STATE_KART.names or () if not name.startswith("_")]
 _COPIED_ITEM = [name for name in _STATE_ITEM.names or () if not name.startswith("_")]
@@ -107,7 +106,7 @@ def _attribute_plan(target: Any, names: Iterable[str]) -> npt.NDArray[np.int32]:
     return np.array(plan, np.int32)
 
 
-_ATTRIBUTE_PLAN = _attribute_plan(KART_DTYPE, _BY_ATTRIBUTE)
+_ATTRIBUTE_PLAN = _attribute_plan(KART_DTYPE, BY_ATTRIBUTE)
 
 
 class WorldReader:
@@ -124,7 +123,6 @@ class WorldReader:
         self._world = world
         self._kart_places = np.empty(0, np.intp)
         self._items_at = 0
-        self._item_places = np.empty(0, np.intp)
         try:
             self._learn(world.__getstate__()[0])
             self.is_fast = self._agrees()
@@ -134,6 +132,16 @@ class WorldReader:
     def read(self) -> tuple[Records, Records]:
         """All karts and items now: records of ``KART_DTYPE`` and ``ITEM_DTYPE``."""
         return self._read_block() if self.is_fast else self._read_attributes()
+
+    @property
+    def plans(self) -> tuple[Any, ...]:
+        """What the compiled kernel's engine needs to read the block by itself.
+
+        Places of the karts, what to copy of each; the place of the items, their size, what
+        to copy of each; and which attributes of a kart go where.
+        """
+        items = self._items_at, _STATE_ITEM.itemsize, _ITEM_PLAN
+        return self._kart_places, _KART_PLAN, *items, _ATTRIBUTE_PLAN
 
     def _learn(self, block: bytes) -> None:
         """Finds the places of the karts, which stay where they are all race long."""
@@ -160,14 +168,13 @@ class WorldReader:
     def _read_block(self) -> tuple[Records, Records]:
         block = self._world.__getstate__()[0]
         karts = np.zeros(len(self._kart_places), KART_DTYPE)
-        _copy(block, self._kart_places, _STATE_KART, karts, _KART_PLAN)
-        _copy_attributes(self._world.karts, karts)
+        _copy(block, self._kart_places, _STATE_KART, karts)
+        for name in BY_ATTRIBUTE:
+            karts[name] = [getattr(kart, name) for kart in self._world.karts]
         (num_items,) = _INT.unpack_from(block, self._items_at)
         items = np.zeros(num_items, ITEM_DTYPE)
-        if num_items != len(self._item_places):
-            begin = self._items_at + _INT.size
-            self._item_places = begin + _STATE_ITEM.itemsize * np.arange(num_items)
-        _copy(block, self._item_places, _STATE_ITEM, items, _ITEM_PLAN)
+        begin = self._items_at + _INT.size
+        _copy(block, begin + _STATE_ITEM.itemsize * np.arange(num_items), _STATE_ITEM, items)
         return karts, items
 
     def _read_attributes(self) -> tuple[Records, Records]:
@@ -177,30 +184,14 @@ class WorldReader:
 
 
 def _copy(
-    block: bytes,
-    places: npt.NDArray[np.intp],
-    source: np.dtype[np.void],
-    records: Records,
-    plan: npt.NDArray[np.int32],
+    block: bytes, places: npt.NDArray[np.intp], source: np.dtype[np.void], records: Records
 ) -> None:
-    """Fills the planned fields of records from the places in the block where they begin."""
-    if kernel is not None:
-        kernel.copy_fields(block, places, records, plan)
-        return
+    """Fills the fields that records share with what begins at some places of the block."""
     rows = np.frombuffer(block, np.uint8)[np.add.outer(places, np.arange(source.itemsize))]
     state = rows.view(source)[:, 0]
     for name in state.dtype.names or ():
         if not name.startswith("_"):
             records[name] = state[name]
-
-
-def _copy_attributes(objects: list[Any], records: Records) -> None:
-    """Fills the fields of records that can only be had from the engine's objects."""
-    if kernel is not None:
-        kernel.copy_attributes(objects, _BY_ATTRIBUTE, records, _ATTRIBUTE_PLAN)
-        return
-    for name in _BY_ATTRIBUTE:
-        records[name] = [getattr(thing, name) for thing in objects]
 
 
 def _records(

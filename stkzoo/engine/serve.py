@@ -8,12 +8,9 @@ import signal
 import socket
 import traceback
 
-import numpy as np
-
 from stkzoo.engine import offspring, wire
 from stkzoo.engine.race import GameRace
 from stkzoo.engine.setup import RaceSetup
-from stkzoo.engine.snapshot import CONTROLS
 
 __all__ = ["describe", "serve", "set_alarm"]
 
@@ -27,21 +24,19 @@ def serve(
         connection: socket to the program.
         self_destruct_after: seconds after which a single request that is still running
             ends this process, so that a game which hangs cannot outlive a program that
-            can no longer end it.
+            can no longer end it. With a mother process, her end is this one's too.
         mother: process id of the parent, if it is a mother process, whose children copies
             of this process become; without her, there are no copies.
     """
     race: GameRace | None = None
+    has_alarm = mother is None
     while True:
         try:
-            kind, frames = wire.receive(connection)
-        except (EOFError, OSError):
-            return
-        set_alarm(self_destruct_after)
-        try:
+            kind, frames = _next_request(connection, race, mother)
+            if has_alarm:
+                set_alarm(self_destruct_after)
             if kind == wire.ACT and race is not None:
-                controls = np.frombuffer(frames[0], np.float32).reshape(-1, len(CONTROLS))
-                wire.send(connection, wire.OK, race.step(controls).to_bytes())
+                wire.send(connection, wire.OK, race.step(frames[0]).data)
             elif kind == wire.BEGIN:
                 if race is not None:
                     race.stop()
@@ -52,11 +47,24 @@ def serve(
                 connection = _fork(connection, mother)
             else:
                 return
-        except (EOFError, BrokenPipeError):
+        except (EOFError, ConnectionError):
             return
         except Exception as error:  # noqa: BLE001 - it is the program that must hear of it
             wire.send(connection, wire.ERROR, describe(error))
-        set_alarm(0)
+        if has_alarm:
+            set_alarm(0)
+
+
+def _next_request(
+    connection: socket.socket, race: GameRace | None, mother: int | None
+) -> tuple[bytes, list[bytes]]:
+    """The next request but for steps that the race can take at once.
+
+    Only children of a mother have a packet socket, and no alarm to set.
+    """
+    if race is None or mother is None or not race.can_serve:
+        return wire.receive(connection)
+    return wire.complete(connection, race.serve(connection))
 
 
 def _fork(connection: socket.socket, mother: int) -> socket.socket:

@@ -6,8 +6,6 @@ import atexit
 import contextlib
 import ctypes
 import os
-import shutil
-import tempfile
 import weakref
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,6 +26,7 @@ from stkzoo.engine.race import GameRace, RaceStart, init_engine
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import ApiOrderError, EngineCrashed, EngineError, EngineTimeout
+from stkzoo.scratch import ScratchFolder
 
 __all__ = ["LocalSession", "Session", "WorkerSession"]
 
@@ -134,7 +133,7 @@ class WorkerSession:
     def step_wait(self) -> Snapshot:
         """See :meth:`Session.step_wait`."""
         (reply,) = self._receive(wire.ACT)
-        return Snapshot.from_bytes(reply)
+        return Snapshot(reply)
 
     def branch(self) -> WorkerSession:
         """See :meth:`Session.branch`."""
@@ -164,9 +163,14 @@ class WorkerSession:
         """A copy of the race's process."""
         self._require_own()
         process = self._idle()
-        with self._ending_what_fails(process, spared=EngineError):
+        try:
             process.connection.settimeout(self._timeouts[wire.FORK])
             return process.fork()
+        except EngineError:  # the stream of answers is in order
+            raise
+        except BaseException as error:
+            self._end_after(error, process)
+            raise
 
     def _require_own(self) -> None:
         if self._owner != os.getpid():
@@ -177,9 +181,13 @@ class WorkerSession:
 
     def _send(self, kind: bytes, data: bytes) -> None:
         process = self._idle()
-        with self._ending_what_fails(process):
-            process.connection.settimeout(self._timeouts[kind])
+        try:
+            if process.connection.gettimeout() != self._timeouts[kind]:
+                process.connection.settimeout(self._timeouts[kind])
             wire.send(process.connection, kind, data)
+        except BaseException as error:
+            self._end_after(error, process)
+            raise
         self._asked = kind
 
     def _receive(self, kind: bytes) -> list[bytes]:
@@ -187,8 +195,11 @@ class WorkerSession:
         if self._asked != kind:
             raise ApiOrderError("there is no request to wait for")
         self._asked = None
-        with self._ending_what_fails(process):
+        try:
             return process.reply()
+        except BaseException as error:
+            self._end_after(error, process)
+            raise
 
     def _idle(self) -> RaceProcess:
         process = self._living()
@@ -201,39 +212,22 @@ class WorkerSession:
             raise ApiOrderError(f"{self.what} has ended or there is none; {self.remedy}")
         return self._process
 
-    @contextlib.contextmanager
-    def _ending_what_fails(
-        self, process: RaceProcess, spared: type[Exception] | tuple[()] = ()
-    ) -> Iterator[None]:
-        """Ends the process after any failure, for its stream of answers is in disorder.
+    def _end_after(self, error: BaseException, process: RaceProcess) -> None:
+        """Ends the process after a failure, for its stream of answers is in disorder.
 
-        Args:
-            process: the process.
-            spared: a failure that leaves the stream in order.
+        Raises:
+            EngineCrashed: the failure is that the process is gone.
+            EngineTimeout: it is that no answer came in time.
         """
-        try:
-            yield
-        except spared:
-            raise
-        except TimeoutError:
-            seconds = process.connection.gettimeout()
-            _, log = self._end(process)
-            message = f"{self.what} gave no answer in {seconds:g} s and was ended; {self.remedy}"
-            raise EngineTimeout(message, log) from None
-        except (EOFError, OSError):
-            how, log = self._end(process)
-            message = f"{self.what} {how}; {self.remedy}"
-            raise EngineCrashed(message, log) from None
-        except BaseException:
-            self._end(process)
-            raise
-
-    def _end(self, process: RaceProcess) -> tuple[str, str]:
-        """Ends the process; says how it ended and what it wrote last."""
         self._process, self._asked = None, None
+        seconds = process.connection.gettimeout()
         how, log = process.end(), process.log.tail()
         process.log.close()
-        return how, log
+        if isinstance(error, TimeoutError):
+            message = f"{self.what} gave no answer in {seconds:g} s and was ended; {self.remedy}"
+            raise EngineTimeout(message, log) from None
+        if isinstance(error, (EOFError, OSError)):
+            raise EngineCrashed(f"{self.what} {how}; {self.remedy}", log) from None
 
 
 #: Why a race in this process cannot be saved and copied.
@@ -344,10 +338,10 @@ def _flush_c_streams() -> None:
 
 def _init_here(root: Path) -> None:
     """Starts the engine in this process, with the environment that engine processes have."""
-    home = tempfile.mkdtemp(prefix="stkzoo-")
-    atexit.register(shutil.rmtree, home, ignore_errors=True)
+    home = ScratchFolder("home")
+    atexit.register(home.close)
     environment = dict(os.environ)
-    os.environ.update(engine_environment(root, home))
+    os.environ.update(engine_environment(root, str(home.path)))
     try:
         init_engine()
     finally:

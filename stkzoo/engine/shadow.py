@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import socket
 import sys
 import time
@@ -119,11 +120,14 @@ def _config(pystk2: Any, setup: RaceSetup) -> Any:
 def main(port: int, self_destruct_after: int) -> None:
     """Connects back to the program and draws for it until it is gone."""
     token = bytes.fromhex(os.environ.pop("STKZOO_TOKEN"))
-    init_engine(os.environ.pop("STKZOO_GRAPHICS"))
-    with socket.create_connection(("127.0.0.1", port)) as connection:
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        connection.sendall(token)
-        _serve(connection, self_destruct_after)
+    try:
+        init_engine(os.environ.pop("STKZOO_GRAPHICS"))
+        with socket.create_connection(("127.0.0.1", port)) as connection:
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            connection.sendall(token)
+            _serve(connection, self_destruct_after)
+    finally:  # the program may have been killed
+        shutil.rmtree(os.environ["HOME"], ignore_errors=True)
     os._exit(0)
 
 

@@ -1,14 +1,15 @@
 """One moment of a race as arrays: the only thing the engine tells the rest.
 
-A :class:`Snapshot` is one block of bytes (header, karts, items) seen through
-numpy's structured types, so that it crosses a process border by one copy and
-is never pickled.
+A :class:`Snapshot` is one block of bytes (header, karts, items), which the compiled kernel
+reads as it is, and all others through numpy's structured types. So it crosses a process
+border by one copy and is never pickled.
 """
 
 from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -73,9 +74,12 @@ KART_DTYPE = np.dtype(
 
 ITEM_DTYPE = np.dtype([("location", "f4", 3), ("size", "f4"), ("type", "i4"), ("id", "i4")])
 
-#: The numbers of karts and items in a block.
-_COUNTS = struct.Struct("=ii")
+_PHASE_AT = int(HEADER_DTYPE.fields["phase"][1])  # type: ignore[index]
 _COUNTS_AT = int(HEADER_DTYPE.fields["num_kart"][1])  # type: ignore[index]
+_RUNNING_AT = int(HEADER_DTYPE.fields["running"][1])  # type: ignore[index]
+_INT = struct.Struct("=i")
+#: The numbers of karts and items.
+_COUNTS = struct.Struct("=ii")
 
 
 def _offsets(dtype: np.dtype[np.void]) -> dict[str, int]:
@@ -83,6 +87,7 @@ def _offsets(dtype: np.dtype[np.void]) -> dict[str, int]:
 
 
 if kernel is not None and kernel.layouts() != {
+    "header": _offsets(HEADER_DTYPE),
     "kart": _offsets(KART_DTYPE),
     "item": _offsets(ITEM_DTYPE),
 }:
@@ -94,41 +99,57 @@ if kernel is not None and kernel.layouts() != {
 
 @dataclass(frozen=True)
 class Snapshot:
-    """One moment of a race.
+    """One moment of a race. Its arrays are views of its bytes, and read-only.
 
     Attributes:
-        header: scalar record of :data:`HEADER_DTYPE`.
-        karts: ``(K,)`` records of :data:`KART_DTYPE`, in the engine's kart order,
-            which is the order of the starting grid.
-        items: ``(M,)`` records of :data:`ITEM_DTYPE`; ``M`` changes in a race when
-            bubble gum is dropped.
+        data: the whole moment as one block: header, karts, items.
     """
 
-    header: np.void
-    karts: npt.NDArray[np.void]
-    items: npt.NDArray[np.void]
+    data: bytes
 
     @classmethod
-    def from_bytes(cls, data: bytes | bytearray | memoryview) -> Snapshot:
-        """Views a block written by :meth:`to_bytes`; copies nothing."""
-        header = np.frombuffer(data, HEADER_DTYPE, count=1)[0]
-        start = HEADER_DTYPE.itemsize
-        num_kart, num_items = _COUNTS.unpack_from(data, _COUNTS_AT)
-        karts = np.frombuffer(data, KART_DTYPE, count=num_kart, offset=start)
-        start += num_kart * KART_DTYPE.itemsize
-        items = np.frombuffer(data, ITEM_DTYPE, count=num_items, offset=start)
-        return cls(header, karts, items)
+    def of(
+        cls, header: np.void, karts: npt.NDArray[np.void], items: npt.NDArray[np.void]
+    ) -> Snapshot:
+        """The moment with these parts; the header's counts are made to fit."""
+        head = np.zeros(1, HEADER_DTYPE)
+        head[0] = header
+        head["num_kart"], head["num_items"] = len(karts), len(items)
+        return cls(head.tobytes() + karts.tobytes() + items.tobytes())
 
-    def to_bytes(self) -> bytes:
-        """The whole moment as one block."""
-        return self.header.tobytes() + self.karts.tobytes() + self.items.tobytes()
+    @cached_property
+    def header(self) -> np.void:
+        """Scalar record of :data:`HEADER_DTYPE`."""
+        header: np.void = np.frombuffer(self.data, HEADER_DTYPE, count=1)[0]
+        return header
+
+    @cached_property
+    def karts(self) -> npt.NDArray[np.void]:
+        """``(K,)`` records of :data:`KART_DTYPE`, in the order of the starting grid."""
+        count, _ = self._counts
+        return np.frombuffer(self.data, KART_DTYPE, count, offset=HEADER_DTYPE.itemsize)
+
+    @cached_property
+    def items(self) -> npt.NDArray[np.void]:
+        """``(M,)`` records of :data:`ITEM_DTYPE`.
+
+        ``M`` changes in a race when bubble gum is dropped.
+        """
+        num_kart, count = self._counts
+        begin = HEADER_DTYPE.itemsize + num_kart * KART_DTYPE.itemsize
+        return np.frombuffer(self.data, ITEM_DTYPE, count, offset=begin)
 
     @property
     def phase(self) -> int:
         """Number of :class:`stkzoo.names.Phase`."""
-        return int(self.header["phase"])
+        return int(_INT.unpack_from(self.data, _PHASE_AT)[0])
 
     @property
     def running(self) -> bool:
         """Whether some player kart is still racing."""
-        return bool(self.header["running"])
+        return bool(_INT.unpack_from(self.data, _RUNNING_AT)[0])
+
+    @property
+    def _counts(self) -> tuple[int, int]:
+        num_kart, num_items = _COUNTS.unpack_from(self.data, _COUNTS_AT)
+        return num_kart, num_items

@@ -7,9 +7,12 @@ import heapq
 import json
 import struct
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from stkzoo.kernel import kernel
 
 __all__ = ["TrackMap", "decode_track", "encode_track"]
 
@@ -30,8 +33,7 @@ class TrackMap:
         path_distance: ``(N, 2)`` float32 [m]: distance from the start line to each
             segment's start and end.
         successors: for each node, the nodes that follow it; more than one at a fork.
-        order: ``(N, N)``: row n is what lies ahead of node n (:meth:`nodes_ahead`), -1
-            until :meth:`look_ahead` has been asked for it.
+        in_kernel: the track as the compiled kernel has it; ``None`` without a kernel.
     """
 
     def __init__(
@@ -50,8 +52,8 @@ class TrackMap:
         self.successors = tuple(tuple(nodes) for nodes in successors)
         for array in (path_nodes, path_width, path_distance):
             array.flags.writeable = False
-        num_nodes = len(self.successors)
-        self.order = np.full((num_nodes, num_nodes), -1, np.intp)
+        self.in_kernel = self._kernel_track()
+        self._orders: dict[int, IntArray] = {}
 
     @property
     def num_nodes(self) -> int:
@@ -71,13 +73,22 @@ class TrackMap:
         Returns:
             ``(A, P)`` indices; the first column is ``nodes``.
         """
-        self.look_ahead(nodes)
-        return self.order[nodes, :max_paths]
+        rows = [self._ahead(node)[:max_paths] for node in nodes.tolist()]
+        return np.array(rows, np.intp).reshape(len(rows), -1)
 
-    def look_ahead(self, nodes: IntArray) -> None:
-        """Makes sure that the rows of ``order`` are there for some segments."""
-        for node in set(nodes[self.order[nodes, 0] < 0].tolist()):
-            self.order[node] = self._order_from(node)
+    def _ahead(self, node: int) -> IntArray:
+        if node not in self._orders:
+            known = self._order_from(node) if self.in_kernel is None else self.in_kernel.ahead(node)
+            self._orders[node] = np.array(known, np.intp)
+        return self._orders[node]
+
+    def _kernel_track(self) -> Any:
+        if kernel is None:
+            return None
+        begins = np.cumsum([0, *map(len, self.successors)], dtype=np.intp)
+        successors = np.array([node for nodes in self.successors for node in nodes], np.intp)
+        arrays = self.path_nodes, self.path_width, self.path_distance, begins, successors
+        return kernel.Track(*arrays, self.length)
 
     def _order_from(self, start: int) -> list[int]:
         begin = self.path_distance[:, 0].tolist()

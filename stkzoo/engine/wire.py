@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import socket
 import struct
+import threading
 from collections.abc import Sequence
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "FORK",
     "OK",
     "QUIT",
+    "complete",
     "pair",
     "receive",
     "receive_files",
@@ -38,7 +40,6 @@ DRAW = b"D"
 OK, ERROR = b"O", b"E"
 
 _HEADER = struct.Struct("<cB")
-_LENGTH = struct.Struct("<I")
 #: No message of ours comes near; a larger length is a sign of a broken stream.
 _MAX_LENGTH = 1 << 28
 #: More than a message between processes of one machine can have: one call reads it.
@@ -55,8 +56,8 @@ def pair() -> tuple[socket.socket, socket.socket]:
 
 def send(connection: socket.socket, kind: bytes, *frames: bytes) -> None:
     """Sends one message."""
-    lengths = [_LENGTH.pack(len(frame)) for frame in frames]
-    connection.sendall(b"".join([_HEADER.pack(kind, len(frames)), *lengths, *frames]))
+    head = struct.pack(f"<cB{len(frames)}I", kind, len(frames), *map(len, frames))
+    connection.sendall(b"".join([head, *frames]))
 
 
 def receive(connection: socket.socket) -> tuple[bytes, list[bytes]]:
@@ -66,11 +67,20 @@ def receive(connection: socket.socket) -> tuple[bytes, list[bytes]]:
         EOFError: the other end is gone.
         TimeoutError: the socket's time-out passed.
     """
-    data = _at_least(connection, b"", _HEADER.size)
+    room = _room.bytes
+    return complete(connection, bytes(room[: connection.recv_into(room)]))
+
+
+def complete(connection: socket.socket, data: bytes) -> tuple[bytes, list[bytes]]:
+    """The kind and the frames of a message that begins with some bytes.
+
+    Raises: as :func:`receive`.
+    """
+    data = _at_least(connection, data, _HEADER.size)
     kind, count = _HEADER.unpack_from(data)
-    begin = _HEADER.size + count * _LENGTH.size
+    begin = _HEADER.size + 4 * count
     data = _at_least(connection, data, begin)
-    lengths = [_LENGTH.unpack_from(data, _HEADER.size + 4 * n)[0] for n in range(count)]
+    lengths = struct.unpack_from(f"<{count}I", data, _HEADER.size)
     size = begin + sum(lengths)
     if size > _MAX_LENGTH:
         raise EOFError(f"a message of {size} bytes makes no sense here")
@@ -109,14 +119,26 @@ def receive_files(connection: socket.socket, count: int) -> list[int]:
     return list(files)
 
 
+class _Room(threading.local):
+    """What messages are read into, kept because as much new memory for each takes longer."""
+
+    def __init__(self) -> None:
+        self.bytes = memoryview(bytearray(_ONE_READ))
+
+
+_room = _Room()
+
+
 def _at_least(connection: socket.socket, data: bytes, size: int) -> bytes:
     """Reads on until there are so many bytes."""
     if len(data) >= size:
         return data
+    if not data:
+        raise EOFError("the connection was closed")
     parts = [data]
     count = len(data)
     while count < size:
-        part = connection.recv(max(_ONE_READ, size - count))
+        part = connection.recv(size - count)
         if not part:
             raise EOFError("the connection was closed")
         parts.append(part)

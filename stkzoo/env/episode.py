@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from stkzoo.engine.race import RaceStart
 from stkzoo.engine.setup import RaceSetup
-from stkzoo.engine.snapshot import CONTROLS, Snapshot
+from stkzoo.engine.snapshot import Snapshot
 from stkzoo.engine.track import decode_track
 from stkzoo.env.grid import RaceInfo
 from stkzoo.env.infos import EpisodeRecord
@@ -22,8 +22,11 @@ from stkzoo.kernel import kernel
 from stkzoo.mdp.observations import KartObserver, ai_actions
 from stkzoo.mdp.rewards import Reward
 from stkzoo.mdp.state import race_state
+from stkzoo.wrappers.chain import AgentChains, StepParts
 
 __all__ = ["Episode"]
+
+IntArray = npt.NDArray[np.intp]
 
 
 class Episode:
@@ -57,10 +60,11 @@ class Episode:
         self.track_map = decode_track(start.track)
         self.snapshot = start.snapshot
         self._kart_of = dict(zip(rewards, race.kart_indices, strict=True))
-        self._is_player = np.array([not kart.is_bot for kart in setup.karts])
-        self._are_all_players = bool(self._is_player.all())
-        self._asked_for: tuple[tuple[str, ...], npt.NDArray[np.intp]] = (), np.empty(0, np.intp)
+        self._players = np.flatnonzero([not kart.is_bot for kart in setup.karts])
+        nobody = np.empty(0, np.intp)
+        self._asked_for: tuple[tuple[str, ...], tuple[IntArray, IntArray]] = (), (nobody, nobody)
         self._reports_control = any(kart.reports_control for kart in setup.karts)
+        self._outcome: tuple[Any, Any] | None = None  # (for whom, kernel.Outcome)
         self._past: Any = None  # (what was before, the latest controls), shared by copies
         self._start(options, rewards)
 
@@ -69,6 +73,7 @@ class Episode:
         twin = copy.copy(self)
         shared = {id(reward): reward for reward in self._rewards.values()}
         twin.record = copy.deepcopy(self.record, shared)
+        twin._outcome = None
         return twin
 
     def anew(self, options: RaceOptions, rewards: Mapping[str, Reward]) -> Episode:
@@ -82,18 +87,17 @@ class Episode:
         twin._start(options, rewards)
         return twin
 
-    def controls(
-        self, actions: npt.NDArray[np.float32], agents: Sequence[str]
-    ) -> npt.NDArray[np.float32]:
-        """What the engine is told: ``(P, 7)`` float32, player karts in grid order.
+    @property
+    def num_players(self) -> int:
+        """How many karts the engine is told what to do."""
+        return len(self._players)
 
-        Args:
-            actions: ``(A, 7)`` float32, the agents' actions with the columns of ``CONTROLS``.
-            agents: whose actions; all other player karts coast.
+    def player_rows(self, agents: Sequence[str]) -> IntArray:
+        """Which of the karts that the engine is told what to do are the agents'.
+
+        Those of agents that the game's AI drives are none of them.
         """
-        controls = np.zeros((len(self._is_player), len(CONTROLS)), np.float32)
-        controls[self._karts(agents)] = actions
-        return controls if self._are_all_players else controls[self._is_player]
+        return self._places(agents)[1]
 
     def remember(self, controls: npt.NDArray[np.float32]) -> None:
         """Takes note of what the engine is told in a step."""
@@ -101,14 +105,44 @@ class Episode:
 
     def past_controls(self) -> npt.NDArray[np.float32]:
         """What the engine was told in all steps since the race began: ``(T, P, 7)`` float32."""
-        return past_controls(self._past, int(self._is_player.sum()))
+        return past_controls(self._past, self.num_players)
 
-    def advance(self, snapshot: Snapshot, agents: Sequence[str]) -> dict[str, float]:
-        """Takes in the moment after a step and returns the agents' rewards."""
-        rewards = self.record.step(self.snapshot, snapshot, agents)
-        self.snapshot = snapshot
+    def advance(self, snapshot: Snapshot, agents: Sequence[str], chains: AgentChains) -> StepParts:
+        """Takes in the moment after a step.
+
+        Args:
+            snapshot: the moment.
+            agents: the agents that acted.
+            chains: their wrappers.
+
+        Returns:
+            What the agents get: observations, rewards, terminations, truncations and infos.
+        """
+        before, self.snapshot = self.snapshot, snapshot
         self._num_steps += 1
-        return rewards
+        is_over = self._max_cycles is not None and self._num_steps >= self._max_cycles
+        if kernel is None:
+            parts = self._told(before, agents, is_over)
+        else:
+            self.record.score_own_terms(before, snapshot)
+            outcome = self._outcome_for(agents, chains)
+            parts = outcome.step(before.data, snapshot.data, is_over, self._num_steps)
+        return chains.step(agents, self.sight(agents, chains.paths_used), parts)
+
+    def _outcome_for(self, agents: Sequence[str], chains: AgentChains) -> Any:
+        whom = chains, tuple(agents)
+        if self._outcome is None or self._outcome[0] != whom:
+            views = chains.views(agents)
+            self._outcome = whom, self.record.outcome(agents, views, self._observer.course)
+        return self._outcome[1]
+
+    def _told(self, before: Snapshot, agents: Sequence[str], is_over: bool) -> StepParts:
+        """What a step means for the agents, without what they see."""
+        rewards = self.record.step(before, self.snapshot, agents)
+        finished = self.snapshot.karts["has_finished_race"][self._karts(agents)] > 0
+        terminations = dict(zip(agents, finished.tolist(), strict=True))
+        truncations = {agent: is_over and not ended for agent, ended in terminations.items()}
+        return dict.fromkeys(agents), rewards, terminations, truncations, self.infos(agents)
 
     def observe(self, agents: Sequence[str], paths_used: int | None = None) -> dict[str, Any]:
         """What some agents see now in the ``full`` view, in batch form.
@@ -127,23 +161,13 @@ class Episode:
         """What some agents see now, to be made in the form that is asked for."""
         return Sight(self, self._karts(agents), agents, paths_used)
 
-    def through(self, view: Any, karts: npt.NDArray[np.intp]) -> list[Any]:
+    def through(self, view: Any, karts: IntArray) -> list[Any]:
         """What some karts see now in a view of the compiled kernel."""
         return self._observer.through(view, self.snapshot, karts)
 
     def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Fresh infos of some agents; see :class:`~stkzoo.env.infos.EpisodeRecord`."""
-        return self.record.infos(self.snapshot, agents)
-
-    def terminations(self, agents: Sequence[str]) -> dict[str, bool]:
-        """Which agents have finished the race."""
-        finished = _finished if kernel is None else kernel.finished
-        return dict(zip(agents, finished(self.snapshot.karts, self._karts(agents)), strict=True))
-
-    def truncations(self, terminations: Mapping[str, bool]) -> dict[str, bool]:
-        """Which agents are cut short because the race has lasted long enough."""
-        is_over = self._max_cycles is not None and self._num_steps >= self._max_cycles
-        return {agent: is_over and not ended for agent, ended in terminations.items()}
+        return self.record.infos(self.snapshot, agents, self._num_steps)
 
     def state(self) -> npt.NDArray[np.float32]:
         """The whole race as one vector (:mod:`stkzoo.mdp.state`)."""
@@ -157,20 +181,21 @@ class Episode:
         self._rewards = rewards
         race_length = self.track_map.length * self.race.laps
         self.record = EpisodeRecord(rewards, self.race.kart_indices, race_length)
+        self._outcome = None
         self._num_steps = 0
         self._max_cycles = options.max_cycles
         self._observer = KartObserver(self.track_map, self.race.kart_types, options.max_paths)
 
-    def _karts(self, agents: Sequence[str]) -> npt.NDArray[np.intp]:
+    def _karts(self, agents: Sequence[str]) -> IntArray:
+        return self._places(agents)[0]
+
+    def _places(self, agents: Sequence[str]) -> tuple[IntArray, IntArray]:
+        """The agents' karts, and their rows among the players."""
         key = tuple(agents)
         if key != self._asked_for[0]:  # they change only when somebody leaves
-            self._asked_for = key, np.array([self._kart_of[agent] for agent in key], np.intp)
+            karts = np.array([self._kart_of[agent] for agent in key], np.intp)
+            self._asked_for = key, (karts, np.searchsorted(self._players, karts))
         return self._asked_for[1]
-
-
-def _finished(karts: npt.NDArray[np.void], who: npt.NDArray[np.intp]) -> list[bool]:
-    finished: list[bool] = (karts["has_finished_race"][who] > 0).tolist()
-    return finished
 
 
 class Sight:
@@ -179,7 +204,7 @@ class Sight:
     def __init__(
         self,
         episode: Episode,
-        karts: npt.NDArray[np.intp],
+        karts: IntArray,
         agents: Sequence[str],
         paths_used: int | None,
     ) -> None:
@@ -193,6 +218,6 @@ class Sight:
             self._batch = self._episode.observe(self._agents, self._paths_used)
         return self._batch
 
-    def through(self, view: Any, rows: npt.NDArray[np.intp]) -> list[Any]:
+    def through(self, view: Any, rows: IntArray) -> list[Any]:
         """What the agents of some rows see in a view of the compiled kernel."""
         return self._episode.through(view, self._karts[rows])

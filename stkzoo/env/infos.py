@@ -85,11 +85,10 @@ class EpisodeRecord:
         self._rows = {agent: row for row, agent in enumerate(rewards)}
         names = sorted({name for reward in rewards.values() for name in reward.terms})
         self._groups = _groups(rewards, kart_indices, {name: c for c, name in enumerate(names)})
-        self._all_rows = np.arange(len(rewards))
+        self._own_groups = [g for g in self._groups if g.reward.kernel_terms is None]
         self._race_length = race_length
         self._last = np.zeros((len(rewards), len(names)))
         self._sums = np.zeros_like(self._last)
-        self._length = 0
         self._keys = (
             *("position", "distance", "lap", "finish_time"),
             *(f"reward/{name}" for name in names),
@@ -99,73 +98,75 @@ class EpisodeRecord:
 
     def step(self, before: Snapshot, after: Snapshot, agents: Sequence[str]) -> dict[str, float]:
         """Adds one step and returns the rewards of the agents that were still racing."""
+        self._score(self._groups, before, after)
+        self._last[[agent not in agents for agent in self._agents]] = 0.0
+        self._sums += self._last
+        totals = self._last.sum(axis=1)[self._rows_of(agents)].tolist()
+        return dict(zip(agents, totals, strict=True))
+
+    def score_own_terms(self, before: Snapshot, after: Snapshot) -> None:
+        """Makes a step's terms of those rewards that the compiled kernel does not know."""
+        if self._own_groups:
+            self._score(self._own_groups, before, after)
+
+    def outcome(self, agents: Sequence[str], views: Any, course: tuple[Any, ...]) -> Any:
+        """The compiled kernel's way to make of each step what these agents get.
+
+        It goes on with this record; after each :meth:`score_own_terms`, its ``step`` takes
+        the place of :meth:`step` and :meth:`infos`.
+
+        Args:
+            agents: who is racing.
+            views: pairs of a ``kernel.View`` and the numbers of the agents that have it.
+            course: :attr:`stkzoo.mdp.observations.KartObserver.course`.
+        """
+        rows = self._rows_of(agents)
+        where = {int(row): number for number, row in enumerate(rows)}
+        rewards = []
         for group in self._groups:
-            self._score(group, before, after)
-        if len(agents) < len(self._agents):
-            self._last[[agent not in agents for agent in self._agents]] = 0.0
-        self._length += 1
-        add_up = _add_up if kernel is None else kernel.add_up
-        return dict(zip(agents, add_up(self._last, self._sums, self._rows_of(agents)), strict=True))
+            terms = group.reward.kernel_terms
+            racing = [where[row] for row in group.rows.tolist() if row in where]
+            if terms is not None:
+                rewards.append((*terms, group.columns, np.array(racing, np.intp)))
+        numbers = self._last, self._sums, self._keys, self._race_length
+        parts = tuple(rewards), tuple(views)
+        assert kernel is not None  # noqa: S101 - it has made the views
+        return kernel.Outcome(tuple(agents), self._karts[rows], rows, *numbers, *parts, *course)
 
-    def _score(self, group: _Group, before: Snapshot, after: Snapshot) -> None:
+    def _score(self, groups: Sequence[_Group], before: Snapshot, after: Snapshot) -> None:
         """Writes a step's reward terms into ``_last``."""
-        terms = group.reward.kernel_terms
-        if kernel is not None and terms is not None:
-            places = (group.columns, group.rows, group.karts, self._last)
-            kernel.score(before.karts, after.karts, self._race_length, *terms, *places)
-            return
-        values = group.reward(Transition(before, after, self._race_length)).values()
-        for column, value in zip(group.columns, values, strict=True):
-            self._last[group.rows, column] = value[group.karts]
+        transition = Transition(before, after, self._race_length)
+        for group in groups:
+            values = group.reward(transition).values()
+            for column, value in zip(group.columns, values, strict=True):
+                self._last[group.rows, column] = value[group.karts]
 
-    def infos(self, snapshot: Snapshot, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
+    def infos(
+        self, snapshot: Snapshot, agents: Sequence[str], length: int
+    ) -> dict[str, dict[str, Any]]:
         """Fresh infos of some agents: plain numbers under the same keys from reset on.
 
         ``position`` is the rank, ``distance`` the metres driven, ``lap`` the number of
         laps done, ``finish_time`` seconds (0 before the finish), ``reward/<term>`` the
         weighted terms of this step, ``episode/reward/<term>`` their sums,
-        ``episode/return`` the sum of all, ``episode/length`` the steps so far.
+        ``episode/return`` the sum of all, ``episode/length`` the steps so far (``length``).
         """
-        rows = self._rows_of(agents)
-        moment = (snapshot.karts, self._last, self._sums, self._length, rows, self._karts)
-        make = _make_infos if kernel is None else kernel.make_infos
-        return dict(zip(agents, make(self._keys, *moment), strict=True))
+        infos = {}
+        for agent in agents:
+            row = self._rows[agent]
+            kart, sums = snapshot.karts[self._karts[row]], self._sums[row].tolist()
+            values = [
+                int(kart["position"]),
+                max(float(kart["overall_distance"]), 0.0),
+                max(int(kart["finished_laps"]), 0),
+                float(kart["finish_time"]),
+                *self._last[row].tolist(),
+                *sums,
+                reduce(operator.add, sums, 0.0),
+                length,
+            ]
+            infos[agent] = dict(zip(self._keys, values, strict=True))
+        return infos
 
     def _rows_of(self, agents: Sequence[str]) -> IntArray:
-        if len(agents) == len(self._agents):
-            return self._all_rows  # agents keep their order
         return np.array([self._rows[agent] for agent in agents], np.intp)
-
-
-def _add_up(last: FloatArray, sums: FloatArray, rows: IntArray) -> list[float]:
-    """Adds a step's terms to their sums; the totals of some rows."""
-    sums += last
-    totals: list[float] = last.sum(axis=1)[rows].tolist()
-    return totals
-
-
-def _make_infos(
-    keys: tuple[str, ...],
-    karts: npt.NDArray[np.void],
-    last: FloatArray,
-    sums: FloatArray,
-    length: int,
-    rows: IntArray,
-    kart_of_row: IntArray,
-) -> list[dict[str, Any]]:
-    """One info for each of some rows of ``last`` and ``sums``."""
-    infos = []
-    for row, kart in zip(rows.tolist(), karts[kart_of_row[rows]], strict=True):
-        own = sums[row].tolist()
-        values = [
-            int(kart["position"]),
-            max(float(kart["overall_distance"]), 0.0),
-            max(int(kart["finished_laps"]), 0),
-            float(kart["finish_time"]),
-            *last[row].tolist(),
-            *own,
-            reduce(operator.add, own, 0.0),
-            length,
-        ]
-        infos.append(dict(zip(keys, values, strict=True)))
-    return infos

@@ -41,16 +41,13 @@ from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.mdp.state import state_space
 from stkzoo.render.scene import Scene
-from stkzoo.wrappers.chain import AgentChains
+from stkzoo.wrappers.chain import AgentChains, StepParts
 
 __all__ = ["RaceParallelEnv"]
 
 logger = logging.getLogger(__name__)
 
 Observations = dict[str, Any]
-StepResult = tuple[
-    Observations, dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]
-]
 
 
 class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
@@ -199,17 +196,17 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         """
         if seed is not None or self._np_random is None:
             self._np_random, _ = seeding.np_random(checked_seed(seed))
-        options_now = self._options_now(options or {})
+        options = {} if options is None else options
+        options_now = self._options_now(options)
         self._check_specs()
-        state = (options or {}).get("state")
-        scenario = (options or {}).get("scenario")
+        state, scenario = options.get("state"), options.get("scenario")
         if scenario is not None:
-            agents, self._episode = self._reach(scenario, options or {}, options_now)
+            agents, self._episode = self._reach(scenario, options, options_now)
         elif state is None:
             agents = list(self.possible_agents)
             self._episode = self._new_race(options_now, self._np_random)
         else:
-            agents = self._racing_agents(state, options or {})
+            agents = self._racing_agents(state, options)
             state.resume_in(self._session)
             self._episode = state.moment.episode.anew(options_now, self._rewards)
         self.agents, self._asked = [], None  # in case a wrapper fails
@@ -218,13 +215,13 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
             self._episode.sight(agents, self._chains.paths_used),
             self._episode.infos(agents),
             seed=seed,
-            options=dict(options or {}),
+            options=dict(options),
         )
         self.agents = agents
         self._rendering.reset(self._episode)
         return result
 
-    def step(self, actions: Mapping[str, Any]) -> StepResult:
+    def step(self, actions: Mapping[str, Any]) -> StepParts:
         """Advances the race by one step.
 
         Args:
@@ -269,7 +266,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         episode = self._running("step")
         if self._asked is episode:
             raise ApiOrderError("step_async() twice without step_wait(); call step_wait() first")
-        return episode.controls(self._chains.decode(actions, self.agents), self.agents)
+        rows = episode.player_rows(self.agents)
+        return self._chains.decode(actions, self.agents, rows, episode.num_players)
 
     def send(self, controls: npt.NDArray[np.float32]) -> None:
         """The second half of :meth:`step_async`: asks the game for the step."""
@@ -278,7 +276,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
             self._running("step").remember(controls)
         self._asked = self._running("step")
 
-    def step_wait(self) -> StepResult:
+    def step_wait(self) -> StepParts:
         """What came of the step that :meth:`step_async` asked for; see :meth:`step`.
 
         Raises:
@@ -291,17 +289,10 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         agents = self.agents
         if not agents:
             return {}, {}, {}, {}, {}
-        rewards = episode.advance(self._session.step_wait(), agents)
-        terminations = episode.terminations(agents)
-        result: StepResult = self._chains.step(
-            agents,
-            episode.sight(agents, self._chains.paths_used),
-            rewards,
-            terminations,
-            episode.truncations(terminations),
-            episode.infos(agents),
-        )
-        self.agents = [a for a in agents if not (result[2][a] or result[3][a])]
+        result = episode.advance(self._session.step_wait(), agents, self._chains)
+        _, _, terminations, truncations, _ = result
+        if any(terminations.values()) or any(truncations.values()):
+            self.agents = [a for a in agents if not (terminations[a] or truncations[a])]
         if self.render_mode is not None:
             self._rendering.follow(episode)
         return result

@@ -3,6 +3,35 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+class Engine:
+    def __new__(
+        cls,
+        race: Any,
+        world: Any,
+        actions: list[Any],
+        controls: tuple[str, ...],
+        attributes: tuple[str, ...],
+        phases: dict[Any, int],
+        last_phase: int,
+        reporting: tuple[int, ...],
+        plans: tuple[Any, ...],
+    ) -> Engine: ...
+    def step(self, controls: bytes | npt.NDArray[np.float32]) -> bytes: ...
+    def read(self, is_running: bool) -> bytes: ...
+    def serve(self, fd: int) -> bytes: ...
+
+class Track:
+    def __new__(
+        cls,
+        nodes: npt.NDArray[np.float32],
+        widths: npt.NDArray[np.float32],
+        distances: npt.NDArray[np.float32],
+        begins: npt.NDArray[np.intp],
+        successors: npt.NDArray[np.intp],
+        length: float,
+    ) -> Track: ...
+    def ahead(self, node: int) -> npt.NDArray[np.intp]: ...
+
 class View:
     def __new__(
         cls,
@@ -13,58 +42,52 @@ class View:
         polar: bool = False,
         flat: bool = False,
     ) -> View: ...
-    def observe(self, *scene_and_who: Any) -> list[Any] | None: ...
-    def observe_into(self, *scene_who_and_rows: Any) -> bool: ...
+    def observe(
+        self,
+        track: Track,
+        num_paths: int,
+        kart_types: tuple[str, ...],
+        data: bytes,
+        who: npt.NDArray[np.intp],
+    ) -> list[Any]: ...
 
 class Controls:
     def __new__(
         cls, names: tuple[str, ...], leaves: tuple[Any, ...], num_columns: int
     ) -> Controls: ...
     def read(
-        self, actions: list[Any], rows: npt.NDArray[np.intp], controls: npt.NDArray[np.float32]
+        self,
+        actions: Any,
+        agents: tuple[str, ...],
+        rows: npt.NDArray[np.intp],
+        controls: npt.NDArray[np.float32],
     ) -> bool: ...
 
-def copy_fields(
-    block: bytes,
-    starts: npt.NDArray[np.intp],
-    records: npt.NDArray[np.void],
-    plan: npt.NDArray[np.int32],
-) -> None: ...
-def copy_attributes(
-    objects: list[Any],
-    names: tuple[str, ...],
-    records: npt.NDArray[np.void],
-    plan: npt.NDArray[np.int32],
-) -> None: ...
-def set_actions(
-    actions: list[Any],
-    names: tuple[str, ...],
-    controls: npt.NDArray[np.float32],
-    present: npt.NDArray[np.float32],
-) -> None: ...
-def score(
-    before: npt.NDArray[np.void],
-    after: npt.NDArray[np.void],
-    race_length: float,
-    terms: npt.NDArray[np.intp],
-    weights: npt.NDArray[np.float64],
-    columns: npt.NDArray[np.intp],
-    rows: npt.NDArray[np.intp],
-    karts: npt.NDArray[np.intp],
-    last: npt.NDArray[np.float64],
-) -> None: ...
-def make_infos(
-    keys: tuple[str, ...],
-    karts: npt.NDArray[np.void],
-    last: npt.NDArray[np.float64],
-    sums: npt.NDArray[np.float64],
-    length: int,
-    rows: npt.NDArray[np.intp],
-    kart_of_row: npt.NDArray[np.intp],
-) -> list[dict[str, Any]]: ...
-def add_up(
-    last: npt.NDArray[np.float64], sums: npt.NDArray[np.float64], rows: npt.NDArray[np.intp]
-) -> list[float]: ...
-def finished(karts: npt.NDArray[np.void], who: npt.NDArray[np.intp]) -> list[bool]: ...
+class Outcome:
+    def __new__(
+        cls,
+        agents: tuple[str, ...],
+        karts: npt.NDArray[np.intp],
+        rows: npt.NDArray[np.intp],
+        last: npt.NDArray[np.float64],
+        sums: npt.NDArray[np.float64],
+        keys: tuple[str, ...],
+        race_length: float,
+        rewards: tuple[Any, ...],
+        groups: tuple[Any, ...],
+        track: Track,
+        num_paths: int,
+        kart_types: tuple[str, ...],
+    ) -> Outcome: ...
+    def step(
+        self, before: bytes, after: bytes, is_over: bool, length: int
+    ) -> tuple[
+        dict[str, Any],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]: ...
+
 def layouts() -> dict[str, dict[str, int]]: ...
 def join_rows(rows: tuple[Any, ...]) -> bytes | None: ...

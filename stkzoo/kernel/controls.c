@@ -110,28 +110,32 @@ static int read_action(const Controls *self, PyObject *action, float *row)
     return 1;
 }
 
-/* read(actions, rows, controls): action i into row rows[i]; whether all could be read. */
+/* read(actions, agents, rows, controls): the action of agents[i], from a dict, into row rows[i];
+   whether all were there and could be read. */
 static PyObject *controls_read(PyObject *object, PyObject *const *args, Py_ssize_t nargs)
 {
     const Controls *self = (Controls *)object;
     npy_intp num_rows, size;
-    if (nargs != 3 || !PyList_Check(args[0])) {
-        return PyErr_Format(PyExc_TypeError, "read() takes a list and two arrays");
+    if (nargs != 4 || !PyTuple_Check(args[1])) {
+        return PyErr_Format(PyExc_TypeError, "read() takes actions, a tuple and two arrays");
     }
-    const npy_intp *rows = numbers_of(args[1], "rows", NPY_INTP, &num_rows);
+    const npy_intp *rows = numbers_of(args[2], "rows", NPY_INTP, &num_rows);
     if (!rows) return NULL;
-    float *controls = numbers_of(args[2], "controls", NPY_FLOAT32, &size);
+    float *controls = numbers_of(args[3], "controls", NPY_FLOAT32, &size);
     if (!controls) return NULL;
-    if (PyList_GET_SIZE(args[0]) != num_rows) {
-        return PyErr_Format(PyExc_ValueError, "%zd actions for %zd rows",
-                            PyList_GET_SIZE(args[0]), num_rows);
+    if (PyTuple_GET_SIZE(args[1]) != num_rows) {
+        return PyErr_Format(PyExc_ValueError, "%zd agents for %zd rows",
+                            PyTuple_GET_SIZE(args[1]), num_rows);
     }
+    if (!PyDict_Check(args[0])) Py_RETURN_FALSE;
     for (npy_intp i = 0; i < num_rows; i++) {
         if (rows[i] < 0 || (rows[i] + 1) * self->num_columns > size) {
             return PyErr_Format(PyExc_IndexError, "there is no row %zd", rows[i]);
         }
+        PyObject *action = PyDict_GetItemWithError(args[0], PyTuple_GET_ITEM(args[1], i));
+        if (!action && PyErr_Occurred()) return NULL;
         float *row = controls + rows[i] * self->num_columns;
-        const int is_read = read_action(self, PyList_GET_ITEM(args[0], i), row);
+        const int is_read = action ? read_action(self, action, row) : 0;
         if (is_read < 0) return NULL;
         if (!is_read) Py_RETURN_FALSE;
     }

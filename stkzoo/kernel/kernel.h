@@ -14,7 +14,13 @@
 #endif
 #include <numpy/arrayobject.h>
 
-/* stkzoo.engine.snapshot.KART_DTYPE, field by field; that module compares the two. */
+/* stkzoo.engine.snapshot.HEADER_DTYPE, KART_DTYPE and ITEM_DTYPE, field by field; that module
+   compares them. */
+typedef struct {
+    float time, aux_ticks;
+    npy_int32 phase, num_kart, num_items, running;
+} Header;
+
 typedef struct {
     float location[3], rotation[4], front[3], velocity[3], velocity_lc[3];
     float angular_velocity[3], size[3];
@@ -25,29 +31,59 @@ typedef struct {
     float control[7];
 } Kart;
 
-/* stkzoo.engine.snapshot.ITEM_DTYPE. */
 typedef struct {
     float location[3], size;
     npy_int32 type, id;
 } Item;
 
-/* The data of a C-contiguous array whose items have the given size, and their number;
-   NULL with an exception set if it is none. */
-void *array_of(PyObject *object, const char *name, size_t item_size, npy_intp *count);
+enum { NUM_CONTROLS = sizeof(((Kart *)0)->control) / sizeof(float) };
 
-/* The data of a C-contiguous array of one of numpy's own types; as array_of. */
+/* The parts of Snapshot.data. */
+typedef struct {
+    const Header *header;
+    const Kart *karts;
+    const Item *items;
+} Moment;
+
+/* Takes the bytes of a Snapshot apart; -1 with an exception set if they are none. */
+int read_moment(PyObject *data, Moment *moment);
+
+/* stkzoo.engine.track.TrackMap, and the order of what lies ahead of each of its segments. */
+typedef struct {
+    PyObject_HEAD
+    PyObject *arrays; /* keeps them alive */
+    const float *nodes, *widths, *distances; /* (N, 2, 3), (N, 1), (N, 2) */
+    const npy_intp *begins, *successors;     /* those of n: successors[begins[n]:begins[n + 1]] */
+    npy_intp num_nodes;
+    double length;
+    npy_int32 **orders; /* (N,) each; NULL until asked for */
+} Track;
+
+/* The segments ahead of one, by distance; NULL with an exception set if there is none such. */
+const npy_int32 *nodes_ahead(Track *track, npy_intp node);
+
+/* How a race is seen. */
+typedef struct {
+    Track *track;
+    npy_intp num_paths;   /* segments that are seen */
+    PyObject *kart_types; /* a tuple */
+} Course;
+
+typedef struct View View;
+
+/* One observation for each of some karts, which out takes over; -1 with an exception set. */
+int observe(View *view, const Course *course, const Moment *moment, const npy_intp *who,
+            npy_intp count, PyObject **out);
+
+/* Checks a course; -1 with an exception set if its parts do not fit together. */
+int set_course(Course *course, PyObject *track, PyObject *num_paths, PyObject *kart_types);
+
+/* The data of a C-contiguous array of one of numpy's own types, and how many numbers it has;
+   NULL with an exception set if it is none. */
 void *numbers_of(PyObject *object, const char *name, int type, npy_intp *count);
 
-PyObject *copy_fields(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
-PyObject *copy_attributes(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
-PyObject *set_actions(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
-PyObject *score(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
-PyObject *add_up(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
-PyObject *finished(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
-PyObject *make_infos(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
 PyObject *join_rows(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
 
-extern PyTypeObject ViewType;
-extern PyTypeObject ControlsType;
+extern PyTypeObject EngineType, TrackType, ViewType, ControlsType, OutcomeType;
 
 #endif

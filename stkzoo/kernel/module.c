@@ -5,8 +5,13 @@
 
 #include <stddef.h>
 
-static void *data_of(PyArrayObject *array, const char *name, npy_intp *count)
+void *numbers_of(PyObject *object, const char *name, int type, npy_intp *count)
 {
+    PyArrayObject *array = (PyArrayObject *)object;
+    if (!PyArray_Check(object) || !PyArray_EquivTypenums(PyArray_TYPE(array), type)) {
+        PyErr_Format(PyExc_TypeError, "%s must be an array of another type", name);
+        return NULL;
+    }
     if (!PyArray_IS_C_CONTIGUOUS(array) || !PyArray_ISALIGNED(array)) {
         PyErr_Format(PyExc_ValueError, "%s must be C-contiguous and aligned", name);
         return NULL;
@@ -15,59 +20,85 @@ static void *data_of(PyArrayObject *array, const char *name, npy_intp *count)
     return PyArray_DATA(array);
 }
 
-void *array_of(PyObject *object, const char *name, size_t item_size, npy_intp *count)
+int read_moment(PyObject *data, Moment *moment)
 {
-    if (!PyArray_Check(object) ||
-        (size_t)PyArray_ITEMSIZE((PyArrayObject *)object) != item_size) {
-        PyErr_Format(PyExc_TypeError, "%s must be an array of items of %zu bytes", name, item_size);
-        return NULL;
+    if (!PyBytes_Check(data)) {
+        PyErr_Format(PyExc_TypeError, "expected a snapshot's bytes, not %R", data);
+        return -1;
     }
-    return data_of((PyArrayObject *)object, name, count);
+    const size_t size = (size_t)PyBytes_GET_SIZE(data);
+    const char *bytes = PyBytes_AS_STRING(data);
+    moment->header = (const Header *)bytes;
+    const Header *header = moment->header;
+    if (size < sizeof *header || header->num_kart < 0 || header->num_items < 0 ||
+        size != sizeof *header + (size_t)header->num_kart * sizeof(Kart) +
+                    (size_t)header->num_items * sizeof(Item)) {
+        PyErr_Format(PyExc_ValueError, "%zu bytes are no snapshot", size);
+        return -1;
+    }
+    moment->karts = (const Kart *)(bytes + sizeof *header);
+    moment->items = (const Item *)(moment->karts + header->num_kart);
+    return 0;
 }
 
-void *numbers_of(PyObject *object, const char *name, int type, npy_intp *count)
+static int add_field(PyObject *layout, const char *name, size_t offset)
 {
-    if (!PyArray_Check(object) ||
-        !PyArray_EquivTypenums(PyArray_TYPE((PyArrayObject *)object), type)) {
-        PyErr_Format(PyExc_TypeError, "%s must be an array of another type", name);
-        return NULL;
-    }
-    return data_of((PyArrayObject *)object, name, count);
+    PyObject *number = PyLong_FromSize_t(offset);
+    const int status = number ? PyDict_SetItemString(layout, name, number) : -1;
+    Py_XDECREF(number);
+    return status;
 }
 
-#define FIELD(type, name) #name, (Py_ssize_t)offsetof(type, name)
+#define FIELD(type, name) add_field(layout, #name, offsetof(type, name))
 
-/* Where the fields of a record are, in bytes, for a comparison with the dtypes. */
+static int describe_header(PyObject *layout)
+{
+    return FIELD(Header, time) | FIELD(Header, aux_ticks) | FIELD(Header, phase) |
+           FIELD(Header, num_kart) | FIELD(Header, num_items) | FIELD(Header, running);
+}
+
+static int describe_kart(PyObject *layout)
+{
+    return FIELD(Kart, location) | FIELD(Kart, rotation) | FIELD(Kart, front) |
+           FIELD(Kart, velocity) | FIELD(Kart, velocity_lc) | FIELD(Kart, angular_velocity) |
+           FIELD(Kart, size) | FIELD(Kart, speed) | FIELD(Kart, max_steer_angle) |
+           FIELD(Kart, wheel_base) | FIELD(Kart, energy) | FIELD(Kart, skeed_factor) |
+           FIELD(Kart, shield_time) | FIELD(Kart, attachment_time_left) |
+           FIELD(Kart, distance_down_track) | FIELD(Kart, overall_distance) |
+           FIELD(Kart, finish_time) | FIELD(Kart, lap_time) | FIELD(Kart, node) |
+           FIELD(Kart, position) | FIELD(Kart, finished_laps) | FIELD(Kart, powerup_type) |
+           FIELD(Kart, powerup_num) | FIELD(Kart, attachment_type) |
+           FIELD(Kart, has_finished_race) | FIELD(Kart, race_result) | FIELD(Kart, jumping) |
+           FIELD(Kart, is_on_road) | FIELD(Kart, control);
+}
+
+static int describe_item(PyObject *layout)
+{
+    return FIELD(Item, location) | FIELD(Item, size) | FIELD(Item, type) | FIELD(Item, id);
+}
+
+/* Where the fields of the records are, in bytes, for a comparison with the dtypes. */
 static PyObject *layouts(PyObject *Py_UNUSED(module), PyObject *Py_UNUSED(none))
 {
-    return Py_BuildValue(
-        "{s:{s:n,s:n,s:n,s:n,s:n,s:n,s:n,s:n,s:n,s:n,s:n,s:n,s:n,s:n,s:n,s:n,s:n,s:n,s:n,s:n,"
-        "s:n,s:n,s:n,s:n,s:n,s:n,s:n,s:n,s:n},s:{s:n,s:n,s:n,s:n}}",
-        "kart", FIELD(Kart, location), FIELD(Kart, rotation), FIELD(Kart, front),
-        FIELD(Kart, velocity), FIELD(Kart, velocity_lc), FIELD(Kart, angular_velocity),
-        FIELD(Kart, size), FIELD(Kart, speed), FIELD(Kart, max_steer_angle),
-        FIELD(Kart, wheel_base), FIELD(Kart, energy), FIELD(Kart, skeed_factor),
-        FIELD(Kart, shield_time), FIELD(Kart, attachment_time_left),
-        FIELD(Kart, distance_down_track), FIELD(Kart, overall_distance), FIELD(Kart, finish_time),
-        FIELD(Kart, lap_time), FIELD(Kart, node), FIELD(Kart, position),
-        FIELD(Kart, finished_laps), FIELD(Kart, powerup_type), FIELD(Kart, powerup_num),
-        FIELD(Kart, attachment_type), FIELD(Kart, has_finished_race),
-        FIELD(Kart, race_result), FIELD(Kart, jumping), FIELD(Kart, is_on_road),
-        FIELD(Kart, control), "item", FIELD(Item, location), FIELD(Item, size), FIELD(Item, type),
-        FIELD(Item, id));
+    static const struct {
+        const char *name;
+        int (*describe)(PyObject *);
+    } RECORDS[] = {{"header", describe_header}, {"kart", describe_kart}, {"item", describe_item}};
+    PyObject *all = PyDict_New();
+    for (int i = 0; all && i < 3; i++) {
+        PyObject *layout = PyDict_New();
+        if (!layout || RECORDS[i].describe(layout) ||
+            PyDict_SetItemString(all, RECORDS[i].name, layout) < 0) {
+            Py_CLEAR(all);
+        }
+        Py_XDECREF(layout);
+    }
+    return all;
 }
 
-#define FAST(function) (PyCFunction)(void (*)(void))(function), METH_FASTCALL
-
 static PyMethodDef methods[] = {
-    {"copy_fields", FAST(copy_fields), "Fills records from a block of bytes."},
-    {"copy_attributes", FAST(copy_attributes), "Fills records from attributes of objects."},
-    {"set_actions", FAST(set_actions), "Sets the attributes of actions that have changed."},
-    {"score", FAST(score), "The reward terms of one step."},
-    {"add_up", FAST(add_up), "Adds a step's terms to their sums; the rows' totals."},
-    {"finished", FAST(finished), "Which karts have finished."},
-    {"make_infos", FAST(make_infos), "One info for each agent."},
-    {"join_rows", FAST(join_rows), "The bytes of arrays that are alike."},
+    {"join_rows", (PyCFunction)(void (*)(void))join_rows, METH_FASTCALL,
+     "The bytes of arrays that are alike."},
     {"layouts", layouts, METH_NOARGS, "Where the fields of the records are."},
     {NULL, NULL, 0, NULL},
 };
@@ -82,12 +113,12 @@ static struct PyModuleDef module = {
 
 PyMODINIT_FUNC PyInit__kernel(void)
 {
+    static PyTypeObject *const TYPES[] = {&EngineType, &TrackType, &ViewType, &ControlsType,
+                                          &OutcomeType};
     import_array();
-    if (PyType_Ready(&ViewType) < 0 || PyType_Ready(&ControlsType) < 0) return NULL;
     PyObject *kernel = PyModule_Create(&module);
-    if (kernel && (PyModule_AddObjectRef(kernel, "View", (PyObject *)&ViewType) < 0 ||
-                   PyModule_AddObjectRef(kernel, "Controls", (PyObject *)&ControlsType) < 0)) {
-        Py_CLEAR(kernel);
+    for (int i = 0; kernel && i < 5; i++) {
+        if (PyModule_AddType(kernel, TYPES[i]) < 0) Py_CLEAR(kernel);
     }
     return kernel;
 }

@@ -62,7 +62,7 @@ typedef struct {
     Py_ssize_t size, next;
 } Pool;
 
-typedef struct {
+struct View {
     PyObject_HEAD
     Pool pools[NUM_KEYS];
     PyObject *names; /* tuple of the keys, in the order of the space */
@@ -72,25 +72,22 @@ typedef struct {
     int is_polar, is_flat;
     int needs[4]; /* which groups the entries look at */
     npy_intp num_continuous, num_discrete; /* of a flat view */
-} View;
+};
 
 /* One moment of a race, and what one kart sees of it. */
 typedef struct {
+    const Course *course;
+    const Track *track;
+    const Header *header;
     const Kart *karts;
     const Item *items;
-    const float *nodes, *widths, *distances; /* (N, 2, 3), (N, 1), (N, 2) */
-    const npy_intp *order;                   /* (N, N) */
-    npy_intp num_karts, num_items, num_nodes, num_paths;
-    float aux_ticks;
-    npy_int64 phase;
-    PyObject *kart_types; /* a tuple */
     /* of the present kart: */
     const Kart *me;
     float matrix[9], center_path[3], center_path_distance;
     float *seen[2];  /* items and karts in its frame */
     int *nearest[2]; /* their order */
     npy_intp num_nearest[2];
-    const npy_intp *ahead;
+    const npy_int32 *ahead;
 } Scene;
 
 /* ---------------------------------------------------------------- geometry */
@@ -136,7 +133,7 @@ static void make_polar(float *v)
 static void find_center_path(Scene *scene)
 {
     float start[3], end[3], along[3];
-    const float *node = scene->nodes + 6 * scene->me->node;
+    const float *node = scene->track->nodes + 6 * scene->me->node;
     see(scene, node, start);
     see(scene, node + 3, end);
     for (int i = 0; i < 3; i++) along[i] = start[i] - end[i];
@@ -178,9 +175,9 @@ static npy_intp insert(const float *points, float *keys, int *order, npy_intp co
 
 static npy_intp shown(const View *view, const Scene *scene, int group)
 {
-    const npy_intp there = group == ITEMS   ? scene->num_items
-                           : group == KARTS ? scene->num_karts - 1
-                                            : scene->num_paths;
+    const npy_intp there = group == ITEMS   ? scene->header->num_items
+                           : group == KARTS ? scene->header->num_kart - 1
+                                            : scene->course->num_paths;
     return view->sizes[group] < 0 || there < view->sizes[group] ? there : view->sizes[group];
 }
 
@@ -188,7 +185,7 @@ static void find_items(const View *view, Scene *scene, float *keys)
 {
     const npy_intp limit = shown(view, scene, ITEMS);
     npy_intp count = 0;
-    for (npy_intp i = 0; i < scene->num_items; i++) {
+    for (npy_intp i = 0; i < scene->header->num_items; i++) {
         see(scene, scene->items[i].location, scene->seen[ITEMS] + 3 * i);
         count = insert(scene->seen[ITEMS], keys, scene->nearest[ITEMS], count, limit, (int)i);
     }
@@ -199,7 +196,7 @@ static void find_karts(const View *view, Scene *scene, float *keys)
 {
     const npy_intp limit = shown(view, scene, KARTS);
     npy_intp count = 0;
-    for (npy_intp i = 0; i < scene->num_karts; i++) {
+    for (npy_intp i = 0; i < scene->header->num_kart; i++) {
         if (scene->karts + i == scene->me) continue;
         see(scene, scene->karts[i].location, scene->seen[KARTS] + 3 * i);
         count = insert(scene->seen[KARTS], keys, scene->nearest[KARTS], count, limit, (int)i);
@@ -213,7 +210,7 @@ static npy_int64 choice_of(const Scene *scene, int key)
 {
     const Kart *me = scene->me;
     switch (key) {
-    case PHASE: return scene->phase;
+    case PHASE: return scene->header->phase;
     case POWERUP_TYPE: return me->powerup_type;
     case POWERUP_COUNT:
         return me->powerup_num < POWERUP_COUNT_LIMIT ? me->powerup_num : POWERUP_COUNT_LIMIT;
@@ -256,7 +253,7 @@ static void write_own(const Scene *scene, int key, float *out)
 {
     const Kart *me = scene->me;
     switch (key) {
-    case AUX_TICKS: *out = scene->aux_ticks; break;
+    case AUX_TICKS: *out = scene->header->aux_ticks; break;
     case SKEED_FACTOR: *out = me->skeed_factor; break;
     case ENERGY: *out = me->energy; break;
     case ATTACHMENT_TIME_LEFT: *out = me->attachment_time_left; break;
@@ -272,6 +269,7 @@ static void write_own(const Scene *scene, int key, float *out)
 
 static void write_numbers(const View *view, const Scene *scene, int key, float *out)
 {
+    const Track *track = scene->track;
     npy_intp real;
     const npy_intp rows = rows_of(view, scene, key, &real);
     const int width = KEYS[key].width;
@@ -281,18 +279,18 @@ static void write_numbers(const View *view, const Scene *scene, int key, float *
     case KARTS_POSITION: write_near(scene, KARTS, real, out); break;
     case PATHS_DISTANCE:
         for (npy_intp i = 0; i < real; i++) {
-            memcpy(out + 2 * i, scene->distances + 2 * scene->ahead[i], 2 * sizeof *out);
+            memcpy(out + 2 * i, track->distances + 2 * scene->ahead[i], 2 * sizeof *out);
         }
         break;
     case PATHS_WIDTH:
-        for (npy_intp i = 0; i < real; i++) out[i] = scene->widths[scene->ahead[i]];
+        for (npy_intp i = 0; i < real; i++) out[i] = track->widths[scene->ahead[i]];
         break;
     case PATHS_START:
-        for (npy_intp i = 0; i < real; i++) see(scene, scene->nodes + 6 * scene->ahead[i], out + 3 * i);
+        for (npy_intp i = 0; i < real; i++) see(scene, track->nodes + 6 * scene->ahead[i], out + 3 * i);
         break;
     case PATHS_END:
         for (npy_intp i = 0; i < real; i++) {
-            see(scene, scene->nodes + 6 * scene->ahead[i] + 3, out + 3 * i);
+            see(scene, track->nodes + 6 * scene->ahead[i] + 3, out + 3 * i);
         }
         break;
     case ITEMS_MASK:
@@ -425,7 +423,7 @@ static PyObject *value_of(View *view, const Scene *scene, int key)
     void *data;
     PyObject *array;
     if (kind == NAME) {
-        PyObject *name = PyTuple_GetItem(scene->kart_types, scene->me - scene->karts);
+        PyObject *name = PyTuple_GetItem(scene->course->kart_types, scene->me - scene->karts);
         Py_XINCREF(name);
         return name;
     }
@@ -495,62 +493,28 @@ static PyObject *as_vectors(View *view, const Scene *scene)
 
 /* ---------------------------------------------------------------- the type */
 
-/* Takes a kart's place: 1, or 0 if the order of what lies ahead of it is not known yet. */
+/* Takes a kart's place. */
 static int look(const View *view, Scene *scene, npy_intp kart, float *keys)
 {
-    if (kart < 0 || kart >= scene->num_karts) {
-        PyErr_Format(PyExc_IndexError, "kart %zd of %zd", kart, scene->num_karts);
+    if (kart < 0 || kart >= scene->header->num_kart) {
+        PyErr_Format(PyExc_IndexError, "kart %zd of %d", kart, scene->header->num_kart);
         return -1;
     }
     scene->me = scene->karts + kart;
-    if (scene->me->node < 0 || scene->me->node >= scene->num_nodes) {
-        PyErr_Format(PyExc_IndexError, "kart %zd is on node %d of %zd", kart, scene->me->node,
-                     scene->num_nodes);
-        return -1;
-    }
-    scene->ahead = scene->order + scene->me->node * scene->num_nodes;
-    if (*scene->ahead < 0) return 0;
+    if (!(scene->ahead = nodes_ahead(scene->course->track, scene->me->node))) return -1;
     turn(scene);
     if (view->needs[OWN]) find_center_path(scene);
     if (view->needs[ITEMS]) find_items(view, scene, keys);
     if (view->needs[KARTS]) find_karts(view, scene, keys);
-    return 1;
-}
-
-static int read_scene(Scene *scene, PyObject *const *args)
-{
-    npy_intp num_order, num_widths, num_distances;
-    scene->karts = array_of(args[0], "karts", sizeof(Kart), &scene->num_karts);
-    if (!scene->karts) return -1;
-    scene->items = array_of(args[1], "items", sizeof(Item), &scene->num_items);
-    if (!scene->items) return -1;
-    scene->aux_ticks = (float)PyFloat_AsDouble(args[2]);
-    scene->phase = PyLong_AsLongLong(args[3]);
-    if (PyErr_Occurred()) return -1;
-    if (!(scene->nodes = numbers_of(args[4], "nodes", NPY_FLOAT32, &scene->num_nodes))) return -1;
-    if (!(scene->widths = numbers_of(args[5], "widths", NPY_FLOAT32, &num_widths))) return -1;
-    if (!(scene->distances = numbers_of(args[6], "distances", NPY_FLOAT32, &num_distances)))
-        return -1;
-    if (!(scene->order = numbers_of(args[7], "order", NPY_INTP, &num_order))) return -1;
-    scene->num_paths = PyLong_AsSsize_t(args[8]);
-    scene->kart_types = args[9];
-    if (PyErr_Occurred()) return -1;
-    scene->num_nodes /= 6;
-    if (num_widths != scene->num_nodes || num_distances != 2 * scene->num_nodes ||
-        num_order != scene->num_nodes * scene->num_nodes || scene->num_paths < 0 ||
-        scene->num_paths > scene->num_nodes || !PyTuple_Check(scene->kart_types)) {
-        PyErr_SetString(PyExc_ValueError, "the track's arrays do not fit together");
-        return -1;
-    }
     return 0;
 }
 
 /* Room for what one kart sees: places and their order, and sort keys. */
 static float *scratch_for(Scene *scene, float **keys)
 {
-    const npy_intp items = scene->num_items, karts = scene->num_karts;
+    const npy_intp items = scene->header->num_items, karts = scene->header->num_kart;
     const npy_intp words = 4 * (items + karts) + (items > karts ? items : karts);
-    float *room = PyMem_Malloc((size_t)words * sizeof *room);
+    float *room = PyMem_Malloc((size_t)(words + 1) * sizeof *room);
     if (!room) return (float *)PyErr_NoMemory();
     scene->seen[ITEMS] = room;
     scene->seen[KARTS] = scene->seen[ITEMS] + 3 * items;
@@ -560,70 +524,65 @@ static float *scratch_for(Scene *scene, float **keys)
     return room;
 }
 
-enum { SCENE_ARGS = 10 };
-
-/* observe(<scene>, who): one observation for each kart of `who`, in a list; None if the order of
-   what lies ahead of a kart is not known yet. */
-static PyObject *view_observe(PyObject *self, PyObject *const *args, Py_ssize_t nargs)
+int set_course(Course *course, PyObject *track, PyObject *num_paths, PyObject *kart_types)
 {
-    View *view = (View *)self;
-    Scene scene;
-    float *keys = NULL;
-    npy_intp count;
-    if (nargs != SCENE_ARGS + 1) return PyErr_Format(PyExc_TypeError, "wrong number of arguments");
-    const npy_intp *who = numbers_of(args[SCENE_ARGS], "who", NPY_INTP, &count);
-    if (!who || read_scene(&scene, args) < 0) return NULL;
-    for (int key = 0; !view->is_flat && key < NUM_KEYS; key++) {
-        if (grow(view->pools + key, count) < 0) return NULL;
+    if (!PyObject_TypeCheck(track, &TrackType) || !PyTuple_Check(kart_types)) {
+        PyErr_SetString(PyExc_TypeError, "a course is a Track, a number and a tuple");
+        return -1;
     }
-    float *room = scratch_for(&scene, &keys);
-    PyObject *list = room ? PyList_New(count) : NULL;
-    for (npy_intp i = 0; list && i < count; i++) {
-        PyObject *observation = NULL;
-        const int is_known = look(view, &scene, who[i], keys);
-        if (is_known > 0) {
-            observation = view->is_flat ? as_vectors(view, &scene) : as_dict(view, &scene);
-        } else if (is_known == 0) {
-            Py_DECREF(list);
-            PyMem_Free(room);
-            Py_RETURN_NONE;
-        }
-        if (!observation) Py_CLEAR(list);
-        else PyList_SET_ITEM(list, i, observation);
+    course->track = (Track *)track;
+    course->num_paths = PyLong_AsSsize_t(num_paths);
+    course->kart_types = kart_types;
+    if (PyErr_Occurred()) return -1;
+    if (course->num_paths < 0 || course->num_paths > course->track->num_nodes) {
+        PyErr_Format(PyExc_ValueError, "%zd of %zd segments", course->num_paths,
+                     course->track->num_nodes);
+        return -1;
     }
-    PyMem_Free(room);
-    return list;
+    return 0;
 }
 
-/* observe_into(<scene>, who, continuous, discrete): into the rows of two arrays; whether the order
-   of what lies ahead of all karts was known. */
-static PyObject *view_observe_into(PyObject *self, PyObject *const *args, Py_ssize_t nargs)
+int observe(View *view, const Course *course, const Moment *moment, const npy_intp *who,
+            npy_intp count, PyObject **out)
 {
-    View *view = (View *)self;
-    Scene scene;
-    float *keys = NULL;
-    npy_intp count, num_numbers, num_choices;
-    if (nargs != SCENE_ARGS + 3) return PyErr_Format(PyExc_TypeError, "wrong number of arguments");
-    const npy_intp *who = numbers_of(args[SCENE_ARGS], "who", NPY_INTP, &count);
-    if (!who || read_scene(&scene, args) < 0) return NULL;
-    float *numbers = numbers_of(args[SCENE_ARGS + 1], "continuous", NPY_FLOAT32, &num_numbers);
-    if (!numbers) return NULL;
-    npy_int64 *choices = numbers_of(args[SCENE_ARGS + 2], "discrete", NPY_INT64, &num_choices);
-    if (!choices) return NULL;
-    if (!view->is_flat || num_numbers != count * view->num_continuous ||
-        num_choices != count * view->num_discrete) {
-        return PyErr_Format(PyExc_ValueError, "the arrays are not for %zd flat rows", count);
+    Scene scene = {.course = course, .track = course->track, .header = moment->header,
+                   .karts = moment->karts, .items = moment->items};
+    float *keys = NULL, *room = scratch_for(&scene, &keys);
+    int status = room ? 0 : -1;
+    for (int key = 0; !status && !view->is_flat && key < NUM_KEYS; key++) {
+        status = grow(view->pools + key, count);
     }
-    float *room = scratch_for(&scene, &keys);
-    int is_known = 1;
-    for (npy_intp i = 0; room && i < count; i++) {
-        if ((is_known = look(view, &scene, who[i], keys)) <= 0) break;
-        write_flat(view, &scene, numbers + i * view->num_continuous,
-                   choices + i * view->num_discrete);
+    for (npy_intp i = 0; !status && i < count; i++) {
+        status = look(view, &scene, who[i], keys);
+        out[i] = status ? NULL : view->is_flat ? as_vectors(view, &scene) : as_dict(view, &scene);
+        if (!out[i]) {
+            while (i-- > 0) Py_CLEAR(out[i]);
+            status = -1;
+        }
     }
     PyMem_Free(room);
-    if (PyErr_Occurred()) return NULL;
-    return PyBool_FromLong(is_known);
+    return status;
+}
+
+/* observe(track, num_paths, kart_types, data, who): one observation for each kart of `who`, in a
+   list. */
+static PyObject *view_observe(PyObject *self, PyObject *const *args, Py_ssize_t nargs)
+{
+    Course course;
+    Moment moment;
+    npy_intp count;
+    if (nargs != 5) return PyErr_Format(PyExc_TypeError, "observe() takes 5 arguments");
+    if (set_course(&course, args[0], args[1], args[2]) < 0) return NULL;
+    if (read_moment(args[3], &moment) < 0) return NULL;
+    const npy_intp *who = numbers_of(args[4], "who", NPY_INTP, &count);
+    PyObject **seen = who ? PyMem_Calloc((size_t)count + 1, sizeof *seen) : NULL;
+    if (!seen) return who ? PyErr_NoMemory() : NULL;
+    PyObject *list = observe((View *)self, &course, &moment, who, count, seen) < 0
+                         ? NULL
+                         : PyList_New(count);
+    for (npy_intp i = 0; list && i < count; i++) PyList_SET_ITEM(list, i, seen[i]);
+    PyMem_Free(seen);
+    return list;
 }
 
 static int add_entry(View *view, const char *name)
@@ -687,8 +646,6 @@ static void view_dealloc(PyObject *self)
 static PyMethodDef view_methods[] = {
     {"observe", (PyCFunction)(void (*)(void))view_observe, METH_FASTCALL,
      "One observation for each kart, in a list."},
-    {"observe_into", (PyCFunction)(void (*)(void))view_observe_into, METH_FASTCALL,
-     "Flat observations into the rows of two arrays."},
     {NULL, NULL, 0, NULL},
 };
 

@@ -32,14 +32,17 @@ class KartObserver:
         track: the race's track.
         kart_types: model name of each kart, in grid order.
         max_paths: how many track segments ahead are seen; all by default.
+
+    Attributes:
+        course: the race as the compiled kernel's views need it.
     """
 
     def __init__(self, track: TrackMap, kart_types: Sequence[str], max_paths: int | None) -> None:
         self._track = track
         self._kart_types = np.array(kart_types)
         self._max_paths = max_paths
-        self._names = tuple(kart_types)
-        self._num_paths = min(track.num_nodes, max_paths or track.num_nodes)
+        num_paths = min(track.num_nodes, max_paths or track.num_nodes)
+        self.course = track.in_kernel, num_paths, tuple(kart_types)
         num_kart = len(kart_types)
         self._others = np.array(
             [[other for other in range(num_kart) if other != kart] for kart in range(num_kart)],
@@ -79,29 +82,8 @@ class KartObserver:
             snapshot: the moment.
             karts: ``(A,)`` indices of the observing karts.
         """
-        scene = self._scene(snapshot)
-        seen: list[Any] | None = view.observe(*scene, karts)
-        if seen is None:  # a kart is where none has been before on this track
-            self._track.look_ahead(snapshot.karts["node"][karts])
-            seen = view.observe(*scene, karts)
-        assert seen is not None  # noqa: S101 - by now the track knows
+        seen: list[Any] = view.observe(*self.course, snapshot.data, karts)
         return seen
-
-    def _scene(self, snapshot: Snapshot) -> tuple[Any, ...]:
-        """What the kernel's views need to know of a moment."""
-        track = self._track
-        return (
-            snapshot.karts,
-            snapshot.items,
-            snapshot.header["aux_ticks"],
-            snapshot.phase,
-            track.path_nodes,
-            track.path_width,
-            track.path_distance,
-            track.order,
-            self._num_paths,
-            self._names,
-        )
 
     def _seen(
         self, snapshot: Snapshot, records: Any, karts: IntArray, ahead: IntArray

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
-import tempfile
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 from stkzoo.errors import ConfigError
 from stkzoo.race.unpacking import members_of, unpack
+from stkzoo.scratch import ScratchFolder
 
 __all__ = ["ACTOR_MODULE", "AgentFiles", "AgentPlace", "find_files"]
 
@@ -65,9 +65,8 @@ class AgentFiles:
             return _place_in(self.path, self.source)
         if self.path.suffix == ".py":
             return AgentPlace((self.path.stem,), first=str(self.path.parent))
-        folder = tempfile.TemporaryDirectory(prefix="stkzoo-agent-", ignore_cleanup_errors=True)
-        life.enter_context(folder)
-        home = Path(folder.name) / self.path.stem
+        folder = life.enter_context(ScratchFolder("agent"))
+        home = folder.path / self.path.stem
         unpack(self.path, home)
         return _place_in(_only_folder(home), self.source)
 

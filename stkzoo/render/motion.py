@@ -82,5 +82,5 @@ def snapshots_between(before: Snapshot, after: Snapshot, number: int) -> list[Sn
         karts["location"] = poses[:, :3]
         karts["rotation"] = poses[:, 3:7]
         karts["front"] = poses[:, :3] + (1 - fraction) * noses[0] + fraction * noses[1]
-        moments.append(Snapshot(after.header, karts, after.items))
+        moments.append(Snapshot.of(after.header, karts, after.items))
     return [*moments, after]

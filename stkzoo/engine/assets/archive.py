@@ -170,8 +170,8 @@ class _Unpacker:
     def _check(self, member: tarfile.TarInfo) -> None:
         name = member.name
         path = PurePosixPath(name)
-        outside = path.is_absolute() or ".." in path.parts or "\\" in name or ":" in name
-        if outside or path.parts[0] not in ("data", MARKER):
+        outside = path.is_absolute() or ".." in path.parts or any(sign in name for sign in "\\:\0")
+        if outside or not path.parts or path.parts[0] not in ("data", MARKER):
             raise AssetError(f"the archive's member {name!r} would lie outside the pack.")
         if name not in self.sums or name in self.taken:
             raise AssetError(f"the archive's member {name!r} is not in its list, or comes twice.")

@@ -220,12 +220,13 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         table = np.array([list(info.values()) for info in present])
         if table.ndim != 2 or table.dtype.kind not in "biuf":
             return self._added(infos)
+        numbers = np.zeros((len(keys), self.num_envs), table.dtype)
+        masks = np.zeros((len(keys), self.num_envs), np.bool_)
+        numbers[:, slots], masks[:, slots] = table.T, True
         columns: dict[str, Any] = {}
-        for key, value, numbers in zip(keys, present[0].values(), table.T, strict=True):
-            columns[key] = np.zeros(self.num_envs, np.asarray(value).dtype)
-            columns[key][slots] = numbers
-            columns[f"_{key}"] = mask = np.zeros(self.num_envs, np.bool_)
-            mask[slots] = True
+        for key, value, row, mask in zip(keys, present[0].values(), numbers, masks, strict=True):
+            columns[key] = row.astype(np.asarray(value).dtype, copy=False)
+            columns[f"_{key}"] = mask
         return columns
 
     def _added(self, infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

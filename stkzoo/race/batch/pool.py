@@ -15,6 +15,7 @@ from typing import Any
 
 from stkzoo.race.batch.order import RaceOrder
 from stkzoo.race.output_tail import OutputTail
+from stkzoo.scratch import sweep
 
 __all__ = ["Outcome", "run_in_parallel"]
 
@@ -63,6 +64,7 @@ def run_in_parallel(
     finally:
         for lane in lanes:
             lane.close()
+        sweep()  # what races that were ended had in temporary folders
 
 
 def _next(outcomes: queue.SimpleQueue[Outcome]) -> Outcome:
