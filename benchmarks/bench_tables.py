@@ -15,6 +15,7 @@ from typing import Any
 
 from benchmarks import (
     bench_memory,
+    bench_profile,
     bench_remote,
     bench_resets,
     bench_scaling,
@@ -30,6 +31,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
 _SECTIONS: dict[str, tuple[str, Callable[[Any], Sequence[Table]]]] = {
     "steps": ("Steps", bench_steps.tables),
     "transport": ("The worker's transport", bench_transport.tables),
+    "profile": ("The parts of a step", bench_profile.tables),
     "vector": ("Many races", bench_vector.tables),
     "states": ("Saved states", bench_states.tables),
     "resets": ("Imports and resets", bench_resets.tables),
