@@ -1,8 +1,13 @@
 """A driver made of rules and nothing learned: it beats the game's bots on most tracks.
 
+Ten times a second it lists what it could do in the next two seconds (:mod:`.plans`): which lane
+to drive in, whether to brake, when to drift and for how long. It drives all of that in its
+head (:mod:`.forecast`), in the road's own coordinates (:mod:`.road`), and begins what gets it
+farthest, boosts and items counted in metres (:mod:`.driver`, :mod:`.items`).
+
 It sees the ``full`` view and remembers a little (:class:`DriverState`). All its numbers
-stand in :class:`DriverParameters`; they were chosen by hand in races on all tracks, the
-test tracks of :mod:`stkzoo.tracks` among them, so its results there are not held-out ones.
+stand in :class:`DriverParameters`. It was built and its numbers were chosen on the training
+tracks of :mod:`stkzoo.tracks` alone.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""The heuristic driver: aim at the road ahead, slide through long curves, get unstuck."""
+"""The heuristic driver: weighs plans for the next two seconds, and begins the best one.
+
+It looks at every second moment only, and does two steps of what it has chosen then.
+"""
 
 from __future__ import annotations
 
@@ -12,25 +15,49 @@ import numpy.typing as npt
 
 from stkzoo import PowerupType
 
-from .items import aim_for_items
+from .forecast import Forecast, Motion, forecast
+from .items import RoadItems
+from .kart import BOOST_LASTS, BOOST_STEPS, DRIFT_TURN, RELEASE_STEPS, STEP
 from .line import CentreLine
 from .parameters import DriverParameters
+from .plans import ITEM_LANES, SPANS, Plans, plans_in_drift, plans_without_drift
+from .road import Road
 
-__all__ = ["DriverState", "HeuristicDriver"]
+__all__ = ["DriverState", "HeuristicDriver", "Move"]
 
 FloatArray = npt.NDArray[np.float64]
 Action = dict[str, Any]
 
-#: Where the line's curvature is measured, from the kart on [m].
-_CURVE_MARKS = np.linspace(0.0, 72.0, 13)
-
-#: Inside a drift the engine turns by this share of full lock ...
-_DRIFT_LEAST_TURN = 0.2
-#: ... and by so much more as steer goes from -1 to 1.
-_DRIFT_TURN_RANGE = 0.6
-
 #: The race starts with this phase (``stkzoo.Phase.GO_PHASE``).
 _GO_PHASE = 2
+
+#: The engine has ended a drift if the skid factor is still 1 after so many steps.
+_DRIFT_SHOWS = 4
+
+#: A drift begins to the side of steer, which must not be too small to tell.
+_START_STEER = 0.3
+
+#: Karts are taken to be at least so fast [m/s].
+_SLOWEST = 5.0
+
+_NO_LANES = np.zeros(ITEM_LANES)
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """What a plan does in one step.
+
+    Attributes:
+        turn: by which share of full lock it turns, positive to the right.
+        side: 1 for a drift to the right, -1 to the left, 0 for none.
+        brake: whether it brakes.
+        danger: what the plan costs beyond the edge of the road [m].
+    """
+
+    turn: float
+    side: int
+    brake: bool
+    danger: float
 
 
 @dataclass(slots=True)
@@ -39,32 +66,41 @@ class DriverState:
 
     Attributes:
         steps: calls so far.
+        speed: at the last call [m/s].
+        turn: the share of full lock of the last call, positive to the right.
+        drift_turn: the same of the last call in a drift.
         drift_side: 1 in a drift to the right, -1 to the left, 0 in none.
         drift_steps: how long the drift has lasted.
+        release_steps: how much longer the kart turns after a drift.
+        boost_steps: how much longer the boost of a short drift lasts.
+        big_boost_steps: how much longer that of a long one lasts.
+        nitro_steps: how much longer to wait with nitro.
+        last_shot: call of the last shot.
+        caution_steps: how much longer to be careful.
         still_steps: how long the kart has stood still.
         reverse_steps: how much longer to back out.
         reverses: how often it has backed out without getting away.
         free_steps: how long it has been driving.
+        next_move: the second step of the last plan, if that is to be done.
     """
 
     steps: int = 0
+    speed: float = 0.0
+    turn: float = 0.0
+    drift_turn: float = 0.0
     drift_side: int = 0
     drift_steps: int = 0
+    release_steps: int = 0
+    boost_steps: int = 0
+    big_boost_steps: int = 0
+    nitro_steps: int = 0
+    last_shot: int = 0
+    caution_steps: int = 0
     still_steps: int = 0
     reverse_steps: int = 0
     reverses: int = 0
     free_steps: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class _Situation:
-    """One moment as the driver judges it: the aim and what it takes to reach it."""
-
-    speed: float  # forward [m/s]
-    angle: float  # of the aim, positive to the right [rad]
-    wheel: float  # wanted share of full lock, not clipped, positive to the right
-    bends: FloatArray  # curvature of the line ahead at _CURVE_MARKS, positive to the right [1/m]
-    full_lock: float  # curvature of the kart's way at full lock [1/m]
+    next_move: Move | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,160 +123,205 @@ class HeuristicDriver:
         Returns:
             An action of the ``full`` view.
         """
-        state.steps += 1
-        situation = self._judge(observation)
-        if state.reverse_steps > 0:
-            return self._back_out(state, situation)
-        if self._is_stuck(state, situation, observation):
-            return self._get_unstuck(state, situation)
-        return self._race(state, situation, observation)
-
-    def _judge(self, observation: Mapping[str, Any]) -> _Situation:
-        rules = self.parameters
-        line = CentreLine.of(observation)
         speed = float(observation["velocity"][2])
-        aim = aim_for_items(_aim(line, speed, rules), line, observation, rules)
-        distance = max(math.hypot(aim[0], aim[2]), 1.0)
-        angle = math.atan2(aim[0], aim[2])
-        turn = math.atan(rules.wheel_base * 2.0 * math.sin(angle) / distance)
-        if abs(angle) > math.pi / 2:
-            turn = math.copysign(math.pi / 4, angle)
-        max_turn = max(float(observation["max_steer_angle"][0]), 0.02)
-        wheel = rules.steer_gain * turn / max_turn
-        full_lock = math.tan(max_turn) / rules.wheel_base
-        return _Situation(speed, angle, wheel, _bends(line.at(_CURVE_MARKS)), full_lock)
+        self._remember(state, speed, observation)
+        move, state.next_move = state.next_move, None
+        if move is not None:
+            return self._act(state, move)
+        road = Road.of(CentreLine.of(observation))
+        if state.reverse_steps > 0:
+            return self._back_out(state, road)
+        if state.still_steps * STEP > self.parameters.stuck_time:
+            return self._get_unstuck(state, road)
+        return self._race(state, road, speed, observation)
 
-    def _race(self, state: DriverState, now: _Situation, observation: Mapping[str, Any]) -> Action:
+    def _remember(self, state: DriverState, speed: float, observation: Mapping[str, Any]) -> None:
+        """One step has passed."""
         rules = self.parameters
-        self._choose_drift(state, now)
-        too_sharp = abs(now.angle) > rules.brake_angle and now.speed > rules.brake_speed
-        is_straight = (
-            abs(now.bends[:5]).max() < rules.nitro_curvature and abs(now.wheel) < rules.nitro_steer
+        state.steps += 1
+        for name in _CLOCKS:
+            setattr(state, name, max(getattr(state, name) - 1, 0))
+        if state.speed - speed > rules.crash_drop:
+            state.caution_steps = round(rules.caution_time / STEP)
+            state.next_move = None
+        state.speed = speed
+        if observation["phase"] >= _GO_PHASE and abs(speed) < rules.stuck_speed:
+            state.still_steps += 1
+            state.free_steps = 0
+        else:
+            state.still_steps = 0
+            state.free_steps += 1
+        if state.free_steps * STEP > rules.free_time:
+            state.reverses = 0
+        if state.drift_steps >= _DRIFT_SHOWS and observation["skeed_factor"][0] <= 1.0:
+            state.drift_side = state.drift_steps = 0
+            state.next_move = None
+
+    def _race(
+        self, state: DriverState, road: Road, speed: float, observation: Mapping[str, Any]
+    ) -> Action:
+        rules = self.parameters
+        move = self._choose(state, road, speed, observation)
+        is_safe = move.danger < rules.danger and not move.brake
+        nitro = (
+            is_safe
+            and state.nitro_steps == 0
+            and speed > rules.nitro_speed
+            and abs(move.turn) < rules.nitro_turn
+            and bool(observation["energy"][0] > 0.0)
+            and not observation["jumping"]
         )
-        can_fire = abs(now.angle) < rules.straight_angle and self._has_use_for_powerup(observation)
+        if nitro:
+            state.nitro_steps = round(rules.nitro_wait / STEP)
+        is_straight = (
+            abs(road.angle) < rules.straight_aim
+            and road.straightness(rules.straight_time * speed) < rules.straight_angle
+        )
+        fire = (
+            is_safe
+            and is_straight
+            and state.steps - state.last_shot >= rules.fire_every
+            and self._has_use_for_powerup(observation)
+        )
+        if fire:
+            state.last_shot = state.steps
+        return self._act(state, move, nitro=nitro, fire=fire)
+
+    def _act(
+        self, state: DriverState, move: Move, *, nitro: bool = False, fire: bool = False
+    ) -> Action:
         return _action(
-            acceleration=0.0 if too_sharp else 1.0,
-            steer=_drift_steer(state.drift_side, now.wheel) if state.drift_side else now.wheel,
-            brake=too_sharp,
-            drift=state.drift_side != 0,
-            nitro=is_straight and now.speed > rules.nitro_min_speed,
-            fire=can_fire and state.steps % rules.fire_every == 0,
+            acceleration=0.0 if move.brake else 1.0,
+            steer=self._follow(state, move),
+            brake=move.brake,
+            drift=move.side != 0,
+            nitro=nitro,
+            fire=fire,
         )
 
     def _has_use_for_powerup(self, observation: Mapping[str, Any]) -> bool:
         """Whether there is something to fire; the switch would spoil good items close ahead."""
         if observation["powerup_type"] == PowerupType.SWITCH and observation["items_position"]:
             nearest = observation["items_position"][0]
-            if 0.0 < nearest[2] < self.parameters.item_reach:
+            if 0.0 < nearest[2] < self.parameters.switch_reach:
                 return False
         return bool(observation["powerup_count"] > 0)
 
-    # ------------------------------------------------------------------ drifting
+    # ------------------------------------------------------------------ choosing a plan
 
-    def _choose_drift(self, state: DriverState, now: _Situation) -> None:
-        """Starts, keeps or ends the drift."""
+    def _choose(
+        self, state: DriverState, road: Road, speed: float, observation: Mapping[str, Any]
+    ) -> Move:
         rules = self.parameters
         if state.drift_side:
-            state.drift_steps += 1
-            if self._drift_is_over(state, now):
-                state.drift_side = 0
-            return
-        side = int(np.sign(now.bends[0]))
-        if (
-            now.speed > rules.drift_start_speed
-            and rules.drift_min_turn < self._turn_share(now) * side < rules.drift_max_turn
-            and rules.drift_min_steer < now.wheel * side < rules.drift_max_steer
-            and self._curve_time(now, side) > rules.drift_min_time
-        ):
-            state.drift_side, state.drift_steps = side, 0
-
-    def _drift_is_over(self, state: DriverState, now: _Situation) -> bool:
-        rules = self.parameters
-        inwards = now.wheel * state.drift_side
-        has_bonus = state.drift_steps * rules.step_size > rules.drift_bonus_time
-        return (
-            state.drift_steps * rules.step_size > rules.drift_max_time
-            or now.speed < rules.drift_stop_speed
-            or inwards > rules.drift_tight_steer
-            or inwards < (rules.drift_bonus_steer if has_bonus else rules.drift_counter_steer)
-            or self._curve_time(now, state.drift_side) < rules.drift_end_time
+            plans = plans_in_drift(state.drift_side, min(state.drift_steps, BOOST_STEPS[1]))
+        else:
+            may_drift = speed > rules.drift_speed and not observation["jumping"]
+            plans = plans_without_drift(state.release_steps, may_drift)
+        speed = max(speed, _SLOWEST)
+        lock = speed * math.tan(max(float(observation["max_steer_angle"][0]), 0.02))
+        lock /= rules.wheel_base
+        items = RoadItems.of(observation, road, rules)
+        widest = rules.caution_room if state.caution_steps else rules.greatest_room
+        room = np.minimum(np.maximum(road.half_widths - rules.margin, 0.3), widest)
+        ways = forecast(
+            plans,
+            road,
+            room,
+            Motion(speed, lock, state.turn, state.drift_turn),
+            rules.aim_distance + rules.aim_time * speed,
+            items.lanes() if items else _NO_LANES,
         )
+        danger = self._danger(ways, speed)
+        worth = ways.along[-1] - danger - rules.angle_cost * ways.angles * ways.angles
+        worth += self._boosts(state, plans)
+        if items:
+            worth += items.gain(ways)
+        best = int(worth.argmax())
+        now, state.next_move = (
+            Move(
+                float(turns[best]),
+                int(sides[best]),
+                bool(plans.brakes[best]),
+                float(danger[best]),
+            )
+            for turns, sides in zip(ways.turns, plans.sides, strict=True)
+        )
+        return now
 
-    def _turn_share(self, now: _Situation) -> float:
-        """The share of full lock that the near curve takes on average, positive to the right."""
-        length = now.speed * self.parameters.drift_look_time
-        near = now.bends[: max(int(length / _CURVE_MARKS[1]) + 1, 2)]
-        return float(near.mean()) / now.full_lock
+    def _danger(self, ways: Forecast, speed: float) -> FloatArray:
+        """What plans cost by leaving the road, ``(C,)`` [m]."""
+        rules = self.parameters
+        over = np.abs(ways.across)
+        over -= ways.room
+        np.maximum(over, 0.0, out=over)
+        late = np.abs(ways.across[-1] + ways.angles * (speed * rules.late_time)) - ways.room[-1]
+        cost: FloatArray = rules.over_cost * (SPANS @ over)
+        cost += rules.late_cost * np.maximum(late, 0.0)
+        return cost
 
-    def _curve_time(self, now: _Situation, side: int) -> float:
-        """How long the line goes on bending to a side [s]."""
-        is_curve = now.bends * side > self.parameters.curve_curvature
-        length = _CURVE_MARKS[1] * (len(is_curve) if is_curve.all() else is_curve.argmin())
-        return float(length) / max(now.speed, 1.0)
+    def _boosts(self, state: DriverState, plans: Plans) -> FloatArray:
+        """What plans earn by drifting, ``(C,)`` [m]: less while such a boost still lasts."""
+        rules = self.parameters
+        small, big = BOOST_LASTS
+        wait = plans.boost_steps
+        fresh = np.minimum(1.0 - (state.boost_steps - wait) / small, 1.0) * rules.boost_worth
+        fresh_big = np.minimum(1.0 - (state.big_boost_steps - wait) / big, 1.0)
+        worth = np.where(plans.boosts == 1, fresh_big * rules.big_boost_worth, fresh)
+        worth -= (rules.boost_wait_cost * STEP) * wait
+        return np.where(plans.boosts < 0, 0.0, np.maximum(worth, 0.0))
+
+    def _follow(self, state: DriverState, move: Move) -> float:
+        """What to steer for the plan; begins, keeps or ends the drift."""
+        state.turn = move.turn
+        if not move.side:
+            self._end_drift(state)
+            return move.turn
+        least, most = DRIFT_TURN
+        steer = 2.0 * (move.turn * move.side - least) / (most - least) - 1.0
+        if not state.drift_side:
+            state.drift_side, state.drift_steps = move.side, 0
+            steer = max(steer, _START_STEER)
+        state.drift_steps += 1
+        state.drift_turn = move.turn
+        return move.side * steer
+
+    def _end_drift(self, state: DriverState) -> None:
+        if not state.drift_side:
+            return
+        if state.drift_steps >= BOOST_STEPS[1]:
+            state.big_boost_steps = BOOST_LASTS[1]
+        elif state.drift_steps >= BOOST_STEPS[0]:
+            state.boost_steps = BOOST_LASTS[0]
+        state.drift_side = state.drift_steps = 0
+        state.release_steps = RELEASE_STEPS
 
     # ------------------------------------------------------------------ getting unstuck
 
-    def _is_stuck(
-        self, state: DriverState, now: _Situation, observation: Mapping[str, Any]
-    ) -> bool:
-        rules = self.parameters
-        has_started = observation["phase"] >= _GO_PHASE
-        if has_started and abs(now.speed) < rules.stuck_speed:
-            state.still_steps += 1
-            state.free_steps = 0
-        else:
-            state.still_steps = 0
-            state.free_steps += 1
-        if state.free_steps * rules.step_size > rules.free_time:
-            state.reverses = 0
-        return state.still_steps * rules.step_size > rules.stuck_time
-
-    def _get_unstuck(self, state: DriverState, now: _Situation) -> Action:
-        state.still_steps = state.drift_side = 0
+    def _get_unstuck(self, state: DriverState, road: Road) -> Action:
+        state.still_steps = state.drift_side = state.drift_steps = 0
         if state.reverses >= self.parameters.rescue_reverses:
             state.reverses = 0
             return _action(rescue=True)
         state.reverses += 1
-        state.reverse_steps = round(self.parameters.reverse_time / self.parameters.step_size)
-        return self._back_out(state, now)
+        state.reverse_steps = round(self.parameters.reverse_time / STEP)
+        return self._back_out(state, road)
 
-    def _back_out(self, state: DriverState, now: _Situation) -> Action:
-        state.reverse_steps -= 1
-        return _action(brake=True, steer=-math.copysign(1.0, now.angle))
-
-
-def _aim(line: CentreLine, speed: float, rules: DriverParameters) -> FloatArray:
-    """The farthest point of the line, up to the wanted distance, to which the road leads straight.
-
-    Returns:
-        ``(3,)`` [m].
-    """
-    wanted = rules.aim_distance + rules.aim_time * max(speed, 0.0)
-    nearest = min(rules.min_aim_distance, wanted)
-    between = np.linspace(0.0, wanted, 10)[1:]
-    points = line.at(between)
-    room = line.half_width_at(between) - rules.shortcut_margin
-    x, z = points[:, 0], points[:, 2]
-    lengths = np.hypot(x, z)
-    # [i, j]: how far point j of the line lies beside the straight way to point i
-    beside = np.abs(np.outer(x, z) - np.outer(z, x)) / np.maximum(lengths, 0.1)[:, None]
-    is_blocked = ((beside > room) & np.tri(len(between), k=-1, dtype=bool)).any(axis=1)
-    choices = np.flatnonzero(~is_blocked | (between <= nearest))
-    return np.array(points[choices[-1] if len(choices) else 0])
+    def _back_out(self, state: DriverState, road: Road) -> Action:
+        state.still_steps = 0
+        state.turn = math.copysign(1.0, road.angle + 0.1 * road.offset)
+        return _action(brake=True, steer=state.turn)
 
 
-def _bends(points: FloatArray) -> FloatArray:
-    """Curvature ``(P,)`` [1/m] at points ``(P, 3)`` of a line, positive to the right."""
-    steps = np.diff(points[:, [0, 2]], axis=0)
-    headings = np.unwrap(np.arctan2(steps[:, 0], steps[:, 1]))
-    lengths = np.maximum(np.hypot(steps[:, 0], steps[:, 1]), 0.5)
-    inner = np.diff(headings) / ((lengths[1:] + lengths[:-1]) / 2)
-    return np.concatenate([inner[:1], inner, inner[-1:]])
-
-
-def _drift_steer(side: int, wheel: float) -> float:
-    """What to send so that a drifting kart turns by a wanted share of full lock."""
-    return side * (2.0 * (wheel * side - _DRIFT_LEAST_TURN) / _DRIFT_TURN_RANGE - 1.0)
+#: Times of the state that run out.
+_CLOCKS = (
+    "release_steps",
+    "boost_steps",
+    "big_boost_steps",
+    "nitro_steps",
+    "caution_steps",
+    "reverse_steps",
+)
 
 
 def _action(

@@ -1,24 +1,24 @@
-"""What to do about the items on the road: drive over the good ones, around the bad ones."""
+"""The items on the road, and what they are worth."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo import ItemType
+from stkzoo import ItemType, PowerupType
 
-from .line import CentreLine
+from .forecast import Forecast
 from .parameters import DriverParameters
+from .plans import ITEM_LANES
+from .road import SPACING, Road
 
-__all__ = ["aim_for_items"]
+__all__ = ["RoadItems"]
 
 FloatArray = npt.NDArray[np.float64]
-
-_GOOD = [ItemType.BONUS_BOX, ItemType.NITRO_BIG, ItemType.NITRO_SMALL]
-_BAD = [ItemType.BANANA, ItemType.BUBBLEGUM]
 
 #: Items looked at; they come nearest first, those in front before those behind.
 _MAX_ITEMS = 12
@@ -26,90 +26,101 @@ _MAX_ITEMS = 12
 #: An item on another level of the track is farther above or below than this [m].
 _LEVEL = 4.0
 
-#: Ways past a bad item that are weighed: how far to the side of it [m].
-_PASSES = np.linspace(-5.0, 5.0, 21)
+#: Items nearer than this cannot be steered for any more, farther ones are out of sight [m].
+_NEAREST, _FARTHEST = 1.0, 60.0
 
-#: As :class:`~stkzoo.names.ItemType` number: 1 to collect, -1 to dodge, 0 to leave.
-_WORTH = np.zeros(max(ItemType) + 1, int)
-_WORTH[_GOOD] = 1
-_WORTH[_BAD] = -1
+#: Items this far beyond the edge of the road are not on it [m].
+_BEYOND = 1.0
+
+#: A miss by so much more than the radius earns nothing [m].
+_BLUR = 0.5
+
+_NUM_TYPES = max(ItemType) + 1
 
 
-def aim_for_items(
-    aim: FloatArray, line: CentreLine, observation: Mapping[str, Any], rules: DriverParameters
-) -> FloatArray:
-    """Moves the aim ``(3,)`` [m] to a good item near the way, and off the bad ones on it.
+@dataclass(frozen=True, slots=True)
+class RoadItems:
+    """The items ahead that matter, nearest first.
 
-    Args:
-        aim: where the road leads, kart frame.
-        line: the road.
-        observation: of the ``full`` view.
-        rules: what counts as near.
-
-    Returns:
-        ``(3,)`` [m], kart frame.
+    Attributes:
+        along: ``(M,)`` where they are along the road [m].
+        across: ``(M,)`` and across it, positive to the right [m].
+        worth: ``(M,)`` metres of way that they are worth, negative for the bad ones.
+        radius: ``(M,)`` the kart gets those that it passes as near as this [m].
     """
-    if not observation["items_type"]:
-        return aim
-    types = np.array(observation["items_type"][:_MAX_ITEMS])
-    spots = np.concatenate(observation["items_position"][:_MAX_ITEMS], dtype=np.float64)
-    spots = spots.reshape(-1, 3)
-    is_ahead = (spots[:, 2] > rules.item_min_ahead) & (np.abs(spots[:, 1]) < _LEVEL)
-    worth = np.where(is_ahead, _WORTH[types], 0)
-    if not worth.any():
-        return aim
-    target = _collect(aim, line, spots[worth > 0], rules)
-    return _dodge(target, line, spots[worth < 0], rules)
+
+    along: FloatArray
+    across: FloatArray
+    worth: FloatArray
+    radius: FloatArray
+
+    @classmethod
+    def of(
+        cls, observation: Mapping[str, Any], road: Road, rules: DriverParameters
+    ) -> RoadItems | None:
+        """The items of an observation of the ``full`` view; ``None`` if none matter."""
+        types = np.array(observation["items_type"][:_MAX_ITEMS], np.intp)
+        if not len(types):
+            return None
+        worth = _worths(observation, rules)[types]
+        spots = np.concatenate(observation["items_position"][:_MAX_ITEMS], dtype=np.float64)
+        spots = spots.reshape(-1, 3)
+        matters = (worth != 0.0) & (spots[:, 2] > 0.0)
+        if not matters.any():
+            return None
+        worth = worth[matters]
+        along, across, above = road.place(spots[matters])
+        edge = road.half_widths.take((along / SPACING).astype(np.intp), mode="clip") + _BEYOND
+        kept = (along > _NEAREST) & (along < _FARTHEST)
+        kept &= (np.abs(above) < _LEVEL) & (np.abs(across) < edge)
+        if not kept.any():
+            return None
+        worth = worth[kept]
+        radius = np.where(worth > 0.0, rules.item_radius, rules.bad_item_radius)
+        return cls(along[kept], across[kept], worth, radius)
+
+    def lanes(self) -> FloatArray:
+        """How far across the road the next good items are, ``(ITEM_LANES,)`` [m]."""
+        lanes = np.zeros(ITEM_LANES)
+        good = self.across[self.worth > 0.0][:ITEM_LANES]
+        lanes[: len(good)] = good
+        return lanes
+
+    def gain(self, ways: Forecast) -> FloatArray:
+        """What plans earn by the items on their way, ``(C,)`` [m]."""
+        gain = np.zeros(ways.along.shape[1])
+        columns = np.arange(len(gain))
+        last = len(ways.along) - 1
+        longest = float(ways.along[last].max())
+        for along, across, worth, radius in zip(
+            self.along.tolist(),
+            self.across.tolist(),
+            self.worth.tolist(),
+            self.radius.tolist(),
+            strict=True,
+        ):
+            if along > longest:
+                continue
+            passed = ways.along >= along
+            moment = passed.argmax(axis=0)
+            after = ways.across[moment, columns]
+            # straight between two moments; the way before the first one is short
+            before = ways.across[np.maximum(moment - 1, 0), columns]
+            from_, to = ways.along[np.maximum(moment - 1, 0), columns], ways.along[moment, columns]
+            share = np.minimum(np.maximum((along - from_) / np.maximum(to - from_, 1e-3), 0.0), 1.0)
+            beside = np.abs(before + (after - before) * share - across)
+            hit = np.minimum(np.maximum((radius - beside) / _BLUR + 1.0, 0.0), 1.0)
+            gain += worth * hit * passed[last]
+        return gain
 
 
-def _collect(
-    aim: FloatArray, line: CentreLine, goods: FloatArray, rules: DriverParameters
-) -> FloatArray:
-    """The nearest good item that is hardly a detour, or else the aim."""
-    depths = goods[:, 2]
-    is_near_way = (depths < min(rules.item_reach, aim[2])) & (
-        _aside(goods, aim) < rules.item_swerve * depths
-    )
-    for spot in goods[is_near_way]:
-        if _room(spot[None], line)[0] > rules.item_edge:
-            return np.array(spot)
-    return aim
-
-
-def _dodge(
-    aim: FloatArray, line: CentreLine, bads: FloatArray, rules: DriverParameters
-) -> FloatArray:
-    """The aim, or if bad items lie on the way there, the gentlest way past them."""
-    bads = bads[bads[:, 2] < rules.dodge_reach]
-    is_in_way = _aside(bads, aim) < rules.dodge_width
-    if not is_in_way.any():
-        return aim
-    passes = np.repeat(bads[is_in_way][:1], len(_PASSES), axis=0)
-    passes[:, 0] += _PASSES
-    slopes = passes[:, 0] / passes[:, 2]
-    beside = np.abs(bads[:, 0] - slopes[:, None] * bads[:, 2]).min(axis=1)
-    danger = np.maximum(rules.dodge_width - beside, 0.0)
-    danger += np.maximum(-_room(passes, line), 0.0)
-    detour = np.abs(passes[:, 0]) + _aside(passes, aim)
-    best = int((detour + rules.dodge_weight * danger).argmin())
-    return np.array(passes[best])
-
-
-def _aside(spots: FloatArray, aim: FloatArray) -> FloatArray:
-    """How far the spots ``(M, 3)`` lie beside the straight way to the aim, ``(M,)`` [m]."""
-    slope = aim[0] / max(aim[2], 1.0)
-    return np.asarray(np.abs(spots[:, 0] - slope * spots[:, 2]))
-
-
-def _room(spots: FloatArray, line: CentreLine) -> FloatArray:
-    """Distance to the road's edge ``(M,)`` [m] of spots ``(M, 3)`` close to each other.
-
-    Negative beyond the edge.
-    """
-    offsets = line.points - spots[len(spots) // 2]
-    nearest = int((offsets * offsets).sum(axis=1).argmin())
-    begin, end = line.points[max(nearest - 2, 0)], line.points[min(nearest + 2, len(offsets) - 1)]
-    x, _, z = end - begin
-    x0, _, z0 = line.points[nearest]
-    beside = np.abs((spots[:, 0] - x0) * z - (spots[:, 2] - z0) * x) / max(np.hypot(x, z), 1e-6)
-    return np.asarray(line.half_widths[nearest] - beside)
+def _worths(observation: Mapping[str, Any], rules: DriverParameters) -> FloatArray:
+    """What items are worth by type [m]."""
+    worths = np.zeros(_NUM_TYPES)
+    has_powerup = observation["powerup_type"] != PowerupType.NOTHING
+    worths[ItemType.BONUS_BOX] = rules.second_box_worth if has_powerup else rules.box_worth
+    worths[ItemType.NITRO_BIG] = rules.big_nitro_worth
+    worths[ItemType.NITRO_SMALL] = rules.small_nitro_worth
+    worths[ItemType.BANANA] = -rules.banana_cost
+    worths[ItemType.BUBBLEGUM] = -rules.gum_cost
+    return worths

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +16,8 @@ FloatArray = npt.NDArray[np.float64]
 
 #: Segments looked at; the shortest ones of all tracks make 100 m with 50, twice that at forks.
 _MAX_SEGMENTS = 96
+#: On most tracks these are enough.
+_FEW_SEGMENTS = 32
 
 #: Nothing farther away is of use [m]; but a few segments must be left.
 _REACH = 110.0
@@ -26,13 +29,17 @@ _TOUCHING = 0.3
 #: No jump is longer than this [m]; where one would be, the line ends.
 _LONGEST_JUMP = 25.0
 
+#: Beyond its last point the line goes straight on so far [m].
+_TAIL = 150.0
+
 
 @dataclass(frozen=True, slots=True)
 class CentreLine:
     """The middle of the road ahead in the kart frame (x right, y up, z forward).
 
     Attributes:
-        points: ``(P, 3)`` float64 [m], in driving order.
+        points: ``(P, 3)`` float64 [m], in driving order; the last one lies far beyond the
+            road that is known, straight on.
         marks: ``(P,)`` length of the line up to each point [m]; 0 is beside the kart, and
             what lies behind it is negative.
         half_widths: ``(P,)`` distance from the line to the road's edge [m].
@@ -49,15 +56,19 @@ class CentreLine:
         At a fork it keeps to the branch whose segments touch, which is the main road, or
         the side road that the kart is in.
         """
-        starts = _vectors(observation["paths_start"][:_MAX_SEGMENTS], 3)
-        starts = starts[: _count_near(starts)]
+        starts = _near_starts(observation["paths_start"])
         ends = _vectors(observation["paths_end"][: len(starts)], 3)
         widths = _vectors(observation["paths_width"][: len(starts)], 1)[:, 0]
         chain = _touching_chain(starts, ends)
         points = np.stack([starts[chain], ends[chain]], axis=1).reshape(-1, 3)
-        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        marks = np.concatenate([[0.0], np.cumsum(steps)]) - _share_passed(points) * steps[0]
-        return cls(points, marks, np.repeat(widths[chain] / 2, 2))
+        points = np.concatenate([points, _tail(points)])
+        steps = points[1:] - points[:-1]
+        lengths = np.sqrt((steps * steps).sum(axis=1))
+        marks = np.zeros(len(points))
+        np.cumsum(lengths, out=marks[1:])
+        marks -= _share_passed(points) * lengths[0]
+        half_widths = np.repeat(widths[chain] / 2, 2)
+        return cls(points, marks, np.append(half_widths, half_widths[-1]))
 
     def at(self, marks: FloatArray) -> FloatArray:
         """Points ``(M, 3)`` [m] of the line at some marks ``(M,)`` [m]."""
@@ -73,10 +84,22 @@ def _vectors(sequence: Any, size: int) -> FloatArray:
     return np.concatenate(sequence, dtype=np.float64).reshape(-1, size)
 
 
-def _count_near(starts: FloatArray) -> int:
-    """How many segments to look at: those before the road first leaves the neighbourhood."""
-    is_far = (starts * starts).sum(axis=1) > _REACH**2
-    return max(int(is_far.argmax()), _MIN_SEGMENTS) if is_far.any() else len(starts)
+def _near_starts(segments: Any) -> FloatArray:
+    """Where those segments begin that come before the road first leaves the neighbourhood."""
+    for count in (_FEW_SEGMENTS, _MAX_SEGMENTS):
+        starts = _vectors(segments[:count], 3)
+        is_far = (starts * starts).sum(axis=1) > _REACH**2
+        if is_far.any():
+            return starts[: max(int(is_far.argmax()), _MIN_SEGMENTS)]
+        if len(starts) < count:
+            break
+    return starts
+
+
+def _tail(points: FloatArray) -> FloatArray:
+    """A point ``(1, 3)`` far beyond the end of the line."""
+    last = points[-1] - points[-2]
+    return np.asarray(points[-1:] + last * (_TAIL / max(math.hypot(*last), 1e-3)))
 
 
 def _share_passed(points: FloatArray) -> float:
