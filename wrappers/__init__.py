@@ -16,6 +16,7 @@ from stkzoo.wrappers.continuous_actions import OnlyContinuousActionsWrapper
 from stkzoo.wrappers.discrete_actions import DiscreteActionsWrapper, Discretizer
 from stkzoo.wrappers.flatten_multidiscrete import FlattenMultiDiscreteActions
 from stkzoo.wrappers.flattener import FlattenerWrapper
+from stkzoo.wrappers.joined import JoinedObservations
 from stkzoo.wrappers.polar import PolarObservations
 from stkzoo.wrappers.space_flattener import SpaceFlattener
 
@@ -29,6 +30,7 @@ __all__ = [
     "Discretizer",
     "FlattenMultiDiscreteActions",
     "FlattenerWrapper",
+    "JoinedObservations",
     "MonoAgentWrapperAdapter",
     "OnlyContinuousActionsWrapper",
     "PolarObservations",

@@ -37,7 +37,7 @@ examples:
   stkzoo benchmark my_agent/ --split lighthouse hacienda --seeds 2
   stkzoo benchmark my_agent.zip --difficulty 2 --output results/mine --inline
   stkzoo benchmark --compare results/mine benchmark/heuristic
-  stkzoo benchmark --baseline --output ai-times the AI's own times, measured anew
+  stkzoo benchmark --baseline --output ai-times     the AI's own times, measured anew
 
 exit codes:
   0 all is well, 1 a race could not be run, 2 the command cannot be understood,

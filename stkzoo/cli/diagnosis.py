@@ -213,7 +213,7 @@ def _check_extras() -> list[Finding]:
     return [
         _check_extra(extra, names)
         for extra, names in _extras().items()
-        if extra not in ("all", "dev")
+        if extra not in ("all", "dev", "docs")
     ]
 
 

@@ -25,14 +25,25 @@ COMMANDS = (
     "race-server",
     "race-client",
     "keys",
+    "tracks",
+    "karts",
     "assets",
     "doctor",
+    "completion",
 )
 
 _EPILOG = """\
 first steps:
   stkzoo doctor             what works on this machine, and what mends the rest
   stkzoo assets install     get the game's tracks and karts
+  stkzoo race --demo        a race: the game's karts and a driver made of rules
+  stkzoo race my_agent/ ai  your agent against the game's AI
+
+`stkzoo COMMAND --help` has examples of each.
+
+exit codes:
+  0 all is well, 1 it failed, 2 the command cannot be understood,
+  3 the race ran but an agent failed, 130 interrupted
 """
 
 

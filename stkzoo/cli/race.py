@@ -27,8 +27,9 @@ EXTRAS: tuple[str, ...] = ("race_replay", "race_window", "race_video", "race_web
 _ABOUT = """\
 Runs a race and shows how it ended. Each driver named gets a kart:
 
-  ai            the game's own AI, as good as --difficulty says
+  ai            the game's own AI, as good as --difficulty says; ai:3 sets that too
   heuristic     a driver made of rules, which comes with stkzoo
+  pretrained:scout   a learned one, which comes with stkzoo too; docs/learning.md
   random        presses buttons at random
   FOLDER, ZIP   an agent of yours: a pystk_actor.py with get_actor(...); docs/agents.md
   MODULE        the same, by the name that Python imports it by

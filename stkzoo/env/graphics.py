@@ -26,11 +26,11 @@ def check_render_mode(mode: str | None, backend: str) -> None:
     Raises:
         ConfigError: they cannot be, or there is no display for a window.
     """
-    if mode is not None and mode not in RENDER_MODES:
+    if mode is not None and not (isinstance(mode, str) and mode in RENDER_MODES):
         raise ConfigError(
             f"render_mode is {mode!r}, expected None or one of {', '.join(RENDER_MODES)}"
         )
-    if backend not in BACKENDS:
+    if not (isinstance(backend, str) and backend in BACKENDS):
         raise unknown_name("render_backend", backend, BACKENDS)
     if mode != "human":
         return

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
+
+import numpy as np
 
 from stkzoo.config import AgentSpec
 from stkzoo.env.starts import check_start
@@ -19,6 +22,8 @@ __all__ = ["MAX_CAMERAS", "RaceOptions", "camera_mode", "check_agents", "check_n
 _MAX_STEP_SIZE = 1.0
 _MAX_KARTS = 256
 _MAX_LAPS = 1000
+#: More paths or steps than any race has; larger numbers do not fit everywhere.
+_MAX_COUNT = 2**31 - 1
 #: As many views as the game's window can be split into.
 MAX_CAMERAS = 8
 _ENGINE_TIMEOUTS = 1e-3, 1e6
@@ -59,9 +64,12 @@ class RaceOptions:
         _check_whole("laps", self.laps, 1, _MAX_LAPS)
         _check_whole("difficulty", self.difficulty, 0, 3)
         if self.max_paths is not None:
-            _check_whole("max_paths", self.max_paths, 1)
+            _check_whole("max_paths", self.max_paths, 1, _MAX_COUNT)
         if self.max_cycles is not None:
-            _check_whole("max_cycles", self.max_cycles, 1)
+            _check_whole("max_cycles", self.max_cycles, 1, _MAX_COUNT)
+        for name in ("num_kart", "laps", "difficulty", "max_paths", "max_cycles"):
+            if getattr(self, name) is not None:  # as Python's own number
+                object.__setattr__(self, name, operator.index(getattr(self, name)))
         if not isinstance(self.reverse, bool):
             raise ConfigError(f"reverse is {self.reverse!r}, expected True or False")
         _check_real("step_size", self.step_size, 1e-3, _MAX_STEP_SIZE)
@@ -121,10 +129,14 @@ def check_agents(agents: Sequence[AgentSpec], num_kart: int, karts: Sequence[str
     for index, agent in enumerate(agents):
         if not isinstance(agent, AgentSpec):
             raise ConfigError(f"agent {index} is {agent!r}, expected an AgentSpec")
+        if not isinstance(agent.use_ai, (bool, int, np.bool_)):
+            raise ConfigError(
+                f"use_ai of agent {index} is {agent.use_ai!r}, expected True or False"
+            )
         if agent.rank_start is not None:
             _check_whole(f"rank_start of agent {index}", agent.rank_start, 0, num_kart - 1)
         _check_real(f"color of agent {index}", agent.color, 0.0, 1.0)
-        if agent.kart and agent.kart not in karts:
+        if not isinstance(agent.kart, str) or (agent.kart and agent.kart not in karts):
             raise unknown_name("kart", agent.kart, karts)
         if not isinstance(agent.name, str):
             raise ConfigError(f"name of agent {index} is {agent.name!r}, expected a string")
@@ -164,8 +176,11 @@ def checked_seed(seed: int | None) -> int | None:
 
 
 def _check_whole(name: str, value: object, low: int, high: int | None = None) -> None:
-    is_whole = hasattr(value, "__index__") and not isinstance(value, bool)
-    if not is_whole or value < low or (high is not None and value > high):  # type: ignore[operator]
+    try:
+        number = low - 1 if isinstance(value, bool) else operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        number = low - 1
+    if number < low or (high is not None and number > high):
         bounds = f"from {low} to {high}" if high is not None else f"of {low} or more"
         raise ConfigError(f"{name} is {value!r}, expected a whole number {bounds}")
 

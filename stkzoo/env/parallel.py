@@ -37,7 +37,7 @@ from stkzoo.env.rendering import Rendering, scene_of
 from stkzoo.env.scenario import read_scenario
 from stkzoo.env.starts import MAX_START_DRAWS, is_random
 from stkzoo.env.views import views_of_agents
-from stkzoo.errors import ApiOrderError, ConfigError
+from stkzoo.errors import ApiOrderError, ConfigError, unknown_name
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.mdp.state import state_space
 from stkzoo.render.scene import Scene
@@ -396,7 +396,13 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
             Batch form: arrays with a leading axis over ``agents``
             (:mod:`stkzoo.mdp.observations`).
         """
-        return self._running("observe_batch").observe(agents)
+        episode = self._running("observe_batch")
+        if isinstance(agents, str) or not isinstance(agents, Sequence) or not agents:
+            raise ConfigError(f"agents is {agents!r}, expected a list of one agent or more")
+        for agent in agents:
+            if not isinstance(agent, str) or agent not in self.possible_agents:
+                raise unknown_name("agent", agent, self.possible_agents)
+        return episode.observe(agents)
 
     def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
         """The present infos of some agents, racing or not, before their wrappers."""
@@ -470,13 +476,16 @@ def _specs(agents: Sequence[AgentSpec] | int | None, num_kart: int) -> list[Agen
     if agents is None:
         agents = num_kart
     if isinstance(agents, (int, np.integer)) and not isinstance(agents, bool):
-        return [AgentSpec() for _ in range(agents)]
+        # One too many is refused with the rest; more would only take up memory.
+        return [AgentSpec() for _ in range(min(int(agents), num_kart + 1))]
     if isinstance(agents, Sequence) and not isinstance(agents, str):
         return list(agents)
     raise ConfigError(f"agents is {agents!r}, expected a list of AgentSpec or a number of agents")
 
 
 def _session(assets: Assets, use_subprocess: bool, timeout: float) -> Session:
+    if not isinstance(use_subprocess, (bool, int, np.bool_)):
+        raise ConfigError(f"use_subprocess is {use_subprocess!r}, expected True or False")
     if not use_subprocess:
         return LocalSession(assets.root)
     if can_fork():

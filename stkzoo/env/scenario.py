@@ -88,6 +88,9 @@ class Scenario:
             ConfigError: there is no such file, or it is damaged or of another kind.
         """
         file = Path(path)
+        # A pipe, for one, would be waited for.
+        if os.path.exists(file) and not os.path.isfile(file):
+            raise ConfigError(f"{file} is no file; expected what env.scenario().save(path) wrote")
         try:
             with zipfile.ZipFile(file) as archive:
                 scenario = _read(_member(archive, _ABOUT), _member(archive, _CONTROLS))
@@ -199,6 +202,9 @@ def past_controls(past: Any, num_players: int) -> npt.NDArray[np.float32]:
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> bytes:
+    # Others unpack without a bound.
+    if archive.getinfo(name).compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(f"{name} is packed in a way that no scenario is")
     with archive.open(name) as stream:
         data = stream.read(_MAX_BYTES + 1)
     if len(data) > _MAX_BYTES:

@@ -88,7 +88,7 @@ def draw_starts(
 def _read(choice: object) -> Start | RandomStart:
     if isinstance(choice, (Start, RandomStart)):
         return choice
-    if choice == "random":
+    if isinstance(choice, str) and choice == "random":
         return RandomStart()
     if isinstance(choice, (int, float, np.integer, np.floating)) and not isinstance(choice, bool):
         return Start(distance=float(choice))

@@ -18,11 +18,14 @@ from stkzoo.wrappers import (
     DiscreteActionsWrapper,
     FlattenerWrapper,
     FlattenMultiDiscreteActions,
+    JoinedObservations,
     OnlyContinuousActionsWrapper,
     PolarObservations,
 )
 from stkzoo.wrappers.agent_names import by_agent
 from stkzoo.wrappers.control import ControlView
+from stkzoo.wrappers.marl import ActionMasks
+from stkzoo.wrappers.racing import RacingActions, RacingObservations
 
 __all__ = ["CAMERA_VIEWS", "VIEWS", "View", "views_of_agents"]
 
@@ -59,6 +62,26 @@ def flattened_discrete(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
     return FlattenMultiDiscreteActions(flattened_multidiscrete(env))
 
 
+def box_discrete(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """``flattened_discrete`` with all observations in one vector."""
+    return JoinedObservations(flattened_discrete(env))
+
+
+def box_continuous(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """``flattened_continuous_actions`` with all observations in one vector."""
+    return JoinedObservations(flattened_continuous_actions(env))
+
+
+def masked_discrete(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """``box_discrete``, and a mask of the actions that can do something."""
+    return JoinedObservations(ActionMasks(flattened_discrete(env)))
+
+
+def racing(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """The road ahead and what is near as one vector of fixed size; acting by a few choices."""
+    return RacingActions(RacingObservations(env))
+
+
 def camera(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
     """``flattened_discrete``, and the picture of the kart's camera, 84 by 84 pixels."""
     return CameraObservations(flattened_discrete(env))
@@ -84,6 +107,10 @@ VIEWS: dict[str, View] = {
         flattened_continuous_actions,
         flattened_multidiscrete,
         flattened_discrete,
+        box_discrete,
+        box_continuous,
+        masked_discrete,
+        racing,
         control,
         flattened_control,
     )

@@ -15,7 +15,7 @@ from stkzoo.race.drivers import Driver
 from stkzoo.race.result import AgentFailure
 from stkzoo.race.seats import Seat, SeatRequest
 from stkzoo.race.settings import RaceSettings
-from stkzoo.race.tracebacks import in_words
+from stkzoo.race.tracebacks import in_words, printable
 
 __all__ = ["Crew", "CrewMember"]
 
@@ -148,7 +148,7 @@ class CrewMember:
             self._retire()
             return
         self._is_ready = True
-        self.name = self.name or name or self._default_name()
+        self.name = self.name or _one_line(name) or self._default_name()
 
     def ask(self, observation: Any, step: int) -> None:
         """Hands the observation over."""
@@ -205,14 +205,15 @@ class CrewMember:
             raise told from error
         self.num_failures += 1
         if len(self.failures) < _MAX_FAILURES_KEPT:
-            self.failures.append(AgentFailure(step, kind, in_words(error), told.trace))
+            what = printable(in_words(error))
+            self.failures.append(AgentFailure(step, kind, what, told.trace))
 
     def _as_agent_error(self, error: Exception) -> AgentError:
         """The error with the driver's name in its text."""
         who = self.name or self._driver.source
-        what = in_words(error)
+        what = printable(in_words(error))
         kind = type(error) if isinstance(error, AgentError) else AgentError
-        trace = error.trace if isinstance(error, AgentError) else ""
+        trace = printable(error.trace) if isinstance(error, AgentError) else ""
         return kind(f"driver {who!r} of {self.agent} failed: {what}", self.agent, trace)
 
     def _retire(self) -> None:
@@ -223,13 +224,18 @@ class CrewMember:
     def _default_name(self) -> str:
         source = PurePath(self._driver.source)
         name = source.stem if source.suffix in (".zip", ".py") else source.name
-        return name or self.agent
+        return _one_line(name) or self.agent
 
     def _stand_in(self) -> Any:
         """What is done in the place of a driver that gave no action."""
         if self._settings.error_handling == "catch" and not self.is_retired:
             return self._chance.sample()
         return create_zero_array(self._request.action_space)
+
+
+def _one_line(name: str) -> str:
+    """An agent's own name, fit for a table."""
+    return printable(name).replace("\n", " ").strip()
 
 
 class _FailedSeat:

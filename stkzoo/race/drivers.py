@@ -22,8 +22,12 @@ __all__ = ["Actor", "ActorMaker", "Driver", "driver_names", "find_driver"]
 
 _AGENTS = "stkzoo.agents"
 #: What is there beside drivers that can be raced by name.
-_NO_DRIVERS = {"planner", "training"}
+_NO_DRIVERS = {"planner", "pretrained", "training"}
+#: Learned drivers, each a package of this one.
+_PRETRAINED = "pretrained"
 _NAME_MARK = "@:"
+#: Levels of the game's AI.
+_LEVELS = ("0", "1", "2", "3")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +38,13 @@ class Driver:
         name: what it is called; empty if it says so itself when it is loaded.
         open_seat: opens its seat in one race; ``None`` for the game's AI.
         source: where it comes from, as the user wrote it.
+        difficulty: that of the race, if it says so: the game's AI of one race has one level.
     """
 
     name: str
     open_seat: SeatOpener | None
     source: str = ""
+    difficulty: int | None = None
 
     @property
     def is_game_ai(self) -> bool:
@@ -60,19 +66,24 @@ class Driver:
 
 def driver_names() -> list[str]:
     """The names of the drivers that come with stkzoo."""
-    folder = importlib.import_module(_AGENTS).__path__
-    found = {module.name for module in pkgutil.iter_modules(folder)}
-    return ["ai", "random", *sorted(found - _NO_DRIVERS)]
+    learned = [f"{_PRETRAINED}:{name}" for name in _packages(f"{_AGENTS}.{_PRETRAINED}")]
+    return ["ai", "random", *sorted({*_packages(_AGENTS)} - _NO_DRIVERS), *sorted(learned)]
+
+
+def _packages(parent: str) -> list[str]:
+    folder = importlib.import_module(parent).__path__
+    return [module.name for module in pkgutil.iter_modules(folder) if module.ispkg]
 
 
 def find_driver(text: str, *, inline: bool = False, adapter: str | None = None) -> Driver:
     """The driver that a text names.
 
     Args:
-        text: ``"ai"`` for the game's AI, ``"random"`` for random actions, a package under
-            ``stkzoo.agents``, or an agent of files (``docs/agents.md``): the path of a
-            folder, zip or Python file, or the name of a module. ``@:Name`` behind it
-            says what to call the driver.
+        text: ``"ai"`` for the game's AI, ``"ai:3"`` for that at difficulty 3, which is then
+            the race's, ``"random"`` for random actions, a package under
+            ``stkzoo.agents``, ``"pretrained:NAME"`` for a learned one there, or an agent of
+            files (``docs/agents.md``): the path of a folder, zip or Python file, or the name
+            of a module. ``@:Name`` behind it says what to call the driver.
         inline: run agents from files in this process, which is quicker, instead of one
             each in a process of its own.
         adapter: path of a Python file with ``create_actor(get_actor, module_dir,
@@ -93,10 +104,14 @@ def find_driver(text: str, *, inline: bool = False, adapter: str | None = None) 
 def _find(source: str, inline: bool, adapter: str | None) -> Driver:
     if source == "ai":
         return Driver(source, None)
+    if source.startswith("ai:"):
+        return Driver(source, None, difficulty=_level(source))
     if source == "random":
         return Driver.of_actor(source, _random_actor)
     if source in driver_names():
-        return Driver(source, _ShippedOpener(f"{_AGENTS}.{source}"))
+        return Driver(source, _ShippedOpener(f"{_AGENTS}.{source.replace(':', '.')}"))
+    if source.startswith(f"{_PRETRAINED}:"):
+        raise unknown_name("driver", source, driver_names())
     if adapter is not None and not Path(adapter).is_file():
         raise ConfigError(f"there is no adapter {adapter!r}; expected the path of a Python file")
     files = find_files(source)
@@ -104,6 +119,17 @@ def _find(source: str, inline: bool, adapter: str | None) -> Driver:
         raise _nobody(source)
     opener = InlineFilesOpener(files, adapter) if inline else IsolatedOpener(files, adapter)
     return Driver("", opener)
+
+
+def _level(source: str) -> int:
+    """The difficulty in ``"ai:3"``."""
+    level = source.removeprefix("ai:")
+    if level not in _LEVELS:
+        raise ConfigError(
+            f"driver {source!r} is the game's AI at a level that it does not have; expected "
+            f"{', '.join(f'ai:{known}' for known in _LEVELS)}, or ai for that of --difficulty"
+        )
+    return int(level)
 
 
 def _nobody(source: str) -> ConfigError:

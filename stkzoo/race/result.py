@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import platform
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from stkzoo.errors import ConfigError
+from stkzoo.race.tracebacks import printable
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -20,6 +22,7 @@ __all__ = [
     "AgentResult",
     "RaceResult",
     "check_form",
+    "read_json",
     "versions_now",
 ]
 
@@ -165,7 +168,7 @@ class RaceResult:
             ConfigError: it is something else, or of a later version.
         """
         try:
-            form = json.loads(text)
+            form = read_json(text)
             check_form(form, "race-result", SCHEMA_VERSION)
             agents = tuple(_agent_of(entry) for entry in form["agents"])
             return cls(**{**_known(cls, form), "agents": agents})
@@ -174,6 +177,27 @@ class RaceResult:
                 f"the text is no race result ({type(error).__name__}: {error}); expected what "
                 "`stkzoo race --output` wrote"
             ) from error
+
+
+def read_json(text: str) -> Any:
+    """What a JSON text says. Unlike in Python's own reader, every number is finite.
+
+    Raises:
+        json.JSONDecodeError: it is no JSON, or deeper or with longer numbers than any of ours.
+    """
+    try:
+        return json.loads(text, parse_constant=_finite, parse_float=_finite)
+    except json.JSONDecodeError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise json.JSONDecodeError(str(error)[:200], "", 0) from None
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"{text[:20]} is no number")
+    return number
 
 
 def check_form(form: dict[str, Any], kind: str, version: int) -> None:
@@ -197,11 +221,17 @@ def check_form(form: dict[str, Any], kind: str, version: int) -> None:
 
 
 def _agent_of(form: dict[str, Any]) -> AgentResult:
-    errors = tuple(AgentFailure(**_known(AgentFailure, entry)) for entry in form["errors"])
+    errors = tuple(AgentFailure(**_shown(AgentFailure, entry)) for entry in form["errors"])
     seconds = form["action_time"]
     action_time = None if seconds is None else ActionTime(**_known(ActionTime, seconds))
-    known = _known(AgentResult, form)
+    known = _shown(AgentResult, form)
     return AgentResult(**{**known, "errors": errors, "action_time": action_time})
+
+
+def _shown(kind: type[Any], form: dict[str, Any]) -> dict[str, Any]:
+    """:func:`_known`, without what a terminal would obey."""
+    known = _known(kind, form).items()
+    return {name: printable(v) if isinstance(v, str) else v for name, v in known}
 
 
 def _known(kind: type[Any], form: dict[str, Any]) -> dict[str, Any]:

@@ -10,6 +10,8 @@ from dataclasses import fields, replace
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from stkzoo.config import AgentSpec
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import ActionError, ConfigError, unknown_name
@@ -76,12 +78,16 @@ def run_race(
         EngineError: the game died or hangs.
         RaceInterrupted: an interrupt from the keyboard; it has the result so far.
     """
+    if isinstance(drivers, str) or not isinstance(drivers, Sequence):
+        raise ConfigError(f"drivers is {drivers!r}, expected a list of drivers or their names")
     if not drivers:
         raise ConfigError("no drivers; name at least one, such as 'heuristic'")
+    _check_listeners(listeners)
     chosen = _settings(settings, changes)
     places = _places(start_positions, len(drivers))
     awaited = _awaited(wait_for, len(drivers))
     crew = [_driver(driver, chosen) for driver in drivers]
+    chosen = _of_level(chosen, crew)
     with ExitStack() as life:
         for listener in listeners:
             life.callback(listener.closed)
@@ -89,36 +95,60 @@ def run_race(
         return _Run(env, crew, awaited, chosen, listeners, life).to_the_end()
 
 
+def _check_listeners(listeners: Sequence[RaceListener]) -> None:
+    is_list = isinstance(listeners, Sequence) and not isinstance(listeners, str)
+    if not is_list or not all(isinstance(listener, RaceListener) for listener in listeners):
+        raise ConfigError(f"listeners is {listeners!r}, expected a list of RaceListener objects")
+
+
 def _settings(settings: RaceSettings | None, changes: Mapping[str, Any]) -> RaceSettings:
     known = [entry.name for entry in fields(RaceSettings)]
     for name in changes:
         if name not in known:
             raise unknown_name("setting of a race", name, known)
-    return replace(settings or RaceSettings(), **changes)
+    settings = RaceSettings() if settings is None else settings
+    if not isinstance(settings, RaceSettings):
+        raise ConfigError(f"settings is {settings!r}, expected RaceSettings")
+    return replace(settings, **changes)
 
 
 def _driver(driver: str | Driver, settings: RaceSettings) -> Driver:
     if isinstance(driver, Driver):
         return driver
+    if not isinstance(driver, str):
+        raise ConfigError(f"a driver is {driver!r}, expected a Driver or its name")
     return find_driver(driver, inline=settings.inline, adapter=settings.adapter)
+
+
+def _of_level(settings: RaceSettings, crew: Sequence[Driver]) -> RaceSettings:
+    """The settings with the difficulty that drivers ask for, if some do."""
+    levels = {driver.difficulty for driver in crew if driver.difficulty is not None}
+    if len(levels) > 1:
+        raise ConfigError(
+            f"drivers ask for the difficulties {sorted(levels)}, but the game's AI has one level "
+            "in a race; name one"
+        )
+    return replace(settings, difficulty=levels.pop()) if levels else settings
 
 
 def _places(start_positions: Sequence[int] | None, count: int) -> list[int | None]:
     if start_positions is None:
         return [None] * count
-    if sorted(start_positions) != list(range(1, count + 1)):
-        raise ConfigError(
-            f"start_positions is {list(start_positions)}, expected each of 1 to {count} once"
-        )
+    if not _are_whole(start_positions) or sorted(start_positions) != list(range(1, count + 1)):
+        raise ConfigError(f"start_positions is {start_positions}, expected 1 to {count}, each once")
     return [int(position) - 1 for position in start_positions]
+
+
+def _are_whole(numbers: object) -> bool:
+    return isinstance(numbers, Sequence) and all(isinstance(n, (int, np.integer)) for n in numbers)
 
 
 def _awaited(wait_for: Sequence[int] | None, count: int) -> list[str]:
     if wait_for is None:
         return []
-    if not wait_for or not set(wait_for) <= set(range(count)):
+    if not _are_whole(wait_for) or not wait_for or not set(wait_for) <= set(range(count)):
         raise ConfigError(
-            f"wait_for is {list(wait_for)}, expected some of the drivers' numbers, 0 to {count - 1}"
+            f"wait_for is {wait_for}, expected some of the drivers' numbers, 0 to {count - 1}"
         )
     return [f"kart_{number}" for number in wait_for]
 

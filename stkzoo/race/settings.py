@@ -79,14 +79,15 @@ class RaceSettings:
             if getattr(self, name) is not None:
                 check_whole(name, getattr(self, name), 1)
         for name in ("action_timeout", "agent_memory"):
-            if getattr(self, name) == 0:
+            value = getattr(self, name)
+            if isinstance(value, (int, float)) and value == 0:
                 object.__setattr__(self, name, None)
         if self.action_timeout is not None:
             _check_seconds("action_timeout", self.action_timeout)
         _check_seconds("start_timeout", self.start_timeout)
         if self.agent_memory is not None:
             check_whole("agent_memory", self.agent_memory, 1)
-        if self.error_handling not in ERROR_HANDLING:
+        if not isinstance(self.error_handling, str) or self.error_handling not in ERROR_HANDLING:
             raise ConfigError(
                 f"error_handling is {self.error_handling!r}, expected one of "
                 f"{', '.join(ERROR_HANDLING)}"

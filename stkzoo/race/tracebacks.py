@@ -8,7 +8,7 @@ from pathlib import Path
 
 from stkzoo.errors import StkzooError
 
-__all__ = ["agent_trace", "in_words"]
+__all__ = ["agent_trace", "in_words", "printable"]
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _MAX_FRAMES = 30
@@ -21,6 +21,12 @@ def in_words(error: BaseException) -> str:
     except Exception:  # noqa: BLE001 - the agent's own class
         text = "(its text cannot be had)"
     return text if isinstance(error, StkzooError) else f"{type(error).__name__}: {text}"
+
+
+def printable(text: object) -> str:
+    """What somebody else wrote, fit for a terminal: no control codes."""
+    letters = (letter if letter.isprintable() or letter in "\n\t" else "?" for letter in str(text))
+    return "".join(letters)
 
 
 def agent_trace(error: BaseException) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import stat
 import zipfile
-import zlib
 from pathlib import Path, PurePosixPath
 
 from stkzoo.errors import ConfigError
@@ -19,7 +18,6 @@ MAX_FILES = 10_000
 MAX_RATIO = 200
 _SMALL = 1 << 20
 _BLOCK = 1 << 16
-_DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError)
 
 
 def members_of(path: Path) -> list[str]:
@@ -31,7 +29,9 @@ def members_of(path: Path) -> list[str]:
     try:
         with zipfile.ZipFile(path) as archive:
             return [member.filename for member in _checked(archive, path)]
-    except _DAMAGE as error:
+    except (ConfigError, MemoryError):
+        raise
+    except Exception as error:  # zipfile and zlib tell of damage in many ways
         raise _damaged(path, error) from error
 
 
@@ -50,7 +50,9 @@ def unpack(path: Path, folder: Path) -> None:
             folder.mkdir(parents=True)
             for member in _checked(archive, path):
                 budget -= _write(archive, member, folder / member.filename, budget, path)
-    except _DAMAGE as error:
+    except (ConfigError, MemoryError):
+        raise
+    except Exception as error:  # zipfile and zlib tell of damage in many ways
         raise _damaged(path, error) from error
 
 
@@ -68,7 +70,8 @@ def _checked(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInfo]:
 
 def _check(member: zipfile.ZipInfo, path: Path) -> None:
     name = PurePosixPath(member.filename)
-    if name.is_absolute() or ".." in name.parts or "\\" in member.filename or ":" in name.parts[0]:
+    outside = name.is_absolute() or ".." in name.parts or "\\" in member.filename
+    if outside or not name.parts or ":" in name.parts[0]:
         raise _refused(path, f"{member.filename!r} leads out of it")
     kind = stat.S_IFMT(member.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):

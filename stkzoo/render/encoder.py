@@ -68,15 +68,16 @@ def check_video_path(path: str | os.PathLike[str]) -> Path:
 def _ffmpeg() -> str:
     try:
         import imageio_ffmpeg
-    except ImportError:
+
+        return cast("str", imageio_ffmpeg.get_ffmpeg_exe())
+    except (ImportError, RuntimeError):  # the latter where it is there but does not run
         found = shutil.which("ffmpeg")
         if found is None:
             raise ConfigError(
-                "videos need ffmpeg, which is not on this machine; run "
+                "videos need ffmpeg, which is not on this machine or does not run; run "
                 "`pip install 'stkzoo[record]'`"
             ) from None
         return found
-    return cast("str", imageio_ffmpeg.get_ffmpeg_exe())
 
 
 class VideoWriter:

@@ -118,9 +118,10 @@ class AheadRace(RaceParallelEnv):
 
         Returns at once. What ``reset`` draws and gives is the same with and without it.
         """
-        if options and "state" in options:
+        options = {} if options is None else options
+        now = self.options.changed(options)
+        if "state" in options:
             return
-        now = self.options.changed(options or {})
         random = (
             copy.deepcopy(self.np_random)
             if seed is None

@@ -139,7 +139,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         Returns:
             Observations of all slots and infos.
         """
-        if options and "reset_mask" in options:
+        if isinstance(options, Mapping) and "reset_mask" in options:
             raise ConfigError(
                 "options have a reset_mask, but races start again by themselves, all slots of "
                 "a race at once; leave it out"

@@ -12,6 +12,7 @@ from stkzoo.race.batch.fingerprint import fingerprint
 from stkzoo.race.batch.order import NAME_MARK
 from stkzoo.race.drivers import driver_names, find_driver
 from stkzoo.race.settings import RaceSettings
+from stkzoo.race.tracebacks import printable
 
 __all__ = ["Entrant", "find_entrants"]
 
@@ -66,7 +67,7 @@ def find_entrants(agents: Sequence[str], settings: RaceSettings) -> tuple[Entran
         driver = find_driver(text, inline=settings.inline, adapter=settings.adapter)
         named = text.rpartition(NAME_MARK)[2] if NAME_MARK in text else ""
         sources.append(_lasting(driver.source))
-        names.append(named or _short(driver.source))
+        names.append(printable(named or _short(driver.source)).replace("\n", " "))
     counts = Counter(names)
     labels = [
         name if counts[name] == 1 else (text.rpartition(NAME_MARK)[2] or text)

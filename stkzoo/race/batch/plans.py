@@ -12,6 +12,7 @@ from stkzoo.engine.assets import find_assets
 from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.race.batch.entrant import Entrant
+from stkzoo.race.result import read_json
 from stkzoo.race.settings import RaceSettings
 
 __all__ = [
@@ -91,7 +92,7 @@ def read_form(text: str, kind: str, version: int) -> dict[str, Any]:
         ConfigError: it is something else, or of another version.
     """
     try:
-        form: dict[str, Any] = json.loads(text)
+        form: dict[str, Any] = read_json(text)
         found = form.pop("type"), form.pop("schema_version")
     except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
         raise ConfigError(f"the {kind} cannot be read ({type(error).__name__}: {error})") from error

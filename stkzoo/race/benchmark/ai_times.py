@@ -13,7 +13,7 @@ from typing import Any
 
 from stkzoo.errors import ConfigError
 from stkzoo.race.benchmark.races import direction_name
-from stkzoo.race.result import RaceResult, check_form, versions_now
+from stkzoo.race.result import RaceResult, check_form, read_json, versions_now
 
 __all__ = ["SCHEMA_VERSION", "AiTime", "AiTimes", "load_ai_times"]
 
@@ -121,7 +121,7 @@ class AiTimes:
             ConfigError: it is something else, or of another version.
         """
         try:
-            form = json.loads(text)
+            form = read_json(text)
             check_form(form, _TYPE, SCHEMA_VERSION)
             return cls(dict(map(_entry, form["times"])), form["versions"])
         except (KeyError, TypeError, json.JSONDecodeError) as error:

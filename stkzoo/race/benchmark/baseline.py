@@ -60,6 +60,7 @@ class _Plan:
     def from_json(cls, text: str) -> _Plan:
         form = read_form(text, _KIND, _VERSION)
         try:
+            check_whole("seeds", form["seeds"], 1, _MAX_SEEDS)
             tracks, difficulties = tuple(form["tracks"]), tuple(form["difficulties"])
             return cls(tracks, form["seeds"], difficulties, form["versions"])
         except (KeyError, TypeError) as error:

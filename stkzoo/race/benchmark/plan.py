@@ -122,6 +122,7 @@ class BenchmarkPlan:
             ConfigError: it is something else.
         """
         try:
+            check_whole("seeds", form["seeds"], 1, _MAX_SEEDS)
             return cls(
                 **{
                     **form,

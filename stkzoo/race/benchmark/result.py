@@ -13,7 +13,7 @@ from stkzoo.race.benchmark.figures import CONFIDENCE, Estimate, estimate
 from stkzoo.race.benchmark.outcome import RaceOutcome
 from stkzoo.race.benchmark.plan import BenchmarkPlan
 from stkzoo.race.benchmark.races import BenchmarkRace, direction_name
-from stkzoo.race.result import RaceResult, check_form
+from stkzoo.race.result import RaceResult, check_form, read_json
 
 __all__ = [
     "FIGURES",
@@ -144,7 +144,7 @@ class BenchmarkResult:
             ConfigError: it is something else, or of another version.
         """
         try:
-            form = json.loads(text)
+            form = read_json(text)
             check_form(form, _TYPE, SCHEMA_VERSION)
             plan = BenchmarkPlan.from_form(form["plan"])
             races = {race.number: race for race in plan.races()}

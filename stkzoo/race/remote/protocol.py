@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any, TypeVar
 
 from stkzoo.errors import ProtocolError
+from stkzoo.race import tracebacks
 from stkzoo.race.codec import Limits, decode, encode
 
 __all__ = [
@@ -101,5 +102,4 @@ def take_version(fields: dict[str, Any]) -> int:
 
 def printable(text: object, limit: int = _MAX_TEXT) -> str:
     """What somebody else wrote, fit for a terminal: no control codes, not too long."""
-    letters = (letter if letter.isprintable() or letter == "\n" else "?" for letter in str(text))
-    return "".join(letters)[:limit]
+    return tracebacks.printable(text)[:limit]

@@ -24,6 +24,7 @@ from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.race.replay.record import DIGEST_SIZE, Replay, ReplayAgent
 from stkzoo.race.result import RaceResult
+from stkzoo.race.tracebacks import printable
 from stkzoo.whole_file import whole_file
 
 __all__ = ["FORMAT", "ReplayError", "load_replay", "save_replay"]
@@ -179,7 +180,10 @@ def _replay_of(members: dict[str, bytes]) -> Replay:
         digests=np.frombuffer(members[_DIGESTS], np.uint8).reshape(steps + 1, DIGEST_SIZE),
         status=_text(form, "status"),
         result=_result(form["result"]),
-        versions={str(name): str(value) for name, value in _get(form, "versions", dict).items()},
+        versions={
+            printable(name): printable(value)
+            for name, value in _get(form, "versions", dict).items()
+        },
     )
 
 
@@ -222,7 +226,7 @@ def _get(form: Any, name: str, kind: type[Any] | Callable[..., Any]) -> Any:
 
 def _text(form: Any, name: str) -> str:
     text: str = _get(form, name, str)
-    return text
+    return printable(text)  # it is shown on terminals
 
 
 def _whole(form: Any, name: str, low: int = 0, high: int = _MAX_WHOLE) -> int:

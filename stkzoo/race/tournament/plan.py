@@ -80,6 +80,9 @@ class TournamentPlan:
         """
         form = read_form(text, _KIND, PLAN_VERSION)
         try:
+            check_whole("races", form["races"], 1, _MAX_RACES)
+            check_whole("seed", form["seed"], 0, _MAX_SEED)
+            check_whole("per_race", form["per_race"], 2, len(form["entrants"]))
             return cls(
                 **{
                     **form,

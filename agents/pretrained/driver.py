@@ -1,0 +1,95 @@
+"""A learned driver in a race."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.errors import ConfigError
+from stkzoo.wrappers.racing import surroundings_of
+
+from .drivers import ALL_LOOKS, CHOICES, INPUT_SIZE, Drivers
+from .policy import RacingPolicy
+from .weights import load_weights
+
+__all__ = ["CARD", "WEIGHTS", "check_shapes", "make_actor", "new_state", "read_policy"]
+
+FloatArray = npt.NDArray[np.float32]
+
+#: An agent's files.
+CARD, WEIGHTS = "card.json", "weights.safetensors"
+
+#: Before it (``stkzoo.Phase.GO_PHASE``) karts stand on the grid.
+_GO_PHASE = 2
+
+_COLUMNS = ("acceleration", "steer", "brake", "drift", "fire", "nitro", "rescue")
+
+
+def read_policy(folder: str | Path) -> RacingPolicy:
+    """The policy of an agent's folder, checked against its card.
+
+    Raises:
+        ConfigError: a file is missing or broken, or the weights are of another network.
+    """
+    file = Path(folder) / CARD
+    try:
+        card = json.loads(file.read_text())
+        digest = str(card["sha256"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{str(file)!r} is no card of a learned agent: {error!r}") from error
+    weights = load_weights(Path(folder) / WEIGHTS, digest)
+    check_shapes(weights, str(Path(folder) / WEIGHTS))
+    return RacingPolicy(weights)
+
+
+def check_shapes(weights: Mapping[str, FloatArray], name: str) -> None:
+    """Checks that arrays are a policy's.
+
+    Raises:
+        ConfigError: they are not.
+    """
+    hidden = [weights[key].shape[-1] if key in weights else 0 for key in ("b0", "b1")]
+    sizes = [INPUT_SIZE, *hidden, sum(CHOICES)]
+    wanted: dict[str, tuple[int, ...]] = {"mean": (INPUT_SIZE,), "scale": (INPUT_SIZE,)}
+    for layer in range(3):
+        wanted[f"w{layer}"] = (sizes[layer], sizes[layer + 1])
+        wanted[f"b{layer}"] = (sizes[layer + 1],)
+    found = {key: array.shape for key, array in weights.items()}
+    if found != wanted or not all(np.isfinite(array).all() for array in weights.values()):
+        raise ConfigError(
+            f"the weights {name!r} have the shapes {found}, expected finite numbers of "
+            f"{wanted}; they are of another version of stkzoo, or of something else"
+        )
+
+
+def new_state() -> Drivers:
+    """What the driver remembers in one race."""
+    return Drivers(1)
+
+
+def make_actor(folder: str | Path) -> Callable[[Drivers, Mapping[str, Any]], dict[str, Any]]:
+    """The actor of an agent's folder, for the ``full`` view.
+
+    Raises:
+        ConfigError: as :func:`read_policy`.
+    """
+    policy = read_policy(folder)
+
+    def actor(state: Drivers, observation: Mapping[str, Any]) -> dict[str, Any]:
+        if observation["phase"] < _GO_PHASE:
+            return _action(np.array([1, 0, 0, 0, 0, 0, 0], np.float32))
+        view = state.look(*surroundings_of(observation, ALL_LOOKS))
+        controls, _ = state.act(policy.best(view))
+        return _action(controls[0])
+
+    return actor
+
+
+def _action(controls: FloatArray) -> dict[str, Any]:
+    action: dict[str, Any] = {key: int(controls[n]) for n, key in enumerate(_COLUMNS) if n > 1}
+    return {"acceleration": controls[:1], "steer": controls[1:2], **action}

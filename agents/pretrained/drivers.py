@@ -1,0 +1,263 @@
+"""Karts driven by a policy over plans: what the policy sees, and what its choices do.
+
+A policy chooses four things a step: what to begin (go on, brake, drift to the left, drift to the
+right), how much to turn beside what the best plan that begins so wants, whether to use nitro, and
+whether to fire. It starts from a *prior*: the logits by which the worth of the plans alone would
+choose. What is learned is added to them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.names import PowerupType
+from stkzoo.wrappers.racing import LOOKS, MIRROR, SIZE, Surroundings, racing_features
+
+from .memory import MEMORY_MIRROR, DriverMemory
+from .planner import LINE_MARKS, Options, Rules, Scene, has_powerup, weigh
+from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, DRIFT_TURN, FREE, MANOEUVRES
+
+__all__ = [
+    "ALL_LOOKS",
+    "CHOICES",
+    "HEADS",
+    "INPUT_SIZE",
+    "Drivers",
+    "View",
+    "mirrored_choices",
+    "mirrored_inputs",
+    "mirrored_prior",
+]
+
+FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.intp]
+BoolArray = npt.NDArray[np.bool_]
+
+#: How much to turn beside what the plan wants [share of full lock].
+_OFFSETS = np.array([-0.45, -0.2, -0.08, 0.0, 0.08, 0.2, 0.45], np.float32)
+
+#: Number of choices: what to begin, turn beside it, nitro, fire; and where their logits stand.
+CHOICES = (MANOEUVRES, len(_OFFSETS), 2, 2)
+_ENDS = np.cumsum(CHOICES)
+HEADS = tuple(slice(int(e) - n, int(e)) for e, n in zip(_ENDS, CHOICES, strict=True))
+
+#: Where the road is looked at [m].
+ALL_LOOKS = np.concatenate([LOOKS, LINE_MARKS])
+
+# The prior's logits.
+_METRE = 2.0  # of a metre that a plan is worth
+_NEVER = -30.0
+_OFFSET_PRIOR = np.array([-5.5, -4.5, -3.5, 0.0, -3.5, -4.5, -5.5], np.float32)
+_BUTTON = 2.0  # for what the rules would do, and its negative for what not
+
+# The rules of the prior.
+_NITRO_SPEED, _NITRO_TURN, _SAFE = 8.0, 0.7, 1.0
+_STRAIGHT_AIM, _STRAIGHT_ANGLE = 0.3, 0.35  # [rad]
+_SWITCH_REACH = 30.0  # [m]
+#: A drift begins to the side of steer, which must not be too small to tell.
+_START_STEER = 0.3
+
+_OPTION_SIGNS = np.array([1, 1, -1, 1], np.float32)
+_ROAD_SIGNS = np.array([-1, -1, 1], np.float32)
+_OPTIONS_AT = SIZE + len(MEMORY_MIRROR)
+INPUT_SIZE = _OPTIONS_AT + 4 * MANOEUVRES + 3
+
+
+def _mirror() -> tuple[IntArray, FloatArray]:
+    """Which inputs of the mirrored race are which of this one, and with which sign."""
+    order = np.arange(INPUT_SIZE)
+    left, right = (_OPTIONS_AT + 4 * drift + np.arange(4) for drift in (DRIFT_LEFT, DRIFT_RIGHT))
+    order[left], order[right] = right, left
+    signs = [MIRROR, MEMORY_MIRROR, np.tile(_OPTION_SIGNS, MANOEUVRES), _ROAD_SIGNS]
+    return order, np.concatenate(signs)
+
+
+_MIRROR_ORDER, _MIRROR_SIGNS = _mirror()
+_SWAPPED = np.array([FREE, BRAKE, DRIFT_RIGHT, DRIFT_LEFT])
+_PRIOR_ORDER = np.concatenate(
+    [
+        _SWAPPED,
+        MANOEUVRES + np.arange(len(_OFFSETS))[::-1],
+        np.arange(MANOEUVRES + len(_OFFSETS), int(_ENDS[-1])),
+    ]
+)
+
+
+def mirrored_inputs(inputs: FloatArray) -> FloatArray:
+    """The inputs ``(..., INPUT_SIZE)`` of the mirrored race, left for right."""
+    mirrored: FloatArray = inputs[..., _MIRROR_ORDER] * _MIRROR_SIGNS
+    return mirrored
+
+
+def mirrored_prior(prior: FloatArray) -> FloatArray:
+    """The prior of the mirrored race."""
+    return prior[..., _PRIOR_ORDER]
+
+
+def mirrored_choices(choices: IntArray) -> IntArray:
+    """The choices ``(..., 4)`` that do in the mirrored race what these do."""
+    mirrored: IntArray = choices.copy()
+    mirrored[..., 0] = _SWAPPED[choices[..., 0]]
+    mirrored[..., 1] = len(_OFFSETS) - 1 - choices[..., 1]
+    return mirrored
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What a policy is given for A karts.
+
+    Attributes:
+        inputs: ``(A, INPUT_SIZE)``.
+        prior: ``(A, sum(CHOICES))``.
+    """
+
+    inputs: FloatArray
+    prior: FloatArray
+
+
+class Drivers:
+    """A karts.
+
+    Args:
+        count: A.
+        rules: what plans are worth.
+    """
+
+    def __init__(self, count: int, rules: Rules | None = None) -> None:
+        self.memory = DriverMemory(count)
+        self._rules = rules or Rules()
+        self._options: Options | None = None
+
+    def look(self, own: Mapping[str, Any], around: Surroundings) -> View:
+        """A step has passed: what the policy sees now.
+
+        Args:
+            own: what the karts know of themselves, in batch form.
+            around: what is around them, the road at :data:`ALL_LOOKS`.
+        """
+        speed = np.asarray(own["velocity"][:, 2], np.float32)
+        self.memory.look(speed, np.reshape(own["skeed_factor"], -1))
+        return self.view(own, around)
+
+    def view(self, own: Mapping[str, Any], around: Surroundings) -> View:
+        """What the policy sees, when no step has passed."""
+        scene = Scene(
+            speed=np.asarray(own["velocity"][:, 2], np.float32),
+            max_steer_angle=np.reshape(own["max_steer_angle"], -1),
+            is_jumping=np.asarray(own["jumping"]) > 0,
+            has_powerup=has_powerup(np.asarray(own["powerup_type"])),
+            road=around.road[:, len(LOOKS) :],
+            karts=around.karts,
+            items=around.items,
+            item_types=around.item_types,
+        )
+        options = weigh(scene, self.memory.situation(), self._rules)
+        self._options = options
+        parts = (racing_features(own, around), self.memory.numbers(), _numbers(options))
+        return View(np.concatenate(parts, axis=1), self._prior(own, around, scene, options))
+
+    def act(self, choices: IntArray) -> tuple[FloatArray, BoolArray]:
+        """What the engine is told.
+
+        Args:
+            choices: ``(A, 4)``.
+
+        Returns:
+            Controls ``(A, 7)``, in the order of ``stkzoo.engine.snapshot.CONTROLS``; and
+            ``(A,)``: who did what was chosen, and not what gets a stuck kart away.
+        """
+        options = self._options
+        assert options is not None  # noqa: S101 - since look
+        begin, offset, nitro, fire = choices.T
+        rows = np.arange(len(choices))
+        backs, calls = self.memory.stuck()
+        side = (begin == DRIFT_RIGHT).astype(np.intp) - (begin == DRIFT_LEFT)
+        turn = np.clip(options.turn[rows, begin] + _OFFSETS[offset], -1.0, 1.0)
+        away = np.where(options.angle + 0.1 * options.offset < 0, -1.0, 1.0)
+        is_driven = ~(backs | calls)
+        side = np.where(is_driven, side, 0)
+        turn = np.where(backs, away, turn).astype(np.float32)
+        uses = is_driven & (nitro == 1)
+        fires = is_driven & (fire == 1)
+        begins = self.memory.act(side, turn, uses, fires)
+        brakes = backs | (is_driven & (begin == BRAKE))
+        controls = np.zeros((len(choices), 7), np.float32)
+        controls[:, 0] = ~brakes & ~calls
+        controls[:, 1] = np.clip(_steer(side, turn, begins), -1.0, 1.0)
+        controls[:, 2] = brakes
+        controls[:, 3] = side != 0
+        controls[:, 4] = fires
+        controls[:, 5] = uses
+        controls[:, 6] = calls
+        return controls, is_driven
+
+    def _prior(
+        self, own: Mapping[str, Any], around: Surroundings, scene: Scene, options: Options
+    ) -> FloatArray:
+        """The logits by which rules would choose, ``(A, sum(CHOICES))``."""
+        rows = np.arange(len(options.worth))
+        best = options.worth.argmax(axis=1)
+        behind = options.worth - options.worth[rows, best][:, None]
+        danger, turn = options.danger[rows, best], options.turn[rows, best]
+        is_safe = (danger < _SAFE) & (best != BRAKE)
+        nitro = (
+            is_safe
+            & self.memory.may_boost
+            & (scene.speed > _NITRO_SPEED)
+            & (np.abs(turn) < _NITRO_TURN)
+            & (np.reshape(own["energy"], -1) > 0)
+            & ~scene.is_jumping
+        )
+        is_straight = (np.abs(options.angle) < _STRAIGHT_AIM) & (
+            options.straightness < _STRAIGHT_ANGLE
+        )
+        fire = is_safe & is_straight & self.memory.may_fire & _is_useful(own, around)
+        buttons = np.where(np.stack([~nitro, nitro, ~fire, fire], axis=1), _BUTTON, -_BUTTON)
+        return np.concatenate(
+            [
+                np.maximum(_METRE * behind, _NEVER),
+                np.repeat(_OFFSET_PRIOR[None], len(rows), axis=0),
+                buttons,
+            ],
+            axis=1,
+        ).astype(np.float32)
+
+
+def _is_useful(own: Mapping[str, Any], around: Surroundings) -> BoolArray:
+    """Who has something to fire; the switch would spoil items close ahead."""
+    items = around.items
+    is_close = (items[..., 2] > 0) & ((items * items).sum(-1) < _SWITCH_REACH**2)
+    is_close &= around.item_types >= 0
+    spoils = (np.asarray(own["powerup_type"]) == PowerupType.SWITCH) & is_close.any(axis=1)
+    useful: BoolArray = (np.asarray(own["powerup_count"]) > 0) & ~spoils
+    return useful
+
+
+def _numbers(options: Options) -> FloatArray:
+    """What the policy sees of the plans, ``(A, 4 * MANOEUVRES + 3)``."""
+    behind = options.worth - options.worth.max(axis=1, keepdims=True)
+    each = np.stack(
+        [
+            behind > _NEVER / _METRE * 10,
+            np.maximum(behind / 10.0, -2.0),
+            options.turn,
+            np.minimum(options.danger / 10.0, 2.0),
+        ],
+        axis=2,
+    )
+    road = np.stack([options.angle, options.offset / 10.0, options.straightness], axis=1)
+    return np.concatenate([each.reshape(len(behind), -1), road], axis=1).astype(np.float32)
+
+
+def _steer(side: IntArray, turn: FloatArray, begins: BoolArray) -> FloatArray:
+    """What to steer, so that karts in a drift turn as much as they should."""
+    least, most = DRIFT_TURN
+    inwards = 2.0 * (turn * side - least) / (most - least) - 1.0
+    inwards = np.where(begins, np.maximum(inwards, _START_STEER), inwards)
+    steer: FloatArray = np.where(side == 0, turn, side * np.clip(inwards, -1.0, 1.0))
+    return steer.astype(np.float32)

@@ -1,0 +1,216 @@
+"""What learned drivers remember from step to step, for any number of karts at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from .planner import Situation
+from .plans import BOOST_LASTS, BOOST_STEPS, RELEASE_STEPS
+
+__all__ = ["MEMORY_MIRROR", "MEMORY_SIZE", "DriverMemory"]
+
+FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.intp]
+BoolArray = npt.NDArray[np.bool_]
+
+#: The engine has ended a drift if the skid factor is still 1 after so many steps.
+_DRIFT_SHOWS = 4
+#: Who loses so much speed in a step has hit something [m/s], and is careful for so long [steps].
+_CRASH_DROP, _CAUTION_STEPS = 6.0, 30
+#: Slower than this is standing still [m/s]; after so long [steps] the kart backs out for so long.
+_STILL, _STUCK_STEPS, _REVERSE_STEPS = 1.5, 8, 10
+#: Who has driven for so long [steps] has got away.
+_FREE_STEPS = 30
+#: From one burst of nitro to the next [steps].
+NITRO_STEPS = 22
+#: Times since something are not counted further [steps].
+_LONG_AGO = 40.0
+
+#: What :meth:`DriverMemory.numbers` gives and what of it changes its sign in a mirrored race.
+_SIGNS = {
+    "turn": -1,
+    "drift turn": -1,
+    "drift side and time [3 s]": -1,
+    "drift time [3 s]": 1,
+    "turning on after a drift": 1,
+    "boost": 1,
+    "big boost": 1,
+    "time to wait with nitro": 1,
+    "caution": 1,
+    "standing still": 1,
+    "gain of speed [5 m/s]": 1,
+    "time since the last shot": 1,
+}
+MEMORY_SIZE = len(_SIGNS)
+MEMORY_MIRROR = np.array(list(_SIGNS.values()), np.float32)
+
+
+@dataclass(slots=True)
+class _Fields:
+    """One number a kart each, ``(A,)`` float32; times in steps."""
+
+    speed: FloatArray
+    gain: FloatArray
+    turn: FloatArray
+    drift_turn: FloatArray
+    drift_side: FloatArray
+    drift_steps: FloatArray
+    release_steps: FloatArray
+    boost_steps: FloatArray
+    big_boost_steps: FloatArray
+    nitro_steps: FloatArray
+    caution_steps: FloatArray
+    still_steps: FloatArray
+    free_steps: FloatArray
+    reverse_steps: FloatArray
+    reverses: FloatArray
+    since_fire: FloatArray
+
+
+_NAMES = tuple(entry.name for entry in fields(_Fields))
+#: Times that run out.
+_CLOCKS = (
+    "release_steps",
+    "boost_steps",
+    "big_boost_steps",
+    "nitro_steps",
+    "caution_steps",
+    "reverse_steps",
+)
+
+
+class DriverMemory:
+    """The memory of A karts.
+
+    Args:
+        count: A.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._of = _Fields(*[np.zeros(count, np.float32) for _ in _NAMES])
+        self._of.since_fire[:] = _LONG_AGO
+
+    def look(self, speed: FloatArray, skeed_factor: FloatArray) -> None:
+        """A step has passed.
+
+        Args:
+            speed: ``(A,)`` forward [m/s].
+            skeed_factor: ``(A,)``.
+        """
+        of = self._of
+        for name in _CLOCKS:
+            clock = getattr(of, name)
+            np.maximum(clock - 1, 0, out=clock)
+        of.gain[:] = speed - of.speed
+        of.caution_steps[of.gain < -_CRASH_DROP] = _CAUTION_STEPS
+        of.speed[:] = speed
+        is_still = np.abs(speed) < _STILL
+        of.still_steps[:] = np.where(is_still, of.still_steps + 1, 0)
+        of.free_steps[:] = np.where(is_still, 0, of.free_steps + 1)
+        of.reverses[of.free_steps > _FREE_STEPS] = 0
+        of.since_fire[:] = np.minimum(of.since_fire + 1, _LONG_AGO)
+        is_over = (of.drift_steps >= _DRIFT_SHOWS) & (skeed_factor <= 1.0)
+        of.drift_side[is_over] = of.drift_steps[is_over] = 0
+
+    def situation(self) -> Situation:
+        """What the karts are in the middle of."""
+        of = self._of
+        return Situation(
+            turn=of.turn.copy(),
+            drift_turn=of.drift_turn.copy(),
+            drift_side=of.drift_side.astype(np.intp),
+            drift_steps=of.drift_steps.astype(np.intp),
+            release_steps=of.release_steps.astype(np.intp),
+            boost_steps=of.boost_steps.copy(),
+            big_boost_steps=of.big_boost_steps.copy(),
+            is_cautious=of.caution_steps > 0,
+        )
+
+    def numbers(self) -> FloatArray:
+        """``(A, MEMORY_SIZE)``, what the policy sees of it."""
+        of = self._of
+        drift = np.minimum(of.drift_steps / 30.0, 2.0)
+        columns = (
+            of.turn,
+            of.drift_turn * (of.drift_side != 0),
+            drift * of.drift_side,
+            drift,
+            of.release_steps / RELEASE_STEPS,
+            of.boost_steps / BOOST_LASTS[0],
+            of.big_boost_steps / BOOST_LASTS[1],
+            of.nitro_steps / NITRO_STEPS,
+            of.caution_steps / _CAUTION_STEPS,
+            of.still_steps / _STUCK_STEPS,
+            np.clip(of.gain / 5.0, -2.0, 2.0),
+            of.since_fire / _LONG_AGO,
+        )
+        return np.stack(columns, axis=1).astype(np.float32)
+
+    @property
+    def may_fire(self) -> BoolArray:
+        """``(A,)``: the last shot was some steps ago."""
+        return np.asarray(self._of.since_fire >= 3)
+
+    @property
+    def may_boost(self) -> BoolArray:
+        """``(A,)``: the last burst of nitro is over."""
+        return np.asarray(self._of.nitro_steps == 0)
+
+    def stuck(self) -> tuple[BoolArray, BoolArray]:
+        """Who backs out now, and who calls the rescue, ``(A,)`` each; it is noted that they do."""
+        of = self._of
+        begins = (of.reverse_steps == 0) & (of.still_steps > _STUCK_STEPS)
+        calls = begins & (of.reverses >= 1)
+        backs = begins & ~calls
+        of.still_steps[begins] = 0
+        of.drift_side[begins] = of.drift_steps[begins] = 0
+        of.reverses[calls] = 0
+        of.reverses[backs] += 1
+        of.reverse_steps[backs] = _REVERSE_STEPS
+        return of.reverse_steps > 0, calls
+
+    def act(self, side: IntArray, turn: FloatArray, nitro: BoolArray, fire: BoolArray) -> BoolArray:
+        """Notes what the karts do.
+
+        Args:
+            side: ``(A,)`` 1 for a drift to the right, -1 to the left, 0 for none.
+            turn: ``(A,)`` the share of full lock, positive to the right.
+            nitro: ``(A,)``.
+            fire: ``(A,)``.
+
+        Returns:
+            ``(A,)``: whose drift begins.
+        """
+        of = self._of
+        ends = (of.drift_side != 0) & (side == 0)
+        earns_big = ends & (of.drift_steps >= BOOST_STEPS[1])
+        earns = ends & ~earns_big & (of.drift_steps >= BOOST_STEPS[0])
+        of.big_boost_steps[earns_big] = BOOST_LASTS[1]
+        of.boost_steps[earns] = BOOST_LASTS[0]
+        of.release_steps[ends] = RELEASE_STEPS
+        begins: BoolArray = (side != 0) & (of.drift_side == 0)
+        of.drift_steps[begins] = 0
+        of.drift_side[:] = side
+        of.drift_steps[:] = np.where(side != 0, of.drift_steps + 1, 0)
+        of.turn[:] = turn
+        of.drift_turn[:] = np.where(side != 0, turn, of.drift_turn)
+        of.nitro_steps[nitro] = NITRO_STEPS
+        of.since_fire[fire] = 0
+        return begins
+
+    def forget(self, rows: IntArray) -> None:
+        """Starts some karts anew."""
+        for name in _NAMES:
+            getattr(self._of, name)[rows] = _LONG_AGO if name == "since_fire" else 0
+
+    def state(self) -> dict[str, FloatArray]:
+        """All of it by name, for :meth:`restore`."""
+        return {name: getattr(self._of, name).copy() for name in _NAMES}
+
+    def restore(self, state: Mapping[str, FloatArray]) -> None:
+        """Makes it what :meth:`state` was."""
+        self._of = _Fields(*[np.array(state[name], np.float32) for name in _NAMES])

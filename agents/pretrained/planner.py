@@ -1,0 +1,454 @@
+"""Weighs plans for the next two seconds, for any number of karts at once.
+
+For each kart a few dozen plans (:mod:`.plans`) are driven over the road ahead by a simple model of
+a kart. What comes of it is put together by what a plan begins with: go on, brake, drift to the
+left, drift to the right. A learned policy sees the best of each and chooses among them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.names import ItemType, PowerupType
+
+from .plans import (
+    BOOST_LASTS,
+    ITEM_LANES,
+    MANOEUVRES,
+    RELEASE_TURN,
+    SPANS,
+    STEP,
+    TABLE,
+    table_rows,
+)
+
+__all__ = ["ITEMS", "LINE_MARKS", "Options", "Rules", "Scene", "Situation", "weigh"]
+
+FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.intp]
+BoolArray = npt.NDArray[np.bool_]
+
+#: The road is known at so many marks, from the kart on, so far apart [m].
+_COUNT, _SPACING = 36, 3.0
+LINE_MARKS = (_SPACING * np.arange(_COUNT + 1)).astype(np.float32)
+
+#: Items weighed.
+ITEMS = 8
+#: An item on another level of the track is farther above or below than this [m].
+_LEVEL = 4.0
+#: Items nearer than this cannot be steered for any more, farther ones are out of sight [m].
+_NEAREST, _FARTHEST = 1.0, 60.0
+#: Items this far beyond the edge of the road are not on it [m].
+_BEYOND = 1.0
+#: A miss by so much more than the radius earns nothing [m].
+_BLUR = 0.5
+
+#: Karts weighed, and how near they must be [m].
+_KARTS, _KART_REACH = 4, 20.0
+
+#: What the wheels still do of the step before, as a share of the step.
+_STEERING_LAG = 0.33
+#: Karts are taken to be at least so fast [m/s].
+_SLOWEST = 5.0
+#: The worth of a manoeuvre that there is not.
+NEVER = -1e4
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """What plans are worth, in metres of way; see the heuristic driver's parameters."""
+
+    wheel_base: float = 0.97
+    aim_distance: float = 4.0
+    aim_time: float = 0.35
+    margin: float = 1.0
+    greatest_room: float = 4.5
+    caution_room: float = 1.5
+    over_cost: float = 20.0
+    late_time: float = 0.3
+    late_cost: float = 4.0
+    angle_cost: float = 4.0
+    drift_speed: float = 13.0
+    boost_worth: float = 12.0
+    big_boost_worth: float = 18.0
+    boost_wait_cost: float = 1.0
+    box_worth: float = 4.0
+    second_box_worth: float = 1.2
+    small_nitro_worth: float = 8.0
+    big_nitro_worth: float = 20.0
+    banana_cost: float = 15.0
+    gum_cost: float = 15.0
+    item_radius: float = 0.9
+    bad_item_radius: float = 1.2
+    straight_time: float = 1.2
+    kart_cost: float = 0.0
+    kart_speed: float = 24.0
+    kart_width: float = 1.5
+    kart_length: float = 2.4
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What A karts see that bears on plans.
+
+    Attributes:
+        speed: ``(A,)`` forward [m/s].
+        max_steer_angle: ``(A,)`` [rad].
+        is_jumping: ``(A,)``.
+        has_powerup: ``(A,)``.
+        road: ``(A, 37, 4)``: the line at :data:`LINE_MARKS` in the kart's frame, and the
+            distance to the road's edge [m].
+        karts: ``(A, K, 3)``: the others in the kart's frame [m]; not finite where none is.
+        items: ``(A, M, 3)`` in the kart's frame [m].
+        item_types: ``(A, M)`` numbers of :class:`~stkzoo.names.ItemType`; others are none.
+    """
+
+    speed: FloatArray
+    max_steer_angle: FloatArray
+    is_jumping: BoolArray
+    has_powerup: BoolArray
+    road: FloatArray
+    karts: FloatArray
+    items: FloatArray
+    item_types: npt.NDArray[np.integer]
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """What A karts are in the middle of, ``(A,)`` each; times in steps.
+
+    Attributes:
+        turn: the share of full lock of the last step, positive to the right.
+        drift_turn: the same of the last step in a drift.
+        drift_side: 1 in a drift to the right, -1 to the left, 0 in none.
+        drift_steps: how long the drift has lasted.
+        release_steps: how much longer the kart turns after a drift.
+        boost_steps: how much longer the boost of a short drift lasts.
+        big_boost_steps: how much longer that of a long one lasts.
+        is_cautious: whether something was hit lately.
+    """
+
+    turn: FloatArray
+    drift_turn: FloatArray
+    drift_side: IntArray
+    drift_steps: IntArray
+    release_steps: IntArray
+    boost_steps: FloatArray
+    big_boost_steps: FloatArray
+    is_cautious: BoolArray
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """The best plan of each manoeuvre, ``(A, 4)`` each; and the road.
+
+    Attributes:
+        worth: what it is worth [m]; :data:`NEVER` where there is none.
+        turn: the share of full lock to turn by now, positive to the right.
+        danger: what it costs beyond the edge of the road [m].
+        angle: ``(A,)`` the kart's direction, 0 is the road's [rad].
+        offset: ``(A,)`` how far it is from the middle, positive to the right [m].
+        straightness: ``(A,)`` by how much the road turns at most in a while [rad].
+    """
+
+    worth: FloatArray
+    turn: FloatArray
+    danger: FloatArray
+    angle: FloatArray
+    offset: FloatArray
+    straightness: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Road:
+    """The road ahead in its own coordinates; ``(A, 36)`` but for the last two, ``(A,)``."""
+
+    points: FloatArray  # (A, 36, 3)
+    headings: FloatArray
+    curvature: FloatArray
+    half_widths: FloatArray
+    offset: FloatArray
+    angle: FloatArray
+
+    @classmethod
+    def of(cls, line: FloatArray) -> _Road:
+        points = line[..., :3]
+        steps = points[:, 1:] - points[:, :-1]
+        headings = np.unwrap(np.arctan2(steps[..., 0], steps[..., 2]), axis=1)
+        turns = headings[:, 1:] - headings[:, :-1]
+        curvature = np.zeros_like(headings)
+        curvature[:, :-1] = turns
+        curvature[:, 1:-1] += turns[:, :-1]
+        curvature[:, 1:-1] /= 2
+        curvature /= _SPACING
+        own = headings[:, 0]
+        x, z = points[:, 0, 0], points[:, 0, 2]
+        offset = z * np.sin(own) - x * np.cos(own)
+        return cls(points[:, :-1], headings, curvature, line[:, :-1, 3], offset, -own)
+
+    def bends(self, lengths: FloatArray) -> FloatArray:
+        """Mean curvature ``(A, 36)`` [1/m] over lengths ``(A,)`` [m] from each mark on."""
+        ahead = np.clip((lengths / _SPACING).astype(np.intp), 1, _COUNT - 1)[:, None]
+        marks = np.arange(_COUNT) + ahead
+        there = np.take_along_axis(self.headings, np.minimum(marks, _COUNT - 1), axis=1)
+        return np.where(marks < _COUNT, (there - self.headings) / (ahead * _SPACING), 0)
+
+    def straightness(self, lengths: FloatArray) -> FloatArray:
+        """By how much the road turns at most over lengths ``(A,)`` [m] from the kart on [rad]."""
+        count = np.maximum((lengths / _SPACING).astype(np.intp), 1)[:, None]
+        turned = np.abs(self.headings - self.headings[:, :1])
+        straightness: FloatArray = np.where(np.arange(_COUNT) < count, turned, 0).max(axis=1)
+        return straightness
+
+
+@dataclass(frozen=True, slots=True)
+class _Items:
+    """The items ahead that matter, nearest first, ``(A, I)`` each; of worth 0 where none is."""
+
+    along: FloatArray
+    across: FloatArray
+    worth: FloatArray
+    radius: FloatArray
+
+    @classmethod
+    def of(cls, scene: Scene, road: _Road, rules: Rules) -> _Items:
+        worths = _worths(scene, rules)
+        types = np.clip(scene.item_types, -1, max(ItemType) + 1)
+        worth = np.take_along_axis(worths, types % worths.shape[1], axis=1)
+        squares = (scene.items * scene.items).sum(-1)
+        matters = (worth != 0) & (scene.items[..., 2] > 0) & (squares < (_FARTHEST + 5.0) ** 2)
+        order = np.argsort(np.where(matters, squares, np.inf), axis=1, kind="stable")[:, :ITEMS]
+        spots = np.take_along_axis(scene.items, order[..., None], axis=1)
+        worth = np.take_along_axis(np.where(matters, worth, 0), order, axis=1)
+        along, across, above, room = _place(road, spots)
+        is_kept = (along > _NEAREST) & (along < _FARTHEST)
+        is_kept &= (np.abs(above) < _LEVEL) & (np.abs(across) < room + _BEYOND)
+        worth = np.where(is_kept, worth, 0).astype(np.float32)
+        radius = np.where(worth > 0, rules.item_radius, rules.bad_item_radius)
+        return cls(along, across, worth, radius.astype(np.float32))
+
+    def lanes(self) -> FloatArray:
+        """How far across the road the next good items are, ``(A, ITEM_LANES)`` [m]."""
+        is_good = self.worth > 0
+        order = np.argsort(~is_good, axis=1, kind="stable")[:, :ITEM_LANES]
+        across = np.take_along_axis(np.where(is_good, self.across, 0), order, axis=1)
+        lanes = np.zeros((len(across), ITEM_LANES), np.float32)
+        lanes[:, : across.shape[1]] = across
+        return lanes
+
+
+def _worths(scene: Scene, rules: Rules) -> FloatArray:
+    """What items are worth to each kart by type, ``(A, types)`` [m]."""
+    worths = np.zeros((len(scene.speed), max(ItemType) + 3), np.float32)
+    worths[:, ItemType.BONUS_BOX] = np.where(
+        scene.has_powerup, rules.second_box_worth, rules.box_worth
+    )
+    worths[:, ItemType.NITRO_BIG] = rules.big_nitro_worth
+    worths[:, ItemType.NITRO_SMALL] = rules.small_nitro_worth
+    worths[:, ItemType.BANANA] = -rules.banana_cost
+    worths[:, ItemType.BUBBLEGUM] = -rules.gum_cost
+    return worths
+
+
+def _place(road: _Road, spots: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Where spots ``(A, I, 3)`` are: along, across and above the road, and its room there."""
+    deltas = spots[:, :, None, :] - road.points[:, None, :, :]
+    nearest = (deltas * deltas).sum(-1).argmin(-1)
+    rows, columns = np.ogrid[: len(spots), : spots.shape[1]]
+    x, y, z = np.moveaxis(deltas[rows, columns, nearest], -1, 0)
+    heading = road.headings[rows, nearest]
+    sines, cosines = np.sin(heading), np.cos(heading)
+    along = nearest * np.float32(_SPACING) + x * sines + z * cosines
+    marks = np.clip((along / _SPACING).astype(np.intp), 0, _COUNT - 1)
+    return along, x * cosines - z * sines, y, road.half_widths[rows, marks]
+
+
+def weigh(scene: Scene, now: Situation, rules: Rules) -> Options:
+    """The best plan of each manoeuvre.
+
+    Args:
+        scene: what the karts see.
+        now: what they are in the middle of.
+        rules: what plans are worth.
+    """
+    road = _Road.of(scene.road)
+    rows = table_rows(now.drift_side, now.drift_steps, now.release_steps)
+    speed = np.maximum(scene.speed, _SLOWEST)
+    items = _Items.of(scene, road, rules)
+    along, across, ahead, angles, turns = _forecast(scene, now, road, items, rows, speed, rules)
+    danger = _danger(across, ahead, angles, speed, rules)
+    worth = along[-1] - danger - np.float32(rules.angle_cost) * angles * angles
+    worth += _boosts(now, rows, rules)
+    worth += _item_gain(items, along, across)
+    if rules.kart_cost:
+        worth -= _crowding(scene, road, along, across, rules)
+    manoeuvres = TABLE.manoeuvres[rows]
+    may_drift = (scene.speed > rules.drift_speed) & ~scene.is_jumping
+    is_there = (manoeuvres >= 0) & (may_drift[:, None] | ~TABLE.needs_drift[rows])
+    best = np.empty((len(rows), MANOEUVRES), np.intp)
+    for manoeuvre in range(MANOEUVRES):
+        own = np.where(is_there & (manoeuvres == manoeuvre), worth, NEVER)
+        best[:, manoeuvre] = own.argmax(axis=1)
+    exists = np.stack(
+        [(is_there & (manoeuvres == m)).any(axis=1) for m in range(MANOEUVRES)], axis=1
+    )
+    take = np.take_along_axis
+    return Options(
+        worth=np.where(exists, take(worth, best, axis=1), NEVER).astype(np.float32),
+        turn=np.where(exists, take(turns, best, axis=1), 0).astype(np.float32),
+        danger=np.where(exists, take(danger, best, axis=1), 0).astype(np.float32),
+        angle=road.angle,
+        offset=road.offset,
+        straightness=road.straightness(rules.straight_time * scene.speed),
+    )
+
+
+def _forecast(
+    scene: Scene,
+    now: Situation,
+    road: _Road,
+    items: _Items,
+    rows: IntArray,
+    speed: FloatArray,
+    rules: Rules,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Drives all plans of all karts: along, across, room ``(T, A, C)``; angles, turns ``(A, C)``.
+
+    A kart steers for a point of its lane ahead, as far as its plan lets it.
+    """
+    lock = speed * np.tan(np.maximum(scene.max_steer_angle, 0.02)) / np.float32(rules.wheel_base)
+    reach = (rules.aim_distance + rules.aim_time * speed).astype(np.float32)
+    widest = np.where(now.is_cautious, rules.caution_room, rules.greatest_room)
+    room = np.minimum(np.maximum(road.half_widths - rules.margin, 0.3), widest[:, None])
+    table = np.stack(
+        [road.bends(reach) * (0.5 * reach * reach)[:, None], room, road.curvature]
+    ).astype(np.float32)
+    # what turns into a share of full lock, for each m/s of speed
+    pull = (2.0 / (reach * reach * lock))[:, None]
+    ratio = reach[:, None]
+    least, most = TABLE.least[rows], TABLE.most[rows]
+    drifts, releases, slower = TABLE.drifts[rows] > 0, TABLE.releases[rows], TABLE.slower[rows]
+    lanes, which = TABLE.lanes[rows], TABLE.items[rows]
+    extra = np.where(which < 0, 0, np.take_along_axis(items.lanes(), np.maximum(which, 0), axis=1))
+    moments, (count, plans) = len(SPANS), which.shape
+    along, across, ahead = (np.empty((moments, count, plans), np.float32) for _ in range(3))
+    at = np.zeros((count, plans), np.float32)
+    beside = np.repeat(road.offset[:, None], plans, axis=1)
+    angle = np.repeat(road.angle[:, None], plans, axis=1)
+    last_turn = np.repeat(now.drift_turn[:, None], plans, axis=1)
+    table = table.reshape(len(table), -1)
+    first = _COUNT * np.arange(count)[:, None]
+    marks = np.repeat(first, plans, axis=1)
+    turns = last_turn
+    for moment in range(moments):
+        bend, width, curvature = table.take(marks, axis=1)
+        if moment:
+            ahead[moment - 1] = width
+        speeds = np.maximum(speed[:, None] + slower[:, moment], 4.0)
+        turn = (lanes * width + extra - beside + bend - angle * ratio) * (speeds * pull)
+        turn = np.minimum(np.maximum(turn, least[:, moment]), most[:, moment])
+        last_turn = np.where(drifts[:, moment], turn, last_turn)
+        if moment == 0:
+            turns = turn
+            turn = turn + (now.turn[:, None] - turn) * np.float32(_STEERING_LAG)
+        release = releases[:, moment] * (np.float32(RELEASE_TURN) / lock)[:, None]
+        turn = (turn + last_turn * release) * (lock[:, None] * SPANS[moment])
+        # along the road the inner side of a curve is the shorter one
+        step = speeds * SPANS[moment]
+        way = step / np.maximum(1.0 - beside * curvature, 0.3)
+        turn = 0.5 * (turn - way * curvature)
+        angle = angle + turn
+        at = at + way * np.cos(angle)
+        beside = beside + step * np.sin(angle)
+        angle = angle + turn
+        along[moment], across[moment] = at, beside
+        marks = (at * np.float32(1.0 / _SPACING)).astype(np.intp)
+        marks = first + np.minimum(np.maximum(marks, 0), _COUNT - 1)
+    ahead[-1] = table[1].take(marks)
+    return along, across, ahead, angle, turns
+
+
+def _danger(
+    across: FloatArray, ahead: FloatArray, angles: FloatArray, speed: FloatArray, rules: Rules
+) -> FloatArray:
+    """What plans cost by leaving the road, ``(A, C)`` [m]."""
+    over = np.maximum(np.abs(across) - ahead, 0)
+    out = across[-1] + angles * (speed * np.float32(rules.late_time))[:, None]
+    late = np.maximum(np.abs(out) - ahead[-1], 0)
+    cost: FloatArray = np.tensordot(SPANS, over, axes=1) * np.float32(rules.over_cost)
+    cost += np.float32(rules.late_cost) * late
+    return cost
+
+
+def _boosts(now: Situation, rows: IntArray, rules: Rules) -> FloatArray:
+    """What plans earn by drifting, ``(A, C)`` [m]: less while such a boost still lasts."""
+    small, big = BOOST_LASTS
+    wait, boosts = TABLE.boost_steps[rows], TABLE.boosts[rows]
+    fresh = np.minimum(1.0 - (now.boost_steps[:, None] - wait) / small, 1.0) * rules.boost_worth
+    fresh_big = np.minimum(1.0 - (now.big_boost_steps[:, None] - wait) / big, 1.0)
+    worth = np.where(boosts == 1, fresh_big * rules.big_boost_worth, fresh)
+    worth -= (rules.boost_wait_cost * STEP) * wait
+    return np.where(boosts < 0, 0.0, np.maximum(worth, 0.0)).astype(np.float32)
+
+
+def _item_gain(items: _Items, along: FloatArray, across: FloatArray) -> FloatArray:
+    """What plans earn by the items on their way, ``(A, C)`` [m]."""
+    gain: FloatArray = np.zeros(along.shape[1:], np.float32)
+    last = len(along) - 1
+    for item in range(items.worth.shape[1]):
+        who = np.flatnonzero(items.worth[:, item])
+        if not len(who):
+            continue
+        own_along, own_across = along[:, who], across[:, who]
+        there, beside = items.along[who, item][:, None], items.across[who, item][:, None]
+        passed = np.greater_equal(own_along, there)
+        moment = passed.argmax(axis=0)
+        before = np.maximum(moment - 1, 0)
+        rows, columns = np.arange(len(who))[:, None], np.arange(gain.shape[1])
+        from_, to = own_along[before, rows, columns], own_along[moment, rows, columns]
+        share = np.clip((there - from_) / np.maximum(to - from_, 1e-3), 0.0, 1.0)
+        start, end = own_across[before, rows, columns], own_across[moment, rows, columns]
+        miss = np.abs(start + (end - start) * share - beside)
+        hit = np.clip((items.radius[who, item][:, None] - miss) / _BLUR + 1.0, 0.0, 1.0)
+        gain[who] += items.worth[who, item][:, None] * hit * passed[last]
+    return gain
+
+
+def _crowding(
+    scene: Scene, road: _Road, along: FloatArray, across: FloatArray, rules: Rules
+) -> FloatArray:
+    """What plans cost by running into others, ``(A, C)`` [m].
+
+    Nobody can be seen to be fast or slow; all are taken to drive along the road at one speed.
+    """
+    cost = np.zeros(along.shape[1:], np.float32)
+    karts = np.where(np.isfinite(scene.karts), scene.karts, 1e3)
+    squares = (karts * karts).sum(-1)
+    order = np.argsort(squares, axis=1, kind="stable")[:, :_KARTS]
+    spots = np.take_along_axis(karts, order[..., None], axis=1)
+    is_near = np.take_along_axis(squares, order, axis=1) < _KART_REACH**2
+    if not is_near.any():
+        return cost
+    there, beside, above, _ = _place(road, spots)
+    is_near &= (np.abs(above) < _LEVEL) & (there > -2.0 * rules.kart_length)
+    ends = np.cumsum(SPANS)[:, None, None]
+    for kart in range(spots.shape[1]):
+        who = np.flatnonzero(is_near[:, kart])
+        if not len(who):
+            continue
+        ahead = there[who, kart][:, None] + np.float32(rules.kart_speed) * ends
+        behind = 1.0 - np.abs(along[:, who] - ahead) / np.float32(rules.kart_length)
+        aside = 1.0 - np.abs(across[:, who] - beside[who, kart][:, None]) / np.float32(
+            rules.kart_width
+        )
+        hits = np.minimum(np.maximum(behind, 0) * 2.0, 1.0) * np.maximum(aside, 0)
+        cost[who] += np.float32(rules.kart_cost) * np.tensordot(SPANS, hits, axes=1)
+    return cost
+
+
+def has_powerup(powerup_type: npt.NDArray[np.integer]) -> BoolArray:
+    """Which karts have something to fire, ``(A,)``."""
+    return np.asarray(powerup_type != PowerupType.NOTHING)

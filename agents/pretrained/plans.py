@@ -1,0 +1,293 @@
+"""What a kart can do in the next two seconds: tables of plans, by what it is doing now.
+
+A plan says, moment by moment, between which shares of full lock the kart may turn, whether it
+drifts, and which lane of the road it steers for. All tables have the same number of plans, so
+that those of many karts stand in one array; plans that a kart does not have are marked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = [
+    "BOOST_LASTS",
+    "BOOST_STEPS",
+    "BRAKE",
+    "DRIFT_LEFT",
+    "DRIFT_RIGHT",
+    "DRIFT_TURN",
+    "FREE",
+    "ITEM_LANES",
+    "MANOEUVRES",
+    "RELEASE_STEPS",
+    "RELEASE_TURN",
+    "SPANS",
+    "STEP",
+    "TABLE",
+    "table_rows",
+]
+
+FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.intp]
+
+#: Game time of a step [s].
+STEP = 0.1
+
+# Facts about the engine, measured in races.
+#: In a drift the engine turns by these shares of full lock as steer goes from -1 to 1.
+DRIFT_TURN = (0.2, 0.8)
+#: Steps of drifting that earn the small boost (4.5 m/s), and the big one (6.5 m/s) ...
+BOOST_STEPS = (11, 31)
+#: ... which last so many steps, half the time in which they fade included.
+BOOST_LASTS = (35, 45)
+#: After a drift the kart goes on turning for so many steps, and cannot drift ...
+RELEASE_STEPS = 7
+#: ... by this rate for each share of full lock with which the drift ended [rad/s].
+RELEASE_TURN = 1.25 / 0.7
+#: Deceleration with the brake on [m/s²].
+_BRAKING = 22.0
+
+#: How long the moments of a plan last [s].
+SPANS = np.array([0.1] * 4 + [0.2] * 8, np.float32)
+_ENDS = np.cumsum(SPANS)
+_BEGINS, _MIDDLES = _ENDS - SPANS, _ENDS - SPANS / 2
+
+#: Plans aim at so many items, each at one of its own.
+ITEM_LANES = 2
+
+#: Lanes to aim at: -1 is the left edge of the road, 1 the right one.
+_ALL_LANES = np.linspace(-1.0, 1.0, 9).tolist()
+_SOME_LANES = np.linspace(-0.9, 0.9, 5).tolist()
+_FEW_LANES = np.linspace(-0.8, 0.8, 4).tolist()
+
+#: Before a drift the kart may turn away from it for so many steps.
+_SWINGS = (1, 2, 3)
+
+#: A plan with brakes brakes for so long [s], then gains speed [m/s²].
+_BRAKE_TIME, _GAIN = 0.3, 4.0
+
+#: The big boost counts for plans that come so near to it [steps].
+_BIG_BOOST_IN_SIGHT = 20
+
+#: What plans begin with; each plan has one of these.
+FREE, BRAKE, DRIFT_LEFT, DRIFT_RIGHT = range(4)
+MANOEUVRES = 4
+
+
+@dataclass(slots=True)
+class _Plans:
+    """Lists of plans, one entry each; ``(T,)`` arrays for what goes by moments."""
+
+    least: list[FloatArray]
+    most: list[FloatArray]
+    drifts: list[FloatArray]
+    releases: list[FloatArray]
+    slower: list[FloatArray]
+    lanes: list[float]
+    items: list[int]
+    manoeuvres: list[int]
+    boosts: list[int]
+    boost_steps: list[float]
+    needs_drift: list[bool]
+
+    @classmethod
+    def none(cls) -> _Plans:
+        return cls(*[[] for _ in range(11)])
+
+    def add_free(
+        self, lanes: Sequence[float], release: int, *, boost: int = -1, brake: bool = False
+    ) -> None:
+        """Plans without any drift."""
+        lost = -_BRAKING * _BRAKE_TIME
+        regained = lost + _GAIN * (_ENDS[-1] - _BRAKE_TIME)
+        slower = np.interp(_BEGINS, [0.0, _BRAKE_TIME, _ENDS[-1]], [0.0, lost, regained])
+        self._add(
+            lanes,
+            least=-np.ones_like(SPANS),
+            most=np.ones_like(SPANS),
+            drifts=np.zeros_like(SPANS),
+            releases=_between(0.0, release * STEP),
+            slower=slower if brake else np.zeros_like(SPANS),
+            manoeuvre=BRAKE if brake else FREE,
+            boost=boost,
+        )
+
+    def add_drift(
+        self,
+        lanes: Sequence[float],
+        side: int,
+        steps: int,
+        *,
+        boost: int,
+        wait: int = 0,
+        swing: int = 0,
+        is_new: bool = False,
+    ) -> None:
+        """Plans with one drift: wait for the end of the last, swing away, drift, release."""
+        swings, begin = wait * STEP, (wait + swing) * STEP
+        end = begin + steps * STEP
+        is_swing, is_drift = _between(swings, begin), _between(begin, end)
+        lower, upper = sorted(side * share for share in DRIFT_TURN)
+        now = DRIFT_RIGHT if side > 0 else DRIFT_LEFT
+        self._add(
+            lanes,
+            least=np.select([is_swing > 0, is_drift > 0], [-side, lower], -1.0),
+            most=np.select([is_swing > 0, is_drift > 0], [-side, upper], 1.0),
+            drifts=is_drift,
+            releases=np.maximum(_between(0.0, swings), _between(end, end + RELEASE_STEPS * STEP)),
+            slower=np.zeros_like(SPANS),
+            manoeuvre=FREE if wait or swing else now,
+            boost=boost,
+            boost_steps=wait + swing + steps,
+            needs_drift=is_new,
+        )
+
+    def _add(
+        self,
+        lanes: Sequence[float],
+        *,
+        least: FloatArray,
+        most: FloatArray,
+        drifts: FloatArray,
+        releases: FloatArray,
+        slower: FloatArray,
+        manoeuvre: int,
+        boost: int,
+        boost_steps: float = 0.0,
+        needs_drift: bool = False,
+    ) -> None:
+        """Plans that differ in their lanes only, and those for items."""
+        for lane, item in [*((lane, -1) for lane in lanes), *((0.0, i) for i in range(ITEM_LANES))]:
+            self.least.append(least)
+            self.most.append(most)
+            self.drifts.append(drifts)
+            self.releases.append(releases)
+            self.slower.append(slower)
+            self.lanes.append(lane)
+            self.items.append(item)
+            self.manoeuvres.append(manoeuvre)
+            self.boosts.append(boost)
+            self.boost_steps.append(boost_steps)
+            self.needs_drift.append(needs_drift)
+
+
+def _between(begin: float, end: float) -> FloatArray:
+    """1 for the moments that lie between two times [s], ``(T,)``."""
+    return (np.greater_equal(_MIDDLES, begin) & np.less(_MIDDLES, end)).astype(np.float32)
+
+
+def _without_drift(release: int) -> _Plans:
+    """The plans of a kart that does not drift but still turns for some steps after one."""
+    plans = _Plans.none()
+    plans.add_free(_ALL_LANES, release)
+    plans.add_free(_FEW_LANES, release, brake=True)
+    for side in (-1, 1):
+        length = BOOST_STEPS[0]
+        plans.add_drift(_SOME_LANES, side, length, boost=0, wait=release, is_new=True)
+        for swing in _SWINGS:
+            plans.add_drift(
+                _FEW_LANES, side, length, boost=0, wait=release, swing=swing, is_new=True
+            )
+    return plans
+
+
+def _in_drift(side: int, steps: int) -> _Plans:
+    """The plans of a kart that has drifted to a side for some steps."""
+    plans = _Plans.none()
+    small, big = (max(earned - steps, 0) for earned in BOOST_STEPS)
+    earned = 1 if not big else 0 if not small else -1
+    plans.add_free(_ALL_LANES, RELEASE_STEPS, boost=earned)
+    plans.add_free(_FEW_LANES, RELEASE_STEPS, brake=True)
+    if small:
+        plans.add_drift(_ALL_LANES, side, small, boost=0)
+    if big:
+        is_in_sight = big <= _BIG_BOOST_IN_SIGHT
+        plans.add_drift(_ALL_LANES, side, big, boost=1 if is_in_sight else -1)
+    return plans
+
+
+@dataclass(frozen=True, slots=True)
+class PlanTable:
+    """The plans of all states: ``S`` states, ``T`` moments, ``C`` plans.
+
+    Attributes:
+        least: ``(S, T, C)`` share of full lock that can be turned, positive to the right, from
+        most: ``(S, T, C)`` to this.
+        drifts: ``(S, T, C)`` 1 where the kart drifts.
+        releases: ``(S, T, C)`` 1 where it goes on turning after a drift.
+        slower: ``(S, T, C)`` change of speed [m/s].
+        lanes: ``(S, C)`` where to drive, -1 is the left edge of the road, 1 the right one.
+        items: ``(S, C)`` number of the item to drive over instead, -1 for none.
+        manoeuvres: ``(S, C)`` what the plan begins with; -1 is no plan.
+        boosts: ``(S, C)`` 0 if it earns the small boost, 1 if the big one, -1 if none.
+        boost_steps: ``(S, C)`` in how many steps.
+        needs_drift: ``(S, C)`` whether it is for karts that may begin a drift.
+    """
+
+    least: FloatArray
+    most: FloatArray
+    drifts: FloatArray
+    releases: FloatArray
+    slower: FloatArray
+    lanes: FloatArray
+    items: IntArray
+    manoeuvres: IntArray
+    boosts: IntArray
+    boost_steps: FloatArray
+    needs_drift: npt.NDArray[np.bool_]
+
+
+_LONGEST = BOOST_STEPS[1]
+
+
+def _table() -> PlanTable:
+    states = [_without_drift(release) for release in range(RELEASE_STEPS + 1)]
+    states += [_in_drift(side, steps) for side in (-1, 1) for steps in range(_LONGEST + 1)]
+    most = max(len(plans.lanes) for plans in states)
+
+    def by_moment(name: str) -> FloatArray:
+        rows = np.zeros((len(states), len(SPANS), most), np.float32)
+        for row, plans in zip(rows, states, strict=True):
+            row[:, : len(plans.lanes)] = np.stack(getattr(plans, name), axis=1)
+        return rows
+
+    def by_plan(name: str, missing: float) -> FloatArray:
+        rows = np.full((len(states), most), missing, np.float32)
+        for row, plans in zip(rows, states, strict=True):
+            row[: len(plans.lanes)] = getattr(plans, name)
+        return rows
+
+    return PlanTable(
+        least=by_moment("least"),
+        most=by_moment("most"),
+        drifts=by_moment("drifts"),
+        releases=by_moment("releases"),
+        slower=by_moment("slower"),
+        lanes=by_plan("lanes", 0),
+        items=by_plan("items", -1).astype(np.intp),
+        manoeuvres=by_plan("manoeuvres", -1).astype(np.intp),
+        boosts=by_plan("boosts", -1).astype(np.intp),
+        boost_steps=by_plan("boost_steps", 0),
+        needs_drift=by_plan("needs_drift", 0) > 0,
+    )
+
+
+#: All plans there are.
+TABLE = _table()
+
+
+def table_rows(drift_side: IntArray, drift_steps: IntArray, release_steps: IntArray) -> IntArray:
+    """The rows of :data:`TABLE` for karts, ``(A,)``.
+
+    Args:
+        drift_side: ``(A,)`` 1 in a drift to the right, -1 to the left, 0 in none.
+        drift_steps: ``(A,)`` how long it has lasted.
+        release_steps: ``(A,)`` how much longer the kart turns after the last one.
+    """
+    steps = np.minimum(drift_steps, _LONGEST)
+    drifting = RELEASE_STEPS + 1 + np.where(drift_side > 0, _LONGEST + 1, 0) + steps
+    return np.where(drift_side == 0, np.minimum(release_steps, RELEASE_STEPS), drifting)

@@ -1,0 +1,71 @@
+"""A small network in numpy: from what a kart sees and remembers to its choices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from .drivers import HEADS, View
+
+__all__ = ["INPUT_CLIP", "RacingPolicy", "network"]
+
+FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.intp]
+
+#: No normalised input is farther from 0.
+INPUT_CLIP = 8.0
+
+
+def network(weights: Mapping[str, FloatArray], inputs: FloatArray) -> FloatArray:
+    """Two layers of rectified units and one of none.
+
+    Args:
+        weights: ``mean`` and ``scale`` ``(F,)`` of the input, and ``w0``, ``b0``, ``w1``, ``b1``,
+            ``w2``, ``b2``: matrices ``(inputs, outputs)`` and biases of the layers.
+        inputs: ``(A, F)``.
+    """
+    x = np.clip((inputs - weights["mean"]) * weights["scale"], -INPUT_CLIP, INPUT_CLIP)
+    x = np.maximum(x @ weights["w0"] + weights["b0"], 0)
+    x = np.maximum(x @ weights["w1"] + weights["b1"], 0)
+    outputs: FloatArray = x @ weights["w2"] + weights["b2"]
+    return outputs
+
+
+@dataclass(frozen=True, slots=True)
+class RacingPolicy:
+    """Logits of all choices: the prior's and what is learned.
+
+    Attributes:
+        weights: of the :func:`network`.
+    """
+
+    weights: Mapping[str, FloatArray]
+
+    def logits(self, view: View) -> FloatArray:
+        """The logits ``(A, sum(CHOICES))``."""
+        learned: FloatArray = view.prior + network(self.weights, view.inputs)
+        return learned
+
+    def best(self, view: View) -> IntArray:
+        """The likeliest choices ``(A, 4)``."""
+        logits = self.logits(view)
+        return np.stack([logits[:, head].argmax(axis=1) for head in HEADS], axis=1)
+
+    def sample(self, view: View, random: np.random.Generator) -> tuple[IntArray, FloatArray]:
+        """Choices ``(A, 4)`` drawn by their probabilities, and the logarithms of these ``(A,)``."""
+        logits = self.logits(view)
+        noise = random.gumbel(size=logits.shape).astype(np.float32)
+        rows = np.arange(len(logits))
+        drawn = np.empty((len(logits), len(HEADS)), np.intp)
+        log_probability = np.zeros(len(logits), np.float32)
+        for column, head in enumerate(HEADS):
+            own = logits[:, head]
+            choice = (own + noise[:, head]).argmax(axis=1)
+            drawn[:, column] = choice
+            top = own.max(axis=1)
+            total = np.log(np.exp(own - top[:, None]).sum(axis=1)) + top
+            log_probability += own[rows, choice] - total
+        return drawn, log_probability

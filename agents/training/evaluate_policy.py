@@ -1,0 +1,157 @@
+"""Compares policies of runs in the same races, on training tracks; quicker than the benchmark.
+
+    python -m stkzoo.agents.training.evaluate_policy prior runs/first/policy-*.safetensors
+
+Each policy drives, by its likeliest choices, one race for each track, direction and number, from
+the same beginning. ``prior`` is what a run starts from: the plans without anything learned. The
+first one named is what the others are compared with.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.agents.pretrained.driver import check_shapes
+from stkzoo.agents.pretrained.drivers import HEADS, View
+from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo.agents.pretrained.weights import load_weights
+from stkzoo.errors import ConfigError
+from stkzoo.race.benchmark import RaceForm as Form
+from stkzoo.tracks import SPLITS, TRAIN_TRACKS
+
+from .ppo_races import Finish, Fleet, RaceForm
+
+__all__ = ["Outcome", "chooser", "evaluate", "main"]
+
+Chooser = Callable[[View], npt.NDArray[np.intp]]
+#: What names the policy of the plans alone.
+PRIOR = "prior"
+#: A kart that does not finish counts as having taken so many times the AI's time.
+_UNFINISHED = 3.0
+#: Races of learning begin with the numbers from 0 on; these are others.
+_FIRST_NUMBER = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of one race.
+
+    Attributes:
+        ratio: mean of the policy's karts' times over the AI's median time.
+        rank: their mean place.
+        is_won: whether one of them was first.
+    """
+
+    ratio: float
+    rank: float
+    is_won: bool
+
+    @classmethod
+    def of(cls, finishes: Sequence[Finish]) -> Outcome:
+        """Of the ends of a race's karts."""
+        ratios = [_UNFINISHED if f.ratio is None else f.ratio for f in finishes]
+        ranks = [f.rank for f in finishes]
+        return cls(float(np.mean(ratios)), float(np.mean(ranks)), min(ranks) == 1)
+
+
+def chooser(source: str) -> Chooser:
+    """The likeliest choices of a policy: a file of weights, or ``"prior"``.
+
+    Raises:
+        ConfigError: the file is no policy's.
+    """
+    if source == PRIOR:
+        return lambda view: np.stack([view.prior[:, h].argmax(axis=1) for h in HEADS], axis=1)
+    weights = load_weights(source)
+    check_shapes(weights, source)
+    return RacingPolicy(weights).best
+
+
+def evaluate(
+    choosers: Sequence[Chooser], tracks: Sequence[str], form: RaceForm, numbers: int
+) -> list[list[Outcome]]:
+    """Drives the races; for each chooser its outcomes, in the same order.
+
+    Args:
+        choosers: the policies.
+        tracks: driven both ways.
+        form: who drives.
+        numbers: races of each track and direction.
+    """
+    outcomes: list[list[Outcome]] = [[] for _ in choosers]
+    for track, reverse in itertools.product(tracks, (False, True)):
+        fleets = [Fleet([form], [track], 0, goes_on=False) for _ in range(numbers)]
+        try:
+            for chosen, choose in zip(outcomes, choosers, strict=True):
+                chosen += _side_by_side(fleets, track, reverse, choose)
+        finally:
+            for fleet in fleets:
+                fleet.close()
+    return outcomes
+
+
+def _side_by_side(
+    fleets: Sequence[Fleet], track: str, reverse: bool, choose: Chooser
+) -> list[Outcome]:
+    """One race in each fleet, all at the same time."""
+    views = [
+        fleet.begin_at(track, reverse, _FIRST_NUMBER + number)
+        for number, fleet in enumerate(fleets)
+    ]
+    finishes: list[list[Finish]] = [[] for _ in fleets]
+    while racing := [number for number, fleet in enumerate(fleets) if fleet.active.any()]:
+        for number in racing:
+            fleets[number].send(choose(views[number]))
+        for number in racing:
+            views[number], outcome = fleets[number].receive()
+            finishes[number] += outcome.finishes
+    return [Outcome.of(ends) for ends in finishes]
+
+
+def _report(sources: Sequence[str], outcomes: Sequence[Sequence[Outcome]]) -> None:
+    base = np.array([outcome.ratio for outcome in outcomes[0]])
+    for source, own in zip(sources, outcomes, strict=True):
+        ratios = np.array([outcome.ratio for outcome in own])
+        more = ratios - base
+        error = more.std() / max(len(more) - 1, 1) ** 0.5
+        print(
+            f"{source}: {len(own)} races, time ratio {ratios.mean():.4f} "
+            f"({more.mean():+.4f} +- {error:.4f}), won "
+            f"{np.mean([o.is_won for o in own]):.0%}, rank {np.mean([o.rank for o in own]):.2f}",
+            flush=True,
+        )
+
+
+def main(words: list[str] | None = None) -> int:
+    """Runs the command; returns its exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m stkzoo.agents.training.evaluate_policy",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("policies", nargs="+", help="files of weights, or prior")
+    parser.add_argument("--form", default="PAAAA", help="who drives (default: PAAAA)")
+    parser.add_argument("--numbers", type=int, default=2, help="races of each kind (default: 2)")
+    parser.add_argument("--tracks", nargs="+", default=list(TRAIN_TRACKS), help="or train")
+    options = parser.parse_args(words)
+    try:
+        tracks = [t for name in options.tracks for t in SPLITS.get(name, (name,))]
+        form = Form.of(options.form)
+        choosers = [chooser(source) for source in options.policies]
+    except ConfigError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    learned = RaceForm(form.agents, form.rivals)
+    _report(options.policies, evaluate(choosers, tracks, learned, options.numbers))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,170 @@
+r"""Makes an agent of learned weights: a folder to race, to ship and to send around.
+
+    python -m stkzoo.agents.training.export_policy runs/first/policy-002000000.safetensors \
+        --name swift --output agents/pretrained/swift
+
+The folder has the weights, ``card.json`` with their digest and how they were learned (from the
+run's ``arguments.json`` beside them, if it is there), ``CARD.md`` for people, whose gaps are to be
+filled by hand, and the words of an agent. ``stkzoo race agents/pretrained/swift`` races it from
+wherever it is, and ``pretrained:swift`` if it is among stkzoo's own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import stkzoo
+from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, check_shapes
+from stkzoo.agents.pretrained.weights import digest_of, load_weights
+from stkzoo.errors import ConfigError
+from stkzoo.whole_file import whole_file
+
+__all__ = ["export_policy", "main"]
+
+_MODULE = '''"""A learned driver; see ``CARD.md``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from stkzoo.agents.pretrained.driver import make_actor, new_state
+
+__all__ = ["create_state", "env_name", "get_actor", "player_name"]
+
+#: The environment that the driver was made for.
+env_name = "supertuxkart/full-v0"
+
+#: The name to show.
+player_name = "{name}"
+
+create_state = new_state
+
+
+def get_actor(module_dir: Path, observation_space: Any, action_space: Any) -> Callable[..., Any]:
+    """The driver.
+
+    Args:
+        module_dir: this folder, where the weights are.
+        observation_space: not needed.
+        action_space: not needed.
+    """
+    del observation_space, action_space
+    return make_actor(module_dir)
+'''
+
+_PACKAGE = '''"""A learned driver; see ``CARD.md``."""
+
+from .pystk_actor import create_state, env_name, get_actor, player_name
+
+__all__ = ["create_state", "env_name", "get_actor", "player_name"]
+'''
+
+_CARD = """\
+# {name}
+
+A learned driver of stkzoo. `stkzoo race pretrained:{name} ai ai ai ai --difficulty 3`
+
+- **Network:** {parameters:,} numbers (`{weights}`, {size:,} bytes, SHA-256 `{digest}`).
+- **Learned from:** {kart_steps} kart-steps of self-play; tracks {tracks}.
+- **Seed:** {seed}.
+- **Command:** TO BE WRITTEN
+- **Results:** TO BE WRITTEN
+- **Limits:** TO BE WRITTEN
+"""
+
+
+def export_policy(weights: str | Path, name: str, folder: str | Path) -> Path:
+    """Makes the folder of an agent; one that is there must be an agent's, and is made anew.
+
+    Args:
+        weights: a policy of a run.
+        name: what the agent is called: a Python name.
+        folder: where it goes.
+
+    Returns:
+        The folder.
+
+    Raises:
+        ConfigError: the weights are no policy's, the name cannot be, or the folder is another's.
+    """
+    if not name.isidentifier():
+        raise ConfigError(f"the name {name!r} cannot be; expected letters, digits and _")
+    source, target = Path(weights), Path(folder)
+    check_shapes(load_weights(source), str(source))
+    if target.exists() and any(target.iterdir()) and not (target / CARD).exists():
+        raise ConfigError(f"{str(target)!r} is no agent's folder; give another --output")
+    target.mkdir(parents=True, exist_ok=True)
+    with whole_file(target / WEIGHTS) as part:
+        shutil.copyfile(source, part)
+    facts = _facts(source, target / WEIGHTS, name)
+    _write(target / "__init__.py", _PACKAGE)
+    _write(target / "pystk_actor.py", _MODULE.format(name=name))
+    _write(target / CARD, json.dumps(facts, indent=1) + "\n")
+    if not (target / "CARD.md").exists():
+        _write(target / "CARD.md", _human(facts))
+    return target
+
+
+def _facts(source: Path, file: Path, name: str) -> dict[str, Any]:
+    run = source.with_name("arguments.json")
+    digits = source.stem.rpartition("-")[2]
+    history = json.loads(run.read_text()) if run.exists() else []
+    return {
+        "name": name,
+        "sha256": digest_of(file),
+        "size": file.stat().st_size,
+        "parameters": sum(array.size for array in load_weights(file).values()),
+        "kart_steps": int(digits) if digits.isdigit() else None,
+        "history": history,
+        "stkzoo": stkzoo.__version__,
+    }
+
+
+def _human(facts: dict[str, Any]) -> str:
+    arguments = facts["history"][-1]["arguments"] if facts["history"] else {}
+    return _CARD.format(
+        name=facts["name"],
+        parameters=facts["parameters"],
+        weights=WEIGHTS,
+        size=facts["size"],
+        digest=facts["sha256"],
+        kart_steps=f"{facts['kart_steps']:,}" if facts["kart_steps"] else "unknown",
+        tracks=", ".join(arguments.get("tracks", ["unknown"])),
+        seed=arguments.get("seed", "unknown"),
+    )
+
+
+def _write(path: Path, text: str) -> None:
+    with whole_file(path) as part:
+        part.write_text(text)
+
+
+def main(words: list[str] | None = None) -> int:
+    """Runs the command; returns its exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m stkzoo.agents.training.export_policy",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("weights", help="policy-STEPS.safetensors of a run")
+    parser.add_argument("--name", required=True, help="what the agent is called")
+    parser.add_argument("--output", required=True, help="its folder")
+    options = parser.parse_args(words)
+    try:
+        folder = export_policy(options.weights, options.name, options.output)
+    except ConfigError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    print(f"{folder} is an agent; try: stkzoo race {folder} ai ai ai ai --difficulty 3")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

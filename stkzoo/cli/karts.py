@@ -1,0 +1,100 @@
+"""``stkzoo karts``: what there is to drive in."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+__all__ = ["KartFacts", "add_parser", "kart_facts"]
+
+_ABOUT = """\
+Shows the game's karts. Heavy ones have stronger engines and a higher top speed, light ones turn
+in smaller circles and use less nitro. An agent takes one by AgentSpec(kart="gnu").
+"""
+
+_EXAMPLES = """\
+examples:
+  stkzoo karts           a table
+  stkzoo karts --json    the same for programs
+"""
+
+_ATTRIBUTE = r"<kart\b[^>]*?\b{}\s*=\s*\"([^\"]*)\""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
+    """Adds the command."""
+    parser = subparsers.add_parser(
+        "karts",
+        help="what there is to drive in",
+        description=_ABOUT,
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--json", action="store_true", help="write JSON instead of a table")
+    parser.set_defaults(run=_run)
+
+
+@dataclass(frozen=True)
+class KartFacts:
+    """What is known of one kart.
+
+    Attributes:
+        kart: its name for ``AgentSpec``.
+        title: its name in the game.
+        weight: ``light``, ``medium`` or ``heavy``.
+        wheel_base: between the axles [m]; ``None`` if nobody has measured it.
+        max_steer_angle: of the wheels at rest [rad]; ``None`` likewise.
+    """
+
+    kart: str
+    title: str
+    weight: str
+    wheel_base: float | None
+    max_steer_angle: float | None
+
+
+def kart_facts() -> list[KartFacts]:
+    """All karts of the game's data, by name."""
+    from stkzoo.engine.assets import find_assets
+    from stkzoo.wrappers.control.parameters import KARTS
+
+    assets = find_assets()
+    facts = []
+    for kart in sorted(assets.karts):
+        text = _described(Path(assets.root) / "data" / "karts" / kart / "kart.xml")
+        wheel_base, angle = KARTS.get(kart, (None, None))
+        facts.append(KartFacts(kart, _read(text, "name"), _read(text, "type"), wheel_base, angle))
+    return facts
+
+
+def _described(file: Path) -> str:
+    return file.read_text("utf-8", errors="replace") if file.exists() else ""
+
+
+def _read(text: str, attribute: str) -> str:
+    found = re.search(_ATTRIBUTE.format(attribute), text)
+    return found[1] if found else "?"
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    facts = kart_facts()
+    if arguments.json:
+        import json
+
+        print(json.dumps([asdict(fact) for fact in facts], indent=2))
+        return 0
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("kart", "name", "weight")
+    table.add_column("wheel base [m]", justify="right")
+    table.add_column("full lock [rad]", justify="right")
+    for fact in facts:
+        sizes = (fact.wheel_base, fact.max_steer_angle)
+        numbers = ("-" if size is None else f"{size:.3f}" for size in sizes)
+        table.add_row(fact.kart, fact.title, fact.weight, *numbers)
+    Console().print(table)
+    return 0

@@ -1,0 +1,194 @@
+"""``stkzoo tracks``: what there is to drive on."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.tracks import SPLITS, TEST_TRACKS
+
+__all__ = ["TrackFacts", "add_parser", "track_facts"]
+
+_ABOUT = """\
+Shows the game's tracks: the length of a lap, parts and forks of the driving line, items at
+the start, and how long the game's AI takes for a lap, forwards and reversed (median of 25 karts
+at --difficulty). Nothing that learns may be trained on the tracks of the split "test".
+"""
+
+_EXAMPLES = """\
+examples:
+  stkzoo tracks                                    all, by name
+  stkzoo tracks --split train --sort time          those to train on, the quickest first
+  stkzoo tracks lighthouse hacienda --difficulty 3
+  stkzoo tracks lighthouse --map lighthouse.png    its map as a picture
+  stkzoo tracks --json                             for programs
+"""
+
+_SORTS = ("name", "length", "time", "items")
+
+
+def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
+    """Adds the command."""
+    parser = subparsers.add_parser(
+        "tracks",
+        help="what there is to drive on",
+        description=_ABOUT,
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("tracks", nargs="*", metavar="TRACK", help="these alone (default: all)")
+    parser.add_argument("--split", choices=list(SPLITS), help="those of one list")
+    parser.add_argument("--sort", choices=_SORTS, default="name", help="(default: name)")
+    parser.add_argument(
+        "--difficulty",
+        type=int,
+        choices=range(4),
+        default=2,
+        metavar="N",
+        help="of the AI whose times are shown, 0 to 3 (default: 2)",
+    )
+    parser.add_argument(
+        "--map", type=Path, metavar="FILE", help="draw the one track's map (.png, .jpg, .webp)"
+    )
+    parser.add_argument("--json", action="store_true", help="write JSON instead of a table")
+    parser.set_defaults(run=_run)
+
+
+@dataclass(frozen=True)
+class TrackFacts:
+    """What is known of one track: length [m], counts, and the AI's times for a lap [s]."""
+
+    track: str
+    split: str
+    length: float
+    segments: int
+    forks: int
+    items: int
+    time: float | None
+    reversed_time: float | None
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    names = _chosen(arguments)
+    if arguments.map is not None:
+        return _draw(names, arguments.map)
+    from rich.console import Console
+    from rich.progress import track as with_bar
+
+    console = Console(stderr=True)
+    bar = with_bar(
+        names,
+        "looking at the tracks",
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
+    facts = _in_order([track_facts(name, arguments.difficulty) for name in bar], arguments.sort)
+    if arguments.json:
+        import json
+
+        print(json.dumps([asdict(fact) for fact in facts], indent=2))
+    else:
+        _write_table(facts, arguments.difficulty)
+    return 0
+
+
+def _chosen(arguments: argparse.Namespace) -> list[str]:
+    from stkzoo.engine.assets import find_assets
+
+    known = find_assets().tracks
+    for name in arguments.tracks:
+        if name not in known:
+            raise unknown_name("track", name, known)
+    names = arguments.tracks or [n for n in SPLITS[arguments.split or "all"] if n in known]
+    if arguments.split is not None:
+        names = [name for name in names if name in SPLITS[arguments.split]]
+    return list(names)
+
+
+def track_facts(track: str, difficulty: int) -> TrackFacts:
+    """Starts a race on a track and counts what is there.
+
+    Args:
+        track: its name.
+        difficulty: that of the AI whose times are given, 0 to 3.
+    """
+    from stkzoo import race_v0
+    from stkzoo.race.benchmark import load_ai_times
+
+    with race_v0.parallel_env(num_kart=1, track=track, max_paths=1) as env:
+        env.reset(seed=0)
+        road, snapshot = env.track_map, env.snapshot
+        assert road is not None  # noqa: S101 - there is a race
+        assert snapshot is not None  # noqa: S101
+        times = load_ai_times().by_race
+        medians = [times.get((track, reverse, difficulty)) for reverse in (False, True)]
+        return TrackFacts(
+            track=track,
+            split="test" if track in TEST_TRACKS else "train",
+            length=round(road.length, 1),
+            segments=road.num_nodes,
+            forks=sum(len(nodes) > 1 for nodes in road.successors),
+            items=len(snapshot.items),
+            time=medians[0].median if medians[0] else None,
+            reversed_time=medians[1].median if medians[1] else None,
+        )
+
+
+def _in_order(facts: list[TrackFacts], sort: str) -> list[TrackFacts]:
+    keys = {
+        "name": lambda fact: fact.track,
+        "length": lambda fact: fact.length,
+        "time": lambda fact: fact.time or 0.0,
+        "items": lambda fact: fact.items,
+    }
+    return sorted(facts, key=keys[sort])
+
+
+def _write_table(facts: Sequence[TrackFacts], difficulty: int) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(caption=f"times of the game's AI at difficulty {difficulty}")
+    table.add_column("track", no_wrap=True)
+    table.add_column("split")
+    for heading in ("length [m]", "parts", "forks", "items", "AI [s]", "reversed"):
+        table.add_column(heading, justify="right")
+    for fact in facts:
+        numbers = (fact.segments, fact.forks, fact.items)
+        times = ("-" if t is None else f"{t:.1f}" for t in (fact.time, fact.reversed_time))
+        table.add_row(fact.track, fact.split, f"{fact.length:.0f}", *map(str, numbers), *times)
+    Console().print(table)
+
+
+def _draw(names: Sequence[str], file: Path) -> int:
+    if len(names) != 1:
+        raise ConfigError(
+            f"--map draws one track, and {len(names)} are named; for example "
+            "`stkzoo tracks lighthouse --map lighthouse.png`"
+        )
+    if file.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
+        raise ConfigError(f"--map is {str(file)!r}, expected a name ending in .png, .jpg or .webp")
+    from stkzoo import race_v0
+    from stkzoo.render.map import MapView
+    from stkzoo.render.pillow import pillow
+    from stkzoo.whole_file import whole_file
+
+    with race_v0.parallel_env(num_kart=1, track=names[0]) as env:
+        env.reset(seed=0)
+        scene, snapshot = env.scene, env.snapshot
+        assert scene is not None  # noqa: S101 - there is a race
+        assert snapshot is not None  # noqa: S101
+        picture = MapView(scene, (1024, 768), panel=False).draw(snapshot)
+    image, formats = pillow().Image.fromarray(picture), pillow().Image.registered_extensions()
+    try:
+        with whole_file(file) as part:
+            image.save(part, format=formats[file.suffix.lower()])
+    except OSError as error:
+        raise ConfigError(f"{file} cannot be written: {error}") from error
+    print(file)
+    return 0

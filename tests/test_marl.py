@@ -1,0 +1,377 @@
+"""Teams, masks, messages and limited sight, on real races."""
+
+import math
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+from pettingzoo.test import parallel_api_test
+from pettingzoo.utils import parallel_to_aec
+
+from stkzoo import ActionError, ConfigError, race_v0
+from stkzoo.env.views import VIEWS
+from stkzoo.wrappers import FlattenerWrapper, JoinedObservations, PolarObservations
+from stkzoo.wrappers.marl import ActionMasks, LimitedSight, MessageChannel, Teams
+
+TEAMS = [["kart_0", 3], ["1", "kart_2"]]
+
+
+def race(**options):
+    return race_v0.parallel_env(**{"num_kart": 4, "track": "lighthouse", **options})
+
+
+def straight_on(env):
+    return {agent: env.action_space(agent).sample() for agent in env.agents}
+
+
+# ------------------------------------------------------------------ one vector
+
+
+@pytest.mark.parametrize("view", ["box_discrete", "box_continuous"])
+def test_a_box_view_has_the_numbers_and_a_one_for_each_choice(view):
+    flat = {"box_discrete": "flattened_discrete", "box_continuous": "flattened_continuous_actions"}
+    with race(num_kart=2, view={"kart_0": view, "kart_1": flat[view]}) as env:
+        assert env.action_space("kart_0") == env.action_space("kart_1")
+        env.reset(seed=1)
+        seen, _ = env.reset(seed=1, options={"track": "lighthouse"})
+        vector = seen["kart_0"]
+        assert vector.dtype == np.float32
+        assert vector.shape == env.observation_space("kart_0").shape == (164,)
+        sizes = env.observation_space("kart_1")["discrete"].nvec
+        ends = 92 + np.cumsum(sizes)
+        for begin, end in zip(ends - sizes, ends, strict=True):
+            assert sorted(vector[begin:end]) == [0.0] * (end - begin - 1) + [1.0]
+
+
+def test_a_box_view_shows_what_the_flattened_view_shows():
+    views = {}
+    for view in ("flattened_discrete", "box_discrete"):
+        with race(num_kart=3, view=view) as env:
+            views[view] = [env.reset(seed=1)[0]["kart_1"]]
+            for number in range(40):
+                views[view].append(env.step(dict.fromkeys(env.agents, 44 + number))[0]["kart_1"])
+    sizes = [10, 7, 7, 7, 7, 7, 2, 4, 10, 11]
+    for flat, box in zip(views["flattened_discrete"], views["box_discrete"], strict=True):
+        np.testing.assert_allclose(box[:92], flat["continuous"], rtol=1e-5, atol=1e-5)
+        chosen = [np.argmax(part) for part in np.split(box[92:], np.cumsum(sizes)[:-1])]
+        assert chosen == flat["discrete"].tolist()
+
+
+def test_one_vector_needs_a_flattened_view():
+    with pytest.raises(Exception, match="needs a flattened view"):
+        race(view=JoinedObservations)
+
+
+# ------------------------------------------------------------------ masks
+
+
+def masked(view):
+    return lambda env: ActionMasks(VIEWS[view](env))
+
+
+def numbers_of(action):
+    """What an action of flattened_discrete presses."""
+    return {"fire": (action // 20) % 2, "nitro": (action // 40) % 2}
+
+
+def test_the_mask_tells_what_nitro_and_fire_can_do_through_a_whole_race():
+    seen = set()
+    with race(agents=1, num_kart=2, view="masked_discrete", max_cycles=600) as env:
+        observations, _ = env.reset(seed=2)
+        while env.agents:
+            full = {
+                key: env.observe_batch(["kart_0"])[key][0] for key in ("energy", "powerup_type")
+            }
+            mask = observations["kart_0"]["action_mask"]
+            can = {"nitro": full["energy"][0] > 0, "fire": full["powerup_type"] != 0}
+            for action in range(0, 1120, 7):
+                pressed = numbers_of(action)
+                expected = all(can[name] or not pressed[name] for name in pressed)
+                assert bool(mask[action]) is expected
+            seen.add((bool(can["nitro"]), bool(can["fire"])))
+            action = steer_home(observations["kart_0"]["observation"])
+            observations = env.step({"kart_0": action})[0]
+    assert len(seen) >= 3  # the race had nitro and powerups, and was without
+
+
+def steer_home(vector):
+    """Full throttle to the end of the third segment ahead, by the number of the action."""
+    angle = vector[52 + 3 * 3]
+    return 4 + 160 * int(np.clip(round(3 + 6 * angle), 0, 6))
+
+
+def test_masked_buttons_change_nothing_in_the_game():
+    ends = []
+    for buttons in (0, 20, 40, 60):  # none, fire, nitro, both: nothing to use at the start
+        with race(num_kart=2, view="masked_discrete") as env:
+            observations, _ = env.reset(seed=5)
+            for _ in range(45):
+                action = 4 + 3 * 160 + buttons
+                if buttons:
+                    assert not observations["kart_0"]["action_mask"][action]
+                observations = env.step({"kart_0": action, "kart_1": 0})[0]
+            ends.append(env.snapshot.karts["location"].tobytes())
+    assert len(set(ends)) == 1
+
+
+def test_masks_of_several_choices_are_masks_of_each():
+    with race(num_kart=2, view=masked("flattened_multidiscrete")) as env:
+        observations, _ = env.reset(seed=1)
+        sizes = env.action_space("kart_0").nvec
+        mask = observations["kart_0"]["action_mask"]
+        assert mask.shape == (sizes.sum(),)
+        parts = tuple(np.split(mask, np.cumsum(sizes)[:-1]))
+        names = ["acceleration", "brake", "drift", "fire", "nitro", "rescue", "steer"]
+        for name, part in zip(names, parts, strict=True):
+            expected = [1, 0] if name in ("fire", "nitro") else [1] * len(part)
+            assert part.tolist() == expected
+        action = env.action_space("kart_0").sample(mask=parts)
+        assert action[3] == action[4] == 0
+
+
+def test_masks_need_discrete_actions():
+    with pytest.raises(Exception, match="goes around flattened_multidiscrete"):
+        race(view=masked("flattened"))
+
+
+# ------------------------------------------------------------------ limited sight
+
+
+def test_who_is_far_away_or_behind_is_not_seen():
+    def near(env):
+        return LimitedSight(env, radius=20.0, angle=math.pi, of=["karts", "items"])
+
+    with race(view={0: near, 1: near}) as env:
+        observations, _ = env.reset(seed=1)
+        for _ in range(60):
+            observations = env.step(straight_on(env))[0]
+        for agent in ("kart_0", "kart_1"):
+            everything = env.observe_batch([agent])
+            for key, others in (("karts_position", ()), ("items_position", ("items_type",))):
+                rows = everything[key][0]
+                kept = (np.linalg.norm(rows, axis=1) <= 20) & (rows[:, 2] >= 0)
+                assert 0 <= kept.sum() < len(rows)
+                seen = np.array(observations[agent][key]).reshape(-1, 3)
+                np.testing.assert_allclose(seen, rows[kept], rtol=1e-5, atol=1e-5)
+                for other in others:
+                    kinds = everything[other][0][kept].tolist()
+                    assert list(observations[agent][other]) == kinds
+            assert env.observation_space(agent).contains(observations[agent])
+        assert len(observations["kart_2"]["karts_position"]) == 3
+
+
+def test_limited_sight_goes_inside_of_flat_views():
+    def view(env):
+        return VIEWS["box_discrete"](LimitedSight(env, radius=30.0))
+
+    with race(view=view) as env:
+        observations, _ = env.reset(seed=1)
+        assert env.observation_space("kart_0").contains(observations["kart_0"])
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"radius": 0}, "radius is 0"),
+        ({"angle": math.nan}, "angle is nan"),
+        ({"of": ["cart"]}, "unknown thing to see"),
+    ],
+)
+def test_limited_sight_refuses(options, text):
+    with pytest.raises(Exception, match=text):
+        race(view=lambda env: LimitedSight(env, **options))
+
+
+def test_limited_sight_needs_lists():
+    with pytest.raises(Exception, match="needs a list"):
+        race(view=lambda env: LimitedSight(PolarObservations(VIEWS["simple"].__call__(env))))
+
+
+# ------------------------------------------------------------------ teams
+
+
+def test_team_rewards_are_shared_by_the_share():
+    with race(view="flattened_discrete") as env:
+        shared = Teams(env, teams=TEAMS, share=0.25)
+        _, infos = shared.reset(seed=1)
+        assert {agent: info["team"] for agent, info in infos.items()} == {
+            "kart_0": 0,
+            "kart_1": 1,
+            "kart_2": 1,
+            "kart_3": 0,
+        }
+        assert infos["kart_0"]["reward/own"] == infos["kart_0"]["reward/team"] == 0.0
+        for _ in range(30):
+            actions = {agent: 4 + 160 * number for number, agent in enumerate(env.agents)}
+            _, rewards, _, _, infos = shared.step(actions)
+            own = {agent: info["reward/own"] for agent, info in infos.items()}
+            for one, other in (("kart_0", "kart_3"), ("kart_1", "kart_2")):
+                mean = (own[one] + own[other]) / 2
+                assert rewards[one] == pytest.approx(0.75 * own[one] + 0.25 * mean)
+                assert infos[one]["reward/team"] == pytest.approx(mean)
+        assert len(set(own.values())) > 1
+
+
+def test_those_who_have_left_a_team_earn_nothing_for_it():
+    one = {"kart_0": 0.99, "kart_1": 0.1}
+    options = {"num_kart": 2, "view": "flattened_discrete", "track": "olivermath"}
+    with race(**options, max_cycles=400) as env:
+        team = Teams(env, teams=[[0, 1]])
+        team.reset(seed=1, options={"start": {a: 480.0 * s for a, s in one.items()}})
+        gone = False
+        while team.agents:
+            present = list(team.agents)
+            _, rewards, _, _, infos = team.step(dict.fromkeys(present, 4 + 160 * 3))
+            assert set(rewards) == set(infos) == set(present)
+            if present == ["kart_1"]:
+                gone = True
+                assert rewards["kart_1"] == pytest.approx(infos["kart_1"]["reward/own"] / 2)
+        assert gone
+
+
+def test_team_mates_are_where_the_full_view_shows_them():
+    with race() as env:
+        team = Teams(env, teams=[[0, 1], [2], [3]], observe=True)
+        observations, _ = team.reset(seed=1)
+        for _ in range(50):
+            observations = team.step(straight_on(team))[0]
+        for agent, mate in (("kart_0", "kart_1"), ("kart_1", "kart_0")):
+            seen = observations[agent]
+            assert seen in team.observation_space(agent)
+            assert seen["team"] == 0
+            row = seen["mates"][0]
+            shown = np.array(seen["observation"]["karts_position"])
+            assert np.abs(shown - row[:3]).sum(axis=1).min() < 1e-3
+            speed = np.linalg.norm(observations[mate]["observation"]["velocity"])
+            assert np.linalg.norm(row[3:6]) == pytest.approx(speed, abs=1e-3)
+            infos = env.infos([agent, mate])
+            ahead = infos[mate]["distance"] - infos[agent]["distance"]
+            assert row[6] == pytest.approx(ahead, abs=1e-3)
+            assert row[7] == infos[mate]["position"]
+            assert row[10] == 1.0
+        assert not observations["kart_2"]["mates"].any()
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"teams": []}, "expected a list of teams"),
+        ({"teams": [[0, 1], [2]]}, "'kart_3' is in 0 teams"),
+        ({"teams": [[0, 1], [1, 2, 3]]}, "'kart_1' is in 2 teams"),
+        ({"teams": [[0, 1, 2, 3, 4]]}, "unknown agent 4"),
+        ({"teams": [[0, 1, 2, 3], []]}, "no list of agents, or empty"),
+        ({"teams": [[0, 1, 2, 3]], "share": 1.5}, "share is 1.5"),
+    ],
+)
+def test_teams_that_cannot_be_are_refused(options, text):
+    with race() as env, pytest.raises(ConfigError, match=text):
+        Teams(env, **options)
+
+
+# ------------------------------------------------------------------ messages
+
+
+def say(env, messages):
+    return {agent: {"action": 4 + 480, "message": messages[agent]} for agent in env.agents}
+
+
+def test_messages_arrive_one_step_later_in_the_order_of_the_agents():
+    with race(num_kart=3, view="flattened_discrete") as inner:
+        env = MessageChannel(inner, size=2)
+        observations, _ = env.reset(seed=1)
+        assert not observations["kart_0"]["heard"].any()
+        messages = {a: np.array([n / 10, -n / 10], np.float32) for n, a in enumerate(env.agents)}
+        observations = env.step(say(env, messages))[0]
+        np.testing.assert_array_equal(
+            observations["kart_1"]["messages"], [messages["kart_0"], messages["kart_2"]]
+        )
+        assert observations["kart_1"]["heard"].tolist() == [1, 1]
+        assert observations["kart_1"] in env.observation_space("kart_1")
+        observations, _ = env.reset()
+        assert not observations["kart_1"]["messages"].any()
+
+
+def test_words_are_heard_as_ones():
+    with race(num_kart=2, view="flattened_discrete") as inner:
+        env = MessageChannel(inner, words=5)
+        assert env.action_space("kart_0")["message"] == spaces.Discrete(5)
+        env.reset(seed=1)
+        observations = env.step(say(env, {"kart_0": 3, "kart_1": np.int64(0)}))[0]
+        assert observations["kart_1"]["messages"].tolist() == [[0, 0, 0, 1, 0]]
+
+
+def test_only_those_in_reach_and_of_the_team_are_heard():
+    starts = {"kart_0": 100.0, "kart_1": 110.0, "kart_2": 400.0, "kart_3": 115.0}
+    with race(view="flattened_discrete") as inner:
+        env = MessageChannel(
+            Teams(inner, teams=[[0, 1, 2], [3]]), words=2, reach=60.0, within_teams=True
+        )
+        env.reset(seed=1, options={"start": starts})
+        observations = env.step(say(env, dict.fromkeys(env.agents, 1)))[0]
+        assert observations["kart_0"]["heard"].tolist() == [1, 0, 0]
+        assert observations["kart_3"]["heard"].tolist() == [0, 0, 0]
+
+
+def test_a_message_that_cannot_be_is_refused_and_the_race_stands_still():
+    with race(num_kart=2, view="flattened_discrete") as inner:
+        env = MessageChannel(inner, words=2)
+        env.reset(seed=1)
+        before = inner.snapshot.karts.tobytes()
+        with pytest.raises(ActionError, match="message of 'kart_1' is 2"):
+            env.step(say(env, {"kart_0": 0, "kart_1": 2}))
+        with pytest.raises(ActionError, match="expected a dict of 'action' and 'message'"):
+            env.step({"kart_0": 4, "kart_1": 4})
+        assert inner.snapshot.karts.tobytes() == before
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"size": 0}, "size is 0"),
+        ({"words": 1}, "words is 1"),
+        ({"reach": -1}, "reach is -1"),
+        ({"within_teams": True}, "needs teams"),
+    ],
+)
+def test_channels_that_cannot_be_are_refused(options, text):
+    with race() as env, pytest.raises(ConfigError, match=text):
+        MessageChannel(env, **options)
+
+
+# ------------------------------------------------------------------ together
+
+
+def test_channels_around_teams_keep_pettingzoos_contract():
+    def view(env):
+        return FlattenerWrapper(VIEWS["simple"](env))
+
+    with race(num_kart=3, view=view, max_cycles=60) as inner:
+        env = MessageChannel(Teams(inner, teams=[[0, 2], [1]], observe=True), size=3)
+        parallel_api_test(env, num_cycles=40)
+
+
+def test_teams_and_messages_go_through_the_turn_by_turn_form():
+    with race(num_kart=2, view="flattened_discrete", max_cycles=20) as inner:
+        env = MessageChannel(Teams(inner, teams=[[0, 1]], observe=True), words=3)
+        aec, steps = parallel_to_aec(env), 0
+        aec.reset(seed=1)
+        for agent in aec.agent_iter():
+            observation, _, terminated, truncated, info = aec.last()
+            assert observation in aec.observation_space(agent)
+            assert info["team"] == 0
+            over = terminated or truncated
+            aec.step(None if over else {"action": 484, "message": steps % 3})
+            steps += 1
+        assert steps == 2 * 21
+
+
+def test_a_race_of_a_team_is_the_same_race():
+    ends = []
+    for wrap in (lambda env: env, lambda env: Teams(env, teams=[[0, 1]], observe=True)):
+        with race(num_kart=2, view="flattened_discrete") as inner:
+            env = wrap(inner)
+            env.reset(seed=4)
+            for _ in range(30):
+                env.step(dict.fromkeys(env.agents, 484))
+            ends.append(inner.state().tobytes())
+    assert ends[0] == ends[1]

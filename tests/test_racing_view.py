@@ -1,0 +1,273 @@
+"""The racing view: the same numbers for one kart, for a race and for many races."""
+
+import itertools
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from stkzoo import AgentSpec, race_v0
+from stkzoo.env.views import VIEWS
+from stkzoo.errors import AgentException
+from stkzoo.mdp.geometry import rotation_matrices
+from stkzoo.names import ItemType
+from stkzoo.wrappers.racing import (
+    CHOICES,
+    MIRROR,
+    PARTS,
+    SIZE,
+    STEERS,
+    CrowdView,
+    RacingActions,
+    RacingObservations,
+    RoadTable,
+    choices_of_action,
+    controls_of_choices,
+    road_line,
+)
+from stkzoo.wrappers.racing.layout import MARKS
+from stkzoo.wrappers.racing.road import NUM_POINTS, STEP
+
+
+class OneKart(gym.Env):
+    """Shows what it is given."""
+
+    def __init__(self, env):
+        self.observation_space = env.observation_space("kart_0")
+        self.action_space = env.action_space("kart_0")
+
+
+def part(view, name):
+    """One part of a view, ``(..., count, width)``."""
+    begin = 0
+    for other, (count, width) in PARTS.items():
+        if other == name:
+            rows = view[..., begin : begin + count * width]
+            return rows.reshape(*view.shape[:-1], count, width)
+        begin += count * width
+    raise KeyError(name)
+
+
+def places_of(env):
+    return np.array([env.race.kart_indices[int(agent[5:])] for agent in env.agents])
+
+
+def race(**options):
+    return race_v0.parallel_env(
+        **{"num_kart": 4, "track": "lighthouse", "max_cycles": 120} | options
+    )
+
+
+def moments(env, seed=3, steps=100):
+    """Full observations of a race that is driven at random, and the moments themselves."""
+    chance = np.random.default_rng(seed)
+    observations, _ = env.reset(seed=seed)
+    for _ in range(steps):
+        yield observations
+        choices = np.stack([chance.integers(0, count, len(env.agents)) for count in CHOICES], 1)
+        choices[:, 1] = 0
+        actions = dict(zip(env.agents, choices, strict=True))
+        chain = RacingActions(OneKart(env))
+        observations, *_ = env.step({a: chain.action(c) for a, c in actions.items()})
+        if not env.agents:
+            return
+
+
+@pytest.mark.parametrize(("track", "reverse"), [("lighthouse", False), ("candela_city", True)])
+def test_one_kart_a_race_and_a_crowd_see_the_same(track, reverse):
+    env = race(track=track, reverse=reverse)
+    with env:
+        view = RacingObservations(OneKart(env))
+        crowd = None
+        for observations in itertools.islice(moments(env), 0, None, 9):
+            crowd = crowd or CrowdView([RoadTable(env.track_map)])
+            alone = np.stack([view.observation(observations[agent]) for agent in env.agents])
+            together = view.observation(env.observe_batch(env.agents))
+            from_above = crowd.observe([env.snapshot], [0], [places_of(env)])
+            np.testing.assert_allclose(together, alone, atol=1e-5)
+            np.testing.assert_allclose(from_above, alone, atol=1e-4)
+    assert alone.shape == (4, SIZE)
+
+
+def test_crowds_of_several_races_see_what_each_sees_alone():
+    with race() as one, race(track="olivermath", num_kart=3) as two:
+        one.reset(seed=1), two.reset(seed=2)
+        roads = [RoadTable(env.track_map) for env in (one, two)]
+        both = CrowdView(roads).observe(
+            [one.snapshot, two.snapshot], [0, 1], [places_of(one), places_of(two)]
+        )
+        first = CrowdView(roads[:1]).observe([one.snapshot], [0], [places_of(one)])
+        second = CrowdView(roads[1:]).observe([two.snapshot], [0], [places_of(two)])
+    np.testing.assert_allclose(both, np.concatenate([first, second]), atol=1e-6)
+
+
+def test_the_view_by_its_name_is_in_its_space_and_finite():
+    with race(view="racing") as env:
+        observations, _ = env.reset(seed=5)
+        seen = []
+        for _ in range(60):
+            for agent in env.agents:
+                assert env.observation_space(agent).contains(observations[agent])
+                seen.append(observations[agent])
+            observations, *_ = env.step({a: env.action_space(a).sample() for a in env.agents})
+    assert np.isfinite(seen).all()
+    assert np.ptp(seen, axis=0).max() > 0.5  # it moves
+
+
+def test_it_is_registered():
+    env = gym.make("supertuxkart/racing-v0", track="lighthouse")
+    observation, _ = env.reset(seed=1)
+    assert observation.shape == (SIZE,)
+    assert env.action_space == gym.spaces.MultiDiscrete(np.array(CHOICES))
+    env.close()
+
+
+def mirrored(observation):
+    """A full observation of the mirrored race: x is to the left."""
+    flipped = {}
+    for key, value in observation.items():
+        if isinstance(value, tuple) and key.endswith(("_position", "_start", "_end")):
+            flipped[key] = tuple(row * np.array([-1, 1, 1], np.float32) for row in value)
+        elif key in ("velocity", "front", "center_path"):
+            flipped[key] = value * np.array([-1, 1, 1], np.float32)
+        else:
+            flipped[key] = value
+    return flipped
+
+
+def test_the_mirrored_race_is_seen_mirrored():
+    with race() as env:
+        view = RacingObservations(OneKart(env))
+        for observations in itertools.islice(moments(env), 0, None, 20):
+            for agent in env.agents:
+                there = view.observation(mirrored(observations[agent]))
+                np.testing.assert_allclose(
+                    there, view.observation(observations[agent]) * MIRROR, atol=1e-5
+                )
+    assert (MIRROR == -1).sum() > 30
+
+
+def places_on_road(track, points):
+    """How far each point is from the track's centre line, and where on it [m]."""
+    starts, ends = track.path_nodes[:, 0].astype(float), track.path_nodes[:, 1].astype(float)
+    along = ends - starts
+    squares = (along * along).sum(-1)
+    share = ((points[:, None] - starts) * along).sum(-1) / squares
+    feet = starts + np.clip(share, 0, 1)[..., None] * along
+    distances = np.linalg.norm(points[:, None] - feet, axis=-1)
+    best = distances.argmin(axis=1)
+    rows = np.arange(len(points))
+    begin, end = track.path_distance[best].T
+    return distances[rows, best], begin + np.clip(share[rows, best], 0, 1) * (end - begin)
+
+
+@pytest.mark.parametrize("track", ["abyss", "hacienda"])
+def test_marks_lie_on_the_tracks_line_at_their_distances(track):
+    with race(num_kart=1, track=track) as env:
+        view = RacingObservations(OneKart(env))
+        for observations in itertools.islice(moments(env), 30, None, 15):
+            kart = env.snapshot.karts[0]
+            one = view.observation(observations["kart_0"])
+            marks = part(one, "marks_direction") * MARKS[:, None]
+            beside = part(one, "line_position") * 10
+            turn = rotation_matrices(kart["rotation"])
+            points = np.concatenate([beside, marks]) @ turn + kart["location"]
+            off, place = places_on_road(env.track_map, points)
+            assert off.max() < 0.5
+            ahead = (place[1:] - place[0]) % env.track_map.length
+            np.testing.assert_allclose(ahead, MARKS, atol=1.0, rtol=0.1)
+
+
+def test_a_straight_road_is_a_straight_line():
+    starts = np.array([[0, 0, 10.0 * n] for n in range(8)], np.float32)
+    ends = starts + np.array([0, 0, 10], np.float32)
+    line = road_line(starts, ends, np.full(8, 6.0, np.float32))
+    assert line.shape == (NUM_POINTS, 4)
+    expected = np.minimum(STEP * np.arange(NUM_POINTS), 80.0)
+    np.testing.assert_allclose(line[:, 2], expected, atol=1e-4)
+    np.testing.assert_allclose(line[:, 3], 3.0)
+
+
+def test_the_line_goes_on_after_a_gap_but_not_after_a_long_one():
+    def end_of(gap):
+        starts = np.array([[0, 0, 0], [0, 0, 10 + gap]], np.float32)
+        ends = starts + np.array([0, 0, 10], np.float32)
+        return road_line(starts, ends, np.ones(2, np.float32))[-1, 2]
+
+    assert end_of(12.0) == pytest.approx(32.0)
+    assert end_of(40.0) == pytest.approx(10.0)
+
+
+def test_at_a_fork_the_line_keeps_to_the_branch_that_touches():
+    main = [[0, 0, 0], [0, 0, 10], [0, 0, 20], [0, 0, 30]]
+    branch = [[6, 0, 10], [6, 0, 20]]
+    order = [main[0], main[1], branch[0], main[2], branch[1], main[3]]
+    starts = np.array(order, np.float32)
+    line = road_line(starts, starts + np.array([0, 0, 10], np.float32), np.ones(6, np.float32))
+    assert np.abs(line[:, 0]).max() == 0.0
+
+
+def test_items_are_seen_where_they_are():
+    with race(num_kart=1, track="lighthouse", max_cycles=300) as env:
+        view = RacingObservations(OneKart(env))
+        goods = 0
+        for observations in itertools.islice(moments(env, steps=150), 0, None, 10):
+            full = observations["kart_0"]
+            one = view.observation(full)
+            good_kinds = (ItemType.BONUS_BOX, ItemType.NITRO_BIG, ItemType.NITRO_SMALL)
+            places = [
+                (place, kind)
+                for place, kind in zip(full["items_position"], full["items_type"], strict=True)
+                if kind in good_kinds
+                and place[2] > 0.5
+                and abs(place[1]) < 6
+                and np.linalg.norm(place) < 60
+            ]
+            if not places:
+                assert part(one, "goods_nearness")[0, 0] == 0
+                continue
+            goods += 1
+            place, kind = places[0]
+            distance = np.linalg.norm(place)
+            assert part(one, "goods_nearness")[0, 0] == pytest.approx(1 / (1 + distance / 5), 1e-4)
+            assert part(one, "goods_beside")[0, 0] == pytest.approx(
+                np.clip(place[0] / 5, -5, 5), abs=1e-4
+            )
+            assert part(one, "goods_type")[0].argmax() == good_kinds.index(kind)
+    assert goods > 3
+
+
+def test_choices_are_the_games_actions():
+    with race(num_kart=1) as env:
+        wrapped = RacingActions(OneKart(env))
+        base = env.action_space("kart_0")
+        for steer, pedal, *buttons in itertools.product(
+            (0, 3, 6, 12), *(range(n) for n in CHOICES[1:])
+        ):
+            choices = np.array([steer, pedal, *buttons])
+            action = wrapped.action(choices)
+            assert base.contains(action)
+            assert action["steer"][0] == STEERS[steer]
+            assert (action["acceleration"][0], action["brake"]) == [(1, 0), (0, 0), (0, 1)][pedal]
+            assert (choices_of_action(action) == choices).all()
+    together = controls_of_choices(np.stack([choices, choices]))
+    assert together.shape == (2, 7)
+
+
+def test_what_the_ai_does_comes_as_choices():
+    spec = [AgentSpec(use_ai=True), AgentSpec()]
+    with race_v0.parallel_env(agents=spec, num_kart=2, track="lighthouse", view="racing") as env:
+        observations, _ = env.reset(seed=1)
+        done = []
+        for _ in range(60):
+            assert env.observation_space("kart_0").contains(observations["kart_0"])
+            done.append(observations["kart_0"]["action"])
+            observations, *_ = env.step({"kart_1": np.zeros(5, int)})
+    assert len({int(choices[0]) for choices in done}) > 1  # it steers
+
+
+def test_other_views_are_refused():
+    with pytest.raises(AgentException, match="needs the full view"):
+        race(view=lambda env: RacingObservations(VIEWS["simple"](env)))
+    with pytest.raises(AgentException, match="game's own actions"):
+        race(view=lambda env: RacingActions(VIEWS["control"](env)))

@@ -1,0 +1,109 @@
+"""Which actions can do anything now."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from stkzoo.errors import ConfigError
+from stkzoo.names import PowerupType
+from stkzoo.wrappers.action_observation import ActionObservationWrapper
+from stkzoo.wrappers.batched import BatchedWrapper
+from stkzoo.wrappers.flattener import FlattenerWrapper
+
+__all__ = ["ActionMasks"]
+
+
+class ActionMasks(gym.ObservationWrapper[Any, Any, Any], BatchedWrapper):
+    """Adds ``action_mask`` to a flattened view: 1 for actions that can do something, 0 for others.
+
+    Nitro does nothing with an empty tank, and fire nothing without a powerup; actions with one
+    of these buttons are then masked. Such an action is still allowed: the race takes it as if
+    the button were not pressed.
+
+    The mask is int8, ``(n,)`` for ``Discrete(n)``. For ``MultiDiscrete`` it has the values of
+    all choices one after the other, ``(sum(nvec),)``, as ``MaskablePPO`` takes it.
+
+    Args:
+        env: an environment whose observations are flattened and whose actions are discrete:
+            ``flattened_multidiscrete`` or ``flattened_discrete``.
+
+    Raises:
+        ConfigError: it is none.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        flattener = next((w for w in _inwards(env) if isinstance(w, FlattenerWrapper)), None)
+        space = env.observation_space
+        if (
+            flattener is None
+            or not isinstance(space, spaces.Dict)
+            or not {"continuous", "discrete"} <= set(space.spaces)
+            or not isinstance(env.action_space, (spaces.Discrete, spaces.MultiDiscrete))
+        ):
+            raise ConfigError(
+                "ActionMasks goes around flattened_multidiscrete or flattened_discrete, and found "
+                f"observations {space!r} and actions {env.action_space!r}."
+            )
+        inner: Any = flattener.env.observation_space
+        keys = flattener.observation_flattener
+        self._energy = _place(inner, keys.continuous_keys, "energy")
+        self._powerup = _place(inner, keys.discrete_keys, "powerup_type")
+        self._nitro, self._fire = _uses(env, flattener)
+        mask = spaces.Box(0, 1, self._nitro.shape, np.int8)
+        self.observation_space = spaces.Dict({**copy.deepcopy(space.spaces), "action_mask": mask})
+
+    def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
+        """The observation with the mask, ``(..., n)`` int8."""
+        has_nitro = np.asarray(observation["continuous"])[..., self._energy, None] > 0
+        powerup = np.asarray(observation["discrete"])[..., self._powerup, None]
+        has_item = powerup != PowerupType.NOTHING
+        mask = (~self._nitro | has_nitro) & (~self._fire | has_item)
+        return {**observation, "action_mask": mask.astype(np.int8)}
+
+
+def _inwards(env: Any) -> Iterator[Any]:
+    """An environment's wrappers, the outermost first."""
+    while isinstance(env, gym.Wrapper):
+        yield env
+        env = env.env
+
+
+def _place(space: spaces.Dict, keys: list[str], key: str) -> int:
+    """Where the one number under a key stands in a flattened vector."""
+    if key not in keys:
+        raise ConfigError(
+            f"ActionMasks needs {key!r} among the observations, but found {', '.join(keys)}."
+        )
+    before = keys[: keys.index(key)]
+    return int(sum(int(np.prod(space[other].shape or ())) for other in before))
+
+
+Flags = npt.NDArray[np.bool_]
+
+
+def _uses(env: gym.Env[Any, Any], flattener: FlattenerWrapper) -> tuple[Flags, Flags]:
+    """For each action, or each value of each choice: does it press nitro, does it fire?"""
+    if isinstance(env.action_space, spaces.Discrete):
+        action: Any = np.arange(env.action_space.n)
+        for wrapper in _inwards(env):
+            if isinstance(wrapper, ActionObservationWrapper):
+                action = wrapper.action(action)
+            if wrapper is flattener:
+                break
+        return np.asarray(action["nitro"]) > 0, np.asarray(action["fire"]) > 0
+    inner: Any = flattener.env.action_space
+    sizes = {key: int(inner[key].n) for key in flattener.action_flattener.discrete_keys}
+    nitro, fire = (
+        np.concatenate([(np.arange(size) > 0) & (key == button) for key, size in sizes.items()])
+        for button in ("nitro", "fire")
+    )
+    return nitro, fire

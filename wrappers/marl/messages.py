@@ -1,0 +1,163 @@
+"""A channel on which drivers can talk to each other."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from pettingzoo import ParallelEnv
+from pettingzoo.utils import BaseParallelWrapper
+
+from stkzoo.errors import ActionError, ConfigError
+from stkzoo.wrappers.arguments import whole_number
+from stkzoo.wrappers.marl.teams import Parts, Teams
+
+__all__ = ["MessageChannel"]
+
+
+class MessageChannel(BaseParallelWrapper[str, Any, Any]):
+    """Lets each agent send a message a step, which the others hear one step later.
+
+    Actions become dicts of ``action``, what it was, and ``message``. Observations become dicts
+    of ``observation``, what it was; ``messages``, ``(agents - 1, size)`` float32, what each
+    other agent said in the step before, in the order of the agents; and ``heard``,
+    ``(agents - 1,)`` int8, 1 where somebody was heard. Those out of reach, in another team or
+    no longer in the race are not heard: their rows are zeros. Nobody is heard at the start.
+
+    Args:
+        env: a race (``race_v0.parallel_env``), perhaps wrapped.
+        size: how many numbers from -1 to 1 a message has.
+        words: messages are one of so many words instead: ``Discrete(words)`` to say, and a one
+            among ``size = words`` zeros to hear.
+        reach: how far one can be heard [m]; everybody by default.
+        within_teams: only team-mates hear each other; ``env`` has :class:`Teams` in it.
+
+    Raises:
+        ConfigError: an argument cannot be.
+    """
+
+    def __init__(
+        self,
+        env: ParallelEnv[str, Any, Any],
+        *,
+        size: int = 4,
+        words: int | None = None,
+        reach: float = math.inf,
+        within_teams: bool = False,
+    ) -> None:
+        super().__init__(env)
+        self.words = None if words is None else whole_number("words", words, 2)
+        self.size = self.words or whole_number("size", size, 1)
+        if isinstance(reach, bool) or not isinstance(reach, (int, float)) or not reach > 0:
+            raise ConfigError(f"reach is {reach!r}, expected a number of metres above 0")
+        self.reach = float(reach)
+        self._message_space: spaces.Space[Any] = (
+            spaces.Discrete(self.words) if self.words else spaces.Box(-1, 1, (self.size,))
+        )
+        self._team_of = _teams_in(env) if within_teams else dict.fromkeys(env.possible_agents, 0)
+        self._said: dict[str, npt.NDArray[np.float32]] = {}
+        self._observation_spaces = {a: self._heard_space(a) for a in env.possible_agents}
+        self._action_spaces = {a: self._said_space(a) for a in env.possible_agents}
+
+    def _said_space(self, agent: str) -> spaces.Space[Any]:
+        action = copy.deepcopy(self.env.action_space(agent))
+        return spaces.Dict({"action": action, "message": copy.deepcopy(self._message_space)})
+
+    def _heard_space(self, agent: str) -> spaces.Space[Any]:
+        others = len(self.env.possible_agents) - 1
+        return spaces.Dict(
+            {
+                "observation": copy.deepcopy(self.env.observation_space(agent)),
+                "messages": spaces.Box(-1, 1, (others, self.size)),
+                "heard": spaces.Box(0, 1, (others,), np.int8),
+            }
+        )
+
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
+        """The agent's observation space: always the same object."""
+        return self._observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Space[Any]:
+        """The agent's action space: always the same object."""
+        return self._action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """Resets the race; nobody has said anything."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        self._said = {}
+        return self._with_messages(observations), infos
+
+    def step(self, actions: dict[str, Any]) -> Parts:
+        """Steps the race and delivers what was said.
+
+        Raises:
+            ActionError: a message is missing or cannot be; the race has not moved.
+        """
+        said = {agent: self._message(agent, actions) for agent in self.env.agents}
+        bare = {agent: action["action"] for agent, action in actions.items() if agent in said}
+        observations, rewards, terminations, truncations, infos = self.env.step(bare)
+        self._said = {
+            agent: message
+            for agent, message in said.items()
+            if not (terminations.get(agent) or truncations.get(agent))
+        }
+        return self._with_messages(observations), rewards, terminations, truncations, infos
+
+    def _message(self, agent: str, actions: Mapping[str, Any]) -> npt.NDArray[np.float32]:
+        action = actions.get(agent)
+        parts = action if isinstance(action, Mapping) else {}
+        if not {"action", "message"} <= set(parts):
+            raise ActionError(
+                f"the action of {agent!r} is {action!r}, expected a dict of 'action' and 'message'",
+                agent,
+            )
+        message: Any = parts["message"]
+        if self.words is None:
+            message = np.array(message, np.float32)
+        if not self._message_space.contains(message):
+            raise ActionError(
+                f"the message of {agent!r} is {message!r}, not in {self._message_space!r}", agent
+            )
+        row = message if self.words is None else np.eye(self.words)[int(message)]
+        return np.asarray(row, np.float32)
+
+    def _with_messages(self, observations: dict[str, Any]) -> dict[str, Any]:
+        return {
+            agent: {"observation": observation, **self._heard(agent)}
+            for agent, observation in observations.items()
+        }
+
+    def _heard(self, agent: str) -> dict[str, Any]:
+        others = [other for other in self.env.possible_agents if other != agent]
+        messages = np.zeros((len(others), self.size), np.float32)
+        heard = np.zeros(len(others), np.int8)
+        for row, other in enumerate(others):
+            if other in self._said and self._hears(agent, other):
+                messages[row], heard[row] = self._said[other], 1
+        return {"messages": messages, "heard": heard}
+
+    def _hears(self, agent: str, other: str) -> bool:
+        if self._team_of[agent] != self._team_of[other]:
+            return False
+        if math.isinf(self.reach):
+            return True
+        race: Any = self.env.unwrapped
+        karts = dict(zip(race.possible_agents, race.race.kart_indices, strict=True))
+        places = race.snapshot.karts["location"]
+        between = places[karts[agent]] - places[karts[other]]
+        return bool(np.linalg.norm(between) <= self.reach)
+
+
+def _teams_in(env: Any) -> dict[str, int]:
+    while isinstance(env, BaseParallelWrapper):
+        if isinstance(env, Teams):
+            return env.team_of
+        env = env.env
+    raise ConfigError("within_teams needs teams: put Teams(env, teams=...) inside MessageChannel")

@@ -1,0 +1,83 @@
+"""Seeing less: what is far away, or outside of the field of view, is not there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.wrappers.arguments import dict_space
+
+__all__ = ["LimitedSight"]
+
+_SEEN = {"karts": ("karts_position",), "items": ("items_position", "items_type")}
+
+
+class LimitedSight(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """Hides the karts and items that a driver could not see.
+
+    It goes around the ``full`` view, inside of the wrappers that fix sizes or flatten; what is
+    hidden is left out of the lists. It works agent by agent, so that agents of one race may see
+    differently far.
+
+    Args:
+        env: an environment in the ``full`` view.
+        radius: how far can be seen [m].
+        angle: the whole field of view [rad]; ``math.tau`` is all around.
+        of: what is hidden beyond: ``"karts"``, ``"items"`` or both.
+
+    Raises:
+        ConfigError: an argument cannot be, or the environment is in another view.
+    """
+
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        *,
+        radius: float = math.inf,
+        angle: float = math.tau,
+        of: Sequence[str] = ("karts", "items"),
+    ) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, radius=radius, angle=angle, of=tuple(of))
+        super().__init__(env)
+        space = dict_space(env.observation_space, "observations", "LimitedSight")
+        self.radius = _positive("radius", radius)
+        self.angle = _positive("angle", angle)
+        for name in of:
+            if name not in _SEEN:
+                raise unknown_name("thing to see", name, _SEEN)
+        self._groups = [_SEEN[name] for name in of]
+        for key in (key for group in self._groups for key in group):
+            if not isinstance(space.spaces.get(key), gym.spaces.Sequence):
+                raise ConfigError(
+                    f"LimitedSight needs a list (a Sequence space) under {key!r}, but found "
+                    f"{space.spaces.get(key)!r}. It goes around the full view."
+                )
+
+    def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
+        """The observation without what cannot be seen."""
+        changed = dict(observation)
+        for keys in self._groups:
+            if len(observation[keys[0]]):
+                seen = self._is_seen(np.asarray(observation[keys[0]], np.float64))
+                for key in keys:
+                    pairs = zip(observation[key], seen, strict=True)
+                    changed[key] = tuple(value for value, is_seen in pairs if is_seen)
+        return changed
+
+    def _is_seen(self, positions: Any) -> list[bool]:
+        """Which of ``(M, 3)`` positions in the kart's frame are seen."""
+        side = np.abs(np.arctan2(positions[:, 0], positions[:, 2]))
+        near = np.linalg.norm(positions, axis=-1) <= self.radius
+        seen: list[bool] = (near & (side <= self.angle / 2)).tolist()
+        return seen
+
+
+def _positive(name: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
+        raise ConfigError(f"{name} is {value!r}, expected a number above 0")
+    return float(value)

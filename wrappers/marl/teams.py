@@ -1,0 +1,202 @@
+"""Teams: shared rewards, and what drivers know of their team-mates."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from pettingzoo import ParallelEnv
+from pettingzoo.utils import BaseParallelWrapper
+
+from stkzoo.errors import ConfigError
+from stkzoo.mdp.geometry import rotation_matrices
+from stkzoo.mdp.transition import progress_of
+from stkzoo.wrappers.agent_names import find_agent
+
+__all__ = ["MATE_FEATURES", "Teams"]
+
+#: What a driver knows of each team-mate: where it is (x right, y up, z forward) [m] and how fast
+#: it moves [m/s] in the driver's own frame, how far it is ahead along the race [m], its rank, its
+#: nitro, its powerup's number, and whether it still races.
+MATE_FEATURES = (
+    ("position", 3),
+    ("velocity", 3),
+    ("ahead", 1),
+    ("rank", 1),
+    ("energy", 1),
+    ("powerup_type", 1),
+    ("racing", 1),
+)
+_SIZE = sum(size for _, size in MATE_FEATURES)
+
+Parts = tuple[
+    dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]
+]
+
+
+class Teams(BaseParallelWrapper[str, Any, Any]):
+    """Puts the agents of a race into teams.
+
+    Rewards become ``(1 - share)`` times the agent's own and ``share`` times the mean over all
+    members of its team, where those who have left count 0. The own one is in
+    ``infos[agent]["reward/own"]``, the mean in ``infos[agent]["reward/team"]``, and the team's
+    number in ``infos[agent]["team"]``.
+
+    With ``observe`` each observation becomes a dict of ``observation``, what it was;
+    ``team``, the team's number; and ``mates``, ``(members - 1, 11)`` float32, a row of
+    :data:`MATE_FEATURES` for each other member, in the order of the agents. The largest team
+    says how many rows there are; rows without a mate are zeros.
+
+    Args:
+        env: a race (``race_v0.parallel_env``), perhaps wrapped.
+        teams: the members of each team: ids, numbers or numbers as strings. Every agent is in
+            one team.
+        share: how much of the reward is the team's, 0 to 1.
+        observe: whether agents observe their team.
+
+    Attributes:
+        teams: each team's agents.
+        team_of: each agent's team.
+
+    Raises:
+        ConfigError: an argument cannot be.
+    """
+
+    def __init__(
+        self,
+        env: ParallelEnv[str, Any, Any],
+        *,
+        teams: Sequence[Sequence[Any]],
+        share: float = 1.0,
+        observe: bool = False,
+    ) -> None:
+        super().__init__(env)
+        if isinstance(share, bool) or not isinstance(share, (int, float)) or not 0 <= share <= 1:
+            raise ConfigError(f"share is {share!r}, expected a number from 0 to 1")
+        self.teams = _checked_teams(teams, env.possible_agents)
+        self.team_of = {agent: n for n, team in enumerate(self.teams) for agent in team}
+        self.share, self.observe = float(share), bool(observe)
+        self._others = {
+            agent: [mate for mate in self.teams[self.team_of[agent]] if mate != agent]
+            for agent in env.possible_agents
+        }
+        self._rows = max(map(len, self.teams)) - 1
+        self._spaces = {agent: self._space(agent) for agent in env.possible_agents}
+
+    def _space(self, agent: str) -> spaces.Space[Any]:
+        space: spaces.Space[Any] = self.env.observation_space(agent)
+        if not self.observe:
+            return space
+        mates = spaces.Box(-np.inf, np.inf, (self._rows, _SIZE), np.float32)
+        return spaces.Dict(
+            {
+                "observation": copy.deepcopy(space),
+                "team": spaces.Discrete(len(self.teams)),
+                "mates": mates,
+            }
+        )
+
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
+        """The agent's observation space: always the same object."""
+        return self._spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """Resets the race."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        return self._seen(observations), self._told(infos, {}, {})
+
+    def step(self, actions: dict[str, Any]) -> Parts:
+        """Steps the race and shares the rewards."""
+        observations, own, terminations, truncations, infos = self.env.step(actions)
+        means = {
+            n: sum(own.get(agent, 0.0) for agent in team) / len(team)
+            for n, team in enumerate(self.teams)
+        }
+        rewards = {
+            agent: (1 - self.share) * reward + self.share * means[self.team_of[agent]]
+            for agent, reward in own.items()
+        }
+        told = self._told(infos, own, means)
+        return self._seen(observations), rewards, terminations, truncations, told
+
+    def _told(
+        self, infos: Mapping[str, Any], own: Mapping[str, float], means: Mapping[int, float]
+    ) -> dict[str, dict[str, Any]]:
+        return {
+            agent: {
+                **info,
+                "team": self.team_of[agent],
+                "reward/own": own.get(agent, 0.0),
+                "reward/team": means.get(self.team_of[agent], 0.0),
+            }
+            for agent, info in infos.items()
+        }
+
+    def _seen(self, observations: dict[str, Any]) -> dict[str, Any]:
+        if not self.observe or not observations:
+            return observations
+        known = _Known(self.env.unwrapped)
+        return {
+            agent: {
+                "observation": observation,
+                "team": self.team_of[agent],
+                "mates": self._mates(agent, known),
+            }
+            for agent, observation in observations.items()
+        }
+
+    def _mates(self, agent: str, known: _Known) -> npt.NDArray[np.float32]:
+        rows = np.zeros((self._rows, _SIZE), np.float32)
+        for row, mate in enumerate(self._others[agent]):
+            rows[row] = known.row(agent, mate)
+        return rows
+
+
+class _Known:
+    """What is known of all agents' karts at one moment."""
+
+    def __init__(self, race: Any) -> None:
+        agents = race.possible_agents
+        self._kart_of = dict(zip(agents, race.race.kart_indices, strict=True))
+        self._karts = race.snapshot.karts
+        self._turns = rotation_matrices(self._karts["rotation"])
+        self._driven = progress_of(race.snapshot)
+
+    def row(self, agent: str, mate: str) -> npt.NDArray[np.float32]:
+        """The features of one mate as the agent sees it."""
+        own, other = self._kart_of[agent], self._kart_of[mate]
+        karts, turn = self._karts, self._turns[own]
+        return np.concatenate(
+            [
+                turn @ (karts["location"][other] - karts["location"][own]),
+                turn @ karts["velocity"][other],
+                [self._driven[other] - self._driven[own]],
+                [karts["position"][other], karts["energy"][other], karts["powerup_type"][other]],
+                [karts["has_finished_race"][other] <= 0],
+            ]
+        ).astype(np.float32)
+
+
+def _checked_teams(
+    teams: Sequence[Sequence[Any]], agents: Sequence[str]
+) -> tuple[tuple[str, ...], ...]:
+    if isinstance(teams, str) or not isinstance(teams, Sequence) or not teams:
+        raise ConfigError(
+            f"teams is {teams!r}, expected a list of teams, each a list of agents: [[0, 1], [2, 3]]"
+        )
+    if any(isinstance(team, str) or not isinstance(team, Sequence) or not team for team in teams):
+        raise ConfigError(f"a team of {teams!r} is no list of agents, or empty")
+    found = tuple(tuple(find_agent(name, agents) for name in team) for team in teams)
+    members = [agent for team in found for agent in team]
+    for agent in agents:
+        if members.count(agent) != 1:
+            raise ConfigError(
+                f"agent {agent!r} is in {members.count(agent)} teams of {teams!r}, expected one"
+            )
+    return tuple(tuple(sorted(team, key=list(agents).index)) for team in found)

@@ -1,0 +1,36 @@
+"""The racing view: a fixed-size driver's view of the race, and a few choices to act by."""
+
+from stkzoo.wrappers.racing.crowd import CrowdView, KartColumns
+from stkzoo.wrappers.racing.features import ABSENT, LOOKS, Surroundings, racing_features
+from stkzoo.wrappers.racing.layout import MIRROR, PARTS, SIZE
+from stkzoo.wrappers.racing.road import RoadTable, road_line
+from stkzoo.wrappers.racing.wrapper import (
+    CHOICES,
+    STEERS,
+    RacingActions,
+    RacingObservations,
+    choices_of_action,
+    controls_of_choices,
+    surroundings_of,
+)
+
+__all__ = [
+    "ABSENT",
+    "CHOICES",
+    "LOOKS",
+    "MIRROR",
+    "PARTS",
+    "SIZE",
+    "STEERS",
+    "CrowdView",
+    "KartColumns",
+    "RacingActions",
+    "RacingObservations",
+    "RoadTable",
+    "Surroundings",
+    "choices_of_action",
+    "controls_of_choices",
+    "racing_features",
+    "road_line",
+    "surroundings_of",
+]

@@ -1,0 +1,206 @@
+"""The racing view's numbers from what a kart knows of itself and what is around it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.names import ItemType
+from stkzoo.wrappers.racing.layout import (
+    ATTACHMENTS,
+    BADS,
+    GOODS,
+    KARTS,
+    MARKS,
+    NUM_POWERUPS,
+    PARTS,
+    SIZE,
+    TYPES_BAD,
+    TYPES_GOOD,
+)
+from stkzoo.wrappers.racing.road import NUM_POINTS, STEP
+
+__all__ = ["ABSENT", "LOOKS", "Surroundings", "line_places", "racing_features"]
+
+FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[Any]
+
+#: Stands for the type of an item that is not there.
+ABSENT = -1
+
+#: Where the line is looked at: beside the kart and at the marks; and a little farther, for its
+#: heading [m].
+LOOKS = np.concatenate([[0.0], MARKS, MARKS + 3.0]).astype(np.float32)
+
+_KART_REACH, _ITEM_REACH = 60.0, 60.0  # [m]
+_ITEM_LEAST_AHEAD, _ITEM_LEVEL = 0.5, 6.0  # [m]
+
+_WORTH = np.zeros(max(ItemType) + 2, np.int8)  # the last is ABSENT
+_WORTH[list(TYPES_GOOD)] = 1
+_WORTH[list(TYPES_BAD)] = -1
+_GOOD_ROWS = np.zeros((max(ItemType) + 2, len(TYPES_GOOD)), np.float32)
+_GOOD_ROWS[list(TYPES_GOOD), range(len(TYPES_GOOD))] = 1.0
+_POWERUP_ROWS = np.eye(NUM_POWERUPS, dtype=np.float32)
+_ATTACHMENT_ROWS = np.zeros((16, len(ATTACHMENTS)), np.float32)
+_ATTACHMENT_ROWS[list(ATTACHMENTS), range(len(ATTACHMENTS))] = 1.0
+
+
+def _places() -> dict[str, slice]:
+    ends = np.cumsum([count * width for count, width in PARTS.values()]).tolist()
+    return {name: slice(a, b) for name, a, b in zip(PARTS, [0, *ends], ends, strict=False)}
+
+
+_PLACES = _places()
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What is around A karts, each in its own frame: x right, y up, z forward [m].
+
+    Attributes:
+        road: ``(A, L, 4)``: the line's points and room, first of all at :data:`LOOKS`.
+        karts: ``(A, K, 3)``: the other karts; not finite where there is none.
+        items: ``(A, M, 3)``.
+        item_types: ``(A, M)`` numbers of :class:`~stkzoo.names.ItemType`, or :data:`ABSENT`.
+    """
+
+    road: FloatArray
+    karts: FloatArray
+    items: FloatArray
+    item_types: IntArray
+
+
+def line_places(
+    starts: FloatArray, along: FloatArray, looks: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Which points of its line a kart looks at.
+
+    Args:
+        starts: ``(A, 3)``: where the karts' own segments start, in frames in which the kart
+            is at the origin.
+        along: ``(A, 3)``: from there to the segments' ends.
+        looks: ``(L,)``: how far ahead of the kart [m].
+
+    Returns:
+        ``(A, L)`` each: number of the point before, and how far it is on the way to the
+        next, from 0 to 1.
+    """
+    squares = (along * along).sum(-1)
+    share = -(starts * along).sum(-1) / np.where(squares > 0, squares, 1)
+    passed = np.clip(share, 0, 1) * np.sqrt(squares)
+    places = (passed[:, None] + looks) / np.float32(STEP)
+    before = np.minimum(places.astype(np.intp), NUM_POINTS - 2)
+    return before, (places - before).astype(np.float32)
+
+
+def racing_features(own: Mapping[str, Any], around: Surroundings) -> FloatArray:
+    """The view of A karts.
+
+    Args:
+        own: entries of the ``full`` view in batch form.
+        around: what is around them.
+
+    Returns:
+        ``(A, SIZE)`` float32.
+    """
+    view = np.empty((len(around.road), SIZE), np.float32)
+    _write_own(view, own)
+    _write_road(view, around.road)
+    _write_karts(view, around.karts)
+    _write_items(view, around)
+    return np.clip(view, -5.0, 5.0, out=view)
+
+
+def _write_own(view: FloatArray, own: Mapping[str, Any]) -> None:
+    view[:, _PLACES["velocity"]] = own["velocity"] / 20.0
+    view[:, _PLACES["max_steer_angle"]] = own["max_steer_angle"]
+    view[:, _PLACES["skeed_factor"]] = own["skeed_factor"]
+    view[:, _PLACES["energy"]] = own["energy"] / 20.0
+    view[:, _PLACES["attachment_time_left"]] = own["attachment_time_left"] / 10.0
+    view[:, _PLACES["shield_time"]] = own["shield_time"] / 10.0
+    view[:, _PLACES["jumping"]] = np.reshape(own["jumping"], (-1, 1))
+    view[:, _PLACES["powerup_type"]] = _POWERUP_ROWS[own["powerup_type"]]
+    view[:, _PLACES["powerup_count"]] = np.reshape(own["powerup_count"], (-1, 1)) / 3.0
+    view[:, _PLACES["attachment"]] = _ATTACHMENT_ROWS[own["attachment"]]
+
+
+def _write_road(view: FloatArray, road: FloatArray) -> None:
+    count = len(MARKS)
+    beside, marks, beyond = np.split(road[:, : len(LOOKS)], [1, count + 1], axis=1)
+    beside = beside[:, 0]
+    view[:, _PLACES["line_position"]] = beside[:, :3] / 10.0
+    view[:, _PLACES["line_room"]] = beside[:, 3:] / 10.0
+    directions = marks[..., :3] / MARKS[:, None]
+    view[:, _PLACES["marks_direction"]] = directions.reshape(len(view), -1)
+    view[:, _PLACES["marks_room"]] = marks[..., 3] / 10.0
+    heading = (beyond - marks)[..., [0, 2]]
+    length = np.sqrt((heading * heading).sum(-1, keepdims=True))
+    view[:, _PLACES["marks_heading"]] = (heading / np.maximum(length, 0.1)).reshape(len(view), -1)
+
+
+def _write_karts(view: FloatArray, karts: FloatArray) -> None:
+    squares = (karts * karts).sum(-1)
+    near, there = _nearest(karts, squares, squares < _KART_REACH**2, KARTS)
+    _write_places(view, "karts", near, there)
+
+
+def _write_items(view: FloatArray, around: Surroundings) -> None:
+    items, types = around.items, around.item_types
+    squares = (items * items).sum(-1)
+    is_seen = (
+        (items[..., 2] > _ITEM_LEAST_AHEAD)
+        & (np.abs(items[..., 1]) < _ITEM_LEVEL)
+        & (squares < _ITEM_REACH**2)
+    )
+    worth = _WORTH[types]
+    for name, sign, count in (("goods", 1, GOODS), ("bads", -1, BADS)):
+        seen, there, order = _nearest_with_order(items, squares, is_seen & (worth == sign), count)
+        _write_places(view, name, seen, there)
+        view[:, _PLACES[f"{name}_beside"]] = seen[..., 0] / 5.0
+        if name == "goods":
+            found = there[:, : order.shape[1], None]
+            kinds = _GOOD_ROWS[np.take_along_axis(types, order, axis=1)] * found
+            view[:, _PLACES["goods_type"]] = _padded(kinds, count).reshape(len(view), -1)
+
+
+def _write_places(view: FloatArray, name: str, points: FloatArray, there: FloatArray) -> None:
+    distances = np.sqrt((points * points).sum(-1))
+    directions = points / np.maximum(distances, 0.5)[..., None]
+    view[:, _PLACES[f"{name}_direction"]] = directions.reshape(len(view), -1)
+    view[:, _PLACES[f"{name}_nearness"]] = there / (1.0 + distances / 5.0)
+
+
+def _nearest(
+    points: FloatArray, squares: FloatArray, is_seen: npt.NDArray[np.bool_], count: int
+) -> tuple[FloatArray, FloatArray]:
+    near, there, _ = _nearest_with_order(points, squares, is_seen, count)
+    return near, there
+
+
+def _nearest_with_order(
+    points: FloatArray, squares: FloatArray, is_seen: npt.NDArray[np.bool_], count: int
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """The nearest points that are seen, zeros where there are fewer; and their order.
+
+    Returns:
+        ``(A, count, 3)``, ``(A, count)`` of 1 and 0, and indices ``(A, up to count)``.
+    """
+    keys = np.where(is_seen, squares, np.inf)
+    order = np.argsort(keys, axis=1, kind="stable")[:, :count]
+    found = np.take_along_axis(is_seen, order, axis=1)
+    near = np.take_along_axis(points, order[..., None], axis=1)
+    near = np.where(found[..., None], near, 0).astype(np.float32)
+    return _padded(near, count), _padded(found.astype(np.float32), count), order
+
+
+def _padded(rows: FloatArray, count: int) -> FloatArray:
+    """Rows ``(A, n, ...)`` with zeros behind them up to ``count``."""
+    missing = count - rows.shape[1]
+    if not missing:
+        return rows
+    shape = (rows.shape[0], missing, *rows.shape[2:])
+    return np.concatenate([rows, np.zeros(shape, rows.dtype)], axis=1)

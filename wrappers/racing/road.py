@@ -1,0 +1,112 @@
+"""The road ahead as a line of even steps, put together from track segments.
+
+The line begins where the kart's own segment begins and runs along the segments that follow one
+another. At a fork it keeps to the branch whose segments touch: the main road, or the side road
+that the kart is in. Its points are :data:`STEP` metres apart, whatever the segments' lengths.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from stkzoo.engine.track import TrackMap
+
+__all__ = ["MAX_SEGMENTS", "NUM_POINTS", "STEP", "RoadTable", "road_line"]
+
+FloatArray = npt.NDArray[np.float32]
+
+#: Segments looked at; the shortest ones of all tracks make 100 m with 50, twice that at forks.
+MAX_SEGMENTS = 96
+
+#: Distance between the line's points [m].
+STEP = 2.0
+
+#: Points of a line.
+NUM_POINTS = 66
+
+#: Segments of one branch touch; entering and leaving a side branch is a jump [m].
+_TOUCHING = 0.3
+
+#: No jump is longer than this [m]; where one would be, the line ends.
+_LONGEST_JUMP = 25.0
+
+#: Beyond its last point a line goes straight on so far [m].
+_TAIL = 150.0
+
+_MARKS = STEP * np.arange(NUM_POINTS)
+
+
+def road_line(starts: FloatArray, ends: FloatArray, widths: FloatArray) -> FloatArray:
+    """The line ahead of the first of some segments.
+
+    Args:
+        starts: ``(P, 3)`` [m], in any frame: the nearest :data:`MAX_SEGMENTS` segments, nearest
+            first along the way a kart can drive, the kart's own before all others.
+        ends: ``(P, 3)`` [m].
+        widths: ``(P,)`` [m].
+
+    Returns:
+        ``(NUM_POINTS, 4)`` float32: x, y, z and the distance from the line to the road's edge
+        [m]. Where the road is not known that far, it goes straight on.
+    """
+    chain = _chain(starts, ends)
+    points = np.stack([starts[chain], ends[chain]], axis=1, dtype=np.float64).reshape(-1, 3)
+    points = np.concatenate([points, _tail(points)])
+    steps = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))
+    marks = np.concatenate([[0.0], np.cumsum(steps)])
+    line = np.empty((NUM_POINTS, 4), np.float32)
+    for column in range(3):
+        line[:, column] = np.interp(_MARKS, marks, points[:, column])
+    rooms = np.append(np.repeat(widths[chain] / 2, 2), widths[chain[-1]] / 2)
+    line[:, 3] = np.interp(_MARKS, marks, rooms)
+    return line
+
+
+def _tail(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """A point ``(1, 3)`` far beyond the end of a line."""
+    last = points[-1] - points[-2]
+    return np.asarray(points[-1:] + last * (_TAIL / max(float(np.linalg.norm(last)), 1e-3)))
+
+
+def _chain(starts: FloatArray, ends: FloatArray) -> npt.NDArray[np.intp]:
+    """Indices of the segments that follow one another, beginning with the first."""
+    count = len(starts)
+    jumps = np.abs(starts[1:] - ends[:-1]).max(axis=1) if count > 1 else np.zeros(0)
+    if (jumps < _TOUCHING).all():
+        return np.arange(count)
+    squares = ((starts[None, :, :] - ends[:, None, :]) ** 2).sum(axis=2)
+    squares[np.tri(count, dtype=bool)] = np.inf  # what follows comes later in driving order
+    followers = squares.argmin(axis=1).tolist()
+    is_last = (squares.min(axis=1) > _LONGEST_JUMP**2).tolist()
+    chain = [0]
+    while not is_last[chain[-1]]:
+        chain.append(followers[chain[-1]])
+    return np.array(chain, np.intp)
+
+
+class RoadTable:
+    """The lines ahead of all segments of a track.
+
+    Attributes:
+        lines: ``(N, NUM_POINTS, 4)`` float32, world frame; see :func:`road_line`.
+        starts: ``(N, 3)`` float32 [m]: where each segment starts.
+        along: ``(N, 3)`` float32 [m]: from there to its end.
+        length: of a lap [m].
+    """
+
+    def __init__(self, track: TrackMap) -> None:
+        self.length = track.length
+        self.starts = track.path_nodes[:, 0]
+        self.along = track.path_nodes[:, 1] - track.path_nodes[:, 0]
+        ahead = track.nodes_ahead(np.arange(track.num_nodes), MAX_SEGMENTS)
+        widths = track.path_width[:, 0]
+        self.lines = np.stack(
+            [
+                road_line(self.starts[nodes], track.path_nodes[nodes, 1], widths[nodes])
+                for nodes in ahead
+            ]
+        )

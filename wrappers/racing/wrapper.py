@@ -1,0 +1,218 @@
+"""The racing view as wrappers around one kart."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from stkzoo.engine.snapshot import CONTROLS
+from stkzoo.errors import ConfigError
+from stkzoo.wrappers.action_observation import ActionObservationWrapper
+from stkzoo.wrappers.arguments import dict_space, observed_action, with_observed_action
+from stkzoo.wrappers.batched import BatchedWrapper
+from stkzoo.wrappers.racing.features import LOOKS, Surroundings, line_places, racing_features
+from stkzoo.wrappers.racing.layout import SIZE
+from stkzoo.wrappers.racing.road import MAX_SEGMENTS, road_line
+
+__all__ = [
+    "CHOICES",
+    "STEERS",
+    "RacingActions",
+    "RacingObservations",
+    "choices_of_action",
+    "controls_of_choices",
+    "surroundings_of",
+]
+
+FloatArray = npt.NDArray[np.float32]
+
+_RIGHT = (0.05, 0.1, 0.16, 0.23, 0.31, 0.4, 0.52, 0.66, 0.82, 1.0)
+#: What the steering can be chosen to be; a mirrored choice is the one at the mirrored place.
+STEERS = np.array([*(-steer for steer in reversed(_RIGHT)), 0.0, *_RIGHT], np.float32)
+
+#: Number of choices for steering, pedal (go, coast, brake), drift, nitro and fire.
+CHOICES = (len(STEERS), 3, 2, 2, 2)
+
+_NEEDED = ("paths_start", "paths_end", "paths_width", "items_position", "karts_position")
+
+
+class RacingObservations(gym.ObservationWrapper[Any, Any, Any], BatchedWrapper):
+    """What matters to a driver as one vector of about -1 to 1, of the same size everywhere.
+
+    The road ahead is given at fixed distances, not by segments, whose lengths differ from
+    track to track. See :data:`stkzoo.wrappers.racing.PARTS` for what stands where. If the view
+    carries the ``action`` of the game's AI, the observation is a dict of that and of the vector
+    under ``observation``.
+
+    Args:
+        env: an environment in the ``full`` view.
+
+    Raises:
+        ConfigError: it is in another view.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        space = env.observation_space
+        if not isinstance(space, spaces.Dict) or any(
+            not isinstance(space.spaces.get(key), spaces.Sequence) for key in _NEEDED
+        ):
+            raise ConfigError(
+                f"RacingObservations needs the full view, but found {space!r}. "
+                "Put it around that, inside all others."
+            )
+        vector = spaces.Box(-5.0, 5.0, (SIZE,), np.float32)
+        action = observed_action(space)
+        self._has_action = action is not None
+        self.observation_space = (
+            vector
+            if action is None
+            else spaces.Dict({"observation": vector, "action": copy.deepcopy(action)})
+        )
+
+    def observation(self, observation: dict[str, Any]) -> Any:
+        """The vector ``(..., SIZE)``, and the AI's action if it is there."""
+        vector = self._vector(observation)
+        if not self._has_action:
+            return vector
+        return {"observation": vector, "action": observation["action"]}
+
+    @staticmethod
+    def _vector(observation: dict[str, Any]) -> FloatArray:
+        lead = np.shape(observation["velocity"])[:-1]
+        return racing_features(*surroundings_of(observation)).reshape(*lead, SIZE)
+
+
+def surroundings_of(
+    observation: Mapping[str, Any], looks: FloatArray = LOOKS
+) -> tuple[dict[str, npt.NDArray[Any]], Surroundings]:
+    """What karts know of themselves and what is around them, from the ``full`` view.
+
+    Args:
+        observation: of one kart, or in batch form.
+        looks: where the road is looked at [m].
+    """
+    lead = np.shape(observation["velocity"])[:-1]
+    batch = observation if lead else {key: [value] for key, value in observation.items()}
+    paths = {
+        key: _rows(batch[key], width, MAX_SEGMENTS)
+        for key, width in (("paths_start", 3), ("paths_end", 3), ("paths_width", 1))
+    }
+    items = _rows(batch["items_position"], 3)
+    types = np.asarray(batch["items_type"], np.int64).reshape(items.shape[:2])
+    around = Surroundings(_road(paths, looks), _rows(batch["karts_position"], 3), items, types)
+    own = {key: np.asarray(batch[key]) for key in _OWN}
+    return own, around
+
+
+_OWN = (
+    "velocity",
+    "max_steer_angle",
+    "skeed_factor",
+    "energy",
+    "attachment_time_left",
+    "shield_time",
+    "jumping",
+    "powerup_type",
+    "powerup_count",
+    "attachment",
+)
+
+
+def _rows(lists: Any, width: int, limit: int | None = None) -> FloatArray:
+    """Lists of vectors, one list an agent, as ``(A, n, width)``."""
+    if isinstance(lists, np.ndarray):
+        return lists[:, :limit]
+    return np.array([np.reshape(rows[:limit], (-1, width)) for rows in lists], np.float32).reshape(
+        len(lists), -1, width
+    )
+
+
+def _road(paths: dict[str, FloatArray], looks: FloatArray) -> FloatArray:
+    starts, ends, widths = paths["paths_start"], paths["paths_end"], paths["paths_width"][..., 0]
+    lines = np.stack(list(map(road_line, starts, ends, widths)))
+    before, share = line_places(starts[:, 0], ends[:, 0] - starts[:, 0], looks)
+    rows = np.arange(len(lines))[:, None]
+    first, second = lines[rows, before], lines[rows, before + 1]
+    road: FloatArray = first + (second - first) * share[..., None]
+    return road
+
+
+class RacingActions(ActionObservationWrapper, BatchedWrapper):
+    """The game's actions as a few choices: steering, pedal, drift, nitro, fire.
+
+    The pedal is go, coast or brake; the brake also drives backwards. The rescue is not among
+    them. :data:`CHOICES` says how many choices there are, :data:`STEERS` what each steering is.
+    The game AI's own ``action``, where the observation carries it, is given as the nearest
+    choices.
+
+    Args:
+        env: an environment with the game's own actions.
+
+    Raises:
+        ConfigError: it has others.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        space = dict_space(env.action_space, "actions", "RacingActions")
+        if set(space.spaces) != set(CONTROLS) or not isinstance(space["steer"], spaces.Box):
+            raise ConfigError(
+                f"RacingActions needs the game's own actions, but found {space!r}. "
+                "Put it around the full view's."
+            )
+        self.action_space = spaces.MultiDiscrete(np.array(CHOICES))
+        self._has_action = observed_action(env.observation_space) is not None
+        self.observation_space = with_observed_action(env.observation_space, self.action_space)
+
+    def action(self, action: npt.NDArray[Any]) -> dict[str, Any]:
+        """The game's own action."""
+        controls = controls_of_choices(np.asarray(action))
+        buttons = {
+            key: controls[..., column].astype(np.int64)
+            for column, key in enumerate(CONTROLS[2:], start=2)
+        }
+        return {
+            "acceleration": controls[..., 0:1],
+            "steer": controls[..., 1:2],
+            **{key: value if value.ndim else int(value) for key, value in buttons.items()},
+        }
+
+    def observation(self, observation: Any) -> Any:
+        """The observation with the AI's ``action`` as choices, if it has one."""
+        if not self._has_action:
+            return observation
+        return {**observation, "action": choices_of_action(observation["action"])}
+
+
+def choices_of_action(action: Mapping[str, Any]) -> npt.NDArray[np.int64]:
+    """The choices ``(..., 5)`` nearest to an action of the game."""
+    steer = np.asarray(action["steer"])
+    is_braking = np.asarray(action["brake"]) > 0
+    is_going = np.asarray(action["acceleration"])[..., 0] > 0.5
+    parts = [
+        np.abs(steer - STEERS).argmin(axis=-1),
+        np.where(is_braking, 2, np.where(is_going, 0, 1)),
+        *(np.asarray(action[key]) for key in ("drift", "nitro", "fire")),
+    ]
+    return np.stack(parts, axis=-1).astype(np.int64)
+
+
+def controls_of_choices(choices: npt.NDArray[Any]) -> FloatArray:
+    """What the engine is told for choices ``(..., 5)``: ``(..., 7)`` float32."""
+    controls = np.zeros((*choices.shape[:-1], 7), np.float32)
+    controls[..., 0] = choices[..., 1] == 0
+    controls[..., 1] = STEERS[choices[..., 0]]
+    controls[..., 2] = choices[..., 1] == 2
+    controls[..., 3] = choices[..., 2]
+    controls[..., 4] = choices[..., 4]
+    controls[..., 5] = choices[..., 3]
+    return controls
