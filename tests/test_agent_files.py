@@ -133,7 +133,7 @@ def test_what_is_unpacked_is_removed_after_the_race(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", None)
     path = zip_of(AGENTS / "weights", tmp_path / "agent.zip")
     assert not run_race([path], track="lighthouse", max_steps=3).has_errors
-    assert not list(tmp_path.glob("stkzoo-agent-*"))
+    assert not list(tmp_path.glob("stkzoo-run-agent-*"))
 
 
 @pytest.mark.parametrize(

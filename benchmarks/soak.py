@@ -1,0 +1,257 @@
+"""Races by the thousand, on all tracks, with random actions and bots, in one program.
+
+After each race: what the game wrote, whether a number is not finite, how much memory, how many
+open files, threads and processes there are. One race in twenty is driven again in another
+environment and must be the same bits. Everything is written down as it comes, and the same
+command goes on where it was.
+
+    python -m benchmarks.soak                  # 2,000 races, an hour
+    python -m benchmarks.soak --races 100 --output soak.jsonl
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import gc
+import json
+import os
+import random
+import re
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.bench_common import RESULTS, progress_bar
+from stkzoo import race_v0
+from stkzoo.engine.assets import find_assets
+from stkzoo.errors import StkzooError
+from tests.chaos.family import family
+from tests.chaos.forms import digest
+
+OUTPUT = RESULTS / "robustness" / "soak.jsonl"
+_VIEWS = ("full", "simple", "flattened", "flattened_discrete", "flattened_continuous_actions")
+_AGAIN_EVERY, _WHOLE_EVERY = 20, 50
+_WHOLE_STEPS = 1500
+#: Races after which all that is loaded once is loaded.
+_WARM = 100
+#: What the game writes when something is not as it should be.
+_COMPLAINT = re.compile(r"\[(?:error|fatal)\s*\]\s*(.{0,80})|(Segmentation fault|terminate called)")
+
+
+class NotFiniteError(Exception):
+    """Something that an agent sees or earns is no number."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a race is, all of it decided by its number."""
+
+    number: int
+    track: str
+    num_kart: int
+    agents: int
+    difficulty: int
+    reverse: bool
+    view: str
+    steps: int
+    seed: int
+
+    @classmethod
+    def of(cls, number: int, tracks: Sequence[str]) -> Plan:
+        """The race of a number."""
+        chance = random.Random(f"soak/{number}")
+        num_kart = chance.randint(2, 6)
+        return cls(
+            number=number,
+            track=tracks[number % len(tracks)],
+            num_kart=num_kart,
+            agents=chance.randint(1, num_kart),
+            difficulty=chance.randint(0, 3),
+            reverse=chance.random() < 0.3,
+            view=chance.choice(_VIEWS),
+            steps=_WHOLE_STEPS if number % _WHOLE_EVERY == 0 else chance.randint(40, 120),
+            seed=chance.randrange(2**31),
+        )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the races that are missing and shows the figures."""
+    words = argparse.ArgumentParser(
+        prog="python -m benchmarks.soak",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    words.add_argument("--races", type=int, default=2000, metavar="N", help="in all")
+    words.add_argument("--output", type=Path, default=OUTPUT, help="one line a race")
+    arguments = words.parse_args(argv)
+    arguments.output.parent.mkdir(parents=True, exist_ok=True)
+    rows = _read(arguments.output)
+    tracks = find_assets().tracks
+    program = 1 + max((row["program"] for row in rows), default=0)
+    with progress_bar(arguments.races) as (progress, task), arguments.output.open("a") as file:
+        for number in range(len(rows), arguments.races):
+            progress.update(task, completed=number)
+            row = {"program": program, **_race(Plan.of(number, tracks)), **_burden()}
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+        progress.update(task, completed=arguments.races)
+    gc.collect()
+    left = [member for member in family(os.getpid()) if member.kind != "mother"]
+    rows = _read(arguments.output)
+    _show(rows)
+    print(f"processes besides the mother at the end: {len(left)}")
+    return 1 if left or any(row["events"] or row["problem"] for row in rows) else 0
+
+
+def _read(file: Path) -> list[dict[str, Any]]:
+    if not file.exists():
+        return []
+    return [json.loads(line) for line in file.read_text().splitlines()]
+
+
+# ---------------------------------------------------------------------- one race
+
+
+def _race(plan: Plan) -> dict[str, Any]:
+    """Runs a race, some of them twice; what came of it."""
+    begin = time.monotonic()
+    row: dict[str, Any] = {**asdict(plan), "again": False, "problem": "", "events": []}
+    try:
+        row["driven"], first, complaints = _drive(plan)
+        row["complaints"] = complaints
+        if plan.number % _AGAIN_EVERY == 7:
+            row["again"] = True
+            if _drive(plan)[1] != first:
+                row["problem"] = "driven again, it was another race"
+    except StkzooError as error:
+        row["events"] = [f"{type(error).__name__}: {error}"[:500]]
+    except NotFiniteError as error:
+        row["problem"] = f"not finite: {error}"
+    return {**row, "seconds": round(time.monotonic() - begin, 2)}
+
+
+def _drive(plan: Plan) -> tuple[int, str, dict[str, int]]:
+    """Steps driven, a digest of all that was seen, and what the game complained of."""
+    with race_v0.parallel_env(
+        num_kart=plan.num_kart,
+        agents=plan.agents,
+        track=plan.track,
+        difficulty=plan.difficulty,
+        reverse=plan.reverse,
+        view=plan.view,
+        max_cycles=plan.steps,
+    ) as env:
+        seen = [digest(env.reset(seed=plan.seed))]
+        for number, agent in enumerate(env.possible_agents):
+            env.action_space(agent).seed(plan.seed % 2**20 + number)
+        while env.agents:
+            actions = {agent: env.action_space(agent).sample() for agent in env.agents}
+            result = env.step(actions)
+            if not _is_finite([result[0], [np.array(reward) for reward in result[1].values()]]):
+                raise NotFiniteError("an observation or a reward")
+            seen.append(digest(result))
+        return len(seen) - 1, digest(seen), _complaints(env)
+
+
+def _is_finite(value: Any) -> bool:
+    if isinstance(value, dict):
+        return all(map(_is_finite, value.values()))
+    if isinstance(value, (tuple, list)):
+        return all(map(_is_finite, value))
+    is_float = isinstance(value, np.ndarray) and value.dtype.kind == "f"
+    return bool(np.isfinite(value).all()) if is_float else True
+
+
+def _complaints(env: Any) -> dict[str, int]:
+    """What the game has written that sounds bad, by kind."""
+    log = env._session._process.log.tail()
+    found = (match[1] or match[2] for match in _COMPLAINT.finditer(log))
+    return dict(Counter(re.sub(r"\d+", "#", text) for text in found))
+
+
+# ---------------------------------------------------------------------- what it takes up
+
+
+def _burden() -> dict[str, Any]:
+    members = family(os.getpid())
+    (mother,) = [member.pid for member in members if member.kind == "mother"] or [0]
+    return {
+        "memory": round(_memory("self"), 2),
+        "mother_memory": round(_memory(str(mother)), 2) if mother else 0.0,
+        "open_files": len(os.listdir("/proc/self/fd")),
+        "mother_files": len(_listed(f"/proc/{mother}/fd")) if mother else 0,
+        "threads": threading.active_count(),
+        "processes": len(members),
+    }
+
+
+def _memory(pid: str) -> float:
+    """Resident memory [MB]."""
+    with contextlib.suppress(OSError):
+        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096 / 1e6
+    return 0.0
+
+
+def _listed(folder: str) -> list[str]:
+    with contextlib.suppress(OSError):
+        return os.listdir(folder)
+    return []
+
+
+# ---------------------------------------------------------------------- the figures
+
+
+def _show(rows: Sequence[Mapping[str, Any]]) -> None:
+    table = Table(box=box.SIMPLE, show_header=False)
+    for name, figure in _figures(rows):
+        table.add_row(name, figure)
+    Console(width=140).print(table)
+
+
+def _figures(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
+    driven = [row for row in rows if "driven" in row]
+    yield "races", f"{len(rows)} on {len({row['track'] for row in rows})} tracks"
+    yield "steps", f"{sum(row['driven'] for row in driven):,}"
+    yield "driven again", f"{sum(row['again'] for row in rows)}"
+    for row in rows:
+        for text in (*row["events"], row["problem"]):
+            if text:
+                yield f"race {row['number']} on {row['track']}", text
+    complaints: Counter[str] = Counter()
+    for row in driven:
+        complaints.update(row["complaints"])
+    for text, count in complaints.most_common():
+        yield "the game wrote", f"{text} ({count} times)"
+    if not complaints:
+        yield "the game wrote", "no error"
+    for program in sorted({row["program"] for row in rows}):
+        yield from _trend([row for row in rows if row["program"] == program])
+
+
+def _trend(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
+    """How what a program takes up has grown since it was warm."""
+    warm = rows[_WARM:]
+    if len(warm) < 2:
+        return
+    yield f"program {rows[0]['program']}", f"races {warm[0]['number']} to {warm[-1]['number']}"
+    numbers = [row["number"] for row in warm]
+    for name in ("memory", "mother_memory", "open_files", "mother_files", "threads", "processes"):
+        values = [row[name] for row in warm]
+        slope = float(np.polyfit(numbers, values, 1)[0]) * 1000
+        low, high = min(values), max(values)
+        yield f"  {name}", f"{low:g} to {high:g}, {slope:+.2f} in 1,000 races"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

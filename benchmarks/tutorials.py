@@ -1,0 +1,78 @@
+"""Runs the tutorials and writes them as notebooks, with what they showed.
+
+python -m benchmarks.tutorials                       all, in full: some 30 minutes
+python -m benchmarks.tutorials --only first_race     one of them
+python -m benchmarks.tutorials --short --output DIR  whether they run, in a minute
+
+The tutorials are written as Python files, ``examples/tutorials/*.py``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from stkzoo.race.batch import write_whole
+
+ROOT = Path(__file__).parent.parent
+SOURCES = ROOT / "examples" / "tutorials"
+PAGES = ROOT / "docs" / "tutorials"
+
+
+def main() -> int:
+    """Runs what is asked for."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="these alone")
+    parser.add_argument("--short", action="store_true", help="a few steps of everything")
+    parser.add_argument("--output", type=Path, help="a folder (default: docs/tutorials)")
+    arguments = parser.parse_args()
+    if arguments.short and arguments.output is None:
+        parser.error("--short needs --output: the pages show the full runs")
+    names = arguments.only or sorted(path.stem for path in SOURCES.glob("*.py"))
+    for name in names:
+        if not (SOURCES / f"{name}.py").exists():
+            parser.error(f"there is no tutorial {name!r} in {SOURCES}")
+    folder = arguments.output or PAGES
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        begun = time.monotonic()
+        write_whole(folder / f"{name}.ipynb", executed(name, short=arguments.short))
+        print(f"{name}: {time.monotonic() - begun:.0f} s", flush=True)
+    return 0
+
+
+def executed(name: str, *, short: bool) -> str:
+    """A tutorial as the text of a notebook, after it was run in a folder of its own."""
+    import jupytext
+    import nbformat
+    from nbclient import NotebookClient
+
+    notebook = jupytext.read(SOURCES / f"{name}.py", fmt="py:percent")
+    switches = {"STKZOO_SHORT": "1"} if short else {}
+    os.environ.update(switches)
+    with tempfile.TemporaryDirectory() as folder:
+        resources = {"metadata": {"path": folder}}
+        NotebookClient(notebook, timeout=3600, resources=resources).execute()
+    return nbformat.writes(_without_traces(notebook)) + "\n"
+
+
+def _without_traces(notebook: Any) -> Any:
+    """The notebook without what differs from run to run or tells of this machine."""
+    notebook.metadata.pop("language_info", None)
+    for number, cell in enumerate(notebook.cells):
+        cell["id"] = f"cell-{number}"
+        cell.metadata.pop("execution", None)
+        if cell.cell_type == "code":
+            cell.outputs = [out for out in cell.outputs if out.get("name") != "stderr"]
+    return notebook
+
+
+if __name__ == "__main__":
+    sys.exit(main())

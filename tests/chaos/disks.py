@@ -1,0 +1,132 @@
+"""Disks that are full or may not be written, and servers that hang up."""
+
+from __future__ import annotations
+
+import http.server
+import os
+import subprocess
+import sys
+import textwrap
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+
+__all__ = ["CuttingServer", "can_mount", "on_disk"]
+
+_OWN_MOUNTS = ("unshare", "--user", "--map-root-user", "--mount")
+_MOUNT = {
+    "full": "mount -t tmpfs -o size={size} chaos {place}",
+    "read-only": "mount --bind {place} {place} && mount -o remount,bind,ro {place}",
+}
+
+
+@cache
+def can_mount() -> bool:
+    """Whether this user may mount disks, in a world of the mounting program's own."""
+    try:
+        return (
+            subprocess.run([*_OWN_MOUNTS, "true"], capture_output=True, check=False).returncode == 0
+        )
+    except FileNotFoundError:
+        return False
+
+
+def on_disk(
+    kind: str, place: Path, code: str, *words: str, size: str = "64k", **variables: str
+) -> subprocess.CompletedProcess[str]:
+    """Runs a program that has a disk of its own at a place.
+
+    Args:
+        kind: ``"full"``: small and empty; the program has ``fill()`` to fill it, and ``free()``.
+            ``"read-only"``: what is there, but it cannot be written.
+        place: a folder.
+        code: the program.
+        words: its arguments.
+        size: of a disk of kind ``"full"``.
+        variables: more of its environment.
+    """
+    mount = _MOUNT[kind].format(place=place, size=size)
+    script = f'{mount} && exec "$0" -c "$@"'
+    program = textwrap.dedent(_HELPERS).format(place=str(place)) + textwrap.dedent(code)
+    return subprocess.run(
+        [*_OWN_MOUNTS, "sh", "-c", script, sys.executable, program, *words],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), **variables},
+    )
+
+
+_HELPERS = """
+    from pathlib import Path
+    PLACE = Path({place!r})
+
+    def fill():
+        with open(PLACE / "filler", "wb", buffering=0) as file:
+            try:
+                while True:
+                    file.write(bytes(512))
+            except OSError:
+                pass
+
+    def free():
+        (PLACE / "filler").unlink()
+
+    def names():
+        return sorted(path.name for path in PLACE.rglob("*") if path.name != "filler")
+
+"""
+
+
+class CuttingServer:
+    """A web server on this machine that hangs up in the midst of files.
+
+    Args:
+        folder: what it serves.
+        cuts: how often; after that it sends whole files.
+
+    Attributes:
+        address: where it is.
+        num_cuts: how often it has hung up.
+    """
+
+    def __init__(self, folder: Path, cuts: int) -> None:
+        outer = self
+
+        class Handler(http.server.SimpleHTTPRequestHandler):
+            def __init__(self, *arguments: object) -> None:
+                super().__init__(*arguments, directory=str(folder))  # type: ignore[arg-type]
+
+            def do_CONNECT(self) -> None:
+                outer.num_cuts += 1
+                self.close_connection = True
+
+            def copyfile(self, source: object, outputfile: object) -> None:
+                data = source.read()  # type: ignore[attr-defined]
+                if self.path.endswith(".deb") and outer.num_cuts < cuts:
+                    outer.num_cuts += 1
+                    data = data[: len(data) // 2]
+                    self.close_connection = True
+                outputfile.write(data)  # type: ignore[attr-defined]
+
+            def log_message(self, *_: object) -> None:
+                pass
+
+        self.num_cuts = 0
+        self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.address = f"http://127.0.0.1:{self._server.server_port}"
+
+    @contextmanager
+    def serving(self) -> Iterator[CuttingServer]:
+        """Serves from a thread."""
+        thread = threading.Thread(target=self._server.serve_forever)
+        thread.start()
+        try:
+            yield self
+        finally:
+            self._server.shutdown()
+            thread.join()
+            self._server.server_close()

@@ -1,0 +1,85 @@
+"""The processes that belong to a program, and what each of them is for."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from pathlib import Path
+
+__all__ = ["Member", "alive", "family", "marked"]
+
+#: What stands in a command line, and what the process is for.
+_KINDS = (
+    ("stkzoo.engine.mother", "mother"),
+    ("stkzoo.engine.worker", "race"),
+    ("stkzoo.engine.shadow", "drawing"),
+    ("stkzoo.race.agent_process", "agent"),
+    ("stkzoo.race.batch.worker", "worker"),
+    ("ffmpeg", "encoder"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """One process.
+
+    Attributes:
+        pid: its id.
+        parent: its parent's id.
+        kind: what it is for: ``"mother"``, ``"race"``, ``"drawing"``, ``"agent"``,
+            ``"worker"``, ``"encoder"`` or ``"other"``.
+    """
+
+    pid: int
+    parent: int
+    kind: str
+
+
+def family(program: int) -> list[Member]:
+    """All that a program has started and that still lives, oldest generation first."""
+    members: list[Member] = []
+    generation = {program: "other"}
+    while generation:
+        following: dict[int, str] = {}
+        for parent, kind in generation.items():
+            for pid in filter(alive, _children(parent)):
+                following[pid] = "race" if kind == "mother" else _kind(pid)
+                members.append(Member(pid, parent, following[pid]))
+        generation = following
+    return members
+
+
+def marked(text: str) -> list[int]:
+    """Ids of living processes that have a text in their environment, wherever they hang."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if text.encode() in (folder / "environ").read_bytes() and alive(int(folder.name)):
+                found.append(int(folder.name))
+    return sorted(found)
+
+
+def alive(pid: int) -> bool:
+    """Whether a process is there and no zombie."""
+    with contextlib.suppress(OSError):
+        text = Path(f"/proc/{pid}/stat").read_text()
+        return text[text.rindex(")") + 2] not in "ZX"
+    return False
+
+
+def _children(pid: int) -> list[int]:
+    """The children that a process's threads have started."""
+    found = []
+    for thread in Path(f"/proc/{pid}/task").glob("*"):
+        with contextlib.suppress(OSError):
+            found.extend(map(int, (thread / "children").read_text().split()))
+    return found
+
+
+def _kind(pid: int) -> str:
+    with contextlib.suppress(OSError):
+        words = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace")
+        for text, kind in _KINDS:
+            if text in words:
+                return kind
+    return "other"

@@ -1,0 +1,344 @@
+"""The forms of the environment, each doing what it can do on request."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+import stkzoo
+from stkzoo import AgentSpec, race_v0
+from stkzoo.engine import process
+
+__all__ = ["FORMS", "Form", "digest"]
+
+#: Seconds that the game may take for a step: a stopped game is noticed soon.
+ENGINE_TIMEOUT = 4.0
+TRACK = "olivermath"
+_STEPS = 15
+_TRACE_STEPS = 25
+_TRACE_SEED = 7
+
+
+class Form:
+    """One form of the environment, and what is done with it while something is hit.
+
+    Attributes:
+        name: what a fault calls it.
+        moments: what can be done, each a method; all but ``construct`` and ``begin`` need a
+            race.
+        targets: kinds of processes that it has.
+    """
+
+    name = ""
+    moments: tuple[str, ...] = ("construct", "begin", "reset", "reset", "step", "step", "close")
+    targets: tuple[str, ...] = ("race", "race", "race", "mother", "program")
+
+    def __init__(self) -> None:
+        self._env: Any = None
+        self._seed = 0
+
+    def make(self) -> Any:
+        """A new environment."""
+        raise NotImplementedError
+
+    def construct(self) -> None:
+        """Makes the environment."""
+        self._env = self.make()
+
+    def begin(self) -> None:
+        """The first environment of a program: with a mother that is started for it."""
+        process._close_all()
+        self.construct()
+        self.reset()
+
+    def reset(self) -> None:
+        """Starts a race of the next seed."""
+        self._seed += 1
+        self._env.reset(seed=self._seed)
+
+    def step(self) -> None:
+        """Drives on for a while."""
+        for _ in range(_STEPS):
+            self._step(self._env)
+
+    def render(self) -> None:
+        """Draws pictures of a race that goes on."""
+        for _ in range(3):
+            self._env.render()
+            self._step(self._env)
+
+    def close(self) -> None:
+        """Ends the races; may be called again."""
+        if self._env is not None:
+            self._env.close()
+
+    def mend(self) -> None:
+        """Makes the environment anew if there is none, or none that may be reset."""
+        if self._env is None:
+            self.construct()
+
+    def trace(self) -> str:
+        """A digest of one short race of a fixed seed."""
+        parts = [self._env.reset(seed=_TRACE_SEED)]
+        parts.extend(self._step(self._env) for _ in range(_TRACE_STEPS))
+        return digest(parts)
+
+    @property
+    def num_crashes(self) -> int:
+        """How often a form that mends itself has done so."""
+        return 0
+
+    def _step(self, env: Any) -> Any:
+        return env.step(dict.fromkeys(env.agents, 700))
+
+
+class ParallelForm(Form):
+    """The core, in a race with bots, with states kept and gone back to."""
+
+    name = "ParallelEnv"
+    moments = (*Form.moments, "render", "save", "save", "clone", "clone")
+
+    def make(self) -> Any:
+        return race_v0.parallel_env(
+            agents=[AgentSpec(), AgentSpec(use_ai=True)],
+            num_kart=3,
+            track=TRACK,
+            view="flattened_discrete",
+            engine_timeout=ENGINE_TIMEOUT,
+            render_mode="rgb_array",
+            render_backend="map",
+            render_size=(96, 64),
+        )
+
+    def save(self) -> None:
+        """Saves states, goes on, and goes back to them."""
+        for _ in range(4):
+            state = self._env.save_state()
+            try:
+                self._step(self._env)
+                self._env.restore_state(state)
+            finally:
+                state.close()
+
+    def clone(self) -> None:
+        """Makes copies that go on by themselves."""
+        for _ in range(4):
+            copy = self._env.clone()
+            try:
+                self._step(copy)
+            finally:
+                copy.close()
+
+
+class TurnsForm(Form):
+    """The turn-by-turn form."""
+
+    name = "AEC"
+
+    def make(self) -> Any:
+        return race_v0.env(
+            num_kart=2, track=TRACK, view="flattened_discrete", engine_timeout=ENGINE_TIMEOUT
+        )
+
+    def _step(self, env: Any) -> Any:
+        seen = []
+        for _ in env.agents:
+            seen.append(env.last())
+            env.step(700)
+        return seen
+
+    def trace(self) -> str:
+        """As the others; a reset gives nothing here."""
+        self._env.reset(seed=_TRACE_SEED)
+        return digest([self._step(self._env) for _ in range(_TRACE_STEPS)])
+
+
+class GymnasiumForm(Form):
+    """One kart through Gymnasium."""
+
+    name = "Gymnasium id"
+
+    def make(self) -> Any:
+        return gym.make(
+            "supertuxkart/flattened_discrete-v0",
+            num_kart=3,
+            track=TRACK,
+            engine_timeout=ENGINE_TIMEOUT,
+            disable_env_checker=True,
+        )
+
+    def _step(self, env: Any) -> Any:
+        return env.step(700)
+
+
+class VectorForm(Form):
+    """Two races as one batch, with the next ones started ahead."""
+
+    name = "RaceVectorEnv"
+
+    def make(self) -> Any:
+        return stkzoo.RaceVectorEnv(
+            2,
+            num_kart=2,
+            track=TRACK,
+            max_cycles=12,  # so that races end and start again in the midst of the steps
+            prefetch=True,
+            engine_timeout=ENGINE_TIMEOUT,
+        )
+
+    @property
+    def num_crashes(self) -> int:
+        """As the environment counts."""
+        return 0 if self._env is None else int(self._env.num_crashes)
+
+    def close(self) -> None:
+        """Ends the races for good."""
+        super().close()
+        self._env = None
+
+    def _step(self, env: Any) -> Any:
+        return env.step(np.full(env.num_envs, 700))
+
+
+class Sb3Form(VectorForm):
+    """The same for Stable-Baselines3."""
+
+    name = "RaceVecEnv"
+
+    def make(self) -> Any:
+        from stkzoo.sb3 import RaceVecEnv
+
+        return RaceVecEnv(
+            2, num_kart=2, track=TRACK, max_cycles=12, prefetch=True, engine_timeout=ENGINE_TIMEOUT
+        )
+
+    def reset(self) -> None:
+        """Starts races of the next seed."""
+        self._seed += 1
+        self._env.seed(self._seed)
+        self._env.reset()
+
+    def trace(self) -> str:
+        """As the others, without infos, which have times in them."""
+        self._env.seed(_TRACE_SEED)
+        parts = [self._env.reset()]
+        parts.extend(self._step(self._env)[:3] for _ in range(_TRACE_STEPS))
+        return digest(parts)
+
+
+class DrawnForm(Form):
+    """The core, drawn by the game."""
+
+    name = "drawn by the game"
+    moments = ("reset", "render", "render", "finish")
+    targets = ("drawing", "drawing", "race", "program")
+
+    def make(self) -> Any:
+        return race_v0.parallel_env(
+            num_kart=2,
+            track=TRACK,
+            view="flattened_discrete",
+            engine_timeout=ENGINE_TIMEOUT,
+            render_mode="rgb_array",
+            render_backend="engine",
+            render_size=(96, 64),
+        )
+
+    def finish(self) -> None:
+        """Draws, and ends."""
+        self._env.render()
+        self._env.close()
+
+
+class RunnerForm(Form):
+    """A race of agents, of which one has a process of its own, kept as a replay."""
+
+    name = "run_race"
+    moments = ("race",)
+    targets = ("race", "mother", "agent", "agent", "program")
+
+    def reset(self) -> None:
+        """Nothing: every race is a whole one."""
+
+    def step(self) -> None:
+        """Nothing."""
+
+    def construct(self) -> None:
+        """Nothing."""
+
+    def race(self) -> None:
+        """One race, and what is kept of it."""
+        from stkzoo.race import run_race
+        from stkzoo.race.replay import ReplayWriter, load_replay
+
+        agent = Path(__file__).parents[1] / "agents" / "plain"
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "race.stkz"
+            try:
+                result = run_race(
+                    [str(agent), "heuristic", "ai"],
+                    track=TRACK,
+                    seed=_TRACE_SEED,
+                    max_steps=_TRACE_STEPS * 4,
+                    action_timeout=ENGINE_TIMEOUT,
+                    start_timeout=20.0,
+                    listeners=[ReplayWriter(file)],
+                )
+            finally:
+                if file.exists():  # after a fault: partial, but whole as a file
+                    load_replay(file)
+            assert [path.name for path in Path(folder).iterdir()] == ["race.stkz"]
+        failed = [row.agent for row in result.agents if row.num_errors]
+        assert set(failed) <= {"kart_0"}, result
+        self.last = result
+
+    def trace(self) -> str:
+        """What a race comes to."""
+        self.race()
+        assert not self.last.has_errors, self.last
+        return repr([(row.agent, row.distance, row.reward) for row in self.last.agents])
+
+
+def digest(values: Any) -> str:
+    """A digest of arrays and numbers in lists, tuples and dicts."""
+    sums = hashlib.sha256()
+    _feed(values, sums.update)
+    return sums.hexdigest()
+
+
+def _feed(value: Any, update: Callable[[bytes], None]) -> None:
+    if isinstance(value, dict):
+        for key in sorted(value):
+            update(str(key).encode())
+            _feed(value[key], update)
+    elif isinstance(value, (list, tuple)):
+        update(str(len(value)).encode())
+        for item in value:
+            _feed(item, update)
+    elif isinstance(value, np.ndarray) and value.dtype != object:
+        update(f"{value.dtype}{value.shape}".encode() + value.tobytes())
+    elif isinstance(value, np.ndarray):
+        _feed(value.tolist(), update)
+    else:
+        update(repr(value).encode())
+
+
+#: All forms by name; those that draw or run agents take longer.
+FORMS: dict[str, type[Form]] = {
+    kind.name: kind
+    for kind in (
+        ParallelForm,
+        TurnsForm,
+        GymnasiumForm,
+        VectorForm,
+        Sb3Form,
+        DrawnForm,
+        RunnerForm,
+    )
+}

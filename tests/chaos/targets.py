@@ -1,0 +1,326 @@
+"""Readers of what comes from outside, each as a function of bytes.
+
+Each takes any bytes and does with them what a user's program would. It may end well or with
+the reader's own error; whatever else it raises is a defect. Some bytes are taken as they are,
+others are put into a file that is right apart from them, for a checksum would keep most out.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import stat
+import tarfile
+import tempfile
+import warnings
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+
+from stkzoo.engine.assets.archive import SUMS, read_archive
+from stkzoo.engine.assets.progress import Progress
+from stkzoo.env.scenario import Scenario
+from stkzoo.errors import AssetError, ConfigError, ProtocolError
+from stkzoo.race import RaceResult, run_race
+from stkzoo.race.benchmark.plan import BenchmarkPlan, plan_benchmark
+from stkzoo.race.benchmark.result import BenchmarkResult, benchmark_result
+from stkzoo.race.codec import Limits, decode, encode
+from stkzoo.race.replay import ReplayError, ReplayWriter, load_replay, save_replay
+from stkzoo.race.space_codec import space_from_data, space_to_data
+from stkzoo.race.tournament.plan import TournamentPlan, plan_tournament
+from stkzoo.race.unpacking import members_of, unpack
+
+__all__ = ["TARGETS", "Target"]
+
+_LIMITS = Limits(max_bytes=1 << 16)
+_MEMORY = Path("/dev/shm")
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A reader to feed.
+
+    Attributes:
+        name: what it reads.
+        feed: gives it some bytes; raises what should not be.
+        seeds: bytes to begin with.
+    """
+
+    name: str
+    feed: Callable[[bytes], None]
+    seeds: Callable[[], list[bytes]]
+
+
+# ---------------------------------------------------------------------- messages
+
+
+def _feed_codec(data: bytes) -> None:
+    """What can be decoded can be encoded, and comes out the same again."""
+    with suppress(ProtocolError):
+        message = decode(data, _LIMITS)
+        again = encode(message)
+        assert encode(decode(again)) == again
+        space_to_data(space_from_data(message))
+
+
+def _codec_seeds() -> list[bytes]:
+    import numpy as np
+
+    from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+
+    space = kart_action_space()
+    space.seed(1)
+    rows = (np.zeros(3, np.float32),) * 3
+    return [
+        encode(space_to_data(kart_observation_space())),
+        encode(space_to_data(space)),
+        encode(space.sample()),
+        encode({"protocol": 1, "rows": rows, "pair": (1, "a"), "more": [b"x", None, np.int8(3)]}),
+    ]
+
+
+# ---------------------------------------------------------------------- replays
+
+
+def _feed_replay(data: bytes) -> None:
+    """A replay that can be read can be written, and is read as the same again."""
+    with _folder() as folder:
+        file, again = folder / "race.stkz", folder / "again.stkz"
+        file.write_bytes(_with_member(_a_replay(), data))
+        with suppress(ReplayError):
+            replay = load_replay(file)
+            save_replay(replay, again)
+            assert load_replay(again).controls.tobytes() == replay.controls.tobytes()
+
+
+@cache
+def _a_replay() -> bytes:
+    with _folder() as folder:
+        file = folder / "race.stkz"
+        run_race(
+            ["heuristic", "ai"], track="lighthouse", max_steps=5, listeners=[ReplayWriter(file)]
+        )
+        return file.read_bytes()
+
+
+def _replay_seeds() -> list[bytes]:
+    return [b"\0" + _a_replay(), *_member_seeds(_a_replay())]
+
+
+# ---------------------------------------------------------------------- scenarios
+
+
+def _feed_scenario(data: bytes) -> None:
+    """A scenario that can be read can be written, and is read as the same again."""
+    with _folder() as folder:
+        file, again = folder / "a.scenario", folder / "b.scenario"
+        file.write_bytes(_with_member(_a_scenario(), data))
+        with suppress(ConfigError):
+            scenario = Scenario.load(file)
+            scenario.save(again)
+            assert Scenario.load(again).digest == scenario.digest
+
+
+@cache
+def _a_scenario() -> bytes:
+    from stkzoo import race_v0
+
+    with _folder() as folder, race_v0.parallel_env(num_kart=2, track="lighthouse") as env:
+        env.reset(seed=1)
+        env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+        env.scenario().save(folder / "a.scenario")
+        return (folder / "a.scenario").read_bytes()
+
+
+def _scenario_seeds() -> list[bytes]:
+    return [b"\0" + _a_scenario(), *_member_seeds(_a_scenario())]
+
+
+# ---------------------------------------------------------------------- agents' zips
+
+
+def _feed_agent_zip(data: bytes) -> None:
+    """A zip is refused, or becomes plain files in its own folder and nowhere else."""
+    with _folder() as folder:
+        file, home = folder / "agent.zip", folder / "home" / "agent"
+        file.write_bytes(_zip_of(data))
+        with suppress(ConfigError):
+            members_of(file)
+            unpack(file, home)
+        assert {path.name for path in folder.iterdir()} <= {"agent.zip", "home"}
+        for path in (folder / "home").rglob("*"):
+            assert stat.S_IFMT(path.lstat().st_mode) in (stat.S_IFREG, stat.S_IFDIR), path
+
+
+def _zip_of(data: bytes) -> bytes:
+    """The bytes themselves, or a zip whose files they name and fill."""
+    if not data or data[0] % 4 == 0:
+        return data[1:]
+    form = io.BytesIO()
+    with zipfile.ZipFile(form, "w") as archive, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a name that comes twice
+        for part in data[1:].split(b"\n"):
+            name, _, content = part.partition(b"=")
+            entry = zipfile.ZipInfo(name[1:].decode("utf-8", "surrogateescape") or "a")
+            entry.external_attr = (name[0] << 8 if name else 0o100) << 16
+            entry.compress_type = zipfile.ZIP_DEFLATED if data[0] % 4 == 1 else zipfile.ZIP_STORED
+            with suppress(UnicodeEncodeError, ValueError):
+                archive.writestr(entry, content * (data[0] if data[0] > 250 else 1))
+    return form.getvalue()
+
+
+def _agent_zip_seeds() -> list[bytes]:
+    words = (
+        b"\x81pystk_actor.py=import os\n\x81stk_actor/a.py=x\n\x81../out=y\n\xa1link=/etc/passwd"
+    )
+    return [b"\x01" + words, b"\x02" + words, b"\x00" + _zip_of(b"\x01" + words), b"\xfd" + words]
+
+
+# ---------------------------------------------------------------------- results and plans
+
+
+def _feed_result(data: bytes) -> None:
+    """A result that can be read can be written, and is read as the same again."""
+    text = data.decode(errors="replace")
+    with suppress(ConfigError):
+        result = RaceResult.from_json(text)
+        assert RaceResult.from_json(result.to_json()) == result
+
+
+@cache
+def _a_result() -> RaceResult:
+    return run_race(["heuristic", "ai"], track="lighthouse", max_steps=5)
+
+
+def _result_seeds() -> list[bytes]:
+    return [_a_result().to_json().encode()]
+
+
+def _feed_plans(data: bytes) -> None:
+    """Plans and results of tournaments and benchmarks are read or refused."""
+    text = data.decode(errors="replace")
+    for read in (TournamentPlan.from_json, BenchmarkPlan.from_json, BenchmarkResult.from_json):
+        with suppress(ConfigError):
+            read(text).to_json()
+
+
+def _plan_seeds() -> list[bytes]:
+    tournament = plan_tournament(["heuristic", "ai"], tracks=["lighthouse"], races=2)
+    benchmark = plan_benchmark("heuristic", split=["lighthouse"], forms=["PA"], seeds=1)
+    forms = (tournament, benchmark, benchmark_result(benchmark, {}))
+    return [form.to_json().encode() for form in forms]
+
+
+# ---------------------------------------------------------------------- archives of game data
+
+
+def _feed_archive(data: bytes) -> None:
+    """An archive is refused, or becomes plain files in its own folder and nowhere else."""
+    with _folder() as folder:
+        file, target = folder / "pack.tar.xz", folder / "target"
+        target.mkdir()
+        file.write_bytes(_tar_of(data))
+        with suppress(AssetError):
+            read_archive(file, target, Progress())
+        assert {path.name for path in folder.iterdir()} == {"pack.tar.xz", "target"}
+        for path in target.rglob("*"):
+            assert stat.S_IFMT(path.lstat().st_mode) in (stat.S_IFREG, stat.S_IFDIR), path
+
+
+def _tar_of(data: bytes) -> bytes:
+    """The bytes themselves, or an archive whose files they name and fill, sums and all."""
+    if not data or data[0] % 4 == 0:
+        return data[1:]
+    form = io.BytesIO()
+    with tarfile.open(fileobj=form, mode="w:xz", preset=0) as archive:
+        parts = [part.partition(b"=") for part in data[1:].split(b"\n")]
+        sums = "".join(
+            f"{sha256(content).hexdigest()}  {name[1:].decode(errors='replace')}\n"
+            for name, _, content in parts
+        )
+        _add(archive, SUMS, sums.encode())
+        for name, _, content in parts:
+            kinds = (tarfile.REGTYPE, tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.CHRTYPE)
+            kind = kinds[name[0] % 4] if name and data[0] % 4 == 1 else tarfile.REGTYPE
+            _add(archive, name[1:].decode(errors="replace"), content, kind)
+    return form.getvalue()
+
+
+def _add(
+    archive: tarfile.TarFile, name: str, content: bytes, kind: bytes = tarfile.REGTYPE
+) -> None:
+    member = tarfile.TarInfo(name)
+    member.type = kind
+    member.size = len(content) if kind == tarfile.REGTYPE else 0
+    member.linkname = "/etc/passwd"
+    with suppress(ValueError, UnicodeError):
+        archive.addfile(member, io.BytesIO(content))
+
+
+def _archive_seeds() -> list[bytes]:
+    words = b"\x01data/karts/gnu/kart.xml=<x/>\n\x01data/tracks/a/track.xml=<x/>\n\x01../out=y"
+    return [b"\x01" + words, b"\x02" + words, b"\x00" + _tar_of(b"\x02" + words)]
+
+
+# ---------------------------------------------------------------------- what they share
+
+
+@contextmanager
+def _folder() -> Iterator[Path]:
+    """A folder in memory, where there is one."""
+    parent = _MEMORY if os.access(_MEMORY, os.W_OK) else None
+    folder = Path(tempfile.mkdtemp(prefix="stkzoo-fuzz-", dir=parent))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder)
+
+
+def _with_member(whole: bytes, data: bytes) -> bytes:
+    """The bytes themselves, or a good zip of which one member is these bytes."""
+    if not data or data[0] % 4 == 0:
+        return data[1:]
+    members = _members(whole)
+    names = list(members)
+    members[names[data[0] % 4 % len(names)]] = data[1:]
+    form = io.BytesIO()
+    with zipfile.ZipFile(form, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return form.getvalue()
+
+
+def _member_seeds(whole: bytes) -> list[bytes]:
+    """Each member, behind the byte that puts it in its place."""
+    members = list(_members(whole).values())
+    return [bytes([choice]) + members[choice % len(members)] for choice in range(1, 4)]
+
+
+@cache
+def _parts(whole: bytes) -> tuple[tuple[str, bytes], ...]:
+    with zipfile.ZipFile(io.BytesIO(whole)) as archive:
+        return tuple((name, archive.read(name)) for name in archive.namelist())
+
+
+def _members(whole: bytes) -> dict[str, bytes]:
+    return dict(_parts(whole))
+
+
+#: All readers by name.
+TARGETS: dict[str, Target] = {
+    target.name: target
+    for target in (
+        Target("messages", _feed_codec, _codec_seeds),
+        Target("replays", _feed_replay, _replay_seeds),
+        Target("scenarios", _feed_scenario, _scenario_seeds),
+        Target("agent zips", _feed_agent_zip, _agent_zip_seeds),
+        Target("results", _feed_result, _result_seeds),
+        Target("plans", _feed_plans, _plan_seeds),
+        Target("asset archives", _feed_archive, _archive_seeds),
+    )
+}

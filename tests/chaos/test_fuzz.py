@@ -1,0 +1,144 @@
+"""Readers of what comes from outside, fed with changed bytes.
+
+By hand, by the million: ``python -m benchmarks.fuzz``.
+"""
+
+import hashlib
+import importlib.util
+import io
+import json
+import os
+import random
+import subprocess
+import sys
+import tarfile
+import time
+import zipfile
+
+import pytest
+
+from benchmarks import fuzz
+from stkzoo.engine.assets.archive import read_archive
+from stkzoo.engine.assets.progress import Progress
+from stkzoo.env.scenario import Scenario
+from stkzoo.errors import AssetError, ConfigError
+from stkzoo.race import RaceResult
+from stkzoo.race.benchmark.plan import BenchmarkPlan, plan_benchmark
+from stkzoo.race.replay import ReplayError, load_replay
+from stkzoo.race.tournament.plan import TournamentPlan, plan_tournament
+from stkzoo.race.unpacking import unpack
+from tests.chaos.mutation import mutated
+from tests.chaos.targets import TARGETS
+
+#: Seconds for each reader, which is some thousand inputs for most.
+_SECONDS = 2.0
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_changed_bytes_end_well_or_with_the_readers_own_error(name):
+    target, deadline = TARGETS[name], time.monotonic() + _SECONDS
+    seeds = target.seeds()
+    for data in seeds:
+        target.feed(data)
+    for count, data in enumerate(mutated(random.Random(1), seeds)):
+        target.feed(data)
+        if time.monotonic() > deadline and count > 20:
+            break
+
+
+def test_every_reader_has_its_share_of_a_long_run():
+    assert set(fuzz.SHARES) == set(TARGETS)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not here")
+def test_the_fuzzer_runs_and_keeps_count(tmp_path):
+    words = ["--inputs", "3000", "--readers", "results", "--output", str(tmp_path / "fuzz.json")]
+    command = [sys.executable, "-m", "benchmarks.fuzz", *words, "--corpus", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    row = json.loads((tmp_path / "fuzz.json").read_text())["readers"]["results"]
+    assert (row["inputs"], row["findings"], row["how"]) == (3000, [], "atheris")
+
+
+def test_a_finding_is_kept_with_its_bytes_and_found_again(tmp_path):
+    """A reader that raises what it should not is noticed: here one that always does."""
+    code = (
+        "import sys; from tests.chaos import targets; from benchmarks import fuzz\n"
+        "def bad(data): raise ZeroDivisionError\n"
+        "target = targets.TARGETS['results']\n"
+        "targets.TARGETS['results'] = targets.Target('results', bad, target.seeds)\n"
+        "sys.exit(fuzz.main(sys.argv[1:]))\n"
+    )
+    corpus = tmp_path / "results"
+    (corpus / "found").mkdir(parents=True)
+    command = [sys.executable, "-c", code, "--plain", "--feed", "results", "50", "1", str(corpus)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert "ZeroDivisionError" in done.stderr
+    assert list((corpus / "found").iterdir())
+
+
+# ---------------------------------------------------------------------- what it has found
+
+DEEP = "[" * 100_000
+LONG = '{"a": ' + "9" * 5000 + "}"
+
+
+@pytest.mark.parametrize("text", [DEEP, LONG, '{"a": 1e999}', '{"a": NaN}'])
+@pytest.mark.parametrize(
+    "read", [RaceResult.from_json, TournamentPlan.from_json, BenchmarkPlan.from_json]
+)
+def test_json_that_is_too_much_is_refused_in_words(read, text):
+    with pytest.raises(ConfigError):
+        read(text)
+
+
+def test_a_plan_of_more_races_than_can_be_is_refused():
+    tournament = json.loads(plan_tournament(["ai", "heuristic"], tracks=["lighthouse"]).to_json())
+    benchmark = json.loads(plan_benchmark("heuristic", split=["lighthouse"], seeds=1).to_json())
+    for form, name, read in (
+        (tournament, "races", TournamentPlan.from_json),
+        (tournament, "per_race", TournamentPlan.from_json),
+        (benchmark, "seeds", BenchmarkPlan.from_json),
+    ):
+        with pytest.raises(ConfigError, match=name):
+            read(json.dumps(form | {name: 10**30}))
+
+
+@pytest.mark.parametrize("name", ["", ".", "data/a\0b"])
+def test_an_archive_with_a_name_that_cannot_be_is_refused(tmp_path, name):
+    file = tmp_path / "pack.tar.xz"
+    with tarfile.open(file, "w:xz") as archive:
+        sums = f"{hashlib.sha256(b'').hexdigest()}  {name}\n".encode()
+        for member, content in (("SHA256SUMS", sums), (name, b"")):
+            about = tarfile.TarInfo(member)
+            about.size = len(content)
+            archive.addfile(about, io.BytesIO(content))
+    (tmp_path / "target").mkdir()
+    with pytest.raises(AssetError):
+        read_archive(file, tmp_path / "target", Progress())
+
+
+def test_a_zip_with_a_file_that_has_no_name_is_refused(tmp_path):
+    with zipfile.ZipFile(tmp_path / "agent.zip", "w") as archive:
+        archive.writestr(".", "print()")
+    with pytest.raises(ConfigError, match="leads out of it"):
+        unpack(tmp_path / "agent.zip", tmp_path / "home")
+
+
+def test_a_zip_with_a_name_that_is_no_text_is_refused(tmp_path):
+    file = tmp_path / "agent.zip"
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("\u00e9.py", "print()")
+    file.write_bytes(file.read_bytes().replace("\u00e9".encode(), b"\x83\x83"))
+    with pytest.raises(ConfigError, match="no zip that can be read"):
+        unpack(file, tmp_path / "home")
+
+
+@pytest.mark.parametrize(
+    ("read", "error"), [(load_replay, ReplayError), (Scenario.load, ConfigError)]
+)
+def test_a_pipe_is_not_waited_for(tmp_path, read, error):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(error):
+        read(tmp_path / "pipe")

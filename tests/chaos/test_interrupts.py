@@ -1,0 +1,120 @@
+"""Ctrl-C at the wrong moment."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import stkzoo
+from stkzoo import race_v0
+from stkzoo.engine import process
+from stkzoo.race import RaceResult
+from stkzoo.race.replay import load_replay
+from tests.chaos.family import family
+from tests.chaos.forms import digest
+from tests.processes import children_of, wait_until
+
+OPTIONS = {"num_kart": 2, "track": "olivermath", "view": "flattened_discrete"}
+
+
+def make():
+    return race_v0.parallel_env(**OPTIONS)
+
+
+def trace(env):
+    parts = [env.reset(seed=1)]
+    parts.extend(env.step(dict.fromkeys(env.agents, 700)) for _ in range(20))
+    return digest(parts)
+
+
+def mother_pid():
+    (mother,) = process._mothers.values()
+    return mother._process.pid
+
+
+def interrupt_when(condition):
+    """Sends Ctrl-C to this program as soon as something holds, from a thread."""
+
+    def watch():
+        wait_until(condition, 10)
+        time.sleep(0.1)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=watch)
+    thread.start()
+    return thread
+
+
+def test_a_reset_interrupted_while_the_mother_is_asked_mixes_up_no_answers():
+    """The answer that nobody waited for used to come to the next question."""
+    with make() as env, make() as other:
+        expected = trace(env)
+        other.reset(seed=1)
+        mother = mother_pid()
+        for _ in range(3):
+            os.kill(mother, signal.SIGSTOP)  # her answers will be late
+            thread = interrupt_when(lambda: True)
+            with pytest.raises(KeyboardInterrupt):
+                env.reset(seed=5)
+            thread.join()
+            os.kill(mother, signal.SIGCONT)
+        assert trace(env) == expected
+        assert mother_pid() == mother
+        other.step(dict.fromkeys(other.agents, 0))
+        # The races that were asked for in vain end by themselves.
+        assert wait_until(lambda: len(children_of(mother)) == 2)
+
+
+def test_an_interrupted_vector_step_is_over_with_the_next_reset():
+    envs = stkzoo.RaceVectorEnv(2, **OPTIONS)
+    actions = np.full(4, 700)
+
+    def seen():
+        parts = [envs.reset(seed=1)]
+        parts.extend(envs.step(actions) for _ in range(10))
+        return digest(parts)
+
+    expected = seen()
+    stopped = envs.races[1]._session.pid
+    os.kill(stopped, signal.SIGSTOP)
+    thread = interrupt_when(lambda: True)
+    with pytest.raises(KeyboardInterrupt):
+        envs.step(actions)
+    thread.join()
+    with pytest.raises(stkzoo.ApiOrderError, match="reset"):
+        envs.step(actions)
+    assert seen() == expected
+    assert wait_until(lambda: stopped not in children_of(mother_pid()))
+    envs.close()
+
+
+def test_an_interrupted_command_tells_the_race_so_far_and_that_it_is_partial(tmp_path):
+    result, replay = tmp_path / "race.json", tmp_path / "race.stkz"
+    words = ["race", "heuristic", "ai", "--track", "lighthouse", "--max-steps", "1000000"]
+    files = ["--output", str(result), "--replay", str(replay), "--laps", "500"]
+    command = [sys.executable, "-m", "stkzoo", *words, *files]
+    program = subprocess.Popen(command, stdout=-1, stderr=-1, text=True)
+    assert wait_until(lambda: "race" in kinds(program.pid), 60)
+    time.sleep(1.5)
+    program.send_signal(signal.SIGINT)
+    shown, said = program.communicate(timeout=60)
+    assert program.returncode == 130, said
+    assert "interrupted; the last race is incomplete" in said
+    assert "Traceback" not in said
+    told = RaceResult.from_json(result.read_text())
+    assert told.status == "interrupted"
+    assert json.loads(result.read_text())["steps"] == told.steps > 0
+    kept = load_replay(replay)
+    assert kept.is_partial
+    assert kept.steps == told.steps
+    assert "heuristic" in shown
+
+
+def kinds(program):
+    return {member.kind for member in family(program)}

@@ -1,0 +1,97 @@
+"""Temporary folders of programs that have been killed are removed by the next, and no others."""
+
+import os
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from stkzoo.scratch import ScratchFolder, sweep
+
+PROGRAM = """
+import os, time
+from stkzoo.scratch import ScratchFolder
+folder = ScratchFolder("test")
+(folder.path / "file").write_text("x")
+print(folder.path, flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def start_program():
+    program = subprocess.Popen([sys.executable, "-c", PROGRAM], stdout=subprocess.PIPE, text=True)
+    program.folder = program.stdout.readline().strip()
+    program.stdout.close()
+    return program
+
+
+def test_a_folder_is_there_until_it_is_closed(tmp_path):
+    with ScratchFolder("test") as folder:
+        assert folder.path.is_dir()
+        assert names(tmp_path) == [folder.path.name]
+    assert names(tmp_path) == []
+    folder.close()
+
+
+def test_a_killed_programs_folder_is_removed_by_the_next(tmp_path):
+    program = start_program()
+    program.kill()
+    program.wait()
+    assert os.path.isdir(program.folder)
+    ScratchFolder("next").close()
+    assert names(tmp_path) == []
+
+
+def test_a_living_programs_folder_is_left_alone():
+    program = start_program()
+    try:
+        sweep()
+        assert os.path.isfile(f"{program.folder}/file")
+    finally:
+        program.kill()
+        program.wait()
+
+
+def test_a_folder_that_is_let_go_is_the_next_ones_to_remove(tmp_path):
+    folder = ScratchFolder("test")
+    folder.let_go()
+    sweep()
+    assert names(tmp_path) == []
+
+
+def test_nothing_else_is_removed(tmp_path):
+    (tmp_path / "stkzoo-other").mkdir()
+    (tmp_path / "stkzoo-run-file").write_text("mine")
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "stkzoo-run-link").symlink_to(tmp_path / "elsewhere")
+    sweep()
+    assert names(tmp_path) == ["elsewhere", "stkzoo-other", "stkzoo-run-file", "stkzoo-run-link"]
+
+
+def test_many_at_once_do_not_take_each_others_away(tmp_path):
+    lost = []
+
+    def make():
+        for _ in range(50):
+            with ScratchFolder("test") as folder:
+                if not folder.path.is_dir():
+                    lost.append(folder.path)
+
+    threads = [threading.Thread(target=make) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert lost == []
+    assert names(tmp_path) == []

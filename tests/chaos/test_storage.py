@@ -1,0 +1,307 @@
+"""Disks that are full or may not be written, downloads that break off, installs that are killed."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from stkzoo.engine.assets import find_assets, install, pack, places
+from stkzoo.errors import AssetError
+from stkzoo.race import run_race
+from stkzoo.race.replay import ReplayError, ReplayWriter, load_replay
+from tests import test_assets as assets
+from tests.chaos.disks import CuttingServer, can_mount, on_disk
+from tests.processes import run_program
+
+mounts = pytest.mark.skipif(not can_mount(), reason="this user may not mount a disk of its own")
+
+
+# ---------------------------------------------------------------------- full disks
+
+RACE = """
+    import sys
+    from stkzoo.errors import StkzooError
+    from stkzoo.race import run_race
+
+    def race(*listeners, steps=40):
+        drivers = ["heuristic", "ai"]
+        return run_race(drivers, track="olivermath", max_steps=steps, listeners=listeners)
+"""
+
+
+@mounts
+def test_a_replay_that_does_not_fit_leaves_the_older_one_and_nothing_else(tmp_path):
+    code = """
+        from stkzoo.race.replay import ReplayWriter, load_replay
+        race(ReplayWriter(PLACE / "race.stkz"), steps=5)
+        fill()
+        try:
+            race(ReplayWriter(PLACE / "race.stkz"), steps=60)
+        except StkzooError as error:
+            print(type(error).__name__, "No space left" in str(error))
+        print(names(), load_replay(PLACE / "race.stkz").steps)
+    """
+    done = on_disk("full", tmp_path, join(RACE, code))
+    assert done.stdout.splitlines() == ["ReplayError True", "['race.stkz'] 5"], done.stderr
+
+
+@mounts
+def test_a_video_that_does_not_fit_is_told_and_leaves_nothing(tmp_path):
+    code = """
+        from stkzoo.race.video import RaceVideo
+        fill()
+        try:
+            race(RaceVideo(PLACE / "race.mp4", backend="map", size=(160, 120), card_seconds=0.2))
+        except StkzooError as error:
+            print(type(error).__name__, "0 MB are free" in str(error))
+        print(names())
+    """
+    done = on_disk("full", tmp_path, join(RACE, code))
+    assert done.stdout.splitlines() == ["VideoError True", "[]"], done.stderr
+
+
+@mounts
+def test_a_result_that_does_not_fit_is_told_and_shown_all_the_same(tmp_path):
+    code = """
+        import sys
+        from stkzoo.cli import main
+        fill()
+        words = ["race", "heuristic", "ai", "--track", "olivermath", "--max-steps", "5"]
+        code = main([*words, "--output", str(PLACE / "race.json")])
+        print(code, names())
+    """
+    done = on_disk("full", tmp_path, code)
+    assert done.stdout.splitlines()[-1] == "1 []", done.stderr
+    assert "heuristic" in done.stdout
+    assert "the result could not be written" in done.stderr
+
+
+@mounts
+def test_a_tournament_goes_on_when_there_is_room_again(tmp_path):
+    code = """
+        from stkzoo.errors import ConfigError
+        from stkzoo.race.tournament import run_tournament
+        def league(**more):
+            how = {"tracks": ["olivermath"], "races": 4, "max_steps": 10, "plot": False, **more}
+            return run_tournament(["heuristic", "ai"], output=PLACE / "cup", jobs=1, **how)
+        try:
+            league(on_race=lambda progress: progress.done == 2 and fill())
+        except ConfigError as error:
+            print("No space left" in str(error))
+        print(len(list((PLACE / "cup" / "races").iterdir())))
+        free()
+        print(league().is_complete, len(list((PLACE / "cup" / "races").iterdir())))
+    """
+    done = on_disk("full", tmp_path, code)
+    assert done.stdout.splitlines() == ["True", "2", "True 4"], done.stderr
+
+
+@mounts
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_a_full_disk_for_temporary_files_stops_no_race_or_says_so(tmp_path, method):
+    code = """
+        from stkzoo import race_v0
+        fill()
+        for attempt in range(2):
+            try:
+                with race_v0.parallel_env(num_kart=2, track="olivermath") as env:
+                    env.reset(seed=1)
+                    env.step({a: env.action_space(a).sample() for a in env.agents})
+                print("raced")
+            except StkzooError as error:
+                print(type(error).__name__, str(PLACE) in str(error))
+            free()
+    """
+    variables = {"TMPDIR": str(tmp_path), "STKZOO_START_METHOD": method}
+    done = on_disk("full", tmp_path, join(RACE, code), size="128k", **variables)
+    first, second = done.stdout.splitlines()
+    assert first in ("raced", "EngineError True"), done.stderr
+    assert second == "raced"
+
+
+# ---------------------------------------------------------------------- the game's data
+
+
+@pytest.fixture
+def machine(tmp_path, monkeypatch):
+    """A machine with the game installed, and with a cache of its own."""
+    monkeypatch.setenv("STKZOO_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "other caches"))
+    monkeypatch.delenv("SUPERTUXKART_DATADIR", raising=False)
+    data = assets.make_data(tmp_path / "usr" / "data")
+    for name in ("alps", "beach"):  # larger than what it packs to
+        (data / "tracks" / name / "more.xml").write_bytes(b"<x/>" * 20_000 + name.encode())
+    monkeypatch.setattr(places, "SYSTEM_FOLDERS", (data,))
+    return tmp_path
+
+
+@pytest.fixture
+def archive(machine):
+    install()
+    return pack(output=machine / "pack.tar.xz")
+
+
+@mounts
+def test_an_archive_that_does_not_fit_is_told_and_leaves_nothing(archive, tmp_path):
+    code = """
+        import sys
+        from stkzoo.engine.assets import install
+        from stkzoo.errors import AssetError
+        try:
+            install(archive=Path(sys.argv[1]))
+        except AssetError as error:
+            print("No space left" in str(error))
+        print([name for name in names() if name != ".stkzoo-lock"])
+    """
+    cache = tmp_path / "small"
+    cache.mkdir()
+    variables = {"STKZOO_CACHE": str(cache)}
+    done = on_disk("full", cache, code, str(archive), size="100k", **variables)
+    assert done.stdout.splitlines() == ["True", "[]"], done.stderr
+
+
+@mounts
+def test_a_pack_that_does_not_fit_leaves_no_archive(archive, tmp_path):
+    code = """
+        import sys
+        from stkzoo.engine.assets import pack
+        from stkzoo.errors import AssetError
+        fill()
+        try:
+            pack(output=PLACE / "pack.tar.xz")
+        except AssetError as error:
+            print("No space left" in str(error))
+        print(names())
+    """
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    done = on_disk("full", disk, code)
+    assert done.stdout.splitlines() == ["True", "[]"], done.stderr
+    assert archive.exists()
+
+
+@mounts
+def test_a_cache_that_may_not_be_written_is_told_and_races_all_the_same(archive, tmp_path):
+    code = """
+        import sys
+        from stkzoo.engine.assets import find_assets, install
+        from stkzoo.errors import AssetError
+        print(find_assets().source)
+        try:
+            install(archive=Path(sys.argv[1]))
+        except AssetError as error:
+            print("STKZOO_CACHE" in str(error))
+        print(find_assets().source)
+    """
+    cache = tmp_path / "cache"
+    done = on_disk("read-only", cache, code, str(archive))
+    assert done.stdout.splitlines() == ["headless pack", "True", "headless pack"], done.stderr
+
+
+def test_a_real_race_needs_no_cache_that_can_be_written():
+    if not can_mount():
+        pytest.skip("this user may not mount a disk of its own")
+    code = join(RACE, "print(race(steps=5).steps)")
+    done = on_disk("read-only", places.cache_folder(), code)
+    assert done.stdout.splitlines() == ["5"], done.stderr
+
+
+# ---------------------------------------------------------------------- downloads
+
+
+def serve(package, folder, server, monkeypatch):
+    """Makes apt know this package by way of a web server, and nothing else."""
+    assets.TestDebianPackage.serve(package, folder, monkeypatch)
+    (folder / "sources.list").write_text(f"deb [trusted=yes] {server.address} ./\n")
+    with (folder / "apt.conf").open("a") as settings:
+        settings.write('Acquire::http::Proxy "DIRECT";\nAcquire::Retries "0";\n')
+
+
+def test_a_download_that_breaks_off_leaves_nothing_and_works_the_next_time(machine, monkeypatch):
+    monkeypatch.setattr(places, "SYSTEM_FOLDERS", ())
+    package = assets.make_package(machine / "package")
+    with CuttingServer(package.parent, cuts=3).serving() as server:
+        serve(package, machine / "apt", server, monkeypatch)
+        with pytest.raises(AssetError, match="could not be had"):
+            install(source="debian")
+        assert server.num_cuts >= 1
+        assert assets.visible(machine / "cache") == []
+        server.num_cuts = 3
+        assert install(source="debian").tracks == ("alps", "beach")
+
+
+def test_a_download_of_pystk2_that_breaks_off_is_told(machine, monkeypatch):
+    monkeypatch.setattr(places, "SYSTEM_FOLDERS", ())
+    with CuttingServer(machine, cuts=0).serving() as server:
+        for name in ("https_proxy", "HTTPS_PROXY", "http_proxy", "HTTP_PROXY"):
+            monkeypatch.setenv(name, server.address)
+        monkeypatch.setenv("no_proxy", "")
+        with pytest.raises(AssetError, match="the download of pystk2 failed"):
+            install(source="upstream")
+        assert server.num_cuts >= 1
+    assert assets.visible(machine / "cache") == []
+
+
+# ---------------------------------------------------------------------- installs
+
+
+def test_an_install_killed_at_any_moment_is_mended_by_the_next(archive):
+    cache = archive.parent / "cache"
+    subprocess.run(["rm", "-rf", str(cache)], check=True)
+    chance = random.Random(1)
+    words = [sys.executable, "-m", "stkzoo", "assets", "install", "--from", str(archive)]
+    for _ in range(6):
+        program = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        time.sleep(chance.uniform(0.2, 0.8))
+        program.send_signal(signal.SIGKILL)
+        program.wait(10)
+        assert not cache.exists() or assets.visible(cache) in ([], ["headless"]) or leftovers(cache)
+    both = [subprocess.Popen(words, stdout=subprocess.DEVNULL) for _ in range(2)]
+    assert [program.wait(60) for program in both] == [0, 0]
+    assert assets.visible(cache) == ["headless"]
+    assert find_assets().source == "headless pack"
+
+
+def leftovers(cache):
+    return all(name == "headless" or name.startswith(".stkzoo-") for name in assets.visible(cache))
+
+
+# ---------------------------------------------------------------------- limits on files
+
+
+def test_a_file_that_grows_too_large_is_told_and_leaves_the_older_one(tmp_path):
+    file = tmp_path / "race.stkz"
+    run_race(["heuristic", "ai"], track="olivermath", max_steps=5, listeners=[ReplayWriter(file)])
+    code = f"""
+        import resource
+        from stkzoo.race import run_race
+        from stkzoo.race.replay import ReplayError, ReplayWriter
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1500, 1500))
+        drivers, listeners = ["heuristic", "ai"], [ReplayWriter({str(file)!r})]
+        try:
+            run_race(drivers, track="olivermath", max_steps=200, listeners=listeners)
+        except ReplayError as error:
+            print("File too large" in str(error))
+    """
+    done = run_program(code)
+    assert done.stdout.strip() == "True", done.stderr
+    assert load_replay(file).steps == 5
+    assert [path.name for path in tmp_path.iterdir()] == ["race.stkz"]
+
+
+def test_a_device_is_not_replaced_by_a_file(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(ReplayError, match="no plain file"):
+        run_race(["ai", "ai"], track="olivermath", max_steps=2, listeners=[ReplayWriter(pipe)])
+    assert [path.is_fifo() for path in tmp_path.iterdir()] == [True]
+
+
+def join(*parts):
+    import textwrap
+
+    return "\n".join(map(textwrap.dedent, parts))

@@ -1,0 +1,151 @@
+"""What strangers' files and machines can and cannot do, as far as no other test shows it.
+
+The whole list: ``docs/threat-model.md``.
+"""
+
+import ast
+import json
+import re
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import stkzoo
+from stkzoo.race import RaceResult, run_race
+from stkzoo.race.replay import ReplayWriter, load_replay, play_replay
+
+ROOT = Path(stkzoo.__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "threat-model.md"
+CODES = "\x1b[2Jgone\x1b]0;title\x07\r"
+
+AGENT = """
+player_name = {name!r}
+env_name = "supertuxkart/flattened_discrete-v0"
+
+def get_actor(module_dir, observation_space, action_space):
+    def act(state, observation):
+        {act}
+        return 700
+    return act
+"""
+
+
+def agent(folder, act="pass", name="a stranger"):
+    folder.mkdir()
+    (folder / "pystk_actor.py").write_text(AGENT.format(name=name, act=act))
+    return str(folder)
+
+
+def race(*drivers, **settings):
+    return run_race(list(drivers), track="olivermath", seed=1, max_steps=12, **settings)
+
+
+def test_an_agent_reads_and_writes_what_the_user_can(tmp_path):
+    """It is no prison: the page says so, and so it is."""
+    (tmp_path / "diary.txt").write_text("dear diary")
+    act = "open('diary.txt.copy', 'w').write(open('diary.txt').read())"
+    stranger = agent(tmp_path / "a", f"import os; os.chdir({str(tmp_path)!r}); {act}")
+    assert not race(stranger, "ai").has_errors
+    assert (tmp_path / "diary.txt.copy").read_text() == "dear diary"
+
+
+def test_an_agent_cannot_drive_or_hold_another_kart(tmp_path):
+    """Whatever it does in its own process, the others' race is the same to the last bit."""
+    quiet = agent(tmp_path / "quiet")
+    mean = (
+        "import gc, os, random, signal, numpy; random.seed(); numpy.random.seed(); "
+        "signal.signal(signal.SIGTERM, signal.SIG_IGN); os.nice(5); "
+        "[o.fill(0) for o in gc.get_objects() if isinstance(o, numpy.ndarray) and "
+        "o.flags.writeable and o.size > 99]"
+    )
+    loud = agent(tmp_path / "loud", mean)
+    with_quiet = race(quiet, "heuristic", "ai")
+    with_loud = race(loud, "heuristic", "ai")
+    for one, other in zip(with_quiet.agents, with_loud.agents, strict=True):
+        assert (one.agent, one.distance, one.reward) == (other.agent, other.distance, other.reward)
+    assert not with_loud.has_errors
+
+
+def test_what_an_agent_says_cannot_steer_the_terminal(tmp_path):
+    stranger = agent(tmp_path / "a", f"raise RuntimeError({CODES!r})", name=CODES)
+    command = [sys.executable, "-m", "stkzoo", "race", stranger, "ai", "--track", "olivermath"]
+    done = subprocess.run([*command, "--max-steps", "5"], capture_output=True, text=True)
+    assert done.returncode == 3
+    assert "gone" in done.stdout
+    assert "\x1b" not in done.stdout + done.stderr
+    with pytest.raises(stkzoo.AgentError) as caught:
+        race(stranger, error_handling="raise")
+    assert "\x1b" not in str(caught.value) + caught.value.trace
+
+
+def test_what_stands_in_a_file_cannot_steer_the_terminal(tmp_path):
+    file, changed = tmp_path / "race.stkz", tmp_path / "changed.stkz"
+    race("heuristic", "ai", listeners=[ReplayWriter(file)])
+    with zipfile.ZipFile(file) as old, zipfile.ZipFile(changed, "w") as new:
+        for name in old.namelist():
+            data = old.read(name)
+            if name == "race.json":
+                form = json.loads(data)
+                form["agents"][0]["name"] = form["versions"]["python"] = CODES
+                form["result"]["agents"][0]["driver"] = CODES
+                data = json.dumps(form).encode()
+            new.writestr(name, data)
+    command = [sys.executable, "-m", "stkzoo", "replay", str(changed), "--info"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert "gone" in done.stdout
+    assert "\x1b" not in done.stdout
+    text = json.dumps(json.loads(load_replay(file).result.to_json()) | {"track": "olivermath"})
+    told = RaceResult.from_json(text.replace("heuristic", r"\u001b[2J"))
+    assert "\x1b" not in repr(told.agents) + told.to_json()
+
+
+def test_a_replay_can_only_be_played_as_what_it_is(tmp_path):
+    """A result that somebody has written into it is found out."""
+    file = tmp_path / "race.stkz"
+    race("heuristic", "ai", listeners=[ReplayWriter(file)])
+    assert play_replay(load_replay(file)).is_exact
+    with zipfile.ZipFile(file) as old:
+        members = {name: old.read(name) for name in old.namelist()}
+    form = json.loads(members["race.json"])
+    for row in form["result"]["agents"]:
+        row["reward"] += 100.0
+    members["race.json"] = json.dumps(form).encode()
+    with zipfile.ZipFile(file, "w") as new:
+        for name, data in members.items():
+            new.writestr(name, data)
+    assert not play_replay(load_replay(file)).is_exact
+
+
+#: Where Python objects are made from bytes: both ends are the conformance suite itself.
+UNPICKLING = {"stkzoo/checks/processes.py", "stkzoo/checks/determinism.py"}
+RUNNING = {"eval", "exec", "compile"}
+
+
+def test_nothing_that_is_read_is_unpickled_or_run():
+    found = set()
+    for file in (ROOT / "stkzoo").rglob("*.py"):
+        tree = ast.parse(file.read_text())
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call):
+                called = ast.unparse(node.func)
+                if called in RUNNING or re.search(r"(pickle|marshal|shelve|yaml)\.load", called):
+                    found.add(str(file.relative_to(ROOT)))
+    assert found <= UNPICKLING
+
+
+def test_every_test_that_the_page_names_exists():
+    named = set(re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", PAGE.read_text()))
+    assert len(named) > 40
+    for file, name in sorted(named):
+        code = (ROOT / file).read_text()
+        assert re.search(rf"def {name}\(", code), f"{file} has no {name}"
+
+
+def test_every_line_of_the_page_has_its_test():
+    rows = [line for line in PAGE.read_text().splitlines() if line.startswith("| ")]
+    rows = [row for row in rows if not row.startswith(("| it ", "| ---"))]
+    assert len(rows) > 40
+    assert [row for row in rows if "::" not in row] == []

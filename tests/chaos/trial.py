@@ -1,0 +1,262 @@
+"""Injects one fault after another into this program and looks after each what it has done."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import tempfile
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from stkzoo import race_v0
+from stkzoo.engine import filming, process, session
+from stkzoo.errors import EngineError, StkzooError
+from tests.chaos.family import family
+from tests.chaos.faults import Fault, Strike
+from tests.chaos.forms import ENGINE_TIMEOUT, FORMS, TRACK, Form, digest
+from tests.processes import wait_until
+
+__all__ = ["Outcome", "Trials"]
+
+#: Seconds in which a race must be on its grid here, instead of a minute.
+START_TIMEOUT = 20.0
+#: The same for a drawn race, and seconds for its pictures; the first take ten times as long.
+DRAWING_START_TIMEOUT, DRAWING_TIMEOUT = 30.0, 4.0
+#: Seconds after which whatever was hit must have answered or have been given up.
+_LIMIT = 3 * (START_TIMEOUT + ENGINE_TIMEOUT)
+_DRAWING_LIMIT = _LIMIT + DRAWING_START_TIMEOUT + 10 * DRAWING_TIMEOUT
+#: How often a form may fail before it is mended: the fault may show late.
+_ATTEMPTS = 3
+#: Moments that come before there is an environment.
+_FIRST = ("construct", "begin")
+_SETTLE = 10.0  # [s]
+_WITNESS_STEPS = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a fault did.
+
+    Attributes:
+        fault: the fault.
+        injected: whether there was somebody to hit.
+        survived: whether all was as it should be afterwards.
+        answer: what the form said while it was hit: the name of an error, or ``"went on"``.
+        seconds: how long that took.
+        resets: how many resets it took until the form raced again.
+        problem: what was not as it should be.
+    """
+
+    fault: Fault
+    injected: bool
+    survived: bool
+    answer: str
+    seconds: float
+    resets: int
+    problem: str = ""
+
+    def to_form(self) -> dict[str, Any]:
+        """As plain data."""
+        return asdict(self)
+
+
+class Trials:
+    """Faults in this program, one after another, beside a race that must not notice.
+
+    A context manager: timeouts of the engine are short meanwhile, and temporary files go
+    to a folder of their own.
+    """
+
+    def __enter__(self) -> Trials:
+        self._undo: list[Callable[[], None]] = []
+        for module in (process, session):
+            self._replace(module, "START_TIMEOUT", START_TIMEOUT)
+        self._replace(filming, "DRAWING_START_TIMEOUT", DRAWING_START_TIMEOUT)
+        defaults = {"has_window": False, "timeout": DRAWING_TIMEOUT}
+        self._replace(filming.ShadowSession.__init__, "__kwdefaults__", defaults)
+        self._folder = tempfile.TemporaryDirectory(prefix="chaos-")
+        self._replace(tempfile, "tempdir", self._folder.name)
+        process._close_all()  # the mother's home is to be in that folder
+        self._witness = _Witness()
+        self._traces: dict[str, str] = {}
+        self._durations: dict[tuple[str, str], float] = {}
+        self._numbers: dict[str, tuple[int, int]] = {}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._witness.close()
+        process._close_all()
+        for undo in reversed(self._undo):
+            undo()
+        self._folder.cleanup()
+
+    def run(self, fault: Fault) -> Outcome:
+        """Injects one fault."""
+        form = FORMS[fault.form]()
+        self._learn(fault.form, fault.moment)
+        strike = Strike(fault, os.getpid(), self._witness.pids)
+        begin = time.monotonic()
+        answer, resets = "", 0
+        try:
+            answer = self._hit(form, fault, strike)
+            seconds = time.monotonic() - begin
+            limit = _DRAWING_LIMIT if "drawn" in form.name else _LIMIT
+            self._check(seconds < limit, f"it took {seconds:.1f} s")
+            resets = self._race_again(form)
+            self._witness.go_on(may_be_lost=fault.target == "mother" or fault.moment == "begin")
+            form.close()
+            self._check_nothing_is_left(form)
+        except Exception:  # noqa: BLE001 - that is what is looked for
+            problem = traceback.format_exc()
+            form.close()
+        else:
+            problem = ""
+        del form
+        seconds = time.monotonic() - begin
+        return Outcome(fault, strike.pid is not None, not problem, answer, seconds, resets, problem)
+
+    # ------------------------------------------------------------------ one fault
+
+    def _hit(self, form: Form, fault: Fault, strike: Strike) -> str:
+        if fault.moment not in _FIRST:
+            form.construct()
+            form.reset()
+        before = form.num_crashes
+        try:
+            with strike.during(self._durations[fault.form, fault.moment]):
+                getattr(form, fault.moment)()
+        except (StkzooError, KeyboardInterrupt) as error:
+            return type(error).__name__
+        return "mended" if form.num_crashes > before else "went on"
+
+    def _race_again(self, form: Form) -> int:
+        """Resets until the form races as it always does; how many resets that took."""
+        for attempt in range(_ATTEMPTS):
+            try:
+                form.mend()
+                crashes = form.num_crashes
+                trace = form.trace()
+            except StkzooError:
+                continue
+            if form.num_crashes > crashes:
+                continue
+            self._check(trace == self._traces[form.name], "the race differs from what it was")
+            return attempt + 1
+        raise AssertionError(f"no race after {_ATTEMPTS} resets")
+
+    def _learn(self, name: str, moment: str) -> None:
+        """Times a moment, and what the form's race is like, while nothing is hit."""
+        if (name, moment) in self._durations:
+            return
+        form = FORMS[name]()
+        for _ in range(2):  # the first time takes longer
+            form.close()
+            if moment not in _FIRST:
+                form.construct()
+                form.reset()
+            begin = time.monotonic()
+            getattr(form, moment)()
+            self._durations[name, moment] = time.monotonic() - begin
+        self._witness.go_on(may_be_lost=moment == "begin")
+        form.close()
+        if name not in self._traces:
+            form.construct()
+            self._traces[name] = form.trace()
+            form.close()
+        del form
+        gc.collect()
+        self._numbers[name] = _open_files(), threading.active_count()
+
+    # ------------------------------------------------------------------ what remains
+
+    def _check_nothing_is_left(self, form: Form) -> None:
+        gc.collect()
+        files, threads = self._numbers[form.name]
+        kept = set(self._witness.pids)
+        others = lambda: [m for m in family(os.getpid()) if m.pid not in kept]  # noqa: E731
+        rest = lambda: [m for m in others() if m.kind != "mother"]  # noqa: E731
+        self._check(wait_until(lambda: not rest(), _SETTLE), lambda: f"processes: {rest()}")
+        self._check(len(others()) <= 1, lambda: f"several mothers: {others()}")
+        self._check(
+            wait_until(lambda: _open_files() <= files, _SETTLE),
+            lambda: f"{_open_files()} open files, {files} before: {_file_names()}",
+        )
+        self._check(
+            wait_until(lambda: threading.active_count() <= threads, _SETTLE),
+            lambda: f"threads: {threading.enumerate()}",
+        )
+        homes = lambda: list(Path(self._folder.name).iterdir())  # noqa: E731
+        self._check(wait_until(lambda: len(homes()) <= 1, _SETTLE), lambda: f"files: {homes()}")
+
+    def _check(self, holds: bool, problem: str | Callable[[], str]) -> None:
+        if not holds:
+            raise AssertionError(problem if isinstance(problem, str) else problem())
+
+    def _replace(self, owner: Any, name: str, value: Any) -> None:
+        old = getattr(owner, name)
+        setattr(owner, name, value)
+        self._undo.append(lambda: setattr(owner, name, old))
+
+
+class _Witness:
+    """A race of this program that is never hit, and must go on bit for bit."""
+
+    def __init__(self) -> None:
+        self._env = race_v0.parallel_env(
+            num_kart=3, agents=1, track=TRACK, view="flattened_discrete"
+        )
+        self._alone = [self._begin(), *(self._step() for _ in range(_WITNESS_STEPS))]
+        self._begin()
+        self._number = 0
+
+    @property
+    def pids(self) -> tuple[int, ...]:
+        pid = self._env._session.pid
+        return () if pid is None else (pid,)
+
+    def go_on(self, *, may_be_lost: bool) -> None:
+        """Steps on.
+
+        Args:
+            may_be_lost: the mother of all races was hit.
+        """
+        for _ in range(3):
+            self._number += 1
+            try:
+                seen = self._step()
+            except EngineError:
+                if not may_be_lost:
+                    raise
+                self._number = 0
+                seen = self._begin()
+            assert seen == self._alone[self._number], "another race has noticed"
+            if self._number == _WITNESS_STEPS:
+                self._number = 0
+                assert self._begin() == self._alone[0], "another race starts otherwise"
+
+    def close(self) -> None:
+        self._env.close()
+
+    def _begin(self) -> str:
+        return digest(self._env.reset(seed=3))
+
+    def _step(self) -> str:
+        return digest(self._env.step({"kart_0": 700}))
+
+
+def _open_files() -> int:
+    return len(os.listdir("/proc/self/fd"))
+
+
+def _file_names() -> list[str]:
+    names = []
+    for name in os.listdir("/proc/self/fd"):
+        with contextlib.suppress(OSError):
+            names.append(os.readlink(f"/proc/self/fd/{name}"))
+    return sorted(names)
