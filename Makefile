@@ -9,14 +9,15 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 GRAPHICS_PACKAGES := libegl1 libgl1 libgl1-mesa-dri xvfb
 BROWSER_PACKAGES := chromium chromium-driver
 
-.PHONY: browser graphics help race test check bench docs clean
+.PHONY: browser graphics help race test check bench docs site clean
 
 help:
 	@echo "make race    set everything up and watch a race of four karts in the terminal"
 	@echo "make test    set everything up and run all tests"
 	@echo "make check   lint, format and types"
 	@echo "make bench   measure speed and memory"
-	@echo "make docs    run the examples of the documentation"
+	@echo "make site    build the documentation's pages"
+	@echo "make docs    build them and run all examples of the documentation"
 	@echo "make clean   remove what was built here; the game's data stays"
 	@echo "             (it goes with: stkzoo assets clean)"
 
@@ -37,9 +38,15 @@ bench: $(VENV)/.dev
 	$(BIN)/stkzoo assets install
 	$(BIN)/python -m benchmarks.bench_all $(ARGS)
 
-docs: $(VENV)/.dev
+docs: site $(VENV)/.dev
 	$(BIN)/stkzoo assets install
-	$(BIN)/python -m pytest --doctest-modules --doctest-glob='*.md' stkzoo README.md docs $(ARGS)
+	$(BIN)/python -m pytest --doctest-modules stkzoo tests/test_docs.py tests/test_docs_truth.py \
+		tests/test_agent_docs.py tests/test_tutorials.py $(ARGS)
+
+# The documentation as pages, in the folder site; every warning and every dead link fails.
+site: $(VENV)/.docs
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs site
+	@echo "open site/index.html"
 
 # The game draws off-screen with these libraries, and its window is tried in Xvfb. Where they
 # cannot be installed, the map is drawn instead, and the tests look for that.
@@ -68,7 +75,7 @@ browser:
 	fi
 
 clean:
-	rm -rf $(VENV) build dist site *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist site jupyter_execute .ecosystem *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Without pip among the system's packages (a bare Debian or Ubuntu), the apt client
@@ -111,4 +118,8 @@ $(VENV)/.core: $(VENV)/.made pyproject.toml
 $(VENV)/.dev: $(VENV)/.core pyproject.toml
 	$(PIP) install torch==2.13.0
 	$(PIP) install --quiet --editable '.[dev,sb3]'
+	@touch $@
+
+$(VENV)/.docs: $(VENV)/.dev pyproject.toml
+	$(PIP) install --quiet --editable '.[docs]'
 	@touch $@

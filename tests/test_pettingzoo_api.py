@@ -25,6 +25,8 @@ BUILT_IN_VIEWS = tuple(VIEWS)
 NOT_AN_ARRAY = "ignore:Observation is not a NumPy array:UserWarning"
 DICT_OBSERVATIONS = "ignore:Observation space for each agent probably should be:UserWarning"
 DICT_ACTIONS = "ignore:Action space for each agent probably should be:UserWarning"
+# Metres and seconds have no natural bounds.
+UNBOUNDED = "ignore:Agent's (minimum|maximum) observation space value is:UserWarning"
 # The state has metres and seconds in it, which have no natural bounds.
 UNBOUNDED_STATE = "ignore:Environment's (minimum|maximum) state space value is:UserWarning"
 
@@ -43,7 +45,7 @@ def test_parallel_seeds(view):
     parallel_seed_test(functools.partial(make, view=view, max_cycles=60), num_cycles=100)
 
 
-@pytest.mark.filterwarnings(NOT_AN_ARRAY, DICT_OBSERVATIONS, DICT_ACTIONS)
+@pytest.mark.filterwarnings(NOT_AN_ARRAY, DICT_OBSERVATIONS, DICT_ACTIONS, UNBOUNDED)
 @pytest.mark.parametrize("factory", [race_v0.env, race_v0.raw_env])
 @pytest.mark.parametrize("view", BUILT_IN_VIEWS)
 def test_aec_api(view, factory):

@@ -1,0 +1,124 @@
+# ---
+# jupyter:
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # A first race
+#
+# Four karts on a short track, all of them yours. You will look at what an agent sees, drive by a rule
+# of three lines, and see where the karts went.
+
+# %%
+import os
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from stkzoo import race_v0
+
+SHORT = "STKZOO_SHORT" in os.environ  # a test runs this page in seconds
+np.set_printoptions(suppress=True, precision=1)
+
+# %% [markdown]
+# ## Make a race and look at it
+#
+# The view `simple` is a dict of fixed size, with positions in polar form: angle to the right [rad],
+# angle up [rad], distance [m].
+
+# %%
+env = race_v0.parallel_env(
+    num_kart=4,
+    track="olivermath",
+    view="simple",
+    render_mode="rgb_array",
+    render_backend="map",
+    max_cycles=60 if SHORT else 600,
+)
+observations, infos = env.reset(seed=42)
+print(env.agents, "on", env.race.track, f"({env.track_map.length:.0f} m)")
+for key in ("velocity", "center_path_distance", "paths_end", "karts_position"):
+    print(f"{key}:", *np.atleast_2d(observations["kart_0"][key]).round(1), sep="\n    ")
+
+# %%
+plt.figure(figsize=(7, 5))
+plt.imshow(env.render())
+plt.axis("off")
+plt.show()
+
+# %% [markdown]
+# ## A rule that drives
+#
+# Steer towards a point of the road ahead, at full throttle. `paths_end[i]` is the end of the i-th
+# segment ahead. Each of our four drivers looks at another one: near, or farther away.
+
+
+# %%
+def drive(observation, ahead):
+    angle = observation["paths_end"][ahead][0]
+    return {
+        "acceleration": np.array([1.0], np.float32),
+        "steer": np.array([np.clip(2.5 * angle, -1, 1)], np.float32),
+        "brake": 0,
+        "drift": 0,
+        "fire": 1,
+        "nitro": 1,
+        "rescue": 0,
+    }
+
+
+places, speeds, finished = {a: [] for a in env.agents}, {a: [] for a in env.agents}, {}
+while env.agents:
+    actions = {
+        a: drive(observations[a], ahead)
+        for ahead, a in enumerate(env.possible_agents)
+        if a in env.agents
+    }
+    observations, rewards, terminations, truncations, infos = env.step(actions)
+    for kart, agent in zip(env.race.kart_indices, env.possible_agents, strict=True):
+        if agent in observations:
+            places[agent].append(env.snapshot.karts["location"][kart, [0, 2]].copy())
+            speeds[agent].append(float(np.linalg.norm(observations[agent]["velocity"])))
+            if terminations[agent]:
+                finished[agent] = infos[agent]["finish_time"]
+
+# %% [markdown]
+# ## What happened
+#
+# Who looks too near turns too late and ends at a wall; who looks farther cuts the corners and wins.
+
+# %%
+for ahead, agent in enumerate(env.possible_agents):
+    end = f"finished in {finished[agent]:.1f} s" if agent in finished else "did not finish"
+    print(f"{agent}, looking {ahead} segments ahead: {end}")
+
+# %%
+figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4))
+for start, end in env.track_map.path_nodes[:, :, [0, 2]]:
+    left.plot(
+        *zip(start, end, strict=True), color="0.85", linewidth=9, solid_capstyle="round", zorder=0
+    )
+for agent, way in places.items():
+    left.plot(*np.array(way).T, label=agent, linewidth=1.5)
+    right.plot(np.arange(len(speeds[agent])) / 10, speeds[agent], label=agent)
+left.set_aspect("equal")
+left.axis("off")
+right.set(xlabel="time [s]", ylabel="speed [m/s]")
+right.legend()
+plt.show()
+
+# %%
+plt.figure(figsize=(7, 5))
+plt.imshow(env.render())
+plt.axis("off")
+plt.show()
+env.close()
+
+# %% [markdown]
+# The same seed gives the same race again, to the last bit: run the page again and compare.
+#
+# Next: [train a driver](train_a_driver.ipynb), or put your rule into a file and [race
+# it](../agents.md).

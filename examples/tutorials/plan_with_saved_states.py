@@ -1,0 +1,154 @@
+# ---
+# jupyter:
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Plan with saved states
+#
+# The whole state of a running race can be kept, gone back to and copied: karts, items, bots, and the
+# game's hidden random numbers. So the game itself is the model. Here a driver looks ahead into its own
+# futures and takes the best.
+
+# %%
+import os
+import time
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from stkzoo import race_v0
+
+SHORT = "STKZOO_SHORT" in os.environ  # a test runs this page in seconds
+
+# %% [markdown]
+# ## Going back in time
+#
+# Drive for five seconds, go back, and drive the same way again: the same bits. Then another way.
+
+# %%
+env = race_v0.parallel_env(agents=1, num_kart=3, track="olivermath", view="simple")
+observations, _ = env.reset(seed=1)
+
+
+def act(observation, offset=0.0):
+    """Full throttle along the road, with the steering off by some share."""
+    angle = observation["paths_end"][2][0]
+    buttons = dict.fromkeys(["brake", "drift", "fire", "rescue"], 0)
+    return {
+        "acceleration": np.array([1.0], np.float32),
+        "steer": np.array([np.clip(2.5 * angle + offset, -1, 1)], np.float32),
+        "nitro": 1,
+        **buttons,
+    }
+
+
+def follow(race, observation, steps, offset=0.0):
+    """Drives on; the way driven, the distance [m], and what is seen in the end."""
+    kart, way = race.race.kart_indices[0], []
+    for _ in range(steps):
+        if not race.agents:
+            break
+        observations, _, _, _, infos = race.step({"kart_0": act(observation, offset)})
+        observation, distance = observations["kart_0"], infos["kart_0"]["distance"]
+        way.append(race.snapshot.karts["location"][kart, [0, 2]].copy())
+    return np.array(way), distance, observation
+
+
+_, _, observation = follow(env, observations["kart_0"], 50)
+state = env.save_state()
+first, distance, _ = follow(env, observation, 50)
+env.restore_state(state)
+second, _, _ = follow(env, observation, 50)
+print("the same bits:", first.tobytes() == second.tobytes())
+
+# %% [markdown]
+# ## A fan of futures
+#
+# `env.lookahead()` is a copy of the race that may be driven on while the original stands still.
+
+# %%
+offsets = np.linspace(-0.6, 0.6, 3 if SHORT else 9)
+env.restore_state(state)
+begun, futures = time.perf_counter(), []
+with env.lookahead() as branch:
+    start = branch.save_state()
+    for offset in offsets:
+        branch.restore_state(start)
+        futures.append(follow(branch, observation, 15 if SHORT else 40, offset)[:2])
+    start.close()
+spent = time.perf_counter() - begun
+print(f"{len(offsets)} futures of {len(futures[0][0]) / 10:.0f} s each in {spent:.2f} s")
+
+# %%
+figure, axes = plt.subplots(figsize=(7, 4))
+for segment in env.track_map.path_nodes[:, :, [0, 2]]:
+    axes.plot(*segment.T, color="0.85", linewidth=12, solid_capstyle="round", zorder=0)
+best = max(range(len(futures)), key=lambda number: futures[number][1])
+for number, (way, _) in enumerate(futures):
+    axes.plot(
+        *way.T,
+        color="tab:green" if number == best else "tab:blue",
+        alpha=1.0 if number == best else 0.4,
+    )
+ways = np.concatenate([way for way, _ in futures])
+axes.set_xlim(ways[:, 0].min() - 15, ways[:, 0].max() + 15)
+axes.set_ylim(ways[:, 1].min() - 15, ways[:, 1].max() + 15)
+axes.set_aspect("equal")
+axes.axis("off")
+axes.set_title(f"steering off by {offsets[best]:+.2f} goes farthest: {futures[best][1]:.0f} m")
+plt.show()
+
+# %% [markdown]
+# ## A driver that plans
+#
+# Every half second it tries some changes of its steering for three seconds, and takes the best. The
+# bots, the items and the collisions in its futures are those that will happen.
+
+
+# %%
+def race(plans, horizon=30, hold=5):
+    """The way driven after each step [m], with or without looking ahead."""
+    observation, driven = env.reset(seed=1)[0]["kart_0"], []
+    branch = env.clone() if plans else None
+    limit = 40 if SHORT else 600
+    while env.agents and len(driven) < limit:
+        offset = 0.0
+        if plans:
+            with env.save_state() as now:
+                scores = []
+                for change in plans:
+                    branch.restore_state(now)
+                    scores.append(follow(branch, observation, horizon, change)[1])
+                offset = plans[int(np.argmax(scores))]
+        for _ in range(hold):
+            if env.agents:
+                observations, _, _, _, infos = env.step({"kart_0": act(observation, offset)})
+                observation = observations["kart_0"]
+                driven.append(infos["kart_0"]["distance"])
+    if branch is not None:
+        branch.close()
+    return driven, infos["kart_0"]["finish_time"]
+
+
+plain, plain_time = race([])
+planned, planned_time = race([0.0, -0.4, 0.4] if SHORT else [0.0, -0.5, -0.25, 0.25, 0.5])
+print(f"without looking ahead {plain_time:.1f} s, with it {planned_time:.1f} s (0: not finished)")
+
+# %%
+figure, axes = plt.subplots(figsize=(7, 3))
+axes.plot(np.arange(len(plain)) / 10, plain, label="by its rule")
+axes.plot(np.arange(len(planned)) / 10, planned, label="looking ahead")
+axes.set(xlabel="time [s]", ylabel="way driven [m]")
+axes.legend()
+axes.grid(alpha=0.3)
+plt.show()
+state.close()
+env.close()
+
+# %% [markdown]
+# [Planning](../planning.md) has all calls and what they cost; `stkzoo.agents.planner` is a planner that
+# beats the driver that it is made of by more than two seconds a lap.

@@ -1,0 +1,144 @@
+"""`stkzoo tracks`, `stkzoo karts` and `stkzoo completion`."""
+
+import json
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from stkzoo.cli import main
+from stkzoo.cli.main import COMMANDS, build_parser
+from stkzoo.tracks import SPLITS
+
+
+def test_tracks_shows_what_the_race_has(capsys):
+    assert main(["tracks", "lighthouse", "olivermath", "--sort", "length", "--json"]) == 0
+    shortest, other = json.loads(capsys.readouterr().out)
+    assert (shortest["track"], other["track"]) == ("olivermath", "lighthouse")
+    assert other["length"] == pytest.approx(880, abs=1)
+    assert (other["split"], other["segments"], other["forks"], other["items"]) == (
+        "train",
+        115,
+        0,
+        25,
+    )
+    assert 30 < other["time"] < 45
+
+
+def test_tracks_of_a_split_are_shown(capsys):
+    assert main(["tracks", "--split", "test", "--difficulty", "0"]) == 0
+    shown = capsys.readouterr().out
+    assert all(track in shown for track in SPLITS["test"])
+    assert "lighthouse" not in shown
+
+
+def test_a_track_that_is_not_there_is_named_with_the_nearest(capsys):
+    assert main(["tracks", "lighthous"]) == 1
+    assert "Did you mean 'lighthouse'?" in capsys.readouterr().err
+
+
+def test_a_map_is_drawn(tmp_path, capsys):
+    file = tmp_path / "map.png"
+    assert main(["tracks", "lighthouse", "--map", str(file)]) == 0
+    assert capsys.readouterr().out.strip() == str(file)
+    picture = np.asarray(Image.open(file))
+    assert picture.shape == (768, 1024, 3)
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 10
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--map", "map.png"], "draws one track, and 21 are named"),
+        (["lighthouse", "--map", "map.gif"], "ending in .png"),
+        (["lighthouse", "--map", "/nowhere/map.png"], "cannot be written"),
+    ],
+)
+def test_maps_that_cannot_be_are_refused(words, text, capsys):
+    assert main(["tracks", *words]) == 1
+    assert text in capsys.readouterr().err
+
+
+def test_karts_are_those_of_the_game(capsys):
+    assert main(["karts", "--json"]) == 0
+    karts = {kart["kart"]: kart for kart in json.loads(capsys.readouterr().out)}
+    assert len(karts) == 16
+    assert {kart["weight"] for kart in karts.values()} == {"light", "medium", "heavy"}
+    assert karts["sara_the_racer"]["title"] == "Pepper"
+    assert karts["tux"]["wheel_base"] == 1.008
+    assert main(["karts"]) == 0
+    shown = capsys.readouterr().out
+    assert all(kart in shown for kart in karts)
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish", "tcsh"])
+def test_completion_scripts_know_all_commands(shell, capsys):
+    assert main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert all(command in script for command in COMMANDS)
+
+
+def completed(script, *words):
+    """What bash offers for the last word."""
+    line = " ".join(words)
+    program = f"""
+source {script}
+COMP_WORDS=({" ".join(repr(word) for word in words)})
+COMP_CWORD={len(words) - 1}
+COMP_LINE='{line}'
+COMP_POINT={len(line)}
+_shtab_stkzoo
+printf '%s\\n' "${{COMPREPLY[@]}}"
+"""
+    shell = [shutil.which("bash"), "-c", program]
+    done = subprocess.run(shell, capture_output=True, text=True, check=True)
+    return done.stdout.split()
+
+
+def test_bash_completes_commands_options_and_choices(tmp_path, capsys):
+    main(["completion", "bash"])
+    script = tmp_path / "stkzoo.bash"
+    script.write_text(capsys.readouterr().out)
+    assert completed(script, "stkzoo", "tour") == ["tournament"]
+    assert "--track" in completed(script, "stkzoo", "race", "--tra")
+    assert completed(script, "stkzoo", "race", "--error-handling", "re") == ["retire", "restart"]
+
+
+def test_without_shtab_the_remedy_is_told(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    assert main(["completion", "bash"]) == 1
+    assert "pip install 'stkzoo[completion]'" in capsys.readouterr().err
+
+
+def every_parser(parser, words=()):
+    yield words, parser
+    for action in parser._actions:
+        for name, child in (
+            (getattr(action, "choices", None) or {}).items() if _is_sub(action) else ()
+        ):
+            yield from every_parser(child, (*words, name))
+
+
+def _is_sub(action):
+    return type(action).__name__ == "_SubParsersAction"
+
+
+def test_every_command_teaches_by_examples():
+    for words, parser in every_parser(build_parser()):
+        if len(words) == 1:
+            text = parser.format_help()
+            lines = [line for line in text.splitlines() if f"stkzoo {words[0]}" in line]
+            assert len(lines) >= 2, f"stkzoo {' '.join(words)} --help has no example"
+
+
+def test_every_example_of_the_helps_is_understood():
+    for _, parser in every_parser(build_parser()):
+        for line in (parser.epilog or "").splitlines():
+            if line.startswith("  stkzoo "):
+                command = line.strip().split("  ")[0].split(" > ")[0].split(" # ")[0]
+                words = command.split()[1:]
+                if words != ["COMMAND", "--help"]:
+                    build_parser().parse_args(words)
