@@ -48,7 +48,7 @@ def replace_places(snapshot, scene):
         shift = nodes[kart * len(nodes) // len(karts)] - karts[kart]["location"]
         karts[kart]["location"] += shift
         karts[kart]["front"] += shift
-    return type(snapshot)(snapshot.header, karts, snapshot.items)
+    return type(snapshot).of(snapshot.header, karts, snapshot.items)
 
 
 def test_a_kart_is_drawn_where_it_is(race):
@@ -66,7 +66,7 @@ def test_the_map_is_not_mirrored(race):
     karts = moved.karts.copy()
     karts["location"][1] = karts["location"][0] + [20, 0, 0]  # east
     karts["location"][2] = karts["location"][0] + [0, 0, 20]  # north
-    picture = view.draw(type(moved)(moved.header, karts, moved.items))
+    picture = view.draw(type(moved).of(moved.header, karts, moved.items))
     assert count(picture[180:220, 260:320], scene.colours[1]) > 60
     assert count(picture[80:140, 180:220], scene.colours[2]) > 60
 

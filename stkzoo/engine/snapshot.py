@@ -8,7 +8,7 @@ border by one copy and is never pickled.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -105,7 +105,7 @@ class Snapshot:
         data: the whole moment as one block: header, karts, items.
     """
 
-    data: bytes
+    data: bytes = field(repr=False)
 
     @classmethod
     def of(
