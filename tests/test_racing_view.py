@@ -5,6 +5,7 @@ import itertools
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo import AgentSpec, race_v0
 from stkzoo.env.views import VIEWS
@@ -183,19 +184,19 @@ def test_a_straight_road_is_a_straight_line():
     ends = starts + np.array([0, 0, 10], np.float32)
     line = road_line(starts, ends, np.full(8, 6.0, np.float32))
     assert line.shape == (NUM_POINTS, 4)
-    expected = np.minimum(STEP * np.arange(NUM_POINTS), 80.0)
+    expected = STEP * np.arange(NUM_POINTS)  # beyond its end too
     np.testing.assert_allclose(line[:, 2], expected, atol=1e-4)
     np.testing.assert_allclose(line[:, 3], 3.0)
 
 
 def test_the_line_goes_on_after_a_gap_but_not_after_a_long_one():
-    def end_of(gap):
-        starts = np.array([[0, 0, 0], [0, 0, 10 + gap]], np.float32)
+    def side_of(gap):
+        starts = np.array([[0, 0, 0], [3, 0, 10 + gap]], np.float32)
         ends = starts + np.array([0, 0, 10], np.float32)
-        return road_line(starts, ends, np.ones(2, np.float32))[-1, 2]
+        return road_line(starts, ends, np.ones(2, np.float32))[-1, 0]
 
-    assert end_of(12.0) == pytest.approx(32.0)
-    assert end_of(40.0) == pytest.approx(10.0)
+    assert side_of(12.0) == pytest.approx(3.0)
+    assert side_of(30.0) == pytest.approx(0.0)
 
 
 def test_at_a_fork_the_line_keeps_to_the_branch_that_touches():
@@ -271,3 +272,10 @@ def test_other_views_are_refused():
         race(view=lambda env: RacingObservations(VIEWS["simple"](env)))
     with pytest.raises(AgentException, match="game's own actions"):
         race(view=lambda env: RacingActions(VIEWS["control"](env)))
+
+
+def test_a_kart_that_sees_no_road_has_a_view_too():
+    with race_v0.parallel_env(num_kart=1, track="lighthouse", view="racing") as env:
+        chain = env._chains._chains["kart_0"]
+        blank = create_zero_array(chain.base_observation_space)
+        assert np.isfinite(chain.observe(blank)).all()
