@@ -57,14 +57,14 @@ def last_policy(folder):
 
 
 def test_it_learns_and_ends(tmp_path):
-    done = learn(tmp_path / "run", 200)
+    done = learn(tmp_path / "run", 200, learning_rate=0.01)
     assert done.returncode == 0, done.stderr
     log = log_of(tmp_path / "run")
     assert log[-1]["kart_steps"] >= 200
     assert [line["iteration"] for line in log] == list(range(1, len(log) + 1))
     assert all(np.isfinite(list(line.values())).all() for line in log)
-    assert log[0]["kl"] == 0.0  # while only the value is learned
-    assert any(line["kl"] > 0.0 for line in log)
+    assert log[0]["kl"] < 1e-5  # while only the value is learned
+    assert log[-1]["kl"] > 1e-5
     assert last_policy(tmp_path / "run")["w0"].shape == (INPUT_SIZE, 16)
     assert list((tmp_path / "run").glob("events.out.tfevents.*"))
 
@@ -94,12 +94,12 @@ def test_other_arguments_are_refused_unless_they_may_change(tmp_path):
     assert learn(tmp_path, 40).returncode == 0
     refused = learn(tmp_path, 80, learning_rate=0.001)
     assert refused.returncode != 0
-    assert "learning_rate was 0.0003, now 0.001" in refused.stderr
+    assert "learning_rate was 0.0001, now 0.001" in refused.stderr
     words = [*command(tmp_path, 80, learning_rate=0.001), "--may-change"]
     done = subprocess.run(words, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     history = json.loads((tmp_path / "arguments.json").read_text())
-    assert [part["arguments"]["learning_rate"] for part in history] == [0.0003, 0.001]
+    assert [part["arguments"]["learning_rate"] for part in history] == [0.0001, 0.001]
 
 
 def test_race_forms_are_read():

@@ -64,7 +64,8 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
                 axis.plot(steps / 1e6, _smooth(values), label=whose)
             axis.set_xlabel("million kart-steps", fontsize=8)
             axis.grid(alpha=0.3)
-            axis.legend(fontsize=7)
+            if axis.lines:
+                axis.legend(fontsize=7)
     with whole_file(output) as part:
         figure.savefig(part, format="png", dpi=110)
     pyplot.close(figure)
@@ -90,8 +91,9 @@ def _log(folder: Path) -> list[dict[str, float]]:
 
 def _smooth(values: np.ndarray[Any, np.dtype[np.float64]], width: int = 9) -> Any:
     """A running mean; the ends have shorter ones."""
-    sums = np.convolve(values, np.ones(width), mode="same")
-    return sums / np.convolve(np.ones_like(values), np.ones(width), mode="same")
+    window = np.ones(min(width, len(values)))
+    sums = np.convolve(values, window, mode="same")
+    return sums / np.convolve(np.ones_like(values), window, mode="same")
 
 
 def main(words: list[str] | None = None) -> int:
