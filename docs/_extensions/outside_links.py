@@ -1,7 +1,7 @@
 """Links out of ``docs``, which lead somewhere in the repository, as links that the site has.
 
 A file becomes a download, which MyST does by itself; a page that the site shows too, a link to it
-there; a folder, or a page that the site has not, which no site can show, its name.
+there; a folder, which no site can show, its name.
 """
 
 from __future__ import annotations
@@ -28,8 +28,7 @@ def inside(text: str, folder: Path) -> str:
         path = link["path"]
         if path in PAGES:
             return f"[{link['text']}]({PAGES[path]})"
-        is_named_only = path.endswith(".md") or (folder / path).is_dir()
-        return link["text"] if is_named_only else link[0]
+        return link["text"] if (folder / path).is_dir() else link[0]
 
     return _LINK.sub(replaced, text)
 

@@ -137,7 +137,9 @@ def _rows(lists: Any, width: int, limit: int | None = None) -> FloatArray:
 
 def _road(paths: dict[str, FloatArray], looks: FloatArray) -> FloatArray:
     if paths["paths_start"].shape[1] == 0:  # such as the space's own blank observation
-        paths = {key: np.zeros((len(rows), 1, rows.shape[2])) for key, rows in paths.items()}
+        paths = {
+            key: np.zeros((len(rows), 1, rows.shape[2]), np.float32) for key, rows in paths.items()
+        }
     starts, ends, widths = paths["paths_start"], paths["paths_end"], paths["paths_width"][..., 0]
     lines = np.stack(list(map(road_line, starts, ends, widths)))
     before, share = line_places(starts[:, 0], ends[:, 0] - starts[:, 0], looks)
