@@ -9,6 +9,7 @@ import tempfile
 import threading
 import time
 import traceback
+import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -98,6 +99,14 @@ class Trials:
 
     def run(self, fault: Fault) -> Outcome:
         """Injects one fault."""
+        with warnings.catch_warnings():
+            # What Ctrl-C keeps from being closed Python closes with a warning; that it does is
+            # seen by the number of open files.
+            if fault.signal == "SIGINT":
+                warnings.simplefilter("ignore", ResourceWarning)
+            return self._run(fault)
+
+    def _run(self, fault: Fault) -> Outcome:
         form = FORMS[fault.form]()
         self._learn(fault.form, fault.moment)
         strike = Strike(fault, os.getpid(), self._witness.pids)
