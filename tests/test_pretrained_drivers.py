@@ -82,9 +82,7 @@ def test_karts_see_together_what_each_sees_alone():
             continue
         for kart in range(3):
             alone = Drivers(1)
-            alone.memory.restore(
-                {name: row[[kart]] for name, row in drivers.memory.state().items()}
-            )
+            alone.restore({name: row[[kart]] for name, row in drivers.state().items()})
             seen = alone.view(*rows_of(own, around, [kart]))
             np.testing.assert_allclose(seen.inputs[0], view.inputs[kart], atol=1e-3)
             np.testing.assert_allclose(seen.prior[0], view.prior[kart], atol=1e-2)
@@ -115,13 +113,15 @@ def mirrored_race(own, around):
 
 
 def test_the_mirrored_race_is_seen_mirrored():
-    signs = dict.fromkeys(DriverMemory(1).state(), 1.0)
+    signs = dict.fromkeys(Drivers(1).state(), 1.0)
     signs |= {"turn": -1.0, "drift_turn": -1.0, "drift_side": -1.0}
+    signs |= dict.fromkeys(("rivals spots", "rivals velocity"), np.array([-1, 1], np.float32))
+    signs |= {"rivals headings": -1.0}
     for count, (_, own, around, drivers, view) in enumerate(driven_race(110)):
         if count % 15:
             continue
         twin = Drivers(3)
-        twin.memory.restore({n: row * signs[n] for n, row in drivers.memory.state().items()})
+        twin.restore({n: row * signs[n] for n, row in drivers.state().items()})
         seen = twin.view(*mirrored_race(own, around))
         np.testing.assert_allclose(seen.inputs, mirrored_inputs(view.inputs), atol=2e-3)
         np.testing.assert_allclose(seen.prior, mirrored_prior(view.prior), atol=2e-2)

@@ -19,8 +19,10 @@ from stkzoo.names import PowerupType
 from stkzoo.wrappers.racing import LOOKS, MIRROR, SIZE, Surroundings, racing_features
 
 from .memory import MEMORY_MIRROR, DriverMemory
-from .planner import LINE_MARKS, Options, Rules, Scene, has_powerup, weigh
+from .planner import Options, Rules, Scene, has_powerup, weigh
 from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, DRIFT_TURN, FREE, MANOEUVRES
+from .rivals import RIVALS_MIRROR, RivalTracker
+from .road import LINE_MARKS, Road
 
 __all__ = [
     "ALL_LOOKS",
@@ -65,7 +67,7 @@ _START_STEER = 0.3
 _OPTION_SIGNS = np.array([1, 1, -1, 1], np.float32)
 _ROAD_SIGNS = np.array([-1, -1, 1], np.float32)
 _OPTIONS_AT = SIZE + len(MEMORY_MIRROR)
-INPUT_SIZE = _OPTIONS_AT + 4 * MANOEUVRES + 3
+INPUT_SIZE = _OPTIONS_AT + 4 * MANOEUVRES + 3 + len(RIVALS_MIRROR)
 
 
 def _mirror() -> tuple[IntArray, FloatArray]:
@@ -73,7 +75,8 @@ def _mirror() -> tuple[IntArray, FloatArray]:
     order = np.arange(INPUT_SIZE)
     left, right = (_OPTIONS_AT + 4 * drift + np.arange(4) for drift in (DRIFT_LEFT, DRIFT_RIGHT))
     order[left], order[right] = right, left
-    signs = [MIRROR, MEMORY_MIRROR, np.tile(_OPTION_SIGNS, MANOEUVRES), _ROAD_SIGNS]
+    options = np.tile(_OPTION_SIGNS, MANOEUVRES)
+    signs = [MIRROR, MEMORY_MIRROR, options, _ROAD_SIGNS, RIVALS_MIRROR]
     return order, np.concatenate(signs)
 
 
@@ -130,6 +133,7 @@ class Drivers:
 
     def __init__(self, count: int, rules: Rules | None = None) -> None:
         self.memory = DriverMemory(count)
+        self._tracker = RivalTracker(count)
         self._rules = rules or Rules()
         self._options: Options | None = None
 
@@ -142,24 +146,46 @@ class Drivers:
         """
         speed = np.asarray(own["velocity"][:, 2], np.float32)
         self.memory.look(speed, np.reshape(own["skeed_factor"], -1))
+        self._tracker.look()
         return self.view(own, around)
 
     def view(self, own: Mapping[str, Any], around: Surroundings) -> View:
         """What the policy sees, when no step has passed."""
+        road = Road.of(around.road[:, len(LOOKS) :])
+        rivals = self._tracker.watch(around.karts, own["velocity"], road)
         scene = Scene(
             speed=np.asarray(own["velocity"][:, 2], np.float32),
             max_steer_angle=np.reshape(own["max_steer_angle"], -1),
             is_jumping=np.asarray(own["jumping"]) > 0,
             has_powerup=has_powerup(np.asarray(own["powerup_type"])),
-            road=around.road[:, len(LOOKS) :],
-            karts=around.karts,
+            road=road,
+            rivals=rivals,
             items=around.items,
             item_types=around.item_types,
         )
         options = weigh(scene, self.memory.situation(), self._rules)
         self._options = options
-        parts = (racing_features(own, around), self.memory.numbers(), _numbers(options))
+        parts = (
+            racing_features(own, around),
+            self.memory.numbers(),
+            _numbers(options),
+            rivals.numbers(road.offset),
+        )
         return View(np.concatenate(parts, axis=1), self._prior(own, around, scene, options))
+
+    def forget(self, rows: IntArray) -> None:
+        """Starts some karts anew."""
+        self.memory.forget(rows)
+        self._tracker.forget(rows)
+
+    def state(self) -> dict[str, FloatArray]:
+        """What is remembered by name, for :meth:`restore`."""
+        return self.memory.state() | self._tracker.state()
+
+    def restore(self, state: Mapping[str, FloatArray]) -> None:
+        """Makes what is remembered what :meth:`state` was."""
+        self.memory.restore(state)
+        self._tracker.restore(state)
 
     def act(self, choices: IntArray) -> tuple[FloatArray, BoolArray]:
         """What the engine is told.

@@ -24,16 +24,14 @@ from .plans import (
     TABLE,
     table_rows,
 )
+from .rivals import RIVALS, Rivals
+from .road import MARK_COUNT, MARK_SPACING, Road
 
-__all__ = ["ITEMS", "LINE_MARKS", "Options", "Rules", "Scene", "Situation", "weigh"]
+__all__ = ["ITEMS", "Options", "Rules", "Scene", "Situation", "weigh"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
-
-#: The road is known at so many marks, from the kart on, so far apart [m].
-_COUNT, _SPACING = 36, 3.0
-LINE_MARKS = (_SPACING * np.arange(_COUNT + 1)).astype(np.float32)
 
 #: Items weighed.
 ITEMS = 8
@@ -46,8 +44,8 @@ _BEYOND = 1.0
 #: A miss by so much more than the radius earns nothing [m].
 _BLUR = 0.5
 
-#: Karts weighed, and how near they must be [m].
-_KARTS, _KART_REACH = 4, 20.0
+#: A kart goes on across the road for so long [s].
+_DRIFT_LASTS = 0.4
 
 #: What the wheels still do of the step before, as a share of the step.
 _STEERING_LAG = 0.33
@@ -85,7 +83,6 @@ class Rules:
     bad_item_radius: float = 1.2
     straight_time: float = 1.2
     kart_cost: float = 0.0
-    kart_speed: float = 24.0
     kart_width: float = 1.5
     kart_length: float = 2.4
 
@@ -99,9 +96,8 @@ class Scene:
         max_steer_angle: ``(A,)`` [rad].
         is_jumping: ``(A,)``.
         has_powerup: ``(A,)``.
-        road: ``(A, 37, 4)``: the line at :data:`LINE_MARKS` in the kart's frame, and the
-            distance to the road's edge [m].
-        karts: ``(A, K, 3)``: the others in the kart's frame [m]; not finite where none is.
+        road: what lies ahead.
+        rivals: the karts nearby.
         items: ``(A, M, 3)`` in the kart's frame [m].
         item_types: ``(A, M)`` numbers of :class:`~stkzoo.names.ItemType`; others are none.
     """
@@ -110,8 +106,8 @@ class Scene:
     max_steer_angle: FloatArray
     is_jumping: BoolArray
     has_powerup: BoolArray
-    road: FloatArray
-    karts: FloatArray
+    road: Road
+    rivals: Rivals
     items: FloatArray
     item_types: npt.NDArray[np.integer]
 
@@ -163,48 +159,6 @@ class Options:
 
 
 @dataclass(frozen=True, slots=True)
-class _Road:
-    """The road ahead in its own coordinates; ``(A, 36)`` but for the last two, ``(A,)``."""
-
-    points: FloatArray  # (A, 36, 3)
-    headings: FloatArray
-    curvature: FloatArray
-    half_widths: FloatArray
-    offset: FloatArray
-    angle: FloatArray
-
-    @classmethod
-    def of(cls, line: FloatArray) -> _Road:
-        points = line[..., :3]
-        steps = points[:, 1:] - points[:, :-1]
-        headings = np.unwrap(np.arctan2(steps[..., 0], steps[..., 2]), axis=1)
-        turns = headings[:, 1:] - headings[:, :-1]
-        curvature = np.zeros_like(headings)
-        curvature[:, :-1] = turns
-        curvature[:, 1:-1] += turns[:, :-1]
-        curvature[:, 1:-1] /= 2
-        curvature /= _SPACING
-        own = headings[:, 0]
-        x, z = points[:, 0, 0], points[:, 0, 2]
-        offset = z * np.sin(own) - x * np.cos(own)
-        return cls(points[:, :-1], headings, curvature, line[:, :-1, 3], offset, -own)
-
-    def bends(self, lengths: FloatArray) -> FloatArray:
-        """Mean curvature ``(A, 36)`` [1/m] over lengths ``(A,)`` [m] from each mark on."""
-        ahead = np.clip((lengths / _SPACING).astype(np.intp), 1, _COUNT - 1)[:, None]
-        marks = np.arange(_COUNT) + ahead
-        there = np.take_along_axis(self.headings, np.minimum(marks, _COUNT - 1), axis=1)
-        return np.where(marks < _COUNT, (there - self.headings) / (ahead * _SPACING), 0)
-
-    def straightness(self, lengths: FloatArray) -> FloatArray:
-        """By how much the road turns at most over lengths ``(A,)`` [m] from the kart on [rad]."""
-        count = np.maximum((lengths / _SPACING).astype(np.intp), 1)[:, None]
-        turned = np.abs(self.headings - self.headings[:, :1])
-        straightness: FloatArray = np.where(np.arange(_COUNT) < count, turned, 0).max(axis=1)
-        return straightness
-
-
-@dataclass(frozen=True, slots=True)
 class _Items:
     """The items ahead that matter, nearest first, ``(A, I)`` each; of worth 0 where none is."""
 
@@ -214,7 +168,7 @@ class _Items:
     radius: FloatArray
 
     @classmethod
-    def of(cls, scene: Scene, road: _Road, rules: Rules) -> _Items:
+    def of(cls, scene: Scene, road: Road, rules: Rules) -> _Items:
         worths = _worths(scene, rules)
         types = np.clip(scene.item_types, -1, max(ItemType) + 1)
         worth = np.take_along_axis(worths, types % worths.shape[1], axis=1)
@@ -223,12 +177,12 @@ class _Items:
         order = np.argsort(np.where(matters, squares, np.inf), axis=1, kind="stable")[:, :ITEMS]
         spots = np.take_along_axis(scene.items, order[..., None], axis=1)
         worth = np.take_along_axis(np.where(matters, worth, 0), order, axis=1)
-        along, across, above, room = _place(road, spots)
-        is_kept = (along > _NEAREST) & (along < _FARTHEST)
-        is_kept &= (np.abs(above) < _LEVEL) & (np.abs(across) < room + _BEYOND)
+        at = road.place(spots)
+        is_kept = (at.along > _NEAREST) & (at.along < _FARTHEST) & (np.abs(at.above) < _LEVEL)
+        is_kept &= np.abs(at.across) < at.half_widths + _BEYOND
         worth = np.where(is_kept, worth, 0).astype(np.float32)
         radius = np.where(worth > 0, rules.item_radius, rules.bad_item_radius)
-        return cls(along, across, worth, radius.astype(np.float32))
+        return cls(at.along, at.across, worth, radius.astype(np.float32))
 
     def lanes(self) -> FloatArray:
         """How far across the road the next good items are, ``(A, ITEM_LANES)`` [m]."""
@@ -253,19 +207,6 @@ def _worths(scene: Scene, rules: Rules) -> FloatArray:
     return worths
 
 
-def _place(road: _Road, spots: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Where spots ``(A, I, 3)`` are: along, across and above the road, and its room there."""
-    deltas = spots[:, :, None, :] - road.points[:, None, :, :]
-    nearest = (deltas * deltas).sum(-1).argmin(-1)
-    rows, columns = np.ogrid[: len(spots), : spots.shape[1]]
-    x, y, z = np.moveaxis(deltas[rows, columns, nearest], -1, 0)
-    heading = road.headings[rows, nearest]
-    sines, cosines = np.sin(heading), np.cos(heading)
-    along = nearest * np.float32(_SPACING) + x * sines + z * cosines
-    marks = np.clip((along / _SPACING).astype(np.intp), 0, _COUNT - 1)
-    return along, x * cosines - z * sines, y, road.half_widths[rows, marks]
-
-
 def weigh(scene: Scene, now: Situation, rules: Rules) -> Options:
     """The best plan of each manoeuvre.
 
@@ -274,7 +215,7 @@ def weigh(scene: Scene, now: Situation, rules: Rules) -> Options:
         now: what they are in the middle of.
         rules: what plans are worth.
     """
-    road = _Road.of(scene.road)
+    road = scene.road
     rows = table_rows(now.drift_side, now.drift_steps, now.release_steps)
     speed = np.maximum(scene.speed, _SLOWEST)
     items = _Items.of(scene, road, rules)
@@ -284,7 +225,7 @@ def weigh(scene: Scene, now: Situation, rules: Rules) -> Options:
     worth += _boosts(now, rows, rules)
     worth += _item_gain(items, along, across)
     if rules.kart_cost:
-        worth -= _crowding(scene, road, along, across, rules)
+        worth -= _crowding(scene.rivals, speed, along, across, rules)
     manoeuvres = TABLE.manoeuvres[rows]
     may_drift = (scene.speed > rules.drift_speed) & ~scene.is_jumping
     is_there = (manoeuvres >= 0) & (may_drift[:, None] | ~TABLE.needs_drift[rows])
@@ -309,7 +250,7 @@ def weigh(scene: Scene, now: Situation, rules: Rules) -> Options:
 def _forecast(
     scene: Scene,
     now: Situation,
-    road: _Road,
+    road: Road,
     items: _Items,
     rows: IntArray,
     speed: FloatArray,
@@ -340,7 +281,7 @@ def _forecast(
     angle = np.repeat(road.angle[:, None], plans, axis=1)
     last_turn = np.repeat(now.drift_turn[:, None], plans, axis=1)
     table = table.reshape(len(table), -1)
-    first = _COUNT * np.arange(count)[:, None]
+    first = MARK_COUNT * np.arange(count)[:, None]
     marks = np.repeat(first, plans, axis=1)
     turns = last_turn
     for moment in range(moments):
@@ -365,8 +306,8 @@ def _forecast(
         beside = beside + step * np.sin(angle)
         angle = angle + turn
         along[moment], across[moment] = at, beside
-        marks = (at * np.float32(1.0 / _SPACING)).astype(np.intp)
-        marks = first + np.minimum(np.maximum(marks, 0), _COUNT - 1)
+        marks = (at * np.float32(1.0 / MARK_SPACING)).astype(np.intp)
+        marks = first + np.minimum(np.maximum(marks, 0), MARK_COUNT - 1)
     ahead[-1] = table[1].take(marks)
     return along, across, ahead, angle, turns
 
@@ -418,33 +359,22 @@ def _item_gain(items: _Items, along: FloatArray, across: FloatArray) -> FloatArr
 
 
 def _crowding(
-    scene: Scene, road: _Road, along: FloatArray, across: FloatArray, rules: Rules
+    rivals: Rivals, speed: FloatArray, along: FloatArray, across: FloatArray, rules: Rules
 ) -> FloatArray:
-    """What plans cost by running into others, ``(A, C)`` [m].
-
-    Nobody can be seen to be fast or slow; all are taken to drive along the road at one speed.
-    """
+    """What plans cost by running into others, which go on as they do, ``(A, C)`` [m]."""
     cost = np.zeros(along.shape[1:], np.float32)
-    karts = np.where(np.isfinite(scene.karts), scene.karts, 1e3)
-    squares = (karts * karts).sum(-1)
-    order = np.argsort(squares, axis=1, kind="stable")[:, :_KARTS]
-    spots = np.take_along_axis(karts, order[..., None], axis=1)
-    is_near = np.take_along_axis(squares, order, axis=1) < _KART_REACH**2
-    if not is_near.any():
-        return cost
-    there, beside, above, _ = _place(road, spots)
-    is_near &= (np.abs(above) < _LEVEL) & (there > -2.0 * rules.kart_length)
     ends = np.cumsum(SPANS)[:, None, None]
-    for kart in range(spots.shape[1]):
-        who = np.flatnonzero(is_near[:, kart])
+    for rival in range(RIVALS):
+        who = np.flatnonzero(rivals.is_there[:, rival])
         if not len(who):
             continue
-        ahead = there[who, kart][:, None] + np.float32(rules.kart_speed) * ends
+        pace = (speed[who] + rivals.gain[who, rival])[:, None]
+        ahead = rivals.along[who, rival][:, None] + pace * ends
+        aside = rivals.drift[who, rival][:, None] * np.minimum(ends, _DRIFT_LASTS)
+        aside = rivals.across[who, rival][:, None] + aside
         behind = 1.0 - np.abs(along[:, who] - ahead) / np.float32(rules.kart_length)
-        aside = 1.0 - np.abs(across[:, who] - beside[who, kart][:, None]) / np.float32(
-            rules.kart_width
-        )
-        hits = np.minimum(np.maximum(behind, 0) * 2.0, 1.0) * np.maximum(aside, 0)
+        beside = 1.0 - np.abs(across[:, who] - aside) / np.float32(rules.kart_width)
+        hits = np.minimum(np.maximum(behind, 0) * 2.0, 1.0) * np.maximum(beside, 0)
         cost[who] += np.float32(rules.kart_cost) * np.tensordot(SPANS, hits, axes=1)
     return cost
 

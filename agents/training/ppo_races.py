@@ -45,8 +45,8 @@ _GRACE = 8.0
 _STEP = 0.1  # [s]
 #: Nobody drives farther in a step [m]; the engine's distance jumps at the line and at rescues.
 _LONGEST_STEP = 8.0
-#: Reward of a metre, and of a place.
-_METRE, _PLACE = 0.05, 0.15
+#: Reward of a metre.
+_METRE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,8 +174,8 @@ class _Parked:
 class _Race:
     """One race after another of one form."""
 
-    def __init__(self, form: RaceForm, parked: _Parked) -> None:
-        self.form, self._parked = form, parked
+    def __init__(self, form: RaceForm, parked: _Parked, place_reward: float) -> None:
+        self.form, self._parked, self._place_reward = form, parked, place_reward
         self._session = parked.new_session()
         self.kind: _Kind | None = None
 
@@ -202,7 +202,7 @@ class _Race:
         moved = new["distance_down_track"] - old["distance_down_track"]
         moved = (moved + half) % self.length - half
         moved[np.abs(moved) > _LONGEST_STEP] = 0.0
-        rewards = _METRE * moved + _PLACE * (old["position"] - new["position"])
+        rewards = _METRE * moved + self._place_reward * (old["position"] - new["position"])
         finished = self.racing & (new["has_finished_race"] > 0)
         time = float(self.snapshot.header["time"])
         if finished.any() and self.first_finish is None:
@@ -255,6 +255,7 @@ class Fleet:
         tracks: their tracks; both directions are driven.
         seed: of all that is drawn.
         variants: how many different beginnings each track, direction and form has.
+        place_reward: what a place is worth; a metre of way is worth 0.05.
         parked: beginnings to share with another fleet.
         goes_on: whether races that are over begin anew.
     """
@@ -265,6 +266,7 @@ class Fleet:
         tracks: Sequence[str],
         seed: int,
         variants: int = 2,
+        place_reward: float = 0.3,
         parked: _Parked | None = None,
         *,
         goes_on: bool = True,
@@ -273,7 +275,7 @@ class Fleet:
         self._tracks, self._variants, self._goes_on = tuple(tracks), variants, goes_on
         self._random = np.random.default_rng(seed)
         self._times = load_ai_times()
-        self._races = [_Race(form, self.parked) for form in forms]
+        self._races = [_Race(form, self.parked, place_reward) for form in forms]
         self._first = np.cumsum([0, *(form.learners for form in forms)])
         self.num_slots = int(self._first[-1])
         self._drivers = Drivers(self.num_slots)
@@ -290,7 +292,7 @@ class Fleet:
         for race in self._races:
             kind = _Kind(track, reverse, race.form, number)
             race.begin(kind, self._limit(track, reverse, race.form))
-        self._drivers.memory.forget(np.arange(self.num_slots))
+        self._drivers.forget(np.arange(self.num_slots))
         self._is_mirrored[:] = False
         return self._look(is_later=False)
 
@@ -334,7 +336,7 @@ class Fleet:
         return {
             "random": self._random.bit_generator.state,
             "races": [race.state() for race in self._races],
-            "memory": self._drivers.memory.state(),
+            "memory": self._drivers.state(),
             "is_mirrored": self._is_mirrored.copy(),
         }
 
@@ -342,7 +344,7 @@ class Fleet:
         """Brings all back to what it was; what the learners saw then."""
         self._random.bit_generator.state = state["random"]
         self._drive_again(state["races"])
-        self._drivers.memory.restore(state["memory"])
+        self._drivers.restore(state["memory"])
         self._is_mirrored = np.array(state["is_mirrored"], bool)
         return self._look(is_later=False)
 
@@ -382,7 +384,7 @@ class Fleet:
         kind = _Kind(track, reverse, race.form, int(self._random.integers(self._variants)))
         race.begin(kind, self._limit(track, reverse, race.form))
         rows = np.arange(self._first[number], self._first[number + 1])
-        self._drivers.memory.forget(rows)
+        self._drivers.forget(rows)
         self._is_mirrored[rows] = self._random.random(len(rows)) < 0.5
 
     def _look(self, is_later: bool) -> View:

@@ -71,6 +71,9 @@ class Arguments:
         minibatch: karts-steps of a gradient.
         learning_rate: at the start.
         entropy: bonus at the start.
+        leash: cost of a nat of divergence from the prior, so that what makes no difference stays
+            as it was.
+        place_reward: what a place is worth; a metre of way is worth 0.05.
         gamma: discount of a step.
         trace: lambda of the advantage.
         clip: how far a probability may move in one update, as a share.
@@ -91,7 +94,9 @@ class Arguments:
     epochs: int = 4
     minibatch: int = 1024
     learning_rate: float = 1e-4
-    entropy: float = 1e-4
+    entropy: float = 0.0
+    leash: float = 5e-3
+    place_reward: float = 0.3
     gamma: float = 0.98
     trace: float = 0.9
     clip: float = 0.2
@@ -276,7 +281,14 @@ class Learner:
             own = forms[group :: arguments.groups]
             shared = self._fleets[0].parked if self._fleets else None
             seed = int(np.random.SeedSequence([arguments.seed, group]).generate_state(1)[0])
-            self._fleets.append(Fleet(own, arguments.tracks, seed, parked=shared))
+            fleet = Fleet(
+                own,
+                arguments.tracks,
+                seed,
+                place_reward=arguments.place_reward,
+                parked=shared,
+            )
+            self._fleets.append(fleet)
         self._rollouts = [
             _Rollout.of_size(arguments.steps, fleet.num_slots) for fleet in self._fleets
         ]
@@ -420,13 +432,13 @@ class Learner:
         inputs, prior, choices, before, gains, targets = data
         torch, nets = self._network.torch, self._network
         logits = prior + nets.policy(inputs)
-        now, entropy = _chosen(torch, logits, choices)
+        now, entropy, strayed = _chosen(torch, logits, prior, choices)
         change = now - before
         ratio = change.exp()
         clip = self.arguments.clip
         won = torch.minimum(ratio * gains, ratio.clamp(1 - clip, 1 + clip) * gains).mean()
         value_loss = (nets.value(inputs)[:, 0] - targets).square().mean()
-        loss = value_loss - won - bonus * entropy.mean()
+        loss = value_loss - won - bonus * entropy.mean() + self.arguments.leash * strayed.mean()
         nets.optimiser.zero_grad()
         loss.backward()
         for layers in (nets.policy, nets.value):
@@ -437,6 +449,7 @@ class Learner:
                 "kl": float((ratio - 1 - change).mean()),
                 "clipped": float(((ratio - 1).abs() > clip).float().mean()),
                 "entropy": float(entropy.mean()),
+                "strayed": float(strayed.mean()),
                 "value_loss": float(value_loss),
             }
 
@@ -525,14 +538,16 @@ def _values(critic: dict[str, FloatArray], inputs: FloatArray) -> FloatArray:
     return values
 
 
-def _chosen(torch: Any, logits: Any, choices: Any) -> tuple[Any, Any]:
-    """The choices' log-probability and the entropy, ``(B,)`` each."""
-    now, entropy = 0.0, 0.0
+def _chosen(torch: Any, logits: Any, prior: Any, choices: Any) -> tuple[Any, Any, Any]:
+    """The choices' log-probability, the entropy, the divergence from the prior; ``(B,)`` each."""
+    now, entropy, strayed = 0.0, 0.0, 0.0
     for column, head in enumerate(HEADS):
         logs = torch.log_softmax(logits[:, head], dim=1)
+        logs_before = torch.log_softmax(prior[:, head], dim=1)
         now = now + logs.gather(1, choices[:, column : column + 1])[:, 0]
         entropy = entropy - (logs.exp() * logs).sum(1)
-    return now, entropy
+        strayed = strayed + (logs.exp() * (logs - logs_before)).sum(1)
+    return now, entropy, strayed
 
 
 def _tensors(torch: Any, value: Any) -> Any:

@@ -1,0 +1,190 @@
+"""What the karts nearby do, told from where they were a step ago.
+
+An observation says where others are, not how fast, nor which is which. The kart's own motion is
+known: its velocity, and its turn by how the road has turned before it. With that taken off a
+kart moves little in a step, so each is taken to be the one that was nearest to its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from .plans import STEP
+from .road import MARK_COUNT, Road
+
+__all__ = ["RIVALS", "RIVALS_MIRROR", "RivalTracker", "Rivals"]
+
+FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.intp]
+BoolArray = npt.NDArray[np.bool_]
+
+#: So many are watched, the nearest, within this [m].
+RIVALS, _REACH = 4, 25.0
+#: A kart on another level of the track is farther above or below than this [m].
+_LEVEL = 4.0
+#: Nobody is faster [m/s]; who seems to be is somebody else.
+_FASTEST = 50.0
+_NOWHERE = np.float32(1e3)
+
+
+@dataclass(frozen=True, slots=True)
+class Rivals:
+    """The nearest karts of A karts, nearest first, ``(A, RIVALS)`` each.
+
+    Attributes:
+        is_there: whether there is one; the others' numbers are 0.
+        along: how far ahead it is [m].
+        across: how far to the right of the road's middle [m].
+        gain: by how much it is faster along the road [m/s].
+        drift: how fast it goes to the right across the road [m/s].
+    """
+
+    is_there: BoolArray
+    along: FloatArray
+    across: FloatArray
+    gain: FloatArray
+    drift: FloatArray
+
+    def numbers(self, offset: FloatArray) -> FloatArray:
+        """What a policy sees of them, ``(A, 5 * RIVALS)``.
+
+        Args:
+            offset: ``(A,)`` how far the kart itself is to the right of the road's middle [m].
+        """
+        beside = np.where(self.is_there, self.across - offset[:, None], 0)
+        parts = [
+            self.is_there,
+            self.along / 10.0,
+            beside / 3.0,
+            self.gain / 5.0,
+            self.drift / 3.0,
+        ]
+        numbers = np.stack(np.broadcast_arrays(*parts), axis=2)
+        return numbers.reshape(len(offset), -1).astype(np.float32)
+
+
+#: What of :meth:`Rivals.numbers` changes its sign in a mirrored race.
+RIVALS_MIRROR = np.tile(np.array([1, 1, -1, 1, -1], np.float32), RIVALS)
+
+
+@dataclass(frozen=True, slots=True)
+class _Moment:
+    """What A karts saw.
+
+    Attributes:
+        spots: ``(A, RIVALS, 2)``: the nearest karts, to the right and ahead [m].
+        velocity: ``(A, 2)`` of the kart itself, likewise [m/s].
+        headings: ``(A, 36)`` of the road ahead [rad].
+    """
+
+    spots: FloatArray
+    velocity: FloatArray
+    headings: FloatArray
+
+    @classmethod
+    def unknown(cls, count: int) -> _Moment:
+        return cls(
+            np.full((count, RIVALS, 2), _NOWHERE, np.float32),
+            np.zeros((count, 2), np.float32),
+            np.zeros((count, MARK_COUNT), np.float32),
+        )
+
+    def put(self, rows: IntArray, other: _Moment) -> None:
+        for entry in fields(self):
+            getattr(self, entry.name)[rows] = getattr(other, entry.name)
+
+
+class RivalTracker:
+    """Watches the nearest karts of A karts from step to step.
+
+    Args:
+        count: A.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._now = _Moment.unknown(count)
+        self._before = _Moment.unknown(count)
+
+    def look(self) -> None:
+        """A step has passed."""
+        self._before = self._now
+
+    def watch(self, karts: FloatArray, velocity: FloatArray, road: Road) -> Rivals:
+        """The karts nearby; may be asked again before the next step.
+
+        Args:
+            karts: ``(A, K, 3)``: the others in the kart's frame [m]; not finite where none is.
+            velocity: ``(A, 3)`` of the kart itself in its frame [m/s].
+            road: what they drive on.
+        """
+        spots, is_there = _nearest(karts)
+        at = road.place(spots)
+        is_there &= np.abs(at.above) < _LEVEL
+        flat = np.where(is_there[..., None], spots[..., ::2], _NOWHERE).astype(np.float32)
+        own = velocity[:, ::2].astype(np.float32)
+        self._now = _Moment(flat, own, road.headings)
+        moved = self._moved(road)
+        speed = np.linalg.norm(moved, axis=2)
+        is_known = is_there & (speed < _FASTEST)
+        sines, cosines = np.sin(at.headings), np.cos(at.headings)
+        pace = np.linalg.norm(own, axis=1)[:, None]
+        gain = moved[..., 0] * sines + moved[..., 1] * cosines - pace
+        drift = moved[..., 0] * cosines - moved[..., 1] * sines
+        return Rivals(
+            is_there,
+            np.where(is_there, at.along, 0),
+            np.where(is_there, at.across, 0),
+            np.where(is_known, gain, 0),
+            np.where(is_known, drift, 0),
+        )
+
+    def _moved(self, road: Road) -> FloatArray:
+        """The velocities of the karts nearby, right and forward, ``(A, RIVALS, 2)`` [m/s]."""
+        now, before = self._now, self._before
+        way = (now.velocity + before.velocity) * np.float32(STEP / 2)
+        half = road.turned_since(before.headings, np.linalg.norm(way, axis=1)) * np.float32(0.5)
+        # where they would be now had they stayed: this kart has turned on its way
+        stayed = _turned(_turned(before.spots, half) - way[:, None], half)
+        moved = (now.spots[:, :, None] - stayed[:, None]) / np.float32(STEP)
+        # of those that were there, the one that has kept its distance best
+        strangeness = np.abs(moved - now.velocity[:, None, None]).sum(-1)
+        same = strangeness.argmin(axis=2)[..., None, None]
+        found: FloatArray = np.take_along_axis(moved, same, axis=2)[:, :, 0]
+        return found
+
+    def forget(self, rows: IntArray) -> None:
+        """Starts some karts anew."""
+        nothing = _Moment.unknown(len(rows))
+        for moment in (self._before, self._now):
+            moment.put(rows, nothing)
+
+    def state(self) -> dict[str, FloatArray]:
+        """What :meth:`watch` needs by name, for :meth:`restore`."""
+        return {f"rivals {f.name}": getattr(self._before, f.name).copy() for f in fields(_Moment)}
+
+    def restore(self, state: Mapping[str, FloatArray]) -> None:
+        """Makes it what :meth:`state` was."""
+        kept = [np.array(state[f"rivals {f.name}"], np.float32) for f in fields(_Moment)]
+        self._before = _Moment(*kept)
+
+
+def _turned(spots: FloatArray, angles: FloatArray) -> FloatArray:
+    """Spots ``(A, I, 2)``, to the right and ahead, as karts see them that have turned right."""
+    sines, cosines = np.sin(angles)[:, None], np.cos(angles)[:, None]
+    right, ahead = spots[..., 0], spots[..., 1]
+    return np.stack([right * cosines - ahead * sines, right * sines + ahead * cosines], axis=2)
+
+
+def _nearest(karts: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """The nearest karts ``(A, RIVALS, 3)``, and which of them there are."""
+    missing = max(RIVALS - karts.shape[1], 0)
+    karts = np.pad(karts, ((0, 0), (0, missing), (0, 0)), constant_values=np.inf)
+    squares = np.where(np.isfinite(karts), karts * karts, np.inf).sum(-1)
+    order = np.argsort(squares, axis=1, kind="stable")[:, :RIVALS]
+    spots = np.take_along_axis(karts, order[..., None], axis=1)
+    is_there: BoolArray = np.take_along_axis(squares, order, axis=1) < _REACH**2
+    return np.where(is_there[..., None], spots, 0).astype(np.float32), is_there

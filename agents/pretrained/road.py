@@ -1,0 +1,120 @@
+"""The road ahead of any number of karts, in its own coordinates: along it, and across."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["LINE_MARKS", "MARK_COUNT", "MARK_SPACING", "Places", "Road"]
+
+FloatArray = npt.NDArray[np.float32]
+
+#: The road is known at so many marks, from the kart on, so far apart [m].
+MARK_COUNT, MARK_SPACING = 36, 3.0
+LINE_MARKS = (MARK_SPACING * np.arange(MARK_COUNT + 1)).astype(np.float32)
+
+#: A turn is told by so many marks, and is no turn of the kart from this on [rad].
+_TURN_MARKS, _MOST_TURNED = 9, 0.6
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Where spots are, ``(A, I)`` each.
+
+    Attributes:
+        along: how far ahead along the road [m].
+        across: how far to the right of its middle [m].
+        above: how far above it [m].
+        half_widths: the road's, there [m].
+        headings: its direction there, 0 is the kart's, positive to the right [rad].
+    """
+
+    along: FloatArray
+    across: FloatArray
+    above: FloatArray
+    half_widths: FloatArray
+    headings: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Road:
+    """The road ahead of A karts.
+
+    Attributes:
+        points: ``(A, 36, 3)``: the marks in the kart's frame [m].
+        headings: ``(A, 36)`` direction of the road from each on, 0 is the kart's [rad].
+        curvature: ``(A, 36)`` [1/m].
+        half_widths: ``(A, 36)`` [m].
+        offset: ``(A,)`` how far the kart is to the right of the middle [m].
+        angle: ``(A,)`` the kart's direction, 0 is the road's [rad].
+    """
+
+    points: FloatArray
+    headings: FloatArray
+    curvature: FloatArray
+    half_widths: FloatArray
+    offset: FloatArray
+    angle: FloatArray
+
+    @classmethod
+    def of(cls, line: FloatArray) -> Road:
+        """The road of a line ``(A, 37, 4)``: :data:`LINE_MARKS` in the kart's frame, half width."""
+        points = line[..., :3]
+        steps = points[:, 1:] - points[:, :-1]
+        headings = np.unwrap(np.arctan2(steps[..., 0], steps[..., 2]), axis=1)
+        turns = headings[:, 1:] - headings[:, :-1]
+        curvature = np.zeros_like(headings)
+        curvature[:, :-1] = turns
+        curvature[:, 1:-1] += turns[:, :-1]
+        curvature[:, 1:-1] /= 2
+        curvature /= MARK_SPACING
+        own = headings[:, 0]
+        x, z = points[:, 0, 0], points[:, 0, 2]
+        offset = z * np.sin(own) - x * np.cos(own)
+        return cls(points[:, :-1], headings, curvature, line[:, :-1, 3], offset, -own)
+
+    def bends(self, lengths: FloatArray) -> FloatArray:
+        """Mean curvature ``(A, 36)`` [1/m] over lengths ``(A,)`` [m] from each mark on."""
+        ahead = np.clip((lengths / MARK_SPACING).astype(np.intp), 1, MARK_COUNT - 1)[:, None]
+        marks = np.arange(MARK_COUNT) + ahead
+        there = np.take_along_axis(self.headings, np.minimum(marks, MARK_COUNT - 1), axis=1)
+        return np.where(marks < MARK_COUNT, (there - self.headings) / (ahead * MARK_SPACING), 0)
+
+    def straightness(self, lengths: FloatArray) -> FloatArray:
+        """By how much the road turns at most over lengths ``(A,)`` [m] from the kart on [rad]."""
+        count = np.maximum((lengths / MARK_SPACING).astype(np.intp), 1)[:, None]
+        turned = np.abs(self.headings - self.headings[:, :1])
+        straightness: FloatArray = np.where(np.arange(MARK_COUNT) < count, turned, 0).max(axis=1)
+        return straightness
+
+    def turned_since(self, before: FloatArray, way: FloatArray) -> FloatArray:
+        """By how much karts have turned to the right since the road ahead was another, ``(A,)``.
+
+        The road stays where it is: what is seen of it turns to the left when a kart turns.
+
+        Args:
+            before: ``(A, 36)``: :attr:`headings` then; not finite where it is not known.
+            way: ``(A,)`` how far they have driven since [m].
+        """
+        place = np.arange(_TURN_MARKS) + np.clip(way / MARK_SPACING, 0, 1)[:, None]
+        mark = place.astype(np.intp)
+        share = place - mark
+        take = np.take_along_axis
+        then = take(before, mark, axis=1) * (1 - share) + take(before, mark + 1, axis=1) * share
+        turned = np.median(then - self.headings[:, :_TURN_MARKS], axis=1)
+        turned = (turned + np.pi) % (2 * np.pi) - np.pi
+        return np.where(np.abs(turned) < _MOST_TURNED, turned, 0).astype(np.float32)
+
+    def place(self, spots: FloatArray) -> Places:
+        """Where spots ``(A, I, 3)`` in the kart's frame are."""
+        deltas = spots[:, :, None, :] - self.points[:, None, :, :]
+        nearest = (deltas * deltas).sum(-1).argmin(-1)
+        rows, columns = np.ogrid[: len(spots), : spots.shape[1]]
+        x, y, z = np.moveaxis(deltas[rows, columns, nearest], -1, 0)
+        heading = self.headings[rows, nearest]
+        sines, cosines = np.sin(heading), np.cos(heading)
+        along = nearest * np.float32(MARK_SPACING) + x * sines + z * cosines
+        marks = np.clip((along / MARK_SPACING).astype(np.intp), 0, MARK_COUNT - 1)
+        return Places(along, x * cosines - z * sines, y, self.half_widths[rows, marks], heading)
