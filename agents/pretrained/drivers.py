@@ -16,7 +16,14 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.names import PowerupType
-from stkzoo.wrappers.racing import LOOKS, MIRROR, SIZE, Surroundings, racing_features
+from stkzoo.wrappers.racing import (
+    LOOKS,
+    MIRROR,
+    SIZE,
+    Surroundings,
+    racing_features,
+    squared,
+)
 
 from .memory import MEMORY_MIRROR, DriverMemory
 from .planner import Options, Rules, Scene, has_powerup, weigh
@@ -257,7 +264,7 @@ class Drivers:
 def _is_useful(own: Mapping[str, Any], around: Surroundings) -> BoolArray:
     """Who has something to fire; the switch would spoil items close ahead."""
     items = around.items
-    is_close = (items[..., 2] > 0) & ((items * items).sum(-1) < _SWITCH_REACH**2)
+    is_close = (items[..., 2] > 0) & (squared(items) < _SWITCH_REACH**2)
     is_close &= around.item_types >= 0
     spoils = (np.asarray(own["powerup_type"]) == PowerupType.SWITCH) & is_close.any(axis=1)
     useful: BoolArray = (np.asarray(own["powerup_count"]) > 0) & ~spoils

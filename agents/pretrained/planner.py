@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.names import ItemType, PowerupType
+from stkzoo.wrappers.racing import squared
 
 from .plans import (
     BOOST_LASTS,
@@ -172,7 +173,7 @@ class _Items:
         worths = _worths(scene, rules)
         types = np.clip(scene.item_types, -1, max(ItemType) + 1)
         worth = np.take_along_axis(worths, types % worths.shape[1], axis=1)
-        squares = (scene.items * scene.items).sum(-1)
+        squares = squared(scene.items)
         matters = (worth != 0) & (scene.items[..., 2] > 0) & (squares < (_FARTHEST + 5.0) ** 2)
         order = np.argsort(np.where(matters, squares, np.inf), axis=1, kind="stable")[:, :ITEMS]
         spots = np.take_along_axis(scene.items, order[..., None], axis=1)

@@ -13,6 +13,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.wrappers.racing import squared
+
 from .plans import STEP
 from .road import MARK_COUNT, Road
 
@@ -183,7 +185,7 @@ def _nearest(karts: FloatArray) -> tuple[FloatArray, BoolArray]:
     """The nearest karts ``(A, RIVALS, 3)``, and which of them there are."""
     missing = max(RIVALS - karts.shape[1], 0)
     karts = np.pad(karts, ((0, 0), (0, missing), (0, 0)), constant_values=np.inf)
-    squares = np.where(np.isfinite(karts), karts * karts, np.inf).sum(-1)
+    squares = squared(karts)
     order = np.argsort(squares, axis=1, kind="stable")[:, :RIVALS]
     spots = np.take_along_axis(karts, order[..., None], axis=1)
     is_there: BoolArray = np.take_along_axis(squares, order, axis=1) < _REACH**2

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.wrappers.racing import squared
+
 __all__ = ["LINE_MARKS", "MARK_COUNT", "MARK_SPACING", "Places", "Road"]
 
 FloatArray = npt.NDArray[np.float32]
@@ -109,10 +111,11 @@ class Road:
 
     def place(self, spots: FloatArray) -> Places:
         """Where spots ``(A, I, 3)`` in the kart's frame are."""
-        deltas = spots[:, :, None, :] - self.points[:, None, :, :]
-        nearest = (deltas * deltas).sum(-1).argmin(-1)
-        rows, columns = np.ogrid[: len(spots), : spots.shape[1]]
-        x, y, z = np.moveaxis(deltas[rows, columns, nearest], -1, 0)
+        # of |point - spot|² what differs from point to point
+        apart = squared(self.points)[:, None] - 2.0 * (spots @ self.points.transpose(0, 2, 1))
+        nearest = apart.argmin(-1)
+        rows = np.arange(len(spots))[:, None]
+        x, y, z = np.moveaxis(spots - self.points[rows, nearest], -1, 0)
         heading = self.headings[rows, nearest]
         sines, cosines = np.sin(heading), np.cos(heading)
         along = nearest * np.float32(MARK_SPACING) + x * sines + z * cosines

@@ -126,9 +126,12 @@ def race_forms(texts: Sequence[str]) -> list[RaceForm]:
 def _torch() -> Any:
     try:
         torch = importlib.import_module("torch")
+        threadpoolctl = importlib.import_module("threadpoolctl")
     except ImportError as error:
-        raise ConfigError(f"learning needs torch ({error}); pip install 'stkzoo[train]'") from error
+        raise ConfigError(f"learning needs {error.name}; pip install 'stkzoo[train]'") from error
+    # small networks: a second thread only takes the core that the games need
     torch.set_num_threads(1)
+    threadpoolctl.threadpool_limits(1)
     return torch
 
 

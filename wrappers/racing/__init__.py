@@ -1,7 +1,13 @@
 """The racing view: a fixed-size driver's view of the race, and a few choices to act by."""
 
 from stkzoo.wrappers.racing.crowd import CrowdView, KartColumns
-from stkzoo.wrappers.racing.features import ABSENT, LOOKS, Surroundings, racing_features
+from stkzoo.wrappers.racing.features import (
+    ABSENT,
+    LOOKS,
+    Surroundings,
+    racing_features,
+    squared,
+)
 from stkzoo.wrappers.racing.layout import MIRROR, PARTS, SIZE
 from stkzoo.wrappers.racing.road import RoadTable, road_line
 from stkzoo.wrappers.racing.wrapper import (
@@ -32,5 +38,6 @@ __all__ = [
     "controls_of_choices",
     "racing_features",
     "road_line",
+    "squared",
     "surroundings_of",
 ]
