@@ -12,7 +12,7 @@ BROWSER_PACKAGES := chromium chromium-driver
 .PHONY: browser graphics help race test check bench docs site clean
 
 help:
-	@echo "make race    set everything up and watch a race of four karts in the terminal"
+	@echo "make race    set everything up; a learned driver races the hardest bots"
 	@echo "make test    set everything up and run all tests"
 	@echo "make check   lint, format and types"
 	@echo "make bench   measure speed and memory"

@@ -22,6 +22,7 @@ COMMANDS = (
     "replay",
     "tournament",
     "benchmark",
+    "demos",
     "race-server",
     "race-client",
     "keys",

@@ -40,7 +40,7 @@ goes wrong in one costs its own kart. The same seed gives the same race, bit for
 
 _EXAMPLES = """\
 examples:
-  stkzoo race --demo                           the heuristic against three bots
+  stkzoo race --demo                           our best driver against the hardest bots
   stkzoo race heuristic ai ai --track hacienda --laps 3
   stkzoo race my_agent/ other.zip@:Rival ai    agents of files against the game's AI
   stkzoo race my_agent/ ai --races 10 --track test --output results.json
@@ -59,7 +59,7 @@ Where to go next:
   more                README.md, stkzoo race --help, and stkzoo doctor if something fails
 """
 
-_DEMO_DRIVERS = ("heuristic", "ai", "ai", "ai")
+_DEMO_DRIVERS = ("pretrained:scout", "ai:3", "ai:3", "ai:3")
 _DEMO_TRACK = "lighthouse"
 _DEMO_SEED = 42
 _AGENT_FAILED = 3

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, Any, Generic, Protocol, TypeVar
 
 from stkzoo.errors import ConfigError
-from stkzoo.race.batch.order import RaceOrder
+from stkzoo.race.batch.order import Order, RaceOrder
 from stkzoo.race.result import RaceResult
 from stkzoo.whole_file import PARTS, whole_file
 
@@ -130,7 +130,7 @@ class BatchFolder(Generic[Plan]):
         """
         return read_races(self.path, orders)
 
-    def add(self, order: RaceOrder, result: str) -> None:
+    def add(self, order: Order, result: str) -> None:
         """Keeps the result of a race."""
         write_whole(_race_file(self.path, order.number), result + "\n")
 

@@ -3,14 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, ClassVar, Protocol
 
 from stkzoo.race.settings import RaceSettings
 
-__all__ = ["NAME_MARK", "RaceOrder"]
+__all__ = ["NAME_MARK", "Order", "RaceOrder"]
 
 #: Stands before a driver's name in its text.
 NAME_MARK = "@:"
+
+
+class Order(Protocol):
+    """What a process can be asked to run.
+
+    Attributes:
+        worker: the module that runs it, see :mod:`stkzoo.race.batch.worker`.
+    """
+
+    worker: ClassVar[str]
+
+    @property
+    def number(self) -> int:
+        """Counts the orders of a batch, from 0."""
+
+    def to_form(self) -> dict[str, Any]:
+        """What the process needs to know, as what JSON can hold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +45,7 @@ class RaceOrder:
     drivers: tuple[str, ...]
     settings: RaceSettings
     wait_for: tuple[int, ...] | None = None
+    worker: ClassVar[str] = "stkzoo.race.batch.worker"
 
     @property
     def labels(self) -> list[str]:

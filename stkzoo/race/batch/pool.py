@@ -13,13 +13,12 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from stkzoo.race.batch.order import RaceOrder
+from stkzoo.race.batch.order import Order
 from stkzoo.race.output_tail import OutputTail
 from stkzoo.scratch import sweep
 
 __all__ = ["Outcome", "run_in_parallel"]
 
-_WORKER = "stkzoo.race.batch.worker"
 #: How often a race is tried whose process dies.
 _TRIES = 2
 _END_TIMEOUT = 5.0  # [s]
@@ -36,13 +35,13 @@ class Outcome:
         error: why it could not be run.
     """
 
-    order: RaceOrder
+    order: Order
     result: str = ""
     error: str = ""
 
 
 def run_in_parallel(
-    orders: Sequence[RaceOrder], jobs: int, race_timeout: float
+    orders: Sequence[Order], jobs: int, race_timeout: float
 ) -> Generator[Outcome, None, None]:
     """Runs races and yields each as soon as it is over; closing it ends those that run.
 
@@ -51,7 +50,7 @@ def run_in_parallel(
         jobs: how many at a time.
         race_timeout: for one race [s]; its process is ended then.
     """
-    waiting: queue.SimpleQueue[RaceOrder] = queue.SimpleQueue()
+    waiting: queue.SimpleQueue[Order] = queue.SimpleQueue()
     for order in orders:
         waiting.put(order)
     outcomes: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
@@ -78,7 +77,7 @@ class _Lane(threading.Thread):
 
     def __init__(
         self,
-        waiting: queue.SimpleQueue[RaceOrder],
+        waiting: queue.SimpleQueue[Order],
         outcomes: queue.SimpleQueue[Outcome],
         race_timeout: float,
     ) -> None:
@@ -107,7 +106,7 @@ class _Lane(threading.Thread):
         if worker is not None:
             worker.close()
 
-    def _outcome(self, order: RaceOrder) -> Outcome:
+    def _outcome(self, order: Order) -> Outcome:
         outcome = Outcome(order)
         for _ in range(_TRIES):
             outcome = self._try(order)
@@ -115,11 +114,11 @@ class _Lane(threading.Thread):
                 break
         return outcome
 
-    def _try(self, order: RaceOrder) -> Outcome:
+    def _try(self, order: Order) -> Outcome:
         with self._lock:
             if self._is_closed:
                 return Outcome(order, error="the batch was ended")
-            worker = self._worker = self._worker or _Worker()
+            worker = self._worker = self._worker or _Worker(order.worker)
         answer = worker.run(order.to_form(), self._race_timeout)
         self._was_late = worker.was_late
         if not worker.is_alive:
@@ -130,13 +129,13 @@ class _Lane(threading.Thread):
 
 
 class _Worker:
-    """A process of :mod:`stkzoo.race.batch.worker`."""
+    """A process of :mod:`stkzoo.race.batch.worker`, or of another module that serves races."""
 
-    def __init__(self) -> None:
+    def __init__(self, module: str) -> None:
         self.is_alive, self.was_late = True, False
         paths = [path for path in sys.path if path]
         self._process = subprocess.Popen(  # noqa: S603 - our own program
-            [sys.executable, "-m", _WORKER],
+            [sys.executable, "-m", module],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -13,11 +13,14 @@ import queue
 import sys
 import threading
 import traceback
+from collections.abc import Callable
 from typing import Any
 
 from stkzoo.errors import StkzooError
 from stkzoo.race.runner import run_race
 from stkzoo.race.settings import RaceSettings
+
+__all__ = ["serve"]
 
 
 def _read(orders: queue.SimpleQueue[dict[str, Any]]) -> None:
@@ -44,15 +47,20 @@ def _run(order: dict[str, Any]) -> dict[str, Any]:
     return {"result": result.to_json()}
 
 
-def _main() -> None:
+def serve(run: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
+    """Answers orders until the input is closed.
+
+    Args:
+        run: runs a race; its answer has ``result``, which is JSON, or ``error``.
+    """
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what agents print goes elsewhere
     orders: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(orders,), daemon=True).start()
     while True:
-        answers.write(json.dumps(_run(orders.get())) + "\n")
+        answers.write(json.dumps(run(orders.get())) + "\n")
         answers.flush()
 
 
 if __name__ == "__main__":
-    _main()
+    serve(_run)
