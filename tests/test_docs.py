@@ -38,6 +38,7 @@ PARSED = {
     "assets": "it is here already: tests/test_assets.py",
     "benchmark": "hundreds of races: tests/test_benchmark_protocol_races.py",
     "completion": "tests/test_cli_tables.py",
+    "demos": "whole races: tests/test_demos.py",
     "doctor": "tests/test_doctor.py",
     "play": "opens a window: tests/test_play.py",
     "race-client": "needs a server: tests/test_remote_cli.py",

@@ -60,7 +60,7 @@ def test_same_seed_is_the_same_race(result):
 
 def test_other_seed_is_another_race(result):
     other = run_race(["heuristic", "ai", "ai", "random"], track="olivermath", seed=4, max_steps=400)
-    assert [row.distance for row in other.agents] != [row.distance for row in result.agents]
+    assert [row.reward for row in other.agents] != [row.reward for row in result.agents]
 
 
 def test_everybody_drives_all_laps():

@@ -41,13 +41,14 @@ from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
 
-from .ppo_races import Finish, Fleet, RaceForm
+from .journal import Journal
+from .ppo_races import Finish, Fleet, RaceForm, StepOutcome
 
 __all__ = ["Arguments", "Learner", "main"]
 
 FloatArray = npt.NDArray[np.float32]
 
-_CHECKPOINT, _LOG, _ARGUMENTS = "checkpoint.pt", "log.jsonl", "arguments.json"
+_CHECKPOINT, _ARGUMENTS = "checkpoint.pt", "arguments.json"
 _NUM_LOGITS = sum(CHOICES)
 #: Finished races over which the log's figures are means.
 _RECENT = 200
@@ -348,6 +349,7 @@ class Learner:
         for step in range(self.arguments.steps):
             for group, fleet in enumerate(self._fleets):
                 self._views[group], outcome = fleet.receive()
+                outcome = self._judged(group, outcome)
                 rollout = self._rollouts[group]
                 rollout.rewards[step], rollout.active[step] = outcome.rewards, outcome.active
                 rollout.ended[step] = outcome.ended
@@ -363,11 +365,28 @@ class Learner:
         self, group: int, step: int, actor: RacingPolicy, critic: dict[str, FloatArray]
     ) -> None:
         view, rollout = self._views[group], self._rollouts[group]
-        choices, log_probability = actor.sample(view, self._random)
+        choices, log_probability = self._choose(group, view, actor)
         rollout.driven[step] = self._fleets[group].send(choices)
         rollout.inputs[step], rollout.prior[step] = view.inputs, view.prior
         rollout.choices[step], rollout.log_probability[step] = choices, log_probability
         rollout.values[step] = _values(critic, view.inputs)
+
+    def _choose(
+        self,
+        group: int,  # noqa: ARG002 - a league lets others drive some karts of a group
+        view: View,
+        actor: RacingPolicy,
+    ) -> tuple[npt.NDArray[np.intp], FloatArray]:
+        """What the karts of a group do, and the logarithms of its probabilities."""
+        return actor.sample(view, self._random)
+
+    def _judged(
+        self,
+        group: int,  # noqa: ARG002 - a league takes out what others did in a group
+        outcome: StepOutcome,
+    ) -> StepOutcome:
+        """What counts of a step."""
+        return outcome
 
     # ------------------------------------------------------------------ learning
 
@@ -579,34 +598,6 @@ def _arrays(value: Any) -> Any:
     return value
 
 
-class _Journal:
-    """The log and TensorBoard's files, without what came after the checkpoint."""
-
-    def __init__(self, learner: Learner) -> None:
-        self._file = learner.folder / _LOG
-        old = self._file.read_text().splitlines() if self._file.exists() else []
-        kept = [line for line in old if json.loads(line)["iteration"] <= learner.iteration]
-        with whole_file(self._file) as part:
-            part.write_text("".join(f"{line}\n" for line in kept))
-        self._writer: Any = None
-        try:
-            board = importlib.import_module("torch.utils.tensorboard")
-        except ImportError:
-            return
-        self._writer = board.SummaryWriter(learner.folder, purge_step=learner.kart_steps + 1)
-
-    def write(self, line: dict[str, float]) -> None:
-        with self._file.open("a") as log:
-            log.write(json.dumps(line) + "\n")
-        if self._writer is not None:
-            for name, value in line.items():
-                self._writer.add_scalar(name, value, int(line["kart_steps"]))
-
-    def close(self) -> None:
-        if self._writer is not None:
-            self._writer.close()
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m stkzoo.agents.training.ppo_selfplay",
@@ -646,7 +637,7 @@ def main(words: list[str] | None = None) -> int:
     except StkzooError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    journal = _Journal(learner)
+    journal = Journal(learner.folder, learner.iteration, learner.kart_steps)
     try:
         _run(learner, journal, until)
     finally:
@@ -655,7 +646,7 @@ def main(words: list[str] | None = None) -> int:
     return 0
 
 
-def _run(learner: Learner, journal: _Journal, until: int) -> None:
+def _run(learner: Learner, journal: Journal, until: int) -> None:
     arguments = learner.arguments
     while learner.kart_steps < until:
         before = learner.kart_steps

@@ -77,7 +77,7 @@ class AgentResult:
         rank: its place, 1 is first; those who did not finish follow by distance.
         finish_time: race time at the finish [s]; ``None`` if it did not finish.
         laps: laps done.
-        distance: driven along the track since the start line [m].
+        distance: driven along the track since the start line [m], at most the length of the race.
         reward: the sum over the race.
         rescues: how often its kart was put back on the road; ``None`` in results from before
             this was counted.

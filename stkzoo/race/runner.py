@@ -361,7 +361,7 @@ class _Run:
             rank=info["position"],
             finish_time=finish_time,
             laps=info["lap"],
-            distance=info["distance"],
+            distance=min(info["distance"], self._length),
             reward=self._totals[agent],
             rescues=int(self._rescues.counts[start_position - 1]),
             num_errors=member.num_failures if member else 0,
