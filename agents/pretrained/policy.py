@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .drivers import HEADS, View
+from .drivers import CHOICES, HEADS, INPUT_SIZE, View
 
 __all__ = ["INPUT_CLIP", "RacingPolicy", "network"]
 
@@ -43,6 +43,15 @@ class RacingPolicy:
     """
 
     weights: Mapping[str, FloatArray]
+
+    @classmethod
+    def of_plans_alone(cls) -> RacingPolicy:
+        """A policy that adds nothing to the prior."""
+        shapes: dict[str, tuple[int, ...]] = {"mean": (INPUT_SIZE,), "scale": (INPUT_SIZE,)}
+        sizes = (INPUT_SIZE, 1, 1, sum(CHOICES))
+        for layer in range(3):
+            shapes |= {f"w{layer}": sizes[layer : layer + 2], f"b{layer}": (sizes[layer + 1],)}
+        return cls({name: np.zeros(shape, np.float32) for name, shape in shapes.items()})
 
     def logits(self, view: View) -> FloatArray:
         """The logits ``(A, sum(CHOICES))``."""

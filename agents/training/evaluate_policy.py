@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.pretrained.driver import check_shapes
-from stkzoo.agents.pretrained.drivers import HEADS, View
+from stkzoo.agents.pretrained.drivers import View
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
@@ -68,7 +68,7 @@ def chooser(source: str) -> Chooser:
         ConfigError: the file is no policy's.
     """
     if source == PRIOR:
-        return lambda view: np.stack([view.prior[:, h].argmax(axis=1) for h in HEADS], axis=1)
+        return RacingPolicy.of_plans_alone().best
     weights = load_weights(source)
     check_shapes(weights, source)
     return RacingPolicy(weights).best

@@ -1,4 +1,4 @@
-"""Draws the curves of a run of ``ppo_selfplay``.
+"""Draws the curves of runs of ``ppo_selfplay``.
 
 python -m stkzoo.agents.training.plot_run runs/first runs/second --output curves.png
 """
@@ -18,7 +18,7 @@ import numpy as np
 from stkzoo.errors import ConfigError
 from stkzoo.whole_file import whole_file
 
-__all__ = ["main", "plot_runs"]
+__all__ = ["main", "plot_runs", "pyplot"]
 
 #: What is drawn: title, and the log's entries with their labels.
 _PANELS: tuple[tuple[str, dict[str, str]], ...] = (
@@ -49,8 +49,8 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
     Raises:
         ConfigError: a run has no log, or matplotlib is missing.
     """
-    pyplot = _pyplot()
-    figure, axes = pyplot.subplots(2, 2, figsize=(10, 6), layout="constrained")
+    plot = pyplot()
+    figure, axes = plot.subplots(2, 2, figsize=(10, 6), layout="constrained")
     for folder in folders:
         lines = _log(Path(folder))
         for axis, (title, entries) in zip(axes.flat, _PANELS, strict=True):
@@ -68,10 +68,15 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
                 axis.legend(fontsize=7)
     with whole_file(output) as part:
         figure.savefig(part, format="png", dpi=110)
-    pyplot.close(figure)
+    plot.close(figure)
 
 
-def _pyplot() -> Any:
+def pyplot() -> Any:
+    """The library that draws, without a screen.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
     try:
         matplotlib = importlib.import_module("matplotlib")
         matplotlib.use("Agg")

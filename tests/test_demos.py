@@ -1,0 +1,322 @@
+"""Demonstrations: what was seen, and what was done then."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stkzoo import AgentSpec, race_v0
+from stkzoo.cli.main import main
+from stkzoo.engine.snapshot import CONTROLS
+from stkzoo.env.views import VIEWS
+from stkzoo.errors import ConfigError
+from stkzoo.race import run_race
+from stkzoo.race.demos import check, load, plan_demos, record, save, to_minari
+from stkzoo.race.demos.recorder import DemoRecorder, DemoView
+from stkzoo.wrappers.racing import SIZE, controls_of_choices
+
+SHORT = {"tracks": "lighthouse", "karts": 2, "max_steps": 60, "jobs": 1}
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory):
+    """Two short races of an agent beside the game's AI."""
+    file = tmp_path_factory.mktemp("demos") / "driven.npz"
+    return file, record("pursuit", output=file, seeds=(3, 4), rivals=["ai"], **SHORT)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A whole race of the game's AI."""
+    file = tmp_path_factory.mktemp("demos") / "whole.npz"
+    return record("ai", output=file, tracks="lighthouse", karts=2, difficulty=3, jobs=1)
+
+
+def test_a_data_set_has_what_was_seen_and_done(driven):
+    _, demos = driven
+    assert len(demos) == 4
+    assert demos.lengths.tolist() == [60] * 4
+    observations, actions = demos.pairs()
+    assert observations.shape == (240, SIZE)
+    assert observations.dtype == np.float32
+    assert actions.shape == (240, 5)
+    episode = demos[2]
+    assert len(episode) == 60
+    assert episode.observations.shape == (61, SIZE)
+    assert episode.controls.shape == (60, len(CONTROLS))
+    np.testing.assert_array_equal(episode.observations[:-1], observations[120:180])
+    np.testing.assert_array_equal(episode.actions, actions[120:180])
+    assert (episode.facts.race, episode.facts.agent, episode.facts.seed) == (1, "kart_0", 4)
+    assert not episode.is_finished
+
+
+def test_a_data_set_knows_how_it_was_made(driven):
+    file, _ = driven
+    plan = load(file).plan
+    assert plan["agent"]["source"] == "pursuit"
+    assert (plan["view"], plan["tracks"], plan["seeds"]) == ("racing", ["lighthouse"], [3, 4])
+    assert plan["rivals"] == ["ai"]
+    assert plan["versions"]["pystk2"]
+
+
+def test_a_file_has_no_pickles_and_is_read_as_it_was(driven):
+    file, demos = driven
+    with np.load(file, allow_pickle=False) as arrays:
+        assert {"observations", "actions", "controls", "rewards", "lengths", "about"} == set(arrays)
+    again = load(file)
+    assert again.facts == demos.facts
+    for name, column in demos.columns.items():
+        np.testing.assert_array_equal(again.columns[name], column)
+
+
+def test_what_was_recorded_drives_the_same_race_again(driven):
+    _, demos = driven
+    for race in (0, 1):
+        found = check(demos, race)
+        assert found.is_exact
+        assert found.steps == 120
+
+
+def test_actions_one_step_late_do_not_drive_the_same_race(driven):
+    _, demos = driven
+    late = {**demos.columns, "controls": np.roll(demos.columns["controls"], 1, axis=0)}
+    found = check(replace(demos, columns=late))
+    assert not found.is_exact
+    assert found.first_difference > 0
+
+
+def test_the_views_action_is_the_nearest_to_what_was_done(driven):
+    _, demos = driven
+    as_told = controls_of_choices(demos.columns["actions"])
+    controls = demos.columns["controls"]
+    buttons = [CONTROLS.index(name) for name in ("drift", "fire", "nitro")]
+    np.testing.assert_array_equal(as_told[:, buttons], controls[:, buttons])
+    assert np.abs(as_told[:, 1] - controls[:, 1]).max() <= 0.1
+
+
+def test_the_ais_action_is_what_it_did_until_the_next_observation():
+    """Against the environment, stepped by quarters of a step."""
+    recorder = DemoRecorder(1, DemoView("racing"), substeps=4)
+    run_race(["ai", "ai"], listeners=[recorder], track="lighthouse", seed=5, max_steps=240)
+    episode = recorder.episodes({"view": "racing"})[0]
+    observations, controls = [], []
+    for observation in ai_race(step_size=0.1 / 4, steps=240):
+        observations.append(observation)
+        action = observation["action"]
+        controls.append([np.ravel(action[name])[0] for name in CONTROLS])
+    quarters = np.array(controls[1:]).reshape(60, 4, 7)
+    np.testing.assert_allclose(episode.controls[:, :2], quarters.mean(axis=1)[:, :2], atol=1e-6)
+    np.testing.assert_array_equal(episode.controls[:, 4], quarters[:, :, 4].any(axis=1))
+    assert np.ptp(quarters[:, :, 1], axis=1).max() > 0.1  # it decides more often than we look
+    seen = [DemoView("racing").observe(observation) for observation in observations[::4]]
+    np.testing.assert_array_equal(episode.observations, np.array(seen))
+
+
+def ai_race(step_size, steps):
+    """What an agent sees that the game's AI drives."""
+    with race_v0.parallel_env(
+        agents=[AgentSpec(use_ai=True, color=number / 2) for number in range(2)],
+        num_kart=2,
+        track="lighthouse",
+        step_size=step_size,
+        max_cycles=None,
+    ) as env:
+        observations, _ = env.reset(seed=5)
+        yield observations["kart_0"]
+        for _ in range(steps):
+            observations, *_ = env.step({})
+            yield observations["kart_0"]
+
+
+def test_races_of_the_ai_end_at_the_finish(whole):
+    assert all(episode.is_finished for episode in whole)
+    assert {episode.facts.rank for episode in whole} == {1, 2}
+    assert all(0 < episode.facts.finish_time < 60 for episode in whole)
+    with pytest.raises(ConfigError, match="cannot be driven again"):
+        check(whole)
+
+
+@pytest.mark.parametrize("view", ["simple", "flattened_discrete", "box_continuous"])
+def test_other_views_are_recorded_in_their_own_spaces(view, tmp_path):
+    how = {**SHORT, "karts": 1, "max_steps": 25}
+    demos = record("pursuit", output=tmp_path / "d.npz", view=view, **how)
+    spaces = DemoView(view)
+    episode = load(tmp_path / "d.npz")[0]
+    for moment in (0, len(episode) - 1):
+        seen, done = _moment(episode.observations, moment), _moment(episode.actions, moment)
+        assert set(seen) == set(spaces.observation_space) if isinstance(seen, dict) else True
+        assert spaces.action_space.contains(_as_in(spaces.action_space, done))
+    assert demos.num_steps == 25
+
+
+def _moment(tree, number):
+    if isinstance(tree, dict):
+        return {key: _moment(part, number) for key, part in tree.items()}
+    return tree[number]
+
+
+def _as_in(space, value):
+    if isinstance(value, dict):
+        return {key: _as_in(space[key], part) for key, part in value.items()}
+    return value if value.ndim else int(value)
+
+
+def test_the_same_call_again_records_nothing_anew(driven):
+    file, demos = driven
+    told = []
+    again = record(
+        "pursuit", output=file, seeds=(3, 4), rivals=["ai"], on_race=told.append, **SHORT
+    )
+    assert told == []
+    np.testing.assert_array_equal(again.columns["controls"], demos.columns["controls"])
+
+
+def test_other_demonstrations_are_not_overwritten(driven):
+    file, _ = driven
+    with pytest.raises(ConfigError, match=r"other demonstrations.*seeds is"):
+        record("pursuit", output=file, seeds=5, rivals=["ai"], **SHORT)
+
+
+COMMAND = ["pursuit", "--tracks", "lighthouse", "--karts", "1", "--max-steps", "40", "--jobs", "1"]
+
+
+def test_recording_goes_on_after_a_kill(tmp_path):
+    file = tmp_path / "d.npz"
+    words = ["demos", *COMMAND, "--seeds", "4", "--output", str(file)]
+    first = subprocess.Popen([sys.executable, "-m", "stkzoo", *words])
+    races = tmp_path / "d.npz.parts" / "races"
+    _wait_for(lambda: len(list(races.glob("*.npz"))) > 0)
+    first.send_signal(signal.SIGKILL)
+    first.wait(30)
+    kept = {path.name: path.stat().st_mtime_ns for path in races.glob("0*.npz")}
+    assert kept
+    if not file.exists():
+        begun = sorted(kept)
+        touched = races / begun[0]
+        assert main(words) == 0
+        assert not touched.exists()  # its episodes are in the data set
+    demos = load(file)
+    assert [facts.seed for facts in demos.facts] == [0, 1, 2, 3]
+    straight = record("pursuit", output=tmp_path / "s.npz", seeds=4, **(SHORT | ONE))
+    np.testing.assert_array_equal(demos.columns["controls"], straight.columns["controls"])
+
+
+ONE = {"karts": 1, "max_steps": 40}
+
+
+def _wait_for(happened, seconds=120.0):
+    end = time.monotonic() + seconds
+    while not happened():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_the_command_records_and_checks(tmp_path, capsys):
+    file = tmp_path / "d.npz"
+    assert main(["demos", *COMMAND, "--output", str(file), "--check"]) == 0
+    out = capsys.readouterr().out
+    assert "1 drives (0 finished), 40 steps, view racing" in out
+    assert "the same: 40 steps" in out
+    assert not (tmp_path / "d.npz.parts").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["nobody"], "unknown driver 'nobody'"),
+        (["ai", "--view", "full"], "differ in size"),
+        (["ai", "--view", "racin"], "Did you mean 'racing'"),
+        (["ai", "--output", "d.csv"], "ends in .npz"),
+        (["ai", "--seeds", "0"], "seeds is 0"),
+        (["ai", "--substeps", "5"], "expected one of"),
+        (["pursuit", "--substeps", "4"], "decide once in a step"),
+        (["ai", "--tracks", "moon"], "moon"),
+        (["ai", "--karts", "21"], "karts is 21"),
+    ],
+)
+def test_bad_arguments_are_told(words, text, capsys):
+    assert main(["demos", *words]) == 2
+    assert text in capsys.readouterr().err
+
+
+def test_an_agent_that_fails_makes_no_demonstrations(tmp_path, capsys):
+    bad = tmp_path / "bad.py"
+    bad.write_text(
+        'env_name = "supertuxkart/racing-v0"\nplayer_name = "bad"\n'
+        "def get_actor(*_):\n    return lambda *_: 1 / 0\n"
+    )
+    words = ["--tracks", "lighthouse", "--karts", "1", "--output", str(tmp_path / "d.npz")]
+    assert main(["demos", str(bad), *words]) == 1
+    assert "ZeroDivisionError" in capsys.readouterr().err
+    assert not (tmp_path / "d.npz").exists()
+
+
+@pytest.mark.parametrize("damage", ["cut", "text", "other", "short", "pickle"])
+def test_a_bad_file_is_told(driven, tmp_path, damage):
+    file, demos = driven
+    bad = tmp_path / "bad.npz"
+    if damage == "cut":
+        bad.write_bytes(file.read_bytes()[:-2000])
+    elif damage == "text":
+        bad.write_text("hello")
+    elif damage == "other":
+        np.savez(bad, observations=np.zeros(3), about=np.array(json.dumps({"type": "x"})))
+    elif damage == "short":
+        columns = {**demos.columns, "rewards": demos.columns["rewards"][:-1]}
+        save(replace(demos, columns=columns), bad)
+    else:
+        np.savez(bad, about=np.array({"type": "demonstrations"}, dtype=object))
+    with pytest.raises(ConfigError, match="cannot be read as demonstrations"):
+        load(bad)
+    with pytest.raises(ConfigError, match="there are no demonstrations"):
+        load(tmp_path / "none.npz")
+
+
+def test_a_plan_is_the_same_after_json():
+    plan = plan_demos("ai", tracks=["lighthouse"], reverse=(False, True), seeds=2)
+    assert type(plan).from_json(plan.to_json()).differences(plan) == []
+    assert len(plan.orders()) == 4
+    assert plan.substeps == 4
+
+
+def test_all_views_of_fixed_size_can_be_recorded():
+    recorded = []
+    for name in VIEWS:
+        try:
+            DemoView(name)
+        except ConfigError:
+            continue
+        recorded.append(name)
+    assert {"racing", "simple", "flattened", "box_discrete", "box_continuous"} <= set(recorded)
+    assert "full" not in recorded
+
+
+def test_minari_reads_the_same(driven, tmp_path, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    minari = pytest.importorskip("minari")
+    _, demos = driven
+    to_minari(demos, "supertuxkart/pursuit-v0")
+    dataset = minari.load_dataset("supertuxkart/pursuit-v0")
+    assert (dataset.total_episodes, dataset.total_steps) == (4, 240)
+    for number, episode in enumerate(dataset.iterate_episodes()):
+        np.testing.assert_array_equal(episode.observations, demos[number].observations)
+        np.testing.assert_array_equal(episode.actions, demos[number].actions)
+        assert episode.truncations[-1]
+        assert not episode.terminations.any()
+    with pytest.raises(ConfigError, match="Minari does not take"):
+        to_minari(demos, "supertuxkart/pursuit-v0")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="the command's own folder")
+def test_the_command_writes_minari(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    monkeypatch.chdir(tmp_path)
+    assert main(["demos", *COMMAND, "--format", "minari"]) == 0
+    assert "supertuxkart/pursuit-v0" in capsys.readouterr().out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["minari"]
