@@ -24,7 +24,11 @@ __all__ = ["main", "plot_runs", "pyplot"]
 _PANELS: tuple[tuple[str, dict[str, str]], ...] = (
     (
         "time over the AI's median time",
-        {"selfplay_finished_ratio": "among themselves", "rivals_finished_ratio": "against the AI"},
+        {
+            "alone_finished_ratio": "alone",
+            "selfplay_finished_ratio": "among themselves",
+            "rivals_finished_ratio": "against the AI",
+        },
     ),
     (
         "share of karts",

@@ -32,11 +32,13 @@ from stkzoo.names import Phase
 from stkzoo.race.benchmark import load_ai_times
 from stkzoo.wrappers.racing import CrowdView, RoadTable
 
-__all__ = ["Finish", "Fleet", "RaceForm", "StepOutcome"]
+__all__ = ["Beginning", "Finish", "Fleet", "RaceForm", "StepOutcome"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
+#: Track, whether the other way round, and number of a race's beginning.
+Beginning = tuple[str, bool, int]
 
 #: A race is cut short after so many times the AI's median time.
 _PATIENCE = 1.6
@@ -191,11 +193,16 @@ class _Race:
         self.first_finish: float | None = None
 
     def send(self, controls: FloatArray) -> None:
-        self.controls.append(controls)
-        self._session.step_async(controls)
+        """Asks for a step; a race that is over stands still."""
+        self._is_driving = bool(self.racing.any())
+        if self._is_driving:
+            self.controls.append(controls)
+            self._session.step_async(controls)
 
     def receive(self) -> tuple[FloatArray, BoolArray, list[Finish]]:
         """Rewards and ends of the learners' karts; see :class:`StepOutcome`."""
+        if not self._is_driving:
+            return np.zeros(len(self.racing), np.float32), np.zeros(len(self.racing), bool), []
         before, self.snapshot = self.snapshot, self._session.step_wait()
         old, new = before.karts[self.karts], self.snapshot.karts[self.karts]
         half = self.length / 2
@@ -287,9 +294,9 @@ class Fleet:
             self._begin(number)
         return self._look(is_later=False)
 
-    def begin_at(self, track: str, reverse: bool, number: int) -> View:
-        """Begins all races at one beginning, with nobody mirrored; what the learners see first."""
-        for race in self._races:
+    def begin_at(self, beginnings: Sequence[Beginning]) -> View:
+        """Begins each race as told, with nobody mirrored; what the learners see first."""
+        for race, (track, reverse, number) in zip(self._races, beginnings, strict=True):
             kind = _Kind(track, reverse, race.form, number)
             race.begin(kind, self._limit(track, reverse, race.form))
         self._drivers.forget(np.arange(self.num_slots))

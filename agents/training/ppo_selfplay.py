@@ -479,8 +479,8 @@ class Learner:
 
     def _racing_figures(self) -> dict[str, float]:
         figures = {}
-        for name, is_wanted in (("selfplay", False), ("rivals", True)):
-            own = [end for end in self._recent if (end.form.rivals > 0) == is_wanted]
+        for name in ("alone", "selfplay", "rivals"):
+            own = [end for end in self._recent if _company(end.form) == name]
             if not own:
                 continue
             finished = [end.ratio for end in own if end.ratio is not None]
@@ -489,7 +489,7 @@ class Learner:
             )
             figures[f"{name}_finished_ratio"] = float(np.mean(finished)) if finished else 0.0
             figures[f"{name}_unfinished"] = 1.0 - len(finished) / len(own)
-            if is_wanted:
+            if name == "rivals":
                 figures["rivals_rank"] = float(np.mean([end.rank for end in own]))
                 figures["rivals_first"] = float(np.mean([end.rank == 1 for end in own]))
         return figures
@@ -543,6 +543,11 @@ class Learner:
             fleet.restore(_arrays(kept))
             for fleet, kept in zip(self._fleets, state["fleets"], strict=True)
         ]
+
+
+def _company(form: RaceForm) -> str:
+    """Whom a learner of a race drives among."""
+    return "rivals" if form.rivals else "selfplay" if form.learners > 1 else "alone"
 
 
 #: Inputs that hardly change are not blown up.
@@ -661,12 +666,19 @@ def _run(learner: Learner, journal: Journal, until: int) -> None:
     learner.save_policy()
 
 
+_TOLD = (
+    "alone_ratio",
+    "selfplay_ratio",
+    "rivals_ratio",
+    "rivals_rank",
+    "entropy",
+    "kl",
+    "explained",
+)
+
+
 def _tell(line: dict[str, float]) -> None:
-    figures = [
-        f"{name} {line[name]:.3f}"
-        for name in ("selfplay_ratio", "rivals_ratio", "rivals_rank", "entropy", "kl", "explained")
-        if name in line
-    ]
+    figures = [f"{name} {line[name]:.3f}" for name in _TOLD if name in line]
     speed = line["kart_steps_per_s"]
     print(f"{line['kart_steps']:>10,.0f}  {'  '.join(figures)}  {speed:.0f}/s", flush=True)
 
