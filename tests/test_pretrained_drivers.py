@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from stkzoo import race_v0
+from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.drivers import (
     ALL_LOOKS,
     CHOICES,
@@ -164,7 +165,7 @@ def test_plans_know_their_state():
 
 
 def test_a_drift_is_remembered_with_what_it_earns():
-    memory, one = DriverMemory(1), np.array([1.0], np.float32)
+    memory, one = DriverMemory(1, DriverParameters()), np.array([1.0], np.float32)
     side, none = np.array([1]), np.array([False])
     fast, skids = 20 * one, 2 * one
     for _ in range(BOOST_STEPS[0]):
@@ -180,7 +181,7 @@ def test_a_drift_is_remembered_with_what_it_earns():
 
 
 def test_a_drift_that_the_engine_ends_is_over():
-    memory, one = DriverMemory(1), np.array([1.0], np.float32)
+    memory, one = DriverMemory(1, DriverParameters()), np.array([1.0], np.float32)
     none = np.array([False])
     for step in range(6):
         memory.look(20 * one, one)  # it does not skid
@@ -190,7 +191,7 @@ def test_a_drift_that_the_engine_ends_is_over():
 
 
 def test_who_is_stuck_backs_out_and_then_calls_the_rescue():
-    memory, zero = DriverMemory(1), np.zeros(1, np.float32)
+    memory, zero = DriverMemory(1, DriverParameters()), np.zeros(1, np.float32)
     backs, calls = [], []
     for _ in range(60):
         memory.look(zero, zero + 1)
@@ -203,15 +204,15 @@ def test_who_is_stuck_backs_out_and_then_calls_the_rescue():
 
 
 def test_some_karts_are_forgotten_and_others_not():
-    memory, twos = DriverMemory(2), np.ones(2, np.float32)
+    memory, twos = DriverMemory(2, DriverParameters()), np.ones(2, np.float32)
     nobody = np.zeros(2, bool)
     memory.look(20 * twos, 2 * twos)
     memory.act(np.array([1, 1]), 0.3 * twos, nobody, ~nobody)
     memory.forget(np.array([0]))
     one, two = memory.numbers()
-    assert (one == DriverMemory(1).numbers()[0]).all()
+    assert (one == DriverMemory(1, DriverParameters()).numbers()[0]).all()
     assert (two != one).any()
-    twin = DriverMemory(2)
+    twin = DriverMemory(2, DriverParameters())
     twin.restore(memory.state())
     assert (twin.numbers() == memory.numbers()).all()
 

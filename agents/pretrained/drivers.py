@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.names import PowerupType
 from stkzoo.wrappers.racing import (
     LOOKS,
@@ -26,7 +27,7 @@ from stkzoo.wrappers.racing import (
 )
 
 from .memory import MEMORY_MIRROR, DriverMemory
-from .planner import Options, Rules, Scene, has_powerup, weigh
+from .planner import Options, Scene, has_powerup, weigh
 from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, DRIFT_TURN, FREE, MANOEUVRES
 from .rivals import RIVALS_MIRROR, RivalTracker
 from .road import LINE_MARKS, Road
@@ -64,10 +65,6 @@ _NEVER = -30.0
 _OFFSET_PRIOR = np.array([-5.5, -4.5, -3.5, 0.0, -3.5, -4.5, -5.5], np.float32)
 _BUTTON = 2.0  # for what the rules would do, and its negative for what not
 
-# The rules of the prior.
-_NITRO_SPEED, _NITRO_TURN, _SAFE = 8.0, 0.7, 1.0
-_STRAIGHT_AIM, _STRAIGHT_ANGLE = 0.3, 0.35  # [rad]
-_SWITCH_REACH = 30.0  # [m]
 #: A drift begins to the side of steer, which must not be too small to tell.
 _START_STEER = 0.3
 
@@ -135,13 +132,13 @@ class Drivers:
 
     Args:
         count: A.
-        rules: what plans are worth.
+        rules: the numbers that the prior goes by.
     """
 
-    def __init__(self, count: int, rules: Rules | None = None) -> None:
-        self.memory = DriverMemory(count)
+    def __init__(self, count: int, rules: DriverParameters | None = None) -> None:
+        self._rules = rules or DriverParameters()
+        self.memory = DriverMemory(count, self._rules)
         self._tracker = RivalTracker(count)
-        self._rules = rules or Rules()
         self._options: Options | None = None
 
     def look(self, own: Mapping[str, Any], around: Surroundings) -> View:
@@ -166,7 +163,6 @@ class Drivers:
             is_jumping=np.asarray(own["jumping"]) > 0,
             has_powerup=has_powerup(np.asarray(own["powerup_type"])),
             road=road,
-            rivals=rivals,
             items=around.items,
             item_types=around.item_types,
         )
@@ -233,23 +229,23 @@ class Drivers:
         self, own: Mapping[str, Any], around: Surroundings, scene: Scene, options: Options
     ) -> FloatArray:
         """The logits by which rules would choose, ``(A, sum(CHOICES))``."""
-        rows = np.arange(len(options.worth))
+        rules, rows = self._rules, np.arange(len(options.worth))
         best = options.worth.argmax(axis=1)
         behind = options.worth - options.worth[rows, best][:, None]
         danger, turn = options.danger[rows, best], options.turn[rows, best]
-        is_safe = (danger < _SAFE) & (best != BRAKE)
+        is_safe = (danger < rules.danger) & (best != BRAKE)
         nitro = (
             is_safe
             & self.memory.may_boost
-            & (scene.speed > _NITRO_SPEED)
-            & (np.abs(turn) < _NITRO_TURN)
+            & (scene.speed > rules.nitro_speed)
+            & (np.abs(turn) < rules.nitro_turn)
             & (np.reshape(own["energy"], -1) > 0)
             & ~scene.is_jumping
         )
-        is_straight = (np.abs(options.angle) < _STRAIGHT_AIM) & (
-            options.straightness < _STRAIGHT_ANGLE
+        is_straight = (np.abs(options.angle) < rules.straight_aim) & (
+            options.straightness < rules.straight_angle
         )
-        fire = is_safe & is_straight & self.memory.may_fire & _is_useful(own, around)
+        fire = is_safe & is_straight & self.memory.may_fire & self._is_useful(own, around)
         buttons = np.where(np.stack([~nitro, nitro, ~fire, fire], axis=1), _BUTTON, -_BUTTON)
         return np.concatenate(
             [
@@ -260,15 +256,14 @@ class Drivers:
             axis=1,
         ).astype(np.float32)
 
-
-def _is_useful(own: Mapping[str, Any], around: Surroundings) -> BoolArray:
-    """Who has something to fire; the switch would spoil items close ahead."""
-    items = around.items
-    is_close = (items[..., 2] > 0) & (squared(items) < _SWITCH_REACH**2)
-    is_close &= around.item_types >= 0
-    spoils = (np.asarray(own["powerup_type"]) == PowerupType.SWITCH) & is_close.any(axis=1)
-    useful: BoolArray = (np.asarray(own["powerup_count"]) > 0) & ~spoils
-    return useful
+    def _is_useful(self, own: Mapping[str, Any], around: Surroundings) -> BoolArray:
+        """Who has something to fire; the switch would spoil items close ahead."""
+        items = around.items
+        is_close = (items[..., 2] > 0) & (squared(items) < self._rules.switch_reach**2)
+        is_close &= around.item_types >= 0
+        spoils = (np.asarray(own["powerup_type"]) == PowerupType.SWITCH) & is_close.any(axis=1)
+        useful: BoolArray = (np.asarray(own["powerup_count"]) > 0) & ~spoils
+        return useful
 
 
 def _numbers(options: Options) -> FloatArray:

@@ -8,8 +8,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.agents.heuristic import DriverParameters
+
 from .planner import Situation
-from .plans import BOOST_LASTS, BOOST_STEPS, RELEASE_STEPS
+from .plans import BOOST_LASTS, BOOST_STEPS, RELEASE_STEPS, STEP
 
 __all__ = ["MEMORY_MIRROR", "MEMORY_SIZE", "DriverMemory"]
 
@@ -19,14 +21,6 @@ BoolArray = npt.NDArray[np.bool_]
 
 #: The engine has ended a drift if the skid factor is still 1 after so many steps.
 _DRIFT_SHOWS = 4
-#: Who loses so much speed in a step has hit something [m/s], and is careful for so long [steps].
-_CRASH_DROP, _CAUTION_STEPS = 6.0, 30
-#: Slower than this is standing still [m/s]; after so long [steps] the kart backs out for so long.
-_STILL, _STUCK_STEPS, _REVERSE_STEPS = 1.5, 8, 10
-#: Who has driven for so long [steps] has got away.
-_FREE_STEPS = 30
-#: From one burst of nitro to the next [steps].
-NITRO_STEPS = 22
 #: Times since something are not counted further [steps].
 _LONG_AGO = 40.0
 
@@ -88,9 +82,14 @@ class DriverMemory:
 
     Args:
         count: A.
+        rules: how long what lasts, and what counts as a crash or as standing still.
     """
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, rules: DriverParameters) -> None:
+        self._rules = rules
+        self._nitro_steps, self._caution_steps, self._stuck_steps = (
+            round(time / STEP) for time in (rules.nitro_wait, rules.caution_time, rules.stuck_time)
+        )
         self._of = _Fields(*[np.zeros(count, np.float32) for _ in _NAMES])
         self._of.since_fire[:] = _LONG_AGO
 
@@ -106,12 +105,12 @@ class DriverMemory:
             clock = getattr(of, name)
             np.maximum(clock - 1, 0, out=clock)
         of.gain[:] = speed - of.speed
-        of.caution_steps[of.gain < -_CRASH_DROP] = _CAUTION_STEPS
+        of.caution_steps[of.gain < -self._rules.crash_drop] = self._caution_steps
         of.speed[:] = speed
-        is_still = np.abs(speed) < _STILL
+        is_still = np.abs(speed) < self._rules.stuck_speed
         of.still_steps[:] = np.where(is_still, of.still_steps + 1, 0)
         of.free_steps[:] = np.where(is_still, 0, of.free_steps + 1)
-        of.reverses[of.free_steps > _FREE_STEPS] = 0
+        of.reverses[of.free_steps * STEP > self._rules.free_time] = 0
         of.since_fire[:] = np.minimum(of.since_fire + 1, _LONG_AGO)
         is_over = (of.drift_steps >= _DRIFT_SHOWS) & (skeed_factor <= 1.0)
         of.drift_side[is_over] = of.drift_steps[is_over] = 0
@@ -142,9 +141,9 @@ class DriverMemory:
             of.release_steps / RELEASE_STEPS,
             of.boost_steps / BOOST_LASTS[0],
             of.big_boost_steps / BOOST_LASTS[1],
-            of.nitro_steps / NITRO_STEPS,
-            of.caution_steps / _CAUTION_STEPS,
-            of.still_steps / _STUCK_STEPS,
+            of.nitro_steps / max(self._nitro_steps, 1),
+            of.caution_steps / max(self._caution_steps, 1),
+            of.still_steps / self._stuck_steps,
             np.clip(of.gain / 5.0, -2.0, 2.0),
             of.since_fire / _LONG_AGO,
         )
@@ -153,7 +152,7 @@ class DriverMemory:
     @property
     def may_fire(self) -> BoolArray:
         """``(A,)``: the last shot was some steps ago."""
-        return np.asarray(self._of.since_fire >= 3)
+        return np.asarray(self._of.since_fire >= self._rules.fire_every)
 
     @property
     def may_boost(self) -> BoolArray:
@@ -163,14 +162,14 @@ class DriverMemory:
     def stuck(self) -> tuple[BoolArray, BoolArray]:
         """Who backs out now, and who calls the rescue, ``(A,)`` each; it is noted that they do."""
         of = self._of
-        begins = (of.reverse_steps == 0) & (of.still_steps > _STUCK_STEPS)
-        calls = begins & (of.reverses >= 1)
+        begins = (of.reverse_steps == 0) & (of.still_steps > self._stuck_steps)
+        calls = begins & (of.reverses >= self._rules.rescue_reverses)
         backs = begins & ~calls
         of.still_steps[begins] = 0
         of.drift_side[begins] = of.drift_steps[begins] = 0
         of.reverses[calls] = 0
         of.reverses[backs] += 1
-        of.reverse_steps[backs] = _REVERSE_STEPS
+        of.reverse_steps[backs] = round(self._rules.reverse_time / STEP)
         return of.reverse_steps > 0, calls
 
     def act(self, side: IntArray, turn: FloatArray, nitro: BoolArray, fire: BoolArray) -> BoolArray:
@@ -198,7 +197,7 @@ class DriverMemory:
         of.drift_steps[:] = np.where(side != 0, of.drift_steps + 1, 0)
         of.turn[:] = turn
         of.drift_turn[:] = np.where(side != 0, turn, of.drift_turn)
-        of.nitro_steps[nitro] = NITRO_STEPS
+        of.nitro_steps[nitro] = self._nitro_steps
         of.since_fire[fire] = 0
         return begins
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.names import ItemType, PowerupType
 from stkzoo.wrappers.racing import squared
 
@@ -25,10 +26,9 @@ from .plans import (
     TABLE,
     table_rows,
 )
-from .rivals import RIVALS, Rivals
 from .road import MARK_COUNT, MARK_SPACING, Road
 
-__all__ = ["ITEMS", "Options", "Rules", "Scene", "Situation", "weigh"]
+__all__ = ["ITEMS", "Options", "Scene", "Situation", "weigh"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
@@ -45,47 +45,12 @@ _BEYOND = 1.0
 #: A miss by so much more than the radius earns nothing [m].
 _BLUR = 0.5
 
-#: A kart goes on across the road for so long [s].
-_DRIFT_LASTS = 0.4
-
 #: What the wheels still do of the step before, as a share of the step.
 _STEERING_LAG = 0.33
 #: Karts are taken to be at least so fast [m/s].
 _SLOWEST = 5.0
 #: The worth of a manoeuvre that there is not.
 NEVER = -1e4
-
-
-@dataclass(frozen=True, slots=True)
-class Rules:
-    """What plans are worth, in metres of way; see the heuristic driver's parameters."""
-
-    wheel_base: float = 0.97
-    aim_distance: float = 4.0
-    aim_time: float = 0.35
-    margin: float = 1.0
-    greatest_room: float = 4.5
-    caution_room: float = 1.5
-    over_cost: float = 20.0
-    late_time: float = 0.3
-    late_cost: float = 4.0
-    angle_cost: float = 4.0
-    drift_speed: float = 13.0
-    boost_worth: float = 12.0
-    big_boost_worth: float = 18.0
-    boost_wait_cost: float = 1.0
-    box_worth: float = 4.0
-    second_box_worth: float = 1.2
-    small_nitro_worth: float = 8.0
-    big_nitro_worth: float = 20.0
-    banana_cost: float = 15.0
-    gum_cost: float = 15.0
-    item_radius: float = 0.9
-    bad_item_radius: float = 1.2
-    straight_time: float = 1.2
-    kart_cost: float = 0.0
-    kart_width: float = 1.5
-    kart_length: float = 2.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +63,6 @@ class Scene:
         is_jumping: ``(A,)``.
         has_powerup: ``(A,)``.
         road: what lies ahead.
-        rivals: the karts nearby.
         items: ``(A, M, 3)`` in the kart's frame [m].
         item_types: ``(A, M)`` numbers of :class:`~stkzoo.names.ItemType`; others are none.
     """
@@ -108,7 +72,6 @@ class Scene:
     is_jumping: BoolArray
     has_powerup: BoolArray
     road: Road
-    rivals: Rivals
     items: FloatArray
     item_types: npt.NDArray[np.integer]
 
@@ -169,7 +132,7 @@ class _Items:
     radius: FloatArray
 
     @classmethod
-    def of(cls, scene: Scene, road: Road, rules: Rules) -> _Items:
+    def of(cls, scene: Scene, road: Road, rules: DriverParameters) -> _Items:
         worths = _worths(scene, rules)
         types = np.clip(scene.item_types, -1, max(ItemType) + 1)
         worth = np.take_along_axis(worths, types % worths.shape[1], axis=1)
@@ -195,7 +158,7 @@ class _Items:
         return lanes
 
 
-def _worths(scene: Scene, rules: Rules) -> FloatArray:
+def _worths(scene: Scene, rules: DriverParameters) -> FloatArray:
     """What items are worth to each kart by type, ``(A, types)`` [m]."""
     worths = np.zeros((len(scene.speed), max(ItemType) + 3), np.float32)
     worths[:, ItemType.BONUS_BOX] = np.where(
@@ -208,7 +171,7 @@ def _worths(scene: Scene, rules: Rules) -> FloatArray:
     return worths
 
 
-def weigh(scene: Scene, now: Situation, rules: Rules) -> Options:
+def weigh(scene: Scene, now: Situation, rules: DriverParameters) -> Options:
     """The best plan of each manoeuvre.
 
     Args:
@@ -225,8 +188,6 @@ def weigh(scene: Scene, now: Situation, rules: Rules) -> Options:
     worth = along[-1] - danger - np.float32(rules.angle_cost) * angles * angles
     worth += _boosts(now, rows, rules)
     worth += _item_gain(items, along, across)
-    if rules.kart_cost:
-        worth -= _crowding(scene.rivals, speed, along, across, rules)
     manoeuvres = TABLE.manoeuvres[rows]
     may_drift = (scene.speed > rules.drift_speed) & ~scene.is_jumping
     is_there = (manoeuvres >= 0) & (may_drift[:, None] | ~TABLE.needs_drift[rows])
@@ -255,7 +216,7 @@ def _forecast(
     items: _Items,
     rows: IntArray,
     speed: FloatArray,
-    rules: Rules,
+    rules: DriverParameters,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Drives all plans of all karts: along, across, room ``(T, A, C)``; angles, turns ``(A, C)``.
 
@@ -314,7 +275,11 @@ def _forecast(
 
 
 def _danger(
-    across: FloatArray, ahead: FloatArray, angles: FloatArray, speed: FloatArray, rules: Rules
+    across: FloatArray,
+    ahead: FloatArray,
+    angles: FloatArray,
+    speed: FloatArray,
+    rules: DriverParameters,
 ) -> FloatArray:
     """What plans cost by leaving the road, ``(A, C)`` [m]."""
     over = np.maximum(np.abs(across) - ahead, 0)
@@ -325,7 +290,7 @@ def _danger(
     return cost
 
 
-def _boosts(now: Situation, rows: IntArray, rules: Rules) -> FloatArray:
+def _boosts(now: Situation, rows: IntArray, rules: DriverParameters) -> FloatArray:
     """What plans earn by drifting, ``(A, C)`` [m]: less while such a boost still lasts."""
     small, big = BOOST_LASTS
     wait, boosts = TABLE.boost_steps[rows], TABLE.boosts[rows]
@@ -357,27 +322,6 @@ def _item_gain(items: _Items, along: FloatArray, across: FloatArray) -> FloatArr
         hit = np.clip((items.radius[who, item][:, None] - miss) / _BLUR + 1.0, 0.0, 1.0)
         gain[who] += items.worth[who, item][:, None] * hit * passed[last]
     return gain
-
-
-def _crowding(
-    rivals: Rivals, speed: FloatArray, along: FloatArray, across: FloatArray, rules: Rules
-) -> FloatArray:
-    """What plans cost by running into others, which go on as they do, ``(A, C)`` [m]."""
-    cost = np.zeros(along.shape[1:], np.float32)
-    ends = np.cumsum(SPANS)[:, None, None]
-    for rival in range(RIVALS):
-        who = np.flatnonzero(rivals.is_there[:, rival])
-        if not len(who):
-            continue
-        pace = (speed[who] + rivals.gain[who, rival])[:, None]
-        ahead = rivals.along[who, rival][:, None] + pace * ends
-        aside = rivals.drift[who, rival][:, None] * np.minimum(ends, _DRIFT_LASTS)
-        aside = rivals.across[who, rival][:, None] + aside
-        behind = 1.0 - np.abs(along[:, who] - ahead) / np.float32(rules.kart_length)
-        beside = 1.0 - np.abs(across[:, who] - aside) / np.float32(rules.kart_width)
-        hits = np.minimum(np.maximum(behind, 0) * 2.0, 1.0) * np.maximum(beside, 0)
-        cost[who] += np.float32(rules.kart_cost) * np.tensordot(SPANS, hits, axes=1)
-    return cost
 
 
 def has_powerup(powerup_type: npt.NDArray[np.integer]) -> BoolArray:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.drivers import (
     ALL_LOOKS,
     Drivers,
@@ -293,6 +294,10 @@ class Fleet:
         for number in range(len(self._races)):
             self._begin(number)
         return self._look(is_later=False)
+
+    def set_rules(self, rules: DriverParameters) -> None:
+        """The learners' plans go by these numbers from the next beginning on."""
+        self._drivers = Drivers(self.num_slots, rules)
 
     def begin_at(self, beginnings: Sequence[Beginning]) -> View:
         """Begins each race as told, with nobody mirrored; what the learners see first."""
