@@ -49,18 +49,21 @@ class Outcome:
         ratio: mean of the policy's karts' times over the AI's median time.
         rank: their mean place.
         is_won: whether one of them was first.
+        unfinished: how many of them did not finish; each counts as three times the AI's time.
     """
 
     ratio: float
     rank: float
     is_won: bool
+    unfinished: int
 
     @classmethod
     def of(cls, finishes: Sequence[Finish]) -> Outcome:
         """Of the ends of a race's karts."""
         ratios = [_UNFINISHED if f.ratio is None else f.ratio for f in finishes]
         ranks = [f.rank for f in finishes]
-        return cls(float(np.mean(ratios)), float(np.mean(ranks)), min(ranks) == 1)
+        unfinished = sum(f.ratio is None for f in finishes)
+        return cls(float(np.mean(ratios)), float(np.mean(ranks)), min(ranks) == 1, unfinished)
 
 
 def chooser(source: str) -> Chooser:
@@ -123,7 +126,8 @@ def _report(sources: Sequence[str], outcomes: Sequence[Sequence[Outcome]]) -> No
         print(
             f"{source}: {len(own)} races, time ratio {ratios.mean():.4f} "
             f"({more.mean():+.4f} +- {error:.4f}), won "
-            f"{np.mean([o.is_won for o in own]):.0%}, rank {np.mean([o.rank for o in own]):.2f}",
+            f"{np.mean([o.is_won for o in own]):.0%}, rank {np.mean([o.rank for o in own]):.2f}, "
+            f"unfinished {sum(o.unfinished for o in own)}",
             flush=True,
         )
 
