@@ -142,7 +142,7 @@ def main() -> int:
     pythons: dict[str, Path] = {}
     for example in chosen:
         if example.where not in pythons:
-            pythons[example.where] = _environment(args.folder / example.where, SETS[example.where])
+            pythons[example.where] = environment(args.folder / example.where, SETS[example.where])
         outcome = _run(example, pythons[example.where], args.timeout)
         outcomes[example.library] = asdict(outcome)
         print(f"{'passed' if outcome.passed else 'FAILED':8}{example.library} {outcome.version}")
@@ -158,7 +158,7 @@ def _known() -> list[dict[str, object]]:
     return json.loads(RESULTS.read_text()) if RESULTS.exists() else []
 
 
-def _environment(folder: Path, packages: tuple[str, ...]) -> Path:
+def environment(folder: Path, packages: tuple[str, ...]) -> Path:
     """An environment's Python; what it must have is installed one package after the other."""
     python = folder / "bin" / "python"
     if not python.exists():

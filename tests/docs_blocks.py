@@ -60,6 +60,7 @@ SHORTER = [
     ("docs/starts.md", "    ...\n", "    finished = True\n"),
     ("docs/rendering.md", "cameras=3", "cameras=1, size=(160, 120)"),
     ("docs/rendering.md", "listeners=[video]", "listeners=[video], max_steps=5"),
+    ("docs/demonstrations.md", "karts=2, seeds=3", "karts=2, max_steps=20"),
     ("docs/replays.md", 'RaceVideo("race.mp4")', 'RaceVideo("race.mp4", cameras=1)'),
     ("docs/replays.md", "seed=1, listeners", "seed=1, max_steps=5, listeners"),
     ("docs/agents.md", 'seed=1, listeners', 'seed=1, max_steps=120, listeners'),

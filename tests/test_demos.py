@@ -234,6 +234,7 @@ def test_the_command_records_and_checks(tmp_path, capsys):
         (["ai", "--view", "racin"], "Did you mean 'racing'"),
         (["ai", "--output", "d.csv"], "ends in .npz"),
         (["ai", "--seeds", "0"], "seeds is 0"),
+        (["ai", "--check"], "--check cannot drive the game's AI again"),
         (["ai", "--substeps", "5"], "expected one of"),
         (["pursuit", "--substeps", "4"], "decide once in a step"),
         (["ai", "--tracks", "moon"], "moon"),

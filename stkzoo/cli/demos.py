@@ -167,13 +167,19 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _plan(arguments: argparse.Namespace) -> DemoPlan:
-    from stkzoo.errors import check_whole
+    from stkzoo.errors import ConfigError, check_whole
+    from stkzoo.race import find_driver
     from stkzoo.race.demos import plan_demos
     from stkzoo.race.demos.plan import DECIDED
     from stkzoo.race.settings import RaceSettings
 
     check_whole("seeds", arguments.seeds, 1)
     check_whole("first-seed", arguments.first_seed, 0)
+    if arguments.check and find_driver(arguments.agent, inline=True).is_game_ai:
+        raise ConfigError(
+            "--check cannot drive the game's AI again, which has boosts that agents do not get; "
+            "leave it out"
+        )
     return plan_demos(
         arguments.agent,
         view=arguments.view,

@@ -1,0 +1,153 @@
+"""A network that learns choices from examples, as Stable-Baselines3's ``MlpPolicy`` has it."""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.errors import ConfigError
+from stkzoo.wrappers.racing import CHOICES, MIRROR, SIZE
+
+__all__ = ["Fit", "fit", "make_network", "mirrored"]
+
+Numbers = npt.NDArray[Any]
+
+#: A steering choice is also given to its neighbours, by a bell of this width [choices].
+_BLUR = 0.7
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """How well a network does on examples that it has not learned from.
+
+    Attributes:
+        loss: mean cross-entropy, all five choices together [nats].
+        accuracy: share of right choices: steering, pedal, drift, nitro, fire.
+    """
+
+    loss: float
+    accuracy: tuple[float, ...]
+
+
+def _torch() -> Any:
+    try:
+        torch = importlib.import_module("torch")
+    except ImportError as error:
+        raise ConfigError(f"learning needs torch ({error}); pip install 'stkzoo[train]'") from error
+    torch.set_num_threads(1)
+    return torch
+
+
+def make_network(hidden: Sequence[int], seed: int) -> Any:
+    """A fresh network of tanh layers, whose state dict has the names of a ``MlpPolicy``."""
+    torch = _torch()
+    torch.manual_seed(seed)
+    nn = torch.nn
+    sizes = [SIZE, *hidden]
+    layers: list[Any] = []
+    for inputs, outputs in itertools.pairwise(sizes):
+        layers += [nn.Linear(inputs, outputs), nn.Tanh()]
+    network = nn.Module()
+    network.mlp_extractor = nn.Module()
+    network.mlp_extractor.policy_net = nn.Sequential(*layers)
+    network.action_net = nn.Linear(sizes[-1], sum(CHOICES))
+    return network
+
+
+def mirrored(observations: Numbers, actions: Numbers) -> tuple[Numbers, Numbers]:
+    """The same examples with left for right."""
+    turned = actions.copy()
+    turned[:, 0] = CHOICES[0] - 1 - turned[:, 0]
+    return observations * MIRROR, turned
+
+
+def fit(
+    network: Any,
+    observations: Numbers,
+    actions: Numbers,
+    *,
+    epochs: int,
+    learning_rate: float,
+    batch: int,
+    seed: int,
+) -> Fit:
+    """Trains a network on examples; a twentieth of them, in blocks, is left out and judged.
+
+    Args:
+        network: of :func:`make_network`; it goes on from what it is.
+        observations: ``(N, 165)``.
+        actions: ``(N, 5)``.
+        epochs: how often all are gone over.
+        learning_rate: of Adam at the start; it falls to nothing.
+        batch: examples of a gradient.
+        seed: of their order.
+    """
+    torch = _torch()
+    random = np.random.default_rng(seed)
+    is_left_out = np.repeat(random.random(len(actions) // 100 + 1) < 0.05, 100)[: len(actions)]
+    if is_left_out.all() or not is_left_out.any():
+        is_left_out = np.arange(len(actions)) % 20 == 0
+    both = [
+        np.concatenate(pair)
+        for pair in zip(
+            (observations[~is_left_out], actions[~is_left_out]),
+            mirrored(observations[~is_left_out], actions[~is_left_out]),
+            strict=True,
+        )
+    ]
+    inputs = torch.from_numpy(both[0].astype(np.float32))
+    targets = torch.from_numpy(both[1].astype(np.int64))
+    bells = torch.from_numpy(_bells())
+    optimiser = torch.optim.Adam(network.parameters(), lr=learning_rate)
+    total = max(epochs * -(-len(targets) // batch), 1)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, total)
+    for _ in range(epochs):
+        order = torch.from_numpy(random.permutation(len(targets)))
+        for rows in order.split(batch):
+            loss = _loss(torch, _logits(network, inputs[rows]), targets[rows], bells)
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            schedule.step()
+    return _judge(torch, network, observations[is_left_out], actions[is_left_out])
+
+
+def _bells() -> npt.NDArray[np.float32]:
+    """How a steering choice counts for all of them, ``(21, 21)``."""
+    places = np.arange(CHOICES[0])
+    bells = np.exp(-(((places[:, None] - places) / _BLUR) ** 2) / 2)
+    shares: npt.NDArray[np.float32] = (bells / bells.sum(axis=1, keepdims=True)).astype(np.float32)
+    return shares
+
+
+def _logits(network: Any, inputs: Any) -> Any:
+    return network.action_net(network.mlp_extractor.policy_net(inputs))
+
+
+def _loss(torch: Any, logits: Any, targets: Any, bells: Any) -> Any:
+    entropy = torch.nn.functional.cross_entropy
+    steer, *others = logits.split(list(CHOICES), dim=1)
+    loss = entropy(steer, bells[targets[:, 0]])
+    for column, part in enumerate(others, start=1):
+        loss = loss + entropy(part, targets[:, column])
+    return loss
+
+
+def _judge(torch: Any, network: Any, observations: Numbers, actions: Numbers) -> Fit:
+    entropy = torch.nn.functional.cross_entropy
+    targets = torch.from_numpy(actions.astype(np.int64))
+    with torch.no_grad():
+        parts = _logits(network, torch.from_numpy(observations.astype(np.float32))).split(
+            list(CHOICES), dim=1
+        )
+        loss = sum(float(entropy(part, targets[:, n])) for n, part in enumerate(parts))
+        right = [
+            float((part.argmax(1) == targets[:, n]).float().mean()) for n, part in enumerate(parts)
+        ]
+    return Fit(round(loss, 4), tuple(round(share, 4) for share in right))

@@ -1,0 +1,168 @@
+"""Races in which a learner drives and its teacher says what it would have done."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from stkzoo.errors import ConfigError
+from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.race import Driver, find_driver, run_race
+from stkzoo.race.benchmark import load_ai_times
+from stkzoo.race.demos.recorder import DemoView
+from stkzoo.race.replay.record import action_of, controls_of
+from stkzoo.race.seats import Seat, SeatRequest
+from stkzoo.whole_file import whole_file
+from stkzoo.wrappers.racing import controls_of_choices
+
+from .sb3_policy import load_driver
+
+__all__ = ["Lesson", "LessonOrder", "read_lesson", "run_order"]
+
+#: A learner's race is cut short after so many times the AI's median time.
+PATIENCE = 1.7
+#: What a kart counts as that has not finished by then.
+UNFINISHED = 2.0
+_STEP, _COUNTDOWN = 0.1, 20
+
+Numbers = npt.NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class LessonOrder:
+    """A race that is to be driven.
+
+    Attributes:
+        teacher: who says what is right; a text for :func:`~stkzoo.race.find_driver`.
+        policy: file of the learner's weights.
+        track: where.
+        reverse: the other way round.
+        seed: of the race.
+        karts: of the learner.
+        difficulty: which of the AI's times to compare with.
+        file: where the lesson goes.
+    """
+
+    teacher: str
+    policy: str
+    track: str
+    reverse: bool
+    seed: int
+    karts: int
+    difficulty: int
+    file: str
+
+
+@dataclass(frozen=True, slots=True)
+class Lesson:
+    """What came of a race: ``N`` moments of all karts together.
+
+    Attributes:
+        observations: ``(N, 165)`` float32, in the view ``racing``.
+        actions: ``(N, 5)``: what the teacher would have done then.
+        ratios: of each kart's time to the AI's; :data:`UNFINISHED` for one that did not finish.
+        finished: how many did.
+        track: where.
+    """
+
+    observations: Numbers
+    actions: Numbers
+    ratios: tuple[float, ...]
+    finished: int
+    track: str
+
+
+def time_ratio(time: float | None, track: str, reverse: bool, difficulty: int) -> float:
+    """A finish time over the AI's median time there."""
+    if time is None:
+        return UNFINISHED
+    return min(time / load_ai_times().of(track, reverse, difficulty).median, UNFINISHED)
+
+
+def run_order(order: LessonOrder) -> str:
+    """Drives a race and keeps its lesson in a file; the track's name."""
+    driver, view = load_driver(order.policy), DemoView("racing")
+    seen: list[Numbers] = []
+    told: list[Numbers] = []
+
+    def make_actor(
+        _: spaces.Space[Any], __: spaces.Space[Any], seed: int
+    ) -> Callable[[Any], dict[str, Any]]:
+        teacher = _seat(order.teacher, seed)
+
+        def act(observation: Any) -> dict[str, Any]:
+            own = view.observe(observation)
+            teacher.ask(observation)
+            advice = np.array(controls_of(teacher.answer().action), np.float32)
+            seen.append(own)
+            told.append(view.action(observation, advice))
+            choices = driver.best(own[None])
+            return action_of(controls_of_choices(choices)[0])
+
+        return act
+
+    median = load_ai_times().of(order.track, order.reverse, order.difficulty).median
+    result = run_race(
+        [Driver.of_actor(f"learner {kart}", make_actor) for kart in range(order.karts)],
+        track=order.track,
+        reverse=order.reverse,
+        seed=order.seed,
+        error_handling="raise",
+        max_steps=_COUNTDOWN + math.ceil(PATIENCE * median / _STEP),
+        action_timeout=None,
+    )
+    times = [row.finish_time for row in result.agents]
+    ratios = [time_ratio(time, order.track, order.reverse, order.difficulty) for time in times]
+    facts = {
+        "track": order.track,
+        "ratios": ratios,
+        "finished": sum(time is not None for time in times),
+    }
+    with whole_file(order.file) as part, part.open("wb") as file:
+        np.savez_compressed(
+            file,
+            observations=np.array(seen, np.float32),
+            actions=np.array(told, np.int8),
+            about=np.array(json.dumps(facts)),
+        )
+    return order.track
+
+
+def read_lesson(path: str | os.PathLike[str]) -> Lesson:
+    """Reads what :func:`run_order` kept.
+
+    Raises:
+        ConfigError: the file is damaged.
+    """
+    try:
+        with Path(path).open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            facts = json.loads(str(file["about"]))
+            return Lesson(
+                file["observations"],
+                file["actions"].astype(np.int64),
+                tuple(facts["ratios"]),
+                facts["finished"],
+                facts["track"],
+            )
+    except (OSError, ValueError, KeyError, TypeError, EOFError) as error:
+        raise ConfigError(
+            f"{path} cannot be read ({error}); delete it to drive it again"
+        ) from error
+
+
+def _seat(teacher: str, seed: int) -> Seat:
+    """The teacher, ready to be asked."""
+    open_seat = find_driver(teacher, inline=True).open_seat
+    assert open_seat is not None  # noqa: S101 - checked before
+    seat = open_seat(SeatRequest("kart_0", kart_observation_space(), kart_action_space(), seed))
+    seat.ready()
+    return seat

@@ -1,0 +1,173 @@
+"""The players of a league, and whom each of them meets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo.errors import ConfigError
+
+from .pool import Pool
+
+__all__ = [
+    "EXPLOITER",
+    "LEAGUE_EXPLOITER",
+    "MAIN",
+    "START",
+    "Player",
+    "PlayerMatchmaker",
+    "new_players",
+]
+
+#: Kinds of players.
+MAIN, EXPLOITER, LEAGUE_EXPLOITER = "main", "exploiter", "league-exploiter"
+#: The member that everybody started from.
+START = "start"
+#: A main player meets itself in this share of its races.
+_SELF_PLAY = 0.5
+#: An exploiter has won when it is ahead in this share of the duels.
+_WON = 0.7
+#: While the newest main player is beaten less often, an exploiter meets older ones too.
+_TOO_STRONG = 0.2
+_ENDLESS = 1_000_000
+
+
+@dataclass(slots=True)
+class Player:
+    """One that learns.
+
+    Attributes:
+        name: of the player.
+        kind: main, exploiter or league exploiter.
+        generation: how often it has begun anew.
+        turns: played since then.
+        past_turns: played before.
+        kart_steps: learned from since it began.
+        pool: how its duels went, of :class:`~stkzoo.agents.training.pool.Pool`.
+    """
+
+    name: str
+    kind: str
+    generation: int = 0
+    turns: int = 0
+    past_turns: int = 0
+    kart_steps: int = 0
+    pool: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def total_turns(self) -> int:
+        """All that it has played."""
+        return self.past_turns + self.turns
+
+    @property
+    def folder(self) -> str:
+        """Of its run."""
+        return f"{self.name}-g{self.generation}"
+
+    def is_done(self, beaten: float, patience: int) -> bool:
+        """Whether it shall begin anew: a main player never does.
+
+        Args:
+            beaten: the share of duels won in the last turn.
+            patience: turns that it may take.
+        """
+        return self.kind != MAIN and (beaten >= _WON or self.turns >= patience)
+
+    def begin_anew(self) -> None:
+        """Forgets all that it has learned; its past selves stay in the league."""
+        self.generation += 1
+        self.past_turns += self.turns
+        self.turns = self.kart_steps = 0
+        self.pool = []
+
+
+def new_players(mains: int, exploiters: int, league_exploiters: int) -> list[Player]:
+    """So many of each kind, which take turns in this order.
+
+    Raises:
+        ConfigError: there is no main player, or a number is below 0.
+    """
+    if mains < 1 or min(exploiters, league_exploiters) < 0:
+        raise ConfigError(
+            f"a league of {mains} main players, {exploiters} exploiters and {league_exploiters} "
+            "league exploiters cannot be; expected one main player or more"
+        )
+    players = []
+    counts = ((MAIN, mains), (EXPLOITER, exploiters), (LEAGUE_EXPLOITER, league_exploiters))
+    for kind, count in counts:
+        names = [kind] if count == 1 else [f"{kind}-{letter}" for letter in _letters(count)]
+        players += [Player(name, kind) for name in names]
+    return players
+
+
+def _letters(count: int) -> list[str]:
+    if count > 26:
+        raise ConfigError(f"{count} players of a kind are too many; expected at most 26")
+    return [chr(ord("a") + number) for number in range(count)]
+
+
+class PlayerMatchmaker:
+    """Whom a player meets in a turn.
+
+    Args:
+        player: whose turn it is.
+        members: the league's past selves, the oldest first.
+        policy: gives a member's policy.
+
+    Attributes:
+        pool: the members with how often each was beaten.
+    """
+
+    def __init__(
+        self,
+        player: Player,
+        members: Sequence[Mapping[str, Any]],
+        policy: Callable[[str], RacingPolicy],
+    ) -> None:
+        self._player, self._policy = player, policy
+        self.pool = Pool(_ENDLESS)
+        self.pool.restore(player.pool)
+        for member in members:
+            self.pool.add(member["name"])
+        self._all = [str(member["name"]) for member in members]
+        self._mains = [str(m["name"]) for m in members if m["player"].partition("-")[0] == MAIN]
+        self._told: list[float] = []
+
+    def draw(self, random: np.random.Generator) -> str | None:
+        """The rival's name of a race; ``None`` for oneself."""
+        kind = self._player.kind
+        if kind == MAIN and random.random() < _SELF_PLAY:
+            return None
+        if kind != EXPLOITER or not self._mains:
+            return self.pool.draw(random, self._all)
+        newest: str = self._mains[-1]
+        beaten = {rival.name: rival.beaten for rival in self.pool.rivals}[newest]
+        if beaten < _TOO_STRONG and random.random() < 0.5:
+            return self.pool.draw(random, self._mains)
+        return newest
+
+    def policy(self, name: str) -> RacingPolicy:
+        """A member's policy."""
+        return self._policy(name)
+
+    def take_in(self, name: str, beaten: float) -> None:
+        """Takes in which share of a race's duels with a rival was won."""
+        self.pool.take_in(name, beaten)
+        self._told.append(beaten)
+
+    def beaten(self) -> float:
+        """The share of duels won since this was made; 0 of none."""
+        return float(np.mean(self._told)) if self._told else 0.0
+
+    def state(self) -> dict[str, Any]:
+        """How the duels went, as JSON has it."""
+        return {"pool": self.pool.state(), "told": self._told}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Makes it what :meth:`state` was."""
+        self.pool.restore(state["pool"])
+        self._told = list(state["told"])

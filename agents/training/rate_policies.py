@@ -1,0 +1,193 @@
+"""Rates the kept policies of runs against one another: does self-play get better and better?
+
+    python -m stkzoo.agents.training.rate_policies runs/first runs/second --output ratings
+
+Races of four policies and one kart of the game's AI, on training tracks; who meets whom and where
+is drawn evenly. Each race is a line of ``matches.jsonl``: the same command with a higher
+``--matches`` goes on, and so does it after a kill. From all orders together come ratings with
+intervals (``ratings.json``) and the picture of them over kart-steps (``ratings.png``). ``start``
+is what all runs start from: the plans alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo.agents.pretrained.weights import load_weights
+from stkzoo.errors import ConfigError
+from stkzoo.race.tournament.ratings import Rating
+from stkzoo.tracks import TRAIN_TRACKS
+from stkzoo.whole_file import whole_file
+
+from .league_matches import AI, SEATS, Match, Pairing, play, ratings_of
+from .plot_run import pyplot
+
+__all__ = ["START", "draw_pairing", "kept_policies", "main"]
+
+#: What all runs start from.
+START = "start"
+_MATCHES, _RATINGS, _PICTURE = "matches.jsonl", "ratings.json", "ratings.png"
+#: So many are raced before they are written down.
+_AT_ONCE = 16
+_TRACKS = tuple(track for track in TRAIN_TRACKS if track != "black_forest")
+
+
+def kept_policies(runs: Sequence[Path], every: int) -> dict[str, Path]:
+    """The policies that runs have kept, by name: the run's, and millions of kart-steps.
+
+    Args:
+        runs: their folders.
+        every: leave out those that come sooner after the one before [kart-steps].
+
+    Raises:
+        ConfigError: a folder has none, or two runs have the same name.
+    """
+    found: dict[str, Path] = {}
+    for run in runs:
+        files = sorted(run.glob("policy-*.safetensors"))
+        if not files:
+            raise ConfigError(f"{str(run)!r} has no policy-*.safetensors; is it a run's folder?")
+        last = 0
+        for file in files:
+            steps = _steps_of(file.name)
+            if steps - last < every and file != files[-1]:
+                continue
+            name, last = f"{run.name} {steps / 1e6:.2f}", steps
+            if name in found:
+                raise ConfigError(f"two policies are called {name!r}; give the runs other names")
+            found[name] = file
+    return found
+
+
+def _steps_of(name: str) -> int:
+    return int(re.findall(r"\d+", name)[-1])
+
+
+def draw_pairing(names: Sequence[str], number: int) -> Pairing:
+    """The match of a number: the same names and number, the same match.
+
+    Everybody comes equally often: the names are shuffled, dealt out, and shuffled anew.
+    """
+    seats = [number * SEATS + seat for seat in range(SEATS)]
+    rounds = {seat // len(names) for seat in seats}
+    order = {turn: np.random.default_rng([turn, len(names)]).permutation(names) for turn in rounds}
+    chosen = [str(order[seat // len(names)][seat % len(names)]) for seat in seats]
+    places = [(track, reverse) for track in _TRACKS for reverse in (False, True)]
+    lap, at = divmod(number, len(places))
+    track, reverse = places[int(np.random.default_rng([lap, 1]).permutation(len(places))[at])]
+    return Pairing(tuple(chosen), track, reverse, 3000 + lap)
+
+
+def _read(file: Path) -> list[Match]:
+    if not file.exists():
+        return []
+    return [Match(**json.loads(line)) for line in file.read_text().splitlines()]
+
+
+def _write(ratings: Mapping[str, Rating], matches: Sequence[Match], folder: Path) -> None:
+    rows = [
+        {"name": name, **asdict(rating), "matches": sum(name in m.order for m in matches)}
+        for name, rating in sorted(ratings.items())
+    ]
+    with whole_file(folder / _RATINGS) as part:
+        part.write_text(json.dumps({"matches": len(matches), "ratings": rows}, indent=1) + "\n")
+    _draw(ratings, len(matches), folder / _PICTURE)
+
+
+def _draw(ratings: Mapping[str, Rating], count: int, file: Path) -> None:
+    plot = pyplot()
+    figure, axis = plot.subplots(figsize=(8, 4.5), layout="constrained")
+    runs = sorted({name.rsplit(" ", 1)[0] for name in ratings if " " in name})
+    for run in runs:
+        own = sorted(
+            (float(name.rsplit(" ", 1)[1]), rating)
+            for name, rating in ratings.items()
+            if name.startswith(f"{run} ")
+        )
+        if START in ratings:
+            own.insert(0, (0.0, ratings[START]))
+        steps = [at for at, _ in own]
+        (line,) = axis.plot(steps, [r.value for _, r in own], marker="o", ms=3, label=run)
+        lows, highs = [r.low for _, r in own], [r.high for _, r in own]
+        axis.fill_between(steps, lows, highs, alpha=0.15, color=line.get_color(), lw=0)
+    if AI in ratings:
+        ai = ratings[AI]
+        axis.axhline(ai.value, color="0.4", ls="--", label="the game's AI at its hardest")
+        axis.axhspan(ai.low, ai.high, color="0.4", alpha=0.1, lw=0)
+    axis.set_xlabel("million kart-steps")
+    axis.set_ylabel("rating (Plackett-Luce; bands: 95 %)")
+    axis.set_title(f"Kept policies in {count} races against one another", fontsize=10)
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize=8)
+    with whole_file(file) as part:
+        figure.savefig(part, format="png", dpi=110)
+    plot.close(figure)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m stkzoo.agents.training.rate_policies",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("runs", nargs="+", type=Path, help="folders of runs of ppo_selfplay")
+    parser.add_argument("--output", required=True, type=Path, help="folder for races and ratings")
+    parser.add_argument(
+        "--matches", type=int, default=200, help="races there shall be in all (default: 200)"
+    )
+    parser.add_argument(
+        "--every",
+        type=int,
+        default=1_000_000,
+        help="kart-steps between policies that race (default: 1000000); the last one always does",
+    )
+    return parser
+
+
+def main(words: list[str] | None = None) -> int:
+    """Runs the command; returns its exit code."""
+    options = _parser().parse_args(words)
+    try:
+        files = kept_policies(options.runs, options.every)
+        policies = {START: RacingPolicy.of_plans_alone()}
+        policies |= {name: RacingPolicy(load_weights(file)) for name, file in files.items()}
+        _race(policies, options.output, options.matches)
+    except ConfigError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _race(policies: Mapping[str, RacingPolicy], folder: Path, wanted: int) -> None:
+    if len(policies) < SEATS:
+        raise ConfigError(
+            f"there are {len(policies)} policies, expected {SEATS} or more; see --every"
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / _MATCHES
+    matches = _read(file)
+    names = sorted(policies)
+    while len(matches) < wanted:
+        numbers = range(len(matches), min(wanted, len(matches) + _AT_ONCE))
+        played = play([draw_pairing(names, number) for number in numbers], policies, 0)
+        with file.open("a") as out:
+            out.writelines(json.dumps(asdict(match)) + "\n" for match in played)
+        matches += played
+        print(f"{len(matches)} of {wanted} races", flush=True)
+    ratings = ratings_of(matches)
+    _write(ratings, matches, folder)
+    for name, rating in sorted(ratings.items(), key=lambda item: -item[1].value):
+        print(f"{rating.value:6.2f} ({rating.low:.2f}..{rating.high:.2f})  {name}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,86 @@
+"""What RLlib calls while ``rllib_selfplay`` trains. Needs Ray."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ray.rllib.callbacks.callbacks import RLlibCallback
+from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS
+
+from .rllib_races import MAIN, Pool, win_share
+
+__all__ = ["RACES", "RESTARTED", "WIN_SHARE", "SelfPlay", "copy_main"]
+
+#: Names of the figures that are logged.
+WIN_SHARE, RACES, RESTARTED = "win_share", "races", "restarted"
+_WINDOW = 50
+
+
+class SelfPlay(RLlibCallback):
+    """Tells who won, and makes a frozen snapshot of the learner when it wins often.
+
+    Args:
+        pool: who drives what.
+        promote_at: the learner's share of pairs won from which on it is promoted.
+        least_races: but not before so many races since the last time.
+    """
+
+    def __init__(self, pool: Pool, promote_at: float, least_races: int) -> None:
+        super().__init__()
+        self._pool, self._promote_at, self._least = pool, promote_at, least_races
+        self.promotions = 0
+        self.restarts = 0
+        self._races_then = 0.0
+
+    def remember(self, promotions: int, races: float) -> None:
+        """Goes on with a pool, of a run that goes on: how many snapshots, after how many races."""
+        self.promotions, self._races_then = promotions, races
+
+    def on_algorithm_init(self, *, algorithm: Any, **_: Any) -> None:
+        """All past selves begin as the learner does."""
+        for number in range(self._pool.slots if self._pool.frozen else 0):
+            copy_main(algorithm, self._pool.slot(number))
+
+    def on_episode_end(self, *, episode: Any, metrics_logger: Any, **_: Any) -> None:
+        """Logs how the race ended; runs where the race ran."""
+        positions = {
+            agent: int(single.get_infos(-1)["position"])
+            for agent, single in episode.agent_episodes.items()
+        }
+        share = win_share(positions, self._pool)
+        if share is not None:
+            metrics_logger.log_value(WIN_SHARE, share, reduce="mean", window=_WINDOW)
+        metrics_logger.log_value(RACES, 1, reduce="lifetime_sum")
+
+    def on_train_result(self, *, algorithm: Any, result: dict[str, Any], **_: Any) -> None:
+        """Promotes the learner if it wins often enough."""
+        figures: Mapping[str, float] = result.get(ENV_RUNNER_RESULTS, {})
+        races = float(figures.get(RACES, 0.0))
+        result["promotions"] = self.promotions
+        result[RESTARTED] = self.restarts
+        is_due = races - self._races_then >= self._least
+        if not self._pool.frozen or not is_due or figures.get(WIN_SHARE, 0.0) < self._promote_at:
+            return
+        copy_main(algorithm, self._pool.slot(self.promotions))
+        self.promotions += 1
+        self._races_then = races
+        result["promotions"] = self.promotions
+
+    def on_env_runners_recreated(self, *, env_runner_indices: list[int], **_: Any) -> None:
+        """Counts the env runners that came back."""
+        self.restarts += len(env_runner_indices)
+
+
+def copy_main(algorithm: Any, module: str) -> None:
+    """Makes a frozen module the same as the learner, on all learners and env runners."""
+
+    def copy(learner: Any) -> None:
+        learner.module[module].load_state_dict(learner.module[MAIN].state_dict())
+
+    algorithm.learner_group.foreach_learner(copy)
+    algorithm.env_runner_group.sync_weights(
+        from_worker_or_learner_group=algorithm.learner_group,
+        policies=[module],
+        inference_only=True,
+    )

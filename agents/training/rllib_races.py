@@ -1,0 +1,201 @@
+"""What RLlib's env runners need on whatever node they are: the game's data, and races.
+
+Nothing here needs Ray but :class:`PackSender`'s methods.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stkzoo import race_v0
+from stkzoo.engine.assets import cache_folder, find_assets, install, pack
+from stkzoo.env.parallel import RaceParallelEnv
+from stkzoo.errors import AssetError, ConfigError
+
+__all__ = ["MAIN", "PackSender", "Pool", "ensure_assets", "make_race", "win_share"]
+
+#: The module that learns.
+MAIN = "main"
+_SENDER, _NAMESPACE = "stkzoo-pack", "stkzoo"
+#: For the pack to be made and sent [s].
+_PATIENCE = 1800.0
+
+
+@dataclass(frozen=True, slots=True)
+class Pool:
+    """Who drives what: the first karts are the learner's, the others frozen snapshots'.
+
+    Attributes:
+        learners: karts of the policy that learns.
+        frozen: karts of its past selves.
+        slots: how many past selves there are; a new one takes the oldest one's place.
+    """
+
+    learners: int
+    frozen: int
+    slots: int
+
+    def __post_init__(self) -> None:
+        for name, least in (("learners", 1), ("frozen", 0), ("slots", 1)):
+            if getattr(self, name) < least:
+                raise ConfigError(f"{name} is {getattr(self, name)}, expected {least} or more")
+
+    @property
+    def modules(self) -> list[str]:
+        """The names of all modules, the one that learns first."""
+        return [MAIN, *(self.slot(number) for number in range(self.slots if self.frozen else 0))]
+
+    def slot(self, number: int) -> str:
+        """The module that the snapshot of a number is kept in."""
+        return f"past_{number % self.slots}"
+
+    def module_of(self, agent: str, episode: str) -> str:
+        """Who drives an agent's kart in an episode, the same whenever it is asked.
+
+        Args:
+            agent: its id, ``kart_N``.
+            episode: the episode's id, whose characters decide which past self drives.
+        """
+        number = int(agent.rpartition("_")[2])
+        if number < self.learners:
+            return MAIN
+        return self.slot(sum(episode.encode()) + number)
+
+
+def win_share(positions: Mapping[str, int], pool: Pool) -> float | None:
+    """Of all pairs of a learner and a past self, the share in which the learner is ahead.
+
+    Args:
+        positions: of all agents at the end, 1 is first.
+        pool: who drove what.
+
+    Returns:
+        0 to 1; ``None`` if there is no such pair.
+    """
+    own = [position for agent, position in positions.items() if pool.module_of(agent, "") == MAIN]
+    others = [p for agent, p in positions.items() if pool.module_of(agent, "") != MAIN]
+    if not own or not others:
+        return None
+    return sum(a < b for a in own for b in others) / (len(own) * len(others))
+
+
+class PackSender:
+    """Has the headless pack for nodes that lack the game's data. An actor on the driver's node.
+
+    Args:
+        archive: the pack, as `stkzoo assets pack --output` writes it; empty makes one when it is
+            first asked for.
+    """
+
+    def __init__(self, archive: str = "") -> None:
+        self._bytes = Path(archive).read_bytes() if archive else b""
+
+    @classmethod
+    def start(cls, archive: str = "") -> Any:
+        """Starts the actor, if there is none yet, and returns it."""
+        import ray
+
+        node = ray.get_runtime_context().get_node_id()
+        strategy = ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(node, soft=False)
+        actor = ray.remote(num_cpus=0)(cls)
+        return actor.options(
+            name=_SENDER, namespace=_NAMESPACE, get_if_exists=True, scheduling_strategy=strategy
+        ).remote(archive)
+
+    def pack(self) -> bytes:
+        """The archive."""
+        if not self._bytes:
+            with tempfile.TemporaryDirectory() as folder:
+                archive = Path(folder) / "stk.tar.xz"
+                pack(output=archive)
+                self._bytes = archive.read_bytes()
+        return self._bytes
+
+
+def ensure_assets(archive: str = "") -> bool:
+    """Installs the headless pack where the game's data is missing.
+
+    Args:
+        archive: as `stkzoo assets pack --output` writes it; empty asks the :class:`PackSender`.
+
+    Returns:
+        Whether it had to be installed.
+
+    Raises:
+        AssetError: it cannot be had.
+    """
+    if _have_assets():
+        return False
+    with _one_at_a_time():
+        if _have_assets():  # another env runner of this node has installed it
+            return False
+        if archive:
+            install(archive=Path(archive))
+            return True
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "stk.tar.xz"
+            file.write_bytes(_asked_for())
+            install(archive=file)
+        return True
+
+
+def _have_assets() -> bool:
+    try:
+        find_assets()
+    except AssetError:
+        return False
+    return True
+
+
+@contextlib.contextmanager
+def _one_at_a_time() -> Iterator[None]:
+    """Lets one process of a node install at a time; the system frees a dead one's lock."""
+    folder = cache_folder()
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "rllib.lock").open("a") as file:
+        try:
+            import fcntl
+        except ImportError:  # Windows
+            yield
+            return
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+def _asked_for() -> bytes:
+    try:
+        import ray
+
+        sender = ray.get_actor(_SENDER, namespace=_NAMESPACE)
+        data: bytes = ray.get(sender.pack.remote(), timeout=_PATIENCE)
+    except Exception as error:  # Ray's errors have no common root, and Ray may be missing
+        raise AssetError(
+            f"the game's data is missing on this node, and the driver does not send it ({error}); "
+            "give --pack FILE, or run `stkzoo assets install` on it"
+        ) from error
+    return data
+
+
+def make_race(config: Mapping[str, Any]) -> RaceParallelEnv:
+    """The races of one env runner: a race after another.
+
+    Args:
+        config: ``learners``, ``frozen``, ``bots``, ``tracks``, ``difficulty`` and
+            ``max_cycles``.
+    """
+    ensure_assets()
+    tracks: Sequence[str] = config["tracks"]
+    agents = config["learners"] + config["frozen"]
+    return race_v0.parallel_env(
+        agents=agents,
+        num_kart=agents + config["bots"],
+        track=tracks[0] if len(tracks) == 1 else list(tracks),
+        difficulty=config["difficulty"],
+        view="racing",
+        max_cycles=config["max_cycles"],
+    )

@@ -1,0 +1,425 @@
+r"""Learns to race by self-play with Ray RLlib, on one machine or a cluster.
+
+    python -m stkzoo.agents.training.rllib_selfplay --output runs/rllib --iterations 200
+    python -m stkzoo.agents.training.rllib_selfplay --output runs/rllib --iterations 200 \
+        --address auto --env-runners 30
+
+PPO on RLlib's new API stack and PettingZoo's parallel API. In every race a policy that learns
+(``main``) drives some karts, frozen snapshots of itself others, and the game's AI the rest. When
+``main`` is ahead of its past selves often enough, a snapshot of it takes the place of the oldest
+one. All see the view ``racing``.
+
+Env runners may be on many nodes. A node without the game's data is sent the headless pack (39 MB)
+before its first race. Env runners and nodes may die: they are started again elsewhere or later, and
+learning goes on with those that are left.
+
+In the folder are ``log.jsonl`` (a line an iteration), ``checkpoint`` (RLlib's, replaced every few
+iterations in one step) and ``policy.safetensors``, which ``sb3_selfplay --start`` takes too. The
+same command with more ``--iterations`` goes on, and so does the same command after a kill.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.agents.pretrained.weights import save_weights
+from stkzoo.errors import ConfigError, StkzooError, check_whole
+from stkzoo.tracks import SPLITS
+from stkzoo.whole_file import whole_file
+
+from .rllib_races import MAIN, PackSender, Pool, ensure_assets, make_race
+
+__all__ = ["Arguments", "build_config", "main", "parse", "sb3_names", "train"]
+
+_ARGUMENTS, _LOG, _CHECKPOINT, _POLICY = (
+    *("arguments.json", "log.jsonl"),
+    *("checkpoint", "policy.safetensors"),
+)
+#: What may be other when a run goes on.
+_FREE = ("iterations", "address", "env_runners", "checkpoint_every", "pack", "cpus_per_runner")
+#: Layers in RLlib's module and in a policy of Stable-Baselines3.
+_LAYERS = (
+    ("encoder.actor_encoder.net.mlp.{}", "mlp_extractor.policy_net.{}"),
+    ("encoder.critic_encoder.net.mlp.{}", "mlp_extractor.value_net.{}"),
+)
+_HEADS = (("pi.net.mlp.0", "action_net"), ("vf.net.mlp.0", "value_net"))
+
+
+def _option(default: Any, text: str) -> Any:
+    from dataclasses import field
+
+    return field(default=default, metadata={"help": text})
+
+
+@dataclass(frozen=True, slots=True)
+class Arguments:
+    """What a run is made of; see the help of each."""
+
+    iterations: int = _option(200, "iterations in all")
+    env_runners: int = _option(2, "processes that race; 0 races in this one")
+    envs_per_runner: int = _option(1, "races at a time in each of them")
+    cpus_per_runner: float = _option(1.0, "processors that Ray keeps for each of them")
+    address: str = _option("", "of a Ray cluster, or auto; empty starts Ray on this machine")
+    pack: str = _option("", "headless pack for nodes without the game's data; else one is made")
+    tracks: tuple[str, ...] = _option(("train",), "names of tracks, or train, test or all")
+    difficulty: int = _option(2, "of the game's AI, 0 to 3")
+    learners: int = _option(2, "karts of the policy that learns")
+    frozen: int = _option(2, "karts of its past selves")
+    bots: int = _option(1, "karts of the game's AI")
+    slots: int = _option(5, "how many past selves there are")
+    promote_at: float = _option(0.6, "share of pairs won from which on a snapshot is made")
+    least_races: int = _option(20, "races between two snapshots")
+    max_cycles: int = _option(1500, "steps after which a race is cut short")
+    batch: int = _option(4000, "steps of races for an iteration, of all learners together")
+    minibatch: int = _option(512, "kart-steps of a gradient")
+    epochs: int = _option(6, "how often an iteration goes over them")
+    learning_rate: float = _option(3e-4, "of Adam")
+    gamma: float = _option(0.98, "discount of a step")
+    entropy: float = _option(0.003, "bonus for choices that are not settled")
+    hidden: tuple[int, ...] = _option((256, 128), "units of the layers")
+    seed: int = _option(0, "of everything")
+    checkpoint_every: int = _option(5, "iterations between two checkpoints")
+    sample_timeout: float = _option(600.0, "seconds that an iteration waits for env runners")
+
+    def __post_init__(self) -> None:
+        for name, least in (("iterations", 1), ("env_runners", 0), ("envs_per_runner", 1)):
+            check_whole(name, getattr(self, name), least)
+        for name, least in (("bots", 0), ("batch", 1), ("minibatch", 1), ("checkpoint_every", 1)):
+            check_whole(name, getattr(self, name), least)
+        if self.pack and not Path(self.pack).is_file():
+            raise ConfigError(
+                f"there is no pack {self.pack!r}; stkzoo assets pack --output writes one"
+            )
+        if not 0 <= self.promote_at <= 1:
+            raise ConfigError(f"promote_at is {self.promote_at}, expected 0 to 1")
+        if self.learners + self.frozen + self.bots > 20:
+            raise ConfigError("more than 20 karts in a race; give fewer learners, frozen or bots")
+
+    @property
+    def pool(self) -> Pool:
+        """Who drives what."""
+        return Pool(self.learners, self.frozen, self.slots)
+
+    @property
+    def all_tracks(self) -> tuple[str, ...]:
+        """The tracks by name."""
+        return tuple(t for name in self.tracks for t in SPLITS.get(name, (name,)))
+
+    def env_config(self) -> dict[str, Any]:
+        """What :func:`~.rllib_races.make_race` is given."""
+        names = ("learners", "frozen", "bots", "difficulty", "max_cycles")
+        return {**{name: getattr(self, name) for name in names}, "tracks": self.all_tracks}
+
+
+def build_config(arguments: Arguments) -> Any:
+    """RLlib's configuration of a run."""
+    import functools
+
+    from ray.rllib.algorithms.ppo import PPOConfig
+    from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
+    from ray.rllib.core.rl_module.multi_rl_module import MultiRLModuleSpec
+    from ray.rllib.core.rl_module.rl_module import RLModuleSpec
+    from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
+    from ray.tune.registry import register_env
+
+    from .rllib_callbacks import SelfPlay
+
+    register_env("stkzoo_races", lambda config: ParallelPettingZooEnv(make_race(config)))
+    pool = arguments.pool
+    model = DefaultModelConfig(
+        fcnet_hiddens=list(arguments.hidden), fcnet_activation="tanh", vf_share_layers=False
+    )
+    return (
+        PPOConfig()
+        .environment("stkzoo_races", env_config=arguments.env_config())
+        .env_runners(
+            num_env_runners=arguments.env_runners,
+            num_envs_per_env_runner=arguments.envs_per_runner,
+            num_cpus_per_env_runner=arguments.cpus_per_runner,
+            sample_timeout_s=arguments.sample_timeout,
+        )
+        .fault_tolerance(
+            restart_failed_env_runners=True,
+            restart_failed_sub_environments=True,  # a game that crashed
+            num_consecutive_env_runner_failures_tolerance=1000,
+            env_runner_health_probe_timeout_s=30.0,
+            env_runner_restore_timeout_s=300.0,
+        )
+        .multi_agent(
+            policies=set(pool.modules),
+            policy_mapping_fn=lambda agent, episode, **_: pool.module_of(agent, episode.id_),
+            policies_to_train=[MAIN],
+        )
+        .rl_module(
+            rl_module_spec=MultiRLModuleSpec(
+                rl_module_specs={name: RLModuleSpec(model_config=model) for name in pool.modules}
+            )
+        )
+        .training(
+            train_batch_size_per_learner=arguments.batch,
+            minibatch_size=arguments.minibatch,
+            num_epochs=arguments.epochs,
+            lr=arguments.learning_rate,
+            gamma=arguments.gamma,
+            lambda_=0.9,
+            entropy_coeff=arguments.entropy,
+            use_kl_loss=False,
+            clip_param=0.2,
+            vf_clip_param=1e3,
+            grad_clip=0.5,
+        )
+        .callbacks(functools.partial(SelfPlay, pool, arguments.promote_at, arguments.least_races))
+        .debugging(seed=arguments.seed, log_level="ERROR")
+    )
+
+
+def train(arguments: Arguments, folder: Path, on_line: Any = print) -> dict[str, Any]:
+    """Trains, or goes on with a run.
+
+    Args:
+        arguments: of the run.
+        folder: the run's.
+        on_line: is told each iteration's figures in words.
+
+    Returns:
+        The last iteration's figures.
+
+    Raises:
+        ConfigError: Ray is missing, or the folder has another run.
+        AssetError: the game's data is missing here.
+    """
+    ray = _ray()
+    folder.mkdir(parents=True, exist_ok=True)
+    _keep(arguments, folder)
+    ensure_assets(arguments.pack)
+    ray.init(
+        address=arguments.address or None,
+        ignore_reinit_error=True,
+        log_to_driver=False,
+        include_dashboard=False,
+    )
+    sender = PackSender.start(arguments.pack)
+    algorithm = None
+    try:
+        algorithm = _algorithm(arguments, folder)
+        return _iterations(algorithm, arguments, folder, on_line)
+    finally:
+        if algorithm is not None:
+            algorithm.stop()
+        ray.kill(sender)
+        ray.shutdown()
+
+
+def _ray() -> Any:
+    try:
+        import ray
+        import ray.rllib
+    except ImportError as error:
+        raise ConfigError(
+            f"this needs Ray RLlib ({error}); pip install 'stkzoo[rllib]' in an environment of its "
+            "own, for it wants an older Gymnasium than others"
+        ) from error
+    return ray
+
+
+def _keep(arguments: Arguments, folder: Path) -> None:
+    """Notes the arguments of a new run, or checks that they are those of the one that is there."""
+    file = folder / _ARGUMENTS
+    now = {k: v for k, v in json.loads(json.dumps(asdict(arguments))).items() if k not in _FREE}
+    if file.exists():
+        then = json.loads(file.read_text())
+        changed = [
+            f"{k} is {now[k]!r} and was {then.get(k)!r}" for k in now if now[k] != then.get(k)
+        ]
+        if changed:
+            raise ConfigError(
+                f"{folder} has a run with other arguments: {'; '.join(changed)}. Give another "
+                "--output, or those"
+            )
+        return
+    with whole_file(file) as part:
+        part.write_text(json.dumps(now, indent=1) + "\n")
+
+
+def _algorithm(arguments: Arguments, folder: Path) -> Any:
+    algorithm = build_config(arguments).build_algo()
+    checkpoint = folder / _CHECKPOINT
+    if checkpoint.exists():
+        algorithm.restore_from_path(str(checkpoint.resolve()))
+        algorithm.env_runner_group.sync_weights(
+            from_worker_or_learner_group=algorithm.learner_group, inference_only=True
+        )
+    return algorithm
+
+
+def _remind(algorithm: Any, last: Mapping[str, Any]) -> None:
+    """Tells the callbacks how far the pool was, which is not in the checkpoint."""
+    found = algorithm.callbacks
+    for callback in found if isinstance(found, list) else [found]:
+        callback.remember(last["promotions"], last["races"])
+
+
+def _iterations(algorithm: Any, arguments: Arguments, folder: Path, on_line: Any) -> dict[str, Any]:
+    log = _Log(folder / _LOG, algorithm.iteration)
+    line: dict[str, Any] = log.last
+    if line:
+        _remind(algorithm, line)
+    while algorithm.iteration < arguments.iterations:
+        begun = time.monotonic()
+        result = algorithm.train()
+        line = _figures(algorithm, result, time.monotonic() - begun)
+        log.add(line)
+        on_line(_in_words(line, arguments.iterations))
+        done = algorithm.iteration
+        if done % arguments.checkpoint_every == 0 or done == arguments.iterations:
+            _save(algorithm, folder)
+    return line
+
+
+def _figures(algorithm: Any, result: Mapping[str, Any], seconds: float) -> dict[str, Any]:
+    from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS
+
+    from .rllib_callbacks import RACES, RESTARTED, WIN_SHARE
+
+    seen: Mapping[str, Any] = result.get(ENV_RUNNER_RESULTS, {})
+    by_module = seen.get("num_module_steps_sampled_lifetime", {})
+    returns = seen.get("module_episode_returns_mean", {})
+    return {
+        "iteration": algorithm.iteration,
+        "kart_steps": int(by_module.get(MAIN, 0)),
+        "races": int(seen.get(RACES, 0)),
+        "return": _number(returns.get(MAIN)),
+        "win_share": _number(seen.get(WIN_SHARE)),
+        "promotions": result.get("promotions", 0),
+        "env_runners": algorithm.env_runner_group.num_healthy_remote_workers(),
+        "restarted": result.get(RESTARTED, 0),
+        "seconds": round(seconds, 2),
+    }
+
+
+def _number(value: Any) -> float | None:
+    return None if value is None or not np.isfinite(value) else round(float(value), 4)
+
+
+def _in_words(line: Mapping[str, Any], iterations: int) -> str:
+    shown = {
+        name: "-" if line[name] is None else f"{line[name]:.2f}" for name in ("return", "win_share")
+    }
+    return (
+        f"{line['iteration']}/{iterations}: {line['kart_steps']:,} kart-steps, {line['races']} "
+        f"races, return {shown['return']}, ahead of past selves {shown['win_share']}, "
+        f"{line['promotions']} snapshots, {line['env_runners']} env runners "
+        f"({line['restarted']} restarted), {line['seconds']:.1f} s"
+    )
+
+
+class _Log:
+    """The log of a run that may go on from a checkpoint; what came after that is taken out."""
+
+    def __init__(self, file: Path, iteration: int) -> None:
+        self._file = file
+        old = [json.loads(text) for text in file.read_text().splitlines()] if file.exists() else []
+        kept = [line for line in old if line["iteration"] <= iteration]
+        with whole_file(file) as part:
+            part.write_text("".join(json.dumps(line) + "\n" for line in kept))
+        self.last: dict[str, Any] = kept[-1] if kept else {}
+
+    def add(self, line: Mapping[str, Any]) -> None:
+        with self._file.open("a") as log:
+            log.write(json.dumps(dict(line)) + "\n")
+
+
+def _save(algorithm: Any, folder: Path) -> None:
+    """Replaces the checkpoint: at any moment a whole one is there, new or old."""
+    new, old = folder / "checkpoint.new", folder / "checkpoint.old"
+    for left in (new, old):
+        shutil.rmtree(left, ignore_errors=True)
+    algorithm.save_to_path(str(new.resolve()))
+    target = folder / _CHECKPOINT
+    if target.exists():
+        target.rename(old)
+    new.rename(target)
+    shutil.rmtree(old, ignore_errors=True)
+    state = algorithm.learner_group.foreach_learner(
+        lambda learner: {k: v.cpu().numpy() for k, v in learner.module[MAIN].state_dict().items()}
+    )
+    save_weights(folder / _POLICY, sb3_names(next(r.get() for r in state)))
+
+
+def sb3_names(state: Mapping[str, npt.NDArray[np.float32]]) -> dict[str, npt.NDArray[np.float32]]:
+    """The weights of RLlib's module under the names that Stable-Baselines3 has for them."""
+    weights: dict[str, npt.NDArray[np.float32]] = {}
+    for name, array in state.items():
+        layer, _, part = name.rpartition(".")
+        for ours, theirs in _HEADS:
+            if layer == ours:
+                weights[f"{theirs}.{part}"] = array
+        for ours, theirs in _LAYERS:
+            prefix = ours.format("")
+            if layer.startswith(prefix):
+                weights[f"{theirs.format(layer.removeprefix(prefix))}.{part}"] = array
+    return weights
+
+
+def parse(words: list[str] | None = None) -> tuple[Arguments, Path]:
+    """Reads the command line.
+
+    Raises:
+        ConfigError: an argument cannot be.
+    """
+    parser = argparse.ArgumentParser(
+        prog="python -m stkzoo.agents.training.rllib_selfplay",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--output", type=Path, required=True, help="the run's folder")
+    for entry in fields(Arguments):
+        default: Any = entry.default
+        many = isinstance(default, tuple)
+        shown = " ".join(map(str, default)) if many else default
+        parser.add_argument(
+            f"--{entry.name.replace('_', '-')}",
+            type=type(default[0]) if many else type(default),
+            nargs="+" if many else None,
+            default=default,
+            metavar="N" if not isinstance(default, str) and not many else entry.name.upper(),
+            help=entry.metadata["help"] + (f" (default: {shown})" if shown != "" else ""),
+        )
+    found = vars(parser.parse_args(words))
+    folder = found.pop("output")
+    values: dict[str, Any] = {
+        name: tuple(v) if isinstance(v, list) else v for name, v in found.items()
+    }
+    arguments = Arguments(**values)
+    arguments.pool  # noqa: B018 - checks it
+    return arguments, folder
+
+
+def main(words: list[str] | None = None) -> int:
+    """Runs the command; returns its exit code."""
+    try:
+        arguments, folder = parse(words)
+        train(arguments, folder, lambda text: print(text, flush=True))
+    except StkzooError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("interrupted; the same command goes on from the last checkpoint", file=sys.stderr)
+        return 130
+    print(f"{folder / _POLICY} is the policy; the same command with more --iterations goes on")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

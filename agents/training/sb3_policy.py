@@ -1,0 +1,153 @@
+"""A Stable-Baselines3 policy in numpy, as a file, and as an agent to race.
+
+The policy is an ``MlpPolicy`` of tanh layers on the view ``racing``; a file of it is a
+safetensors file of its state dict, so that ``model.policy.load_state_dict`` takes it back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.agents.pretrained.weights import load_weights, save_weights
+from stkzoo.errors import ConfigError
+from stkzoo.whole_file import whole_file
+from stkzoo.wrappers.racing import CHOICES, SIZE
+
+__all__ = ["MlpDriver", "load_driver", "save_driver", "start_weights", "write_agent"]
+
+FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.int64]
+
+_LAYER = "mlp_extractor.policy_net.{}.{}"
+_LAST = "action_net.{}"
+_SPLITS = np.cumsum(CHOICES)[:-1].tolist()
+
+_MODULE = '''"""A driver learned by self-play with Stable-Baselines3."""
+
+from stkzoo.agents.training.sb3_policy import load_driver
+
+env_name = "supertuxkart/racing-v0"
+player_name = {name!r}
+
+
+def get_actor(module_dir, observation_space, action_space):
+    driver = load_driver(module_dir / "policy.safetensors")
+    return lambda state, observation: driver.best(observation[None])[0]
+'''
+
+
+class MlpDriver:
+    """The policy's part of a state dict, for any number of karts at once.
+
+    Args:
+        weights: a state dict, its arrays in numpy; what is not the policy's is left alone.
+        name: what errors call it.
+
+    Raises:
+        ConfigError: they are not of an ``MlpPolicy`` on the view ``racing``.
+    """
+
+    def __init__(self, weights: Mapping[str, FloatArray], name: str = "the weights") -> None:
+        self._layers: list[tuple[FloatArray, FloatArray]] = []
+        number = 0
+        while _LAYER.format(number, "weight") in weights:
+            self._layers.append(_layer(weights, _LAYER, number))
+            number += 2  # every other one is the tanh
+        if _LAST.format("weight") in weights:
+            self._layers.append(_layer(weights, "action_net.{1}", 0))
+        sizes = [SIZE, *(len(bias) for _, bias in self._layers)]
+        found = [matrix.shape for matrix, _ in self._layers]
+        wanted = list(zip(sizes[1:], sizes, strict=False))
+        arrays = [array for layer in self._layers for array in layer]
+        if (
+            len(found) < 2
+            or found != wanted
+            or sizes[-1] != sum(CHOICES)
+            or not all(np.isfinite(array).all() for array in arrays)
+        ):
+            raise ConfigError(
+                f"{name} have layers of the shapes {found}, expected finite ones of a "
+                f"Stable-Baselines3 MlpPolicy from the {SIZE} numbers of the view 'racing' to its "
+                f"{sum(CHOICES)} choices (mlp_extractor.policy_net.*, action_net.*)"
+            )
+
+    def logits(self, observations: FloatArray) -> FloatArray:
+        """Those of all choices, ``(A, 30)``, of observations ``(A, 165)``."""
+        x = np.asarray(observations, np.float32)
+        *hidden, (matrix, bias) = self._layers
+        for weights, offset in hidden:
+            x = np.tanh(x @ weights.T + offset)
+        logits: FloatArray = x @ matrix.T + bias
+        return logits
+
+    def best(self, observations: FloatArray) -> IntArray:
+        """The likeliest choices, ``(A, 5)``."""
+        parts = np.split(self.logits(observations), _SPLITS, axis=1)
+        return np.stack([part.argmax(axis=1) for part in parts], axis=1)
+
+    def sample(self, observations: FloatArray, random: np.random.Generator) -> IntArray:
+        """Choices drawn by their probabilities, ``(A, 5)``."""
+        logits = self.logits(observations)
+        noisy = logits + random.gumbel(size=logits.shape).astype(np.float32)
+        parts = np.split(noisy, _SPLITS, axis=1)
+        return np.stack([part.argmax(axis=1) for part in parts], axis=1)
+
+
+def _layer(
+    weights: Mapping[str, FloatArray], pattern: str, number: int
+) -> tuple[FloatArray, FloatArray]:
+    names = [pattern.format(number, part) for part in ("weight", "bias")]
+    matrix, bias = (np.asarray(weights.get(name, np.zeros((0, 0))), np.float32) for name in names)
+    return matrix, bias.reshape(-1)
+
+
+def load_driver(path: str | Path) -> MlpDriver:
+    """Reads a policy's file.
+
+    Raises:
+        ConfigError: it cannot be read or holds something else.
+    """
+    return MlpDriver(load_weights(path), f"the weights {str(path)!r}")
+
+
+def save_driver(path: str | Path, policy: Any) -> None:
+    """Writes the state dict of a Stable-Baselines3 policy to a file, whole or not at all."""
+    state = policy.state_dict()
+    save_weights(path, {name: value.detach().cpu().numpy() for name, value in state.items()})
+
+
+def start_weights(path: str | Path, policy: Any) -> dict[str, FloatArray]:
+    """A state dict for a policy from a file, which may lack the value's part.
+
+    Args:
+        path: of the file; ``imitate`` and ``sb3_selfplay`` write such.
+        policy: the Stable-Baselines3 policy that shall start from it.
+
+    Raises:
+        ConfigError: it cannot be read, or is of another policy.
+    """
+    weights = load_weights(path)
+    MlpDriver(weights, f"the weights {str(path)!r}")
+    own = {name: value.detach().cpu().numpy() for name, value in policy.state_dict().items()}
+    others = [n for n, array in weights.items() if n not in own or own[n].shape != array.shape]
+    if others:
+        raise ConfigError(
+            f"the weights {str(path)!r} are of another network: {', '.join(others)} have no place "
+            "in this one; give the --hidden that they were made with"
+        )
+    return {**own, **weights}
+
+
+def write_agent(folder: str | Path, policy: Any, name: str) -> Path:
+    """Makes an agent of a policy: a folder that ``stkzoo race`` takes; its path."""
+    path = Path(folder)
+    path.mkdir(parents=True, exist_ok=True)
+    save_driver(path / "policy.safetensors", policy)
+    with whole_file(path / "pystk_actor.py") as part:
+        part.write_text(_MODULE.format(name=name))
+    return path

@@ -1,0 +1,382 @@
+"""Races for self-play as one ``VecEnv``: learners, frozen rivals and bots, race by race anew.
+
+In some races the learner drives all agents; in the others a frozen rival drives half of them.
+Towards Stable-Baselines3 a rival's slot idles: each of its steps is an episode by itself, without
+reward, which :class:`stkzoo.sb3.ActiveRolloutBuffer` gives to no update. So it may be another
+slot in the next race.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from stable_baselines3.common.vec_env import VecEnv
+
+from stkzoo import RandomStart, Reward
+from stkzoo.errors import ConfigError
+from stkzoo.race.benchmark import load_ai_times
+from stkzoo.sb3 import RaceVecEnv
+from stkzoo.wrappers.racing import SIZE
+
+from .pool import Pool
+from .sb3_curriculum import Curriculum
+from .sb3_policy import MlpDriver
+
+__all__ = [
+    "SHORT_RACE",
+    "RaceEnd",
+    "RaceGroup",
+    "SelfPlayVecEnv",
+    "ai_time",
+    "bots_of",
+    "race_groups",
+    "way_and_places",
+]
+
+Indices = None | int | Iterable[int]
+
+_STEP = 0.1  # [s]
+#: On the grid karts wait so long for GO [s].
+_COUNTDOWN = 2.0
+#: A race from the grid is cut short after so many times the AI's median time.
+_PATIENCE = 2.0
+#: And one from elsewhere after so many steps.
+SHORT_RACE = 250
+#: What is driven faster than this was a leap of the game's count, off the road [m a step].
+_LONGEST_STEP = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class RaceGroup:
+    """So many races alike: agents, bots of the game, and how many races."""
+
+    agents: int
+    bots: int
+    races: int
+
+
+@dataclass(frozen=True, slots=True)
+class RaceEnd:
+    """How a learner's race went.
+
+    Attributes:
+        track: its name.
+        rival: who drove beside the learner: a snapshot, ``bot:0`` to ``bot:3``, or nobody.
+        beaten: the share of the rival's karts that the learner's kart was before.
+        pace: metres a second over those of the game's AI in such races.
+        finished: whether it came to the finish.
+        steps: how many it drove.
+    """
+
+    track: str
+    rival: str
+    beaten: float
+    pace: float
+    finished: bool
+    steps: int
+
+
+@functools.cache
+def ai_time(track: str, reverse: bool, difficulty: int) -> float:
+    """The median time of the game's AI [s]; the difficulty makes all karts quicker."""
+    return load_ai_times().of(track, reverse, difficulty).median
+
+
+def bots_of(difficulty: int) -> str:
+    """What the bots of a difficulty are called as rivals."""
+    return f"bot:{difficulty}"
+
+
+def race_groups(texts: Sequence[str]) -> list[RaceGroup]:
+    """The groups that ``4x3`` (three races of four agents) or ``2+2x1`` (and two bots) mean.
+
+    Raises:
+        ConfigError: a text means nothing.
+    """
+    groups = []
+    for text in texts:
+        who, _, races = text.partition("x")
+        agents, _, bots = who.partition("+")
+        try:
+            group = RaceGroup(int(agents), int(bots or 0), int(races or 1))
+        except ValueError:
+            group = RaceGroup(0, 0, 0)
+        if min(group.agents, group.races) < 1 or group.bots < 0:
+            raise ConfigError(
+                f"races {text!r} mean nothing; expected such as 4x3, three races of four agents, "
+                "or 2+2x1, one of two agents and two of the game's bots"
+            )
+        groups.append(group)
+    return groups
+
+
+def way_and_places() -> Reward:
+    """A tenth of the metres driven, and a little for each place won or lost."""
+
+    def metres(step: Any) -> Any:
+        driven = step.distance - step.distance_before
+        return np.where(np.abs(driven) > _LONGEST_STEP, 0.0, driven) / 10.0
+
+    def places(step: Any) -> Any:
+        return 0.3 * (step.before.karts["position"] - step.position.astype(np.float64))
+
+    return Reward({"metres": metres, "places": places})
+
+
+class _Race:
+    """One race after another; who drives what in the present one, and what the next one is."""
+
+    def __init__(self, env: Any, group: RaceGroup, first: int) -> None:
+        self.env, self.group = env, group
+        self.slots = slice(first, first + group.agents)
+        self.rival = ""
+        self.is_learner = np.ones(group.agents, bool)
+        self.ended = np.zeros(group.agents, bool)
+        self.finals: list[dict[str, Any]] = [{}] * group.agents
+        self.from_grid = self.next_from_grid = True
+        self.begin_at = np.zeros(group.agents)
+
+    def begin(self, infos: Sequence[dict[str, Any]]) -> None:
+        self.ended[:] = False
+        self.from_grid = self.next_from_grid
+        self.begin_at = np.array([info["distance"] for info in infos])
+        self.rival, self.is_learner = "", np.ones(self.group.agents, bool)
+        if self.group.bots:
+            self.rival = bots_of(self.env.race.difficulty)
+        race = self.env.race
+        self._ai_speed = self.env.track_map.length / ai_time(
+            race.track, race.reverse, race.difficulty
+        )
+        self._track = race.track
+
+    def face(self, rival: str, random: np.random.Generator) -> None:
+        """Lets a rival drive half of the karts."""
+        self.rival = rival
+        self.is_learner[random.permutation(len(self.is_learner))[: len(self.is_learner) // 2]] = 0
+
+    def ends(self) -> list[RaceEnd]:
+        """How the learner's karts did, when all have ended."""
+        places = np.array([info["position"] for info in self.finals])
+        ends = []
+        for row in np.flatnonzero(self.is_learner):
+            info = self.finals[row]
+            steps = int(info["episode/length"])
+            seconds = max(_STEP * steps - _COUNTDOWN * self.from_grid, _STEP)
+            way = max(float(info["distance"]) - self.begin_at[row], 0.0)
+            ends.append(
+                RaceEnd(
+                    track=self._track,
+                    rival=self.rival,
+                    beaten=self._beaten(int(row), places),
+                    pace=min(way / seconds / self._ai_speed, 2.0),
+                    finished=float(info["finish_time"]) > 0,
+                    steps=steps,
+                )
+            )
+        return ends
+
+    def _beaten(self, row: int, places: npt.NDArray[Any]) -> float:
+        if self.group.bots:
+            before = places[row] - 1 - int((places < places[row]).sum())
+            return float(np.clip(1.0 - before / self.group.bots, 0.0, 1.0))
+        rivals = places[~self.is_learner]
+        return float((places[row] < rivals).mean()) if len(rivals) else math.nan
+
+
+class SelfPlayVecEnv(VecEnv):
+    """The races.
+
+    Args:
+        groups: what races there are.
+        curriculum: what they may be like; it is told how karts do.
+        bots: the game's bots as rivals, told likewise.
+        snapshots: the frozen rivals, told likewise.
+        share: of races without bots in which a snapshot drives half of the karts.
+        grid: share of races that begin on the grid; the others begin anywhere on the track.
+
+    Attributes:
+        kart_steps: how many steps the learner has driven.
+        ends: of the learner's karts whose races were over, for whoever empties it.
+
+    Raises:
+        ConfigError: a group cannot be.
+    """
+
+    def __init__(
+        self,
+        groups: Sequence[RaceGroup],
+        curriculum: Curriculum,
+        bots: Pool,
+        snapshots: Pool,
+        *,
+        share: float = 0.5,
+        grid: float = 0.3,
+    ) -> None:
+        self._curriculum, self._bots, self._snapshots = curriculum, bots, snapshots
+        self._share, self._grid = share, grid
+        self._drivers: dict[str, MlpDriver] = {}
+        self._envs: list[RaceVecEnv] = []
+        self._races: list[_Race] = []
+        first = 0
+        reward = way_and_places()
+        for group in groups:
+            env = RaceVecEnv(
+                group.races,
+                agents=group.agents,
+                num_kart=group.agents + group.bots,
+                track=curriculum.tracks[0],
+                view="racing",
+                reward=reward,
+                prefetch=False,  # what comes next is not known before
+            )
+            self._envs.append(env)
+            for race in env.races.races:
+                self._races.append(_Race(race, group, first))
+                first += group.agents
+        self._cuts = np.cumsum([env.num_envs for env in self._envs])[:-1].tolist()
+        self._random = np.random.default_rng()
+        self.kart_steps = 0
+        self.ends: list[RaceEnd] = []
+        self._observations = np.zeros((first, SIZE), np.float32)
+        super().__init__(first, self._envs[0].observation_space, self._envs[0].action_space)
+
+    @property
+    def num_races(self) -> int:
+        """How many races run side by side."""
+        return len(self._races)
+
+    def add_driver(self, name: str, driver: MlpDriver) -> None:
+        """Makes a snapshot of the pool ready to drive."""
+        self._drivers[name] = driver
+
+    def seed(self, seed: int | None = None) -> list[int | None]:
+        """Seeds all that is drawn from the next :meth:`reset` on."""
+        self._random = np.random.default_rng(seed)
+        for env in self._envs:
+            env.seed(int(self._random.integers(2**31)))
+        return [seed] * self.num_envs
+
+    def reset(self) -> npt.NDArray[np.float32]:
+        """New races everywhere."""
+        for race in self._races:
+            self._plan(race)
+        self._observations = np.concatenate([np.asarray(env.reset()) for env in self._envs])
+        infos = [info for env in self._envs for info in env.reset_infos]
+        for race in self._races:
+            self._begin(race, infos[race.slots])
+        self._reset_seeds()
+        self._reset_options()
+        return self._observations
+
+    def step_async(self, actions: npt.NDArray[Any]) -> None:
+        """Asks for a step: the learner's choices for its karts, their own for the rivals'."""
+        chosen = np.array(actions)
+        for race in self._races:
+            if not race.is_learner.all():
+                rows = np.flatnonzero(~race.is_learner) + race.slots.start
+                driver = self._drivers[race.rival]
+                chosen[rows] = driver.sample(self._observations[rows], self._random)
+        for env, part in zip(self._envs, np.split(chosen, self._cuts), strict=True):
+            env.step_async(part)
+
+    def step_wait(
+        self,
+    ) -> tuple[
+        npt.NDArray[np.float32],
+        npt.NDArray[np.float32],
+        npt.NDArray[np.bool_],
+        list[dict[str, Any]],
+    ]:
+        """What came of it; a rival's slot idles."""
+        parts = [env.step_wait() for env in self._envs]
+        self._observations = np.concatenate([np.asarray(part[0]) for part in parts])
+        rewards, dones = (np.concatenate([part[n] for part in parts]) for n in (1, 2))
+        infos = [info for part in parts for info in part[3]]
+        first_infos = [info for env in self._envs for info in env.reset_infos]
+        for race in self._races:
+            self._take_in(race, dones, rewards, infos)
+            if race.ended.all():
+                self._report(race)
+                self._begin(race, first_infos[race.slots])
+        return self._observations, rewards, dones, infos
+
+    def close(self) -> None:
+        """Ends the games."""
+        for env in self._envs:
+            env.close()
+
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
+        """An attribute of each slot's race."""
+        by_slot = [race.env for race in self._races for _ in range(race.group.agents)]
+        return [getattr(by_slot[slot], attr_name) for slot in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
+        """Not to be had: the races' options are the curriculum's."""
+        raise ConfigError(f"{attr_name} cannot be {value!r} for {indices}: the curriculum decides")
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """What a method of each slot's race says."""
+        methods = self.get_attr(method_name, indices)
+        return [method(*method_args, **method_kwargs) for method in methods]
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Indices = None) -> list[bool]:
+        """No slot has a Gymnasium wrapper."""
+        return [wrapper_class is None for _ in self._get_indices(indices)]
+
+    # ------------------------------------------------------------------ race by race
+
+    def _take_in(self, race: _Race, dones: Any, rewards: Any, infos: list[Any]) -> None:
+        for row in range(race.group.agents):
+            slot = race.slots.start + row
+            info = infos[slot]
+            is_active = not race.ended[row]
+            if is_active and dones[slot]:
+                race.ended[row], race.finals[row] = True, info
+            if race.is_learner[row]:
+                self.kart_steps += int(is_active)
+            else:
+                infos[slot], rewards[slot], dones[slot] = {}, 0.0, True
+
+    def _report(self, race: _Race) -> None:
+        ends = race.ends()
+        for end in ends:
+            self._curriculum.take_in(end.pace)
+        told = [end.beaten for end in ends if end.rival]
+        if told:
+            pool = self._bots if race.group.bots else self._snapshots
+            pool.take_in(race.rival, float(np.mean(told)))
+        self.ends += ends
+
+    def _begin(self, race: _Race, infos: Sequence[dict[str, Any]]) -> None:
+        race.begin(infos)
+        is_faced = not race.group.bots and race.group.agents > 1 and self._snapshots.rivals
+        if is_faced and self._random.random() < self._share:
+            race.face(self._snapshots.draw(self._random), self._random)
+        self._plan(race)
+
+    def _plan(self, race: _Race) -> None:
+        """Draws what the race after this one is: it begins by itself when this one is over."""
+        track, reverse = self._curriculum.draw(self._random)
+        race.next_from_grid = bool(self._random.random() < self._grid)
+        known = [bots_of(difficulty) for difficulty in self._curriculum.difficulties]
+        bot = self._bots.draw(self._random, known)
+        difficulty = int(bot.removeprefix("bot:"))
+        limit = _PATIENCE * ai_time(track, reverse, difficulty) + _COUNTDOWN
+        steps = math.ceil(limit / _STEP)
+        race.env.options = race.env.options.changed(
+            {
+                "track": track,
+                "reverse": reverse,
+                "difficulty": difficulty,
+                "start": None if race.next_from_grid else RandomStart(),
+                "max_cycles": steps if race.next_from_grid else min(steps, SHORT_RACE),
+            }
+        )

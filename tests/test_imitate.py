@@ -1,0 +1,157 @@
+"""Learning from a teacher: cloning and DAgger."""
+
+import json
+
+import numpy as np
+import pytest
+
+from stkzoo.agents.training.imitate import Arguments, main, parse, plot_log, run
+from stkzoo.agents.training.imitate_network import fit, make_network, mirrored
+from stkzoo.agents.training.sb3_policy import MlpDriver, load_driver
+from stkzoo.race import run_race
+from stkzoo.race.demos import record
+from stkzoo.wrappers.racing import CHOICES, SIZE
+
+torch = pytest.importorskip("torch")
+
+SMALL = Arguments(
+    teacher="pursuit",
+    rounds=1,
+    tracks=("olivermath",),
+    karts=1,
+    hidden=(32,),
+    epochs=2,
+    jobs=1,
+)
+
+
+def weights_of(network):
+    return {name: value.numpy() for name, value in network.state_dict().items()}
+
+
+def examples(count=4000):
+    """What can be learned: the choices follow from the first numbers of what is seen."""
+    random = np.random.default_rng(1)
+    observations = random.normal(size=(count, SIZE)).astype(np.float32)
+    sides = observations[:, 3:8]
+    actions = [
+        np.digitize(sides[:, n], np.linspace(-1, 1, size - 1)) for n, size in enumerate(CHOICES)
+    ]
+    return observations, np.stack(actions, axis=1)
+
+
+def test_a_network_learns_what_follows_from_what_it_sees():
+    observations, actions = examples()
+    network = make_network((64,), seed=0)
+    how = {"learning_rate": 3e-3, "batch": 256, "seed": 0}
+    first = fit(network, observations, actions, epochs=1, **how)
+    last = fit(network, observations, actions, epochs=10, **how)
+    assert last.loss < 0.8 * first.loss
+    assert last.accuracy[2] > 0.7
+
+
+def test_the_same_seed_learns_the_same():
+    observations, actions = examples(600)
+    trained = []
+    for _ in range(2):
+        network = make_network((16,), seed=3)
+        fit(network, observations, actions, epochs=1, learning_rate=1e-3, batch=64, seed=3)
+        trained.append(weights_of(network))
+    for name, array in trained[0].items():
+        np.testing.assert_array_equal(trained[1][name], array)
+
+
+def test_a_mirrored_example_steers_to_the_other_side():
+    observations, actions = examples(50)
+    there = mirrored(observations, actions)
+    np.testing.assert_array_equal(there[1][:, 0], 20 - actions[:, 0])
+    np.testing.assert_array_equal(there[1][:, 1:], actions[:, 1:])
+    back = mirrored(*there)
+    np.testing.assert_array_equal(back[0], observations)
+    np.testing.assert_array_equal(back[1], actions)
+
+
+def test_the_network_is_a_policy_of_stable_baselines3():
+    network = make_network((64, 32), seed=0)
+    driver = MlpDriver(weights_of(network))
+    observations, _ = examples(20)
+    with torch.no_grad():
+        hidden = network.mlp_extractor.policy_net(torch.from_numpy(observations))
+        logits = network.action_net(hidden).numpy()
+    np.testing.assert_allclose(driver.logits(observations), logits, atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def imitated(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("imitate")
+    return folder, run(SMALL, folder)
+
+
+@pytest.mark.slow
+def test_a_run_clones_drives_and_learns_from_what_it_is_told(imitated):
+    folder, log = imitated
+    assert [line["driver"] for line in log] == ["pursuit", "behaviour cloning", "DAgger, round 1"]
+    assert log[0]["finished"] == 1.0
+    assert log[1]["examples"] > log[0]["examples"]
+    assert all(0.5 < line["time_ratio"] <= 2.0 for line in log)
+    assert [json.loads(text) for text in (folder / "log.jsonl").read_text().splitlines()] == log
+
+
+@pytest.mark.slow
+def test_a_run_that_is_given_again_drives_nothing_anew(imitated):
+    folder, log = imitated
+    lessons = sorted(folder.glob("round_*/*.npz"))
+    assert len(lessons) == 2
+    before = [path.stat().st_mtime_ns for path in lessons]
+    assert run(SMALL, folder) == log
+    assert [path.stat().st_mtime_ns for path in lessons] == before
+
+
+@pytest.mark.slow
+def test_its_policy_races_and_starts_self_play(imitated):
+    folder, _ = imitated
+    driver = load_driver(folder / "policy.safetensors")
+    assert driver.best(np.zeros((3, SIZE), np.float32)).shape == (3, 5)
+    result = run_race([str(folder / "agent")], track="olivermath", max_steps=30, inline=True)
+    assert not result.has_errors
+    assert result.agents[0].driver == "pursuit's pupil"
+
+
+@pytest.mark.slow
+def test_its_picture_is_drawn(imitated, tmp_path):
+    plot_log(imitated[1], tmp_path / "curve.png")
+    assert (tmp_path / "curve.png").stat().st_size > 5000
+
+
+@pytest.mark.slow
+def test_another_run_is_refused_in_its_folder(imitated, capsys):
+    folder, _ = imitated
+    assert main(["--output", str(folder), "--teacher", "heuristic"]) == 1
+    assert "run with other arguments: teacher is 'heuristic'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--teacher", "ai"], "cannot be asked"),
+        (["--teacher", "nobody"], "unknown driver"),
+        (["--karts", "0"], "karts is 0"),
+        (["--demos", "none.npz"], "there are no demonstrations"),
+    ],
+)
+def test_bad_arguments_are_told(words, text, tmp_path, capsys):
+    assert main(["--output", str(tmp_path / "run"), *words]) == 1
+    assert text in capsys.readouterr().err
+
+
+def test_demonstrations_of_another_view_are_refused(tmp_path, capsys):
+    file = tmp_path / "d.npz"
+    record("pursuit", output=file, tracks="lighthouse", karts=1, view="simple", max_steps=3, jobs=1)
+    assert main(["--output", str(tmp_path / "run"), "--demos", str(file)]) == 1
+    assert "recorded in the view 'simple', expected racing" in capsys.readouterr().err
+
+
+def test_the_games_ai_can_be_cloned_but_not_asked():
+    arguments, _ = parse(["--output", "x", "--teacher", "ai", "--rounds", "0"])
+    assert arguments.rounds == 0
+    assert "black_forest" not in arguments.all_tracks

@@ -1,0 +1,65 @@
+"""Kept policies of runs rated against one another."""
+
+import json
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo.agents.pretrained.weights import save_weights
+from stkzoo.agents.training.rate_policies import START, draw_pairing, kept_policies, main
+from stkzoo.errors import ConfigError
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A run's folder whose later policies do nothing but turn to the left."""
+    folder = tmp_path / "first"
+    folder.mkdir()
+    for number, steps in enumerate((100, 1_000_100, 2_000_200)):
+        weights = dict(RacingPolicy.of_plans_alone().weights)
+        if number:
+            weights["b2"] = np.zeros(15, np.float32)
+            weights["b2"][4] = 50.0 * number
+        save_weights(folder / f"policy-{steps:09d}.safetensors", weights)
+    return folder
+
+
+def test_policies_are_named_by_run_and_steps(run):
+    assert [*kept_policies([run], 0)] == ["first 0.00", "first 1.00", "first 2.00"]
+    assert [*kept_policies([run], 1_500_000)] == ["first 2.00"]
+    with pytest.raises(ConfigError, match="the runs other names"):
+        kept_policies([run, run], 0)
+    with pytest.raises(ConfigError, match="is it a run's folder"):
+        kept_policies([run.parent], 0)
+
+
+def test_everybody_races_equally_often_and_everywhere():
+    names = [f"p{n}" for n in range(7)]
+    pairings = [draw_pairing(names, number) for number in range(28)]
+    assert Counter(name for p in pairings for name in p.members) == dict.fromkeys(names, 16)
+    assert len({(p.track, p.reverse) for p in pairings}) == 28
+    assert draw_pairing(names, 5) == pairings[5]
+
+
+def test_the_better_ones_are_rated_higher_and_more_races_are_added(run, tmp_path, capsys):
+    words = [str(run), "--every=0", f"--output={tmp_path / 'out'}"]
+    assert main([*words, "--matches=1"]) == 0
+    first = (tmp_path / "out" / "matches.jsonl").read_text()
+    assert main([*words, "--matches=3"]) == 0
+    lines = (tmp_path / "out" / "matches.jsonl").read_text()
+    assert lines.startswith(first)
+    assert lines.count("\n") == 3
+    kept = json.loads((tmp_path / "out" / "ratings.json").read_text())
+    value = {row["name"]: row["value"] for row in kept["ratings"]}
+    assert {*value} == {START, "ai", "first 0.00", "first 1.00", "first 2.00"}
+    assert value[START] > value["first 2.00"]
+    assert value["first 0.00"] > value["first 1.00"]
+    assert (tmp_path / "out" / "ratings.png").read_bytes().startswith(b"\x89PNG")
+    assert "3 of 3 races" in capsys.readouterr().out
+
+
+def test_too_few_policies_are_refused(run, tmp_path, capsys):
+    assert main([str(run), "--every=9000000", f"--output={tmp_path / 'out'}"]) == 1
+    assert "expected 4 or more" in capsys.readouterr().err
