@@ -17,6 +17,7 @@ from stkzoo.agents.training.league_matches import AI, Match, draw_pairings, payo
 from stkzoo.agents.training.league_page import page
 from stkzoo.agents.training.league_players import Player, PlayerMatchmaker, new_players
 from stkzoo.agents.training.ppo_selfplay import Arguments as LearnerArguments
+from stkzoo.cli.main import main as command_line
 from stkzoo.errors import ConfigError
 from tests.browser import Reader, open_browser
 from tests.processes import wait_until
@@ -258,3 +259,10 @@ def test_the_page_fits_phones_and_desktops(tmp_path, width, is_dark):
         assert reader.errors() == []
     finally:
         browser.quit()
+
+
+def test_it_is_a_command_of_its_own_with_its_own_help(capsys):
+    assert command_line(["league", "--help"]) == 0
+    assert "stkzoo league --output leagues/first" in capsys.readouterr().out
+    assert command_line(["league"]) == 2
+    assert "--output" in capsys.readouterr().err

@@ -28,7 +28,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +42,17 @@ from stkzoo.race.demos import Demonstrations, load, record
 from stkzoo.tracks import SPLITS
 from stkzoo.whole_file import whole_file
 
+from .command import add_arguments, values_of
 from .imitate_network import Fit, fit, make_network
-from .imitate_races import Lesson, LessonOrder, Numbers, read_lesson, run_order, time_ratio
+from .imitate_races import (
+    Lesson,
+    LessonOrder,
+    Numbers,
+    end_with_parent,
+    read_lesson,
+    run_order,
+    time_ratio,
+)
 from .sb3_policy import save_driver, write_agent
 
 __all__ = ["Arguments", "main", "parse", "plot_log", "run"]
@@ -56,28 +65,41 @@ _ARGUMENTS, _LOG, _POLICY, _PICTURE = (
 _FREE = ("rounds", "jobs")
 
 
-def _option(default: Any, text: str) -> Any:
-    return field(default=default, metadata={"help": text})
-
-
 @dataclass(frozen=True, slots=True)
 class Arguments:
-    """What a run is made of; see the help of each."""
+    """What a run is made of.
 
-    teacher: str = _option("heuristic", "who is imitated: a driver that comes with stkzoo, a path")
-    demos: str = _option("", "learn first from this file of stkzoo demos; empty records one")
-    rounds: int = _option(5, "of DAgger; 0 is behaviour cloning alone")
-    tracks: tuple[str, ...] = _option(("train",), "names of tracks, or train")
-    leave_out: tuple[str, ...] = _option(("black_forest",), "but not these")
-    races: int = _option(1, "of each track in a round")
-    karts: int = _option(3, "of the learner in each race")
-    difficulty: int = _option(3, "of the game's AI, whose times are compared with")
-    hidden: tuple[int, ...] = _option((256, 128), "units of the layers")
-    epochs: int = _option(20, "how often a round goes over all examples")
-    batch: int = _option(512, "examples of a gradient")
-    learning_rate: float = _option(1e-3, "of Adam, at a round's start")
-    seed: int = _option(0, "of everything")
-    jobs: int = _option(0, "races at a time; 0 is as many as processors")
+    Attributes:
+        teacher: who is imitated: a driver that comes with stkzoo, a path.
+        demos: learn first from this file of stkzoo demos; empty records one.
+        rounds: of DAgger; 0 is behaviour cloning alone.
+        tracks: names of tracks, or train.
+        leave_out: but not these; none for all of them.
+        races: of each track in a round.
+        karts: of the learner in each race.
+        difficulty: of the game's AI, whose times are compared with.
+        hidden: units of the layers.
+        epochs: how often a round goes over all examples.
+        batch: examples of a gradient.
+        learning_rate: of Adam, at a round's start.
+        seed: of everything.
+        jobs: races at a time; 0 is as many as processors.
+    """
+
+    teacher: str = "heuristic"
+    demos: str = ""
+    rounds: int = 5
+    tracks: tuple[str, ...] = ("train",)
+    leave_out: tuple[str, ...] = ("black_forest",)
+    races: int = 1
+    karts: int = 3
+    difficulty: int = 3
+    hidden: tuple[int, ...] = (256, 128)
+    epochs: int = 20
+    batch: int = 512
+    learning_rate: float = 1e-3
+    seed: int = 0
+    jobs: int = 0
 
     def __post_init__(self) -> None:
         for name, least in (("rounds", 0), ("races", 1), ("karts", 1), ("epochs", 1), ("batch", 1)):
@@ -235,7 +257,7 @@ def _in_parallel(orders: Sequence[LessonOrder], jobs: int) -> Iterator[str]:
         return
     context = multiprocessing.get_context("spawn")
     workers = min(jobs or usable_cores(), len(orders))
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+    with ProcessPoolExecutor(workers, context, end_with_parent) as pool:
         tasks = [pool.submit(run_order, order) for order in orders]
         try:
             for task in as_completed(tasks):
@@ -398,24 +420,10 @@ def parse(words: list[str] | None = None) -> tuple[Arguments, Path]:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--output", type=Path, required=True, help="the run's folder")
-    for entry in fields(Arguments):
-        default: Any = entry.default
-        many = isinstance(default, tuple)
-        shown = " ".join(map(str, default)) if many else default
-        parser.add_argument(
-            f"--{entry.name.replace('_', '-')}",
-            type=type(default[0]) if many else type(default),
-            nargs="*" if many else None,
-            default=default,
-            metavar=entry.name.upper() if many or isinstance(default, str) else "N",
-            help=entry.metadata["help"] + (f" (default: {shown})" if shown != "" else ""),
-        )
+    add_arguments(parser, Arguments)
     found = vars(parser.parse_args(words))
     folder = found.pop("output")
-    values: dict[str, Any] = {
-        name: tuple(v) if isinstance(v, list) else v for name, v in found.items()
-    }
-    return Arguments(**values), folder
+    return Arguments(**values_of(found)), folder
 
 
 def main(words: list[str] | None = None) -> int:

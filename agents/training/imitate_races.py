@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import multiprocessing
 import os
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +28,7 @@ from stkzoo.wrappers.racing import controls_of_choices
 
 from .sb3_policy import load_driver
 
-__all__ = ["Lesson", "LessonOrder", "read_lesson", "run_order"]
+__all__ = ["Lesson", "LessonOrder", "end_with_parent", "read_lesson", "run_order"]
 
 #: A learner's race is cut short after so many times the AI's median time.
 PATIENCE = 1.7
@@ -79,6 +81,18 @@ class Lesson:
     ratios: tuple[float, ...]
     finished: int
     track: str
+
+
+def end_with_parent() -> None:
+    """Ends this process, whatever it does, when the one that started it is gone."""
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def time_ratio(time: float | None, track: str, reverse: bool, difficulty: int) -> float:

@@ -1,6 +1,6 @@
 """A league: players learn in turns against each other's past selves, and are rated.
 
-    python -m stkzoo.agents.training.league --output leagues/first --until 2000000
+    stkzoo league --output leagues/first --until 2000000
 
 AlphaStar's league (Vinyals et al., 2019) scaled down to one machine. In its turn a player learns
 for a while with the fast learner (``ppo_selfplay``) and leaves a frozen copy, its newest past
@@ -309,7 +309,7 @@ def _start_weights(arguments: Arguments) -> Mapping[str, Any]:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m stkzoo.agents.training.league",
+        prog="stkzoo league",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

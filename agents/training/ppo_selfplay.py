@@ -27,7 +27,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,7 @@ from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
 
+from .command import add_arguments, values_of
 from .journal import Journal
 from .ppo_races import Finish, Fleet, RaceForm, StepOutcome
 
@@ -72,8 +73,7 @@ class Arguments:
         minibatch: karts-steps of a gradient.
         learning_rate: at the start.
         entropy: bonus at the start.
-        leash: cost of a nat of divergence from the prior, so that what makes no difference stays
-            as it was.
+        leash: cost of a nat of divergence from the prior.
         place_reward: what a place is worth; a metre of way is worth 0.05.
         gamma: discount of a step.
         trace: lambda of the advantage.
@@ -616,15 +616,7 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="go on with other arguments than the run had; it is noted in arguments.json",
     )
-    defaults = Arguments()
-    for entry in fields(Arguments):
-        default = getattr(defaults, entry.name)
-        flag = "--" + entry.name.replace("_", "-")
-        if isinstance(default, tuple):
-            kind = type(default[0])
-            parser.add_argument(flag, type=kind, nargs="+", default=default)
-        else:
-            parser.add_argument(flag, type=type(default), default=default)
+    add_arguments(parser, Arguments)
     return parser
 
 
@@ -633,10 +625,7 @@ def main(words: list[str] | None = None) -> int:
     options = vars(_parser().parse_args(words))
     folder, until = options.pop("output"), options.pop("until")
     may_change = options.pop("may_change")
-    values: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in options.items()
-    }
-    arguments = Arguments(**values)
+    arguments = Arguments(**values_of(options))
     try:
         learner = Learner(folder, arguments, may_change=may_change)
     except StkzooError as error:

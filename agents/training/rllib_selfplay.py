@@ -26,7 +26,7 @@ import shutil
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,7 @@ from stkzoo.errors import ConfigError, StkzooError, check_whole
 from stkzoo.tracks import SPLITS
 from stkzoo.whole_file import whole_file
 
+from .command import add_arguments, values_of
 from .rllib_races import MAIN, PackSender, Pool, ensure_assets, make_race
 
 __all__ = ["Arguments", "build_config", "main", "parse", "sb3_names", "train"]
@@ -56,41 +57,63 @@ _LAYERS = (
 _HEADS = (("pi.net.mlp.0", "action_net"), ("vf.net.mlp.0", "value_net"))
 
 
-def _option(default: Any, text: str) -> Any:
-    from dataclasses import field
-
-    return field(default=default, metadata={"help": text})
-
-
 @dataclass(frozen=True, slots=True)
 class Arguments:
-    """What a run is made of; see the help of each."""
+    """What a run is made of.
 
-    iterations: int = _option(200, "iterations in all")
-    env_runners: int = _option(2, "processes that race; 0 races in this one")
-    envs_per_runner: int = _option(1, "races at a time in each of them")
-    cpus_per_runner: float = _option(1.0, "processors that Ray keeps for each of them")
-    address: str = _option("", "of a Ray cluster, or auto; empty starts Ray on this machine")
-    pack: str = _option("", "headless pack for nodes without the game's data; else one is made")
-    tracks: tuple[str, ...] = _option(("train",), "names of tracks, or train, test or all")
-    difficulty: int = _option(2, "of the game's AI, 0 to 3")
-    learners: int = _option(2, "karts of the policy that learns")
-    frozen: int = _option(2, "karts of its past selves")
-    bots: int = _option(1, "karts of the game's AI")
-    slots: int = _option(5, "how many past selves there are")
-    promote_at: float = _option(0.6, "share of pairs won from which on a snapshot is made")
-    least_races: int = _option(20, "races between two snapshots")
-    max_cycles: int = _option(1500, "steps after which a race is cut short")
-    batch: int = _option(4000, "steps of races for an iteration, of all learners together")
-    minibatch: int = _option(512, "kart-steps of a gradient")
-    epochs: int = _option(6, "how often an iteration goes over them")
-    learning_rate: float = _option(3e-4, "of Adam")
-    gamma: float = _option(0.98, "discount of a step")
-    entropy: float = _option(0.003, "bonus for choices that are not settled")
-    hidden: tuple[int, ...] = _option((256, 128), "units of the layers")
-    seed: int = _option(0, "of everything")
-    checkpoint_every: int = _option(5, "iterations between two checkpoints")
-    sample_timeout: float = _option(600.0, "seconds that an iteration waits for env runners")
+    Attributes:
+        iterations: iterations in all.
+        env_runners: processes that race; 0 races in this one.
+        envs_per_runner: races at a time in each of them.
+        cpus_per_runner: processors that Ray keeps for each of them.
+        address: of a Ray cluster, or auto; empty starts Ray on this machine.
+        pack: headless pack for nodes without the game's data; else one is made.
+        tracks: names of tracks, or train, test or all.
+        difficulty: of the game's AI, 0 to 3.
+        learners: karts of the policy that learns.
+        frozen: karts of its past selves.
+        bots: karts of the game's AI.
+        slots: how many past selves there are.
+        promote_at: share of pairs won from which on a snapshot is made.
+        least_races: races between two snapshots.
+        max_cycles: steps after which a race is cut short.
+        batch: steps of races for an iteration, of all learners together.
+        minibatch: kart-steps of a gradient.
+        epochs: how often an iteration goes over them.
+        learning_rate: of Adam.
+        gamma: discount of a step.
+        entropy: bonus for choices that are not settled.
+        hidden: units of the layers.
+        seed: of everything.
+        checkpoint_every: iterations between two checkpoints.
+        sample_timeout: seconds that an iteration waits for env runners.
+    """
+
+    iterations: int = 200
+    env_runners: int = 2
+    envs_per_runner: int = 1
+    cpus_per_runner: float = 1.0
+    address: str = ""
+    pack: str = ""
+    tracks: tuple[str, ...] = ("train",)
+    difficulty: int = 2
+    learners: int = 2
+    frozen: int = 2
+    bots: int = 1
+    slots: int = 5
+    promote_at: float = 0.6
+    least_races: int = 20
+    max_cycles: int = 1500
+    batch: int = 4000
+    minibatch: int = 512
+    epochs: int = 6
+    learning_rate: float = 3e-4
+    gamma: float = 0.98
+    entropy: float = 0.003
+    hidden: tuple[int, ...] = (256, 128)
+    seed: int = 0
+    checkpoint_every: int = 5
+    sample_timeout: float = 600.0
 
     def __post_init__(self) -> None:
         for name, least in (("iterations", 1), ("env_runners", 0), ("envs_per_runner", 1)):
@@ -384,24 +407,10 @@ def parse(words: list[str] | None = None) -> tuple[Arguments, Path]:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--output", type=Path, required=True, help="the run's folder")
-    for entry in fields(Arguments):
-        default: Any = entry.default
-        many = isinstance(default, tuple)
-        shown = " ".join(map(str, default)) if many else default
-        parser.add_argument(
-            f"--{entry.name.replace('_', '-')}",
-            type=type(default[0]) if many else type(default),
-            nargs="+" if many else None,
-            default=default,
-            metavar="N" if not isinstance(default, str) and not many else entry.name.upper(),
-            help=entry.metadata["help"] + (f" (default: {shown})" if shown != "" else ""),
-        )
+    add_arguments(parser, Arguments)
     found = vars(parser.parse_args(words))
     folder = found.pop("output")
-    values: dict[str, Any] = {
-        name: tuple(v) if isinstance(v, list) else v for name, v in found.items()
-    }
-    arguments = Arguments(**values)
+    arguments = Arguments(**values_of(found))
     arguments.pool  # noqa: B018 - checks it
     return arguments, folder
 

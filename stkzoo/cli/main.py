@@ -23,6 +23,7 @@ COMMANDS = (
     "tournament",
     "benchmark",
     "demos",
+    "league",
     "race-server",
     "race-client",
     "keys",
@@ -37,7 +38,7 @@ _EPILOG = """\
 first steps:
   stkzoo doctor             what works on this machine, and what mends the rest
   stkzoo assets install     get the game's tracks and karts
-  stkzoo race --demo        a race: the game's karts and a driver made of rules
+  stkzoo race --demo        a race: a learned driver against the hardest bots
   stkzoo race my_agent/ ai  your agent against the game's AI
 
 `stkzoo COMMAND --help` has examples of each.
