@@ -7,6 +7,7 @@ import pytest
 
 from stkzoo import race_v0
 from stkzoo.agents.heuristic import DriverParameters
+from stkzoo.agents.heuristic.kart import BOOST_LASTS, BOOST_STEPS
 from stkzoo.agents.pretrained.drivers import (
     ALL_LOOKS,
     CHOICES,
@@ -20,8 +21,6 @@ from stkzoo.agents.pretrained.drivers import (
 )
 from stkzoo.agents.pretrained.memory import MEMORY_MIRROR, DriverMemory
 from stkzoo.agents.pretrained.plans import (
-    BOOST_LASTS,
-    BOOST_STEPS,
     BRAKE,
     DRIFT_LEFT,
     DRIFT_RIGHT,

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.heuristic import DriverParameters
+from stkzoo.agents.heuristic.kart import DRIFT_TURN
 from stkzoo.names import PowerupType
 from stkzoo.wrappers.racing import (
     LOOKS,
@@ -28,7 +29,7 @@ from stkzoo.wrappers.racing import (
 
 from .memory import MEMORY_MIRROR, DriverMemory
 from .planner import Options, Scene, has_powerup, weigh
-from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, DRIFT_TURN, FREE, MANOEUVRES
+from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, FREE, MANOEUVRES
 from .rivals import RIVALS_MIRROR, RivalTracker
 from .road import LINE_MARKS, Road
 

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.heuristic import DriverParameters
+from stkzoo.agents.heuristic.kart import BOOST_LASTS, BOOST_STEPS, RELEASE_STEPS, STEP
 
 from .planner import Situation
-from .plans import BOOST_LASTS, BOOST_STEPS, RELEASE_STEPS, STEP
 
 __all__ = ["MEMORY_MIRROR", "MEMORY_SIZE", "DriverMemory"]
 

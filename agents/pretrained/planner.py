@@ -13,16 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.heuristic import DriverParameters
+from stkzoo.agents.heuristic.kart import BOOST_LASTS, RELEASE_TURN, STEERING_LAG, STEP
 from stkzoo.names import ItemType, PowerupType
 from stkzoo.wrappers.racing import squared
 
 from .plans import (
-    BOOST_LASTS,
     ITEM_LANES,
     MANOEUVRES,
-    RELEASE_TURN,
     SPANS,
-    STEP,
     TABLE,
     table_rows,
 )
@@ -45,8 +43,6 @@ _BEYOND = 1.0
 #: A miss by so much more than the radius earns nothing [m].
 _BLUR = 0.5
 
-#: What the wheels still do of the step before, as a share of the step.
-_STEERING_LAG = 0.33
 #: Karts are taken to be at least so fast [m/s].
 _SLOWEST = 5.0
 #: The worth of a manoeuvre that there is not.
@@ -256,7 +252,7 @@ def _forecast(
         last_turn = np.where(drifts[:, moment], turn, last_turn)
         if moment == 0:
             turns = turn
-            turn = turn + (now.turn[:, None] - turn) * np.float32(_STEERING_LAG)
+            turn = turn + (now.turn[:, None] - turn) * np.float32(STEERING_LAG)
         release = releases[:, moment] * (np.float32(RELEASE_TURN) / lock)[:, None]
         turn = (turn + last_turn * release) * (lock[:, None] * SPANS[moment])
         # along the road the inner side of a curve is the shorter one

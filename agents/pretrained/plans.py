@@ -13,43 +13,22 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.agents.heuristic.kart import BOOST_STEPS, BRAKING, DRIFT_TURN, RELEASE_STEPS, STEP
+
 __all__ = [
-    "BOOST_LASTS",
-    "BOOST_STEPS",
     "BRAKE",
     "DRIFT_LEFT",
     "DRIFT_RIGHT",
-    "DRIFT_TURN",
     "FREE",
     "ITEM_LANES",
     "MANOEUVRES",
-    "RELEASE_STEPS",
-    "RELEASE_TURN",
     "SPANS",
-    "STEP",
     "TABLE",
     "table_rows",
 ]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
-
-#: Game time of a step [s].
-STEP = 0.1
-
-# Facts about the engine, measured in races.
-#: In a drift the engine turns by these shares of full lock as steer goes from -1 to 1.
-DRIFT_TURN = (0.2, 0.8)
-#: Steps of drifting that earn the small boost (4.5 m/s), and the big one (6.5 m/s) ...
-BOOST_STEPS = (11, 31)
-#: ... which last so many steps, half the time in which they fade included.
-BOOST_LASTS = (35, 45)
-#: After a drift the kart goes on turning for so many steps, and cannot drift ...
-RELEASE_STEPS = 7
-#: ... by this rate for each share of full lock with which the drift ended [rad/s].
-RELEASE_TURN = 1.25 / 0.7
-#: Deceleration with the brake on [m/s²].
-_BRAKING = 22.0
 
 #: How long the moments of a plan last [s].
 SPANS = np.array([0.1] * 4 + [0.2] * 8, np.float32)
@@ -102,7 +81,7 @@ class _Plans:
         self, lanes: Sequence[float], release: int, *, boost: int = -1, brake: bool = False
     ) -> None:
         """Plans without any drift."""
-        lost = -_BRAKING * _BRAKE_TIME
+        lost = -BRAKING * _BRAKE_TIME
         regained = lost + _GAIN * (_ENDS[-1] - _BRAKE_TIME)
         slower = np.interp(_BEGINS, [0.0, _BRAKE_TIME, _ENDS[-1]], [0.0, lost, regained])
         self._add(

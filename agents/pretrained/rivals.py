@@ -13,9 +13,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.agents.heuristic.kart import STEP
 from stkzoo.wrappers.racing import squared
 
-from .plans import STEP
 from .road import MARK_COUNT, Road
 
 __all__ = ["RIVALS", "RIVALS_MIRROR", "RivalTracker", "Rivals"]

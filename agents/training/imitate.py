@@ -334,7 +334,7 @@ def plot_log(log: Sequence[dict[str, Any]], output: Path) -> None:
     """
     from stkzoo.race.batch.figure import BLUE, GREY, INK, plot_library, save_figure, without_frame
 
-    figure = plot_library("benchmark").Figure(figsize=(8, 3.6), layout="constrained")
+    figure = plot_library("benchmark", "").Figure(figsize=(8, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     teacher, *rounds = log
     places = list(range(len(rounds)))

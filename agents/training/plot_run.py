@@ -6,7 +6,6 @@ python -m stkzoo.agents.training.plot_run runs/first runs/second --output curves
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import sys
 from collections.abc import Sequence
@@ -16,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from stkzoo.errors import ConfigError
-from stkzoo.whole_file import whole_file
+from stkzoo.race.batch.figure import plot_library, save_figure
 
-__all__ = ["main", "plot_runs", "pyplot"]
+__all__ = ["main", "plot_runs"]
 
 #: What is drawn: title, and the log's entries with their labels.
 _PANELS: tuple[tuple[str, dict[str, str]], ...] = (
@@ -53,8 +52,8 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
     Raises:
         ConfigError: a run has no log, or matplotlib is missing.
     """
-    plot = pyplot()
-    figure, axes = plot.subplots(2, 2, figsize=(10, 6), layout="constrained")
+    figure = plot_library("benchmark", "").Figure(figsize=(10, 6), layout="constrained")
+    axes = figure.subplots(2, 2)
     for folder in folders:
         lines = _log(Path(folder))
         for axis, (title, entries) in zip(axes.flat, _PANELS, strict=True):
@@ -70,25 +69,7 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
             axis.grid(alpha=0.3)
             if axis.lines:
                 axis.legend(fontsize=7)
-    with whole_file(output) as part:
-        figure.savefig(part, format="png", dpi=110)
-    plot.close(figure)
-
-
-def pyplot() -> Any:
-    """The library that draws, without a screen.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
-    try:
-        matplotlib = importlib.import_module("matplotlib")
-        matplotlib.use("Agg")
-        return importlib.import_module("matplotlib.pyplot")
-    except ImportError as error:
-        raise ConfigError(
-            f"curves need matplotlib ({error}); pip install 'stkzoo[benchmark]'"
-        ) from error
+    save_figure(figure, output)
 
 
 def _log(folder: Path) -> list[dict[str, float]]:

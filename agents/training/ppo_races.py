@@ -45,7 +45,6 @@ Beginning = tuple[str, bool, int]
 _PATIENCE = 1.6
 #: And so long after the first learner has finished [s].
 _GRACE = 8.0
-_STEP = 0.1  # [s]
 #: Nobody drives farther in a step [m]; the engine's distance jumps at the line and at rescues.
 _LONGEST_STEP = 8.0
 #: Reward of a metre.

@@ -41,7 +41,7 @@ from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
 
-from .command import add_arguments, values_of
+from .command import add_arguments, changes, values_of
 from .journal import Journal
 from .ppo_races import Finish, Fleet, RaceForm, StepOutcome
 
@@ -522,17 +522,15 @@ class Learner:
         torch = self._network.torch
         state = torch.load(self.folder / _CHECKPOINT, weights_only=True)
         facts = json.loads(state["facts"])
-        now = json.loads(json.dumps(asdict(self.arguments)))
+        now = asdict(self.arguments)
         self._history = facts["history"]
-        before = self._history[-1]["arguments"]
-        others = [name for name in now if before.get(name) != now[name]]
-        if others and not may_change:
-            told = ", ".join(f"{n} was {before.get(n)!r}, now {now[n]!r}" for n in others)
+        told = changes(self._history[-1]["arguments"], now)
+        if told and not may_change:
             raise ConfigError(
                 f"the run in {str(self.folder)!r} has other arguments: {told}; give the same, "
                 "another --output, or --may-change to go on with these"
             )
-        if others:
+        if told:
             self._history.append({"from": facts["kart_steps"], "arguments": now})
         self.kart_steps, self.iteration = facts["kart_steps"], facts["iteration"]
         self._random.bit_generator.state = facts["random"]

@@ -24,12 +24,12 @@ import numpy as np
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
+from stkzoo.race.batch.figure import plot_library, save_figure
 from stkzoo.race.tournament.ratings import Rating
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
 
 from .league_matches import AI, SEATS, Match, Pairing, play, ratings_of
-from .plot_run import pyplot
 
 __all__ = ["START", "draw_pairing", "kept_policies", "main"]
 
@@ -104,8 +104,8 @@ def _write(ratings: Mapping[str, Rating], matches: Sequence[Match], folder: Path
 
 
 def _draw(ratings: Mapping[str, Rating], count: int, file: Path) -> None:
-    plot = pyplot()
-    figure, axis = plot.subplots(figsize=(8, 4.5), layout="constrained")
+    figure = plot_library("benchmark", "").Figure(figsize=(8, 4.5), layout="constrained")
+    axis = figure.subplots()
     runs = sorted({name.rsplit(" ", 1)[0] for name in ratings if " " in name})
     for run in runs:
         own = sorted(
@@ -128,9 +128,7 @@ def _draw(ratings: Mapping[str, Rating], count: int, file: Path) -> None:
     axis.set_title(f"Kept policies in {count} races against one another", fontsize=10)
     axis.grid(alpha=0.3)
     axis.legend(fontsize=8)
-    with whole_file(file) as part:
-        figure.savefig(part, format="png", dpi=110)
-    plot.close(figure)
+    save_figure(figure, file)
 
 
 def _parser() -> argparse.ArgumentParser:

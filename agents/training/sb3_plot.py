@@ -43,7 +43,7 @@ def plot_run(run: str | Path, output: str | Path) -> None:
     ratings: dict[str, Any] = {"policies": [], "others": {}}
     if (folder / "ratings.json").exists():
         ratings = json.loads((folder / "ratings.json").read_text())
-    figure = plot_library(_EXTRA).Figure(figsize=(9, 5.6), layout="constrained")
+    figure = plot_library(_EXTRA, "").Figure(figsize=(9, 5.6), layout="constrained")
     axes = figure.subplots(2, 2)
     _draw_ratings(axes[0, 0], ratings)
     _draw_time_ratios(axes[0, 1], ratings["policies"])

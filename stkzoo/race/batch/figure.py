@@ -16,11 +16,12 @@ INK, BLUE, GREY = "#22303c", "#2f6db5", "#8a949c"
 _SHORT = 18
 
 
-def plot_library(extra: str) -> Any:
+def plot_library(extra: str, way_out: str = ", or leave the plot out (--no-plot)") -> Any:
     """The library's figures.
 
     Args:
         extra: the extra of the package that has it.
+        way_out: what else can be done without it.
 
     Raises:
         ConfigError: it is not installed.
@@ -30,7 +31,7 @@ def plot_library(extra: str) -> Any:
     except ImportError as error:
         raise ConfigError(
             f"the plot needs the library matplotlib ({error}); pip install "
-            f"'stkzoo[{extra}]', or leave the plot out (--no-plot)"
+            f"'stkzoo[{extra}]'{way_out}"
         ) from error
 
 
