@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+import torch
 
 from stkzoo.agents.pretrained.drivers import CHOICES, HEADS, INPUT_SIZE
 from stkzoo.agents.pretrained.weights import load_weights
@@ -100,6 +101,17 @@ def test_other_arguments_are_refused_unless_they_may_change(tmp_path):
     assert done.returncode == 0, done.stderr
     history = json.loads((tmp_path / "arguments.json").read_text())
     assert [part["arguments"]["learning_rate"] for part in history] == [0.0001, 0.001]
+
+
+def test_a_run_keeps_to_the_numbers_of_its_plans(tmp_path):
+    assert learn(tmp_path, 40).returncode == 0
+    state = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
+    facts = json.loads(state["facts"])
+    facts["history"][-1]["rules"]["margin"] = 9.0
+    torch.save(state | {"facts": json.dumps(facts)}, tmp_path / "checkpoint.pt")
+    refused = learn(tmp_path, 80)
+    assert refused.returncode != 0
+    assert "margin was 9.0, now" in refused.stderr
 
 
 def test_race_forms_are_read():

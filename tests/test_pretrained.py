@@ -2,18 +2,21 @@
 
 import json
 import struct
+from dataclasses import asdict
 
 import numpy as np
 import pytest
 
 from stkzoo import race_v0
+from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.driver import check_shapes, make_actor, new_state, read_policy
-from stkzoo.agents.pretrained.drivers import CHOICES, INPUT_SIZE
+from stkzoo.agents.pretrained.drivers import ALL_LOOKS, CHOICES, INPUT_SIZE
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
 from stkzoo.agents.training.export_policy import export_policy, main
 from stkzoo.errors import ConfigError
 from stkzoo.race import driver_names, find_driver, run_race
+from stkzoo.wrappers.racing import surroundings_of
 
 LEARNED = [name for name in driver_names() if name.startswith("pretrained:")]
 INPUTS, OUTPUTS = INPUT_SIZE, sum(CHOICES)
@@ -91,6 +94,27 @@ def test_a_missing_card_is_refused(agent):
         read_policy(agent)
 
 
+@pytest.mark.parametrize("rules", [{"wheel": 1.0}, "many", None])
+def test_a_card_of_other_plans_is_refused(agent, rules):
+    change_card(agent, rules=rules)
+    with pytest.raises(ConfigError, match="not those of this version"):
+        new_state(agent)
+
+
+def test_plans_go_by_the_numbers_on_the_card(agent):
+    with race_v0.parallel_env(num_kart=1, track="olivermath") as env:
+        observation = env.reset(seed=1)[0]["kart_0"]
+    around = surroundings_of(observation, ALL_LOOKS)
+    usual = new_state(agent).view(*around).inputs
+    change_card(agent, rules=asdict(DriverParameters(late_cost=40.0, margin=3.0)))
+    assert (new_state(agent).view(*around).inputs != usual).any()
+
+
+def change_card(folder, **facts):
+    file = folder / "card.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), **facts}))
+
+
 def test_another_networks_weights_are_refused():
     weights = network()
     weights["w0"] = weights["w0"][:-1]
@@ -106,11 +130,14 @@ def test_exporting_tells_where_the_agent_comes_from(tmp_path, capsys):
     file = tmp_path / "policy-000000123.safetensors"
     save_weights(file, network())
     (tmp_path / "arguments.json").write_text(
-        json.dumps([{"from": 0, "arguments": {"seed": 5, "tracks": ["mines"]}}])
+        json.dumps(
+            [{"from": 0, "arguments": {"seed": 5, "tracks": ["mines"]}, "rules": {"margin": 2.0}}]
+        )
     )
     assert main([str(file), "--name=tiny", f"--output={tmp_path / 'agent'}"]) == 0
     card = json.loads((tmp_path / "agent" / "card.json").read_text())
     assert (card["kart_steps"], card["history"][0]["arguments"]["seed"]) == (123, 5)
+    assert card["rules"] == {"margin": 2.0}
     text = (tmp_path / "agent" / "CARD.md").read_text()
     assert "mines" in text
     assert card["sha256"] in text
@@ -161,7 +188,7 @@ def test_a_shipped_driver_is_small_and_has_a_card(name):
 
 
 def test_before_go_it_waits_with_full_throttle_and_then_it_drives(agent):
-    actor, state = make_actor(agent), new_state()
+    actor, state = make_actor(agent), new_state(agent)
     with race_v0.parallel_env(num_kart=1, track="lighthouse") as env:
         observations, _ = env.reset(seed=1)
         for step in range(40):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import surroundings_of
 
@@ -36,13 +37,7 @@ def read_policy(folder: str | Path) -> RacingPolicy:
     Raises:
         ConfigError: a file is missing or broken, or the weights are of another network.
     """
-    file = Path(folder) / CARD
-    try:
-        card = json.loads(file.read_text())
-        digest = str(card["sha256"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ConfigError(f"{str(file)!r} is no card of a learned agent: {error!r}") from error
-    weights = load_weights(Path(folder) / WEIGHTS, digest)
+    weights = load_weights(Path(folder) / WEIGHTS, str(_on_card(folder, "sha256")))
     check_shapes(weights, str(Path(folder) / WEIGHTS))
     return RacingPolicy(weights)
 
@@ -67,9 +62,29 @@ def check_shapes(weights: Mapping[str, FloatArray], name: str) -> None:
         )
 
 
-def new_state() -> Drivers:
-    """What the driver remembers in one race."""
-    return Drivers(1)
+def new_state(folder: str | Path) -> Drivers:
+    """What the driver of an agent's folder remembers in one race.
+
+    Its plans go by the numbers on its card, with which it has learned.
+
+    Raises:
+        ConfigError: the card is missing or broken.
+    """
+    rules = _on_card(folder, "rules")
+    try:
+        return Drivers(1, DriverParameters(**rules))
+    except TypeError as error:
+        raise ConfigError(
+            f"the rules on {str(Path(folder) / CARD)!r} are not those of this version: {error}"
+        ) from error
+
+
+def _on_card(folder: str | Path, name: str) -> Any:
+    file = Path(folder) / CARD
+    try:
+        return json.loads(file.read_text())[name]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{str(file)!r} is no card of a learned agent: {error!r}") from error
 
 
 def make_actor(folder: str | Path) -> Callable[[Drivers, Mapping[str, Any]], dict[str, Any]]:

@@ -1,14 +1,17 @@
-"""What the commands of this package share: options of dataclasses, and a bar."""
+"""What the commands of this package share: options of dataclasses, libraries, and a bar."""
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from typing import Any
 
-__all__ = ["RunBar", "add_arguments", "changes", "values_of"]
+from stkzoo.errors import ConfigError
+
+__all__ = ["RunBar", "add_arguments", "changes", "training_library", "values_of"]
 
 
 def add_arguments(parser: argparse.ArgumentParser, kind: Any) -> None:
@@ -47,6 +50,22 @@ def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
     now = json.loads(json.dumps(now))
     others = [name for name in now if before.get(name) != now[name]]
     return ", ".join(f"{n} was {before.get(n)!r}, now {now[n]!r}" for n in others)
+
+
+def training_library(name: str) -> Any:
+    """Imports a library of ``stkzoo[train]``, and keeps numerical libraries to one thread.
+
+    The networks are small: a second thread only takes the core that the games need.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    try:
+        library = importlib.import_module(name)
+        importlib.import_module("threadpoolctl").threadpool_limits(1)
+    except ImportError as error:
+        raise ConfigError(f"learning needs {error.name}; pip install 'stkzoo[train]'") from error
+    return library
 
 
 class RunBar:

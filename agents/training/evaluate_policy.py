@@ -26,6 +26,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.race.benchmark import RaceForm as Form
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
+from .command import training_library
 from .ppo_races import Beginning, Finish, Fleet, RaceForm
 
 __all__ = ["Outcome", "chooser", "evaluate", "main"]
@@ -147,6 +148,7 @@ def main(words: list[str] | None = None) -> int:
     try:
         tracks = [t for name in options.tracks for t in SPLITS.get(name, (name,))]
         form = Form.of(options.form)
+        training_library("threadpoolctl")
         choosers = [chooser(source) for source in options.policies]
     except ConfigError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -3,10 +3,11 @@ r"""Makes an agent of learned weights: a folder to race, to ship and to send aro
     python -m stkzoo.agents.training.export_policy runs/first/policy-002000000.safetensors \
         --name swift --output agents/pretrained/swift
 
-The folder has the weights, ``card.json`` with their digest and how they were learned (from the
-run's ``arguments.json`` beside them, if it is there), ``CARD.md`` for people, whose gaps are to be
-filled by hand, and the words of an agent. ``stkzoo race agents/pretrained/swift`` races it from
-wherever it is, and ``pretrained:swift`` if it is among stkzoo's own.
+The folder has the weights, ``card.json`` with their digest, how they were learned (from the run's
+``arguments.json`` beside them, if it is there) and the numbers that the plans go by, ``CARD.md``
+for people, whose gaps are to be filled by hand, and the words of an agent.
+``stkzoo race agents/pretrained/swift`` races it from wherever it is, and ``pretrained:swift`` if it
+is among stkzoo's own.
 """
 
 from __future__ import annotations
@@ -15,10 +16,12 @@ import argparse
 import json
 import shutil
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import stkzoo
+from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, check_shapes
 from stkzoo.agents.pretrained.weights import digest_of, load_weights
 from stkzoo.errors import ConfigError
@@ -31,6 +34,7 @@ _MODULE = '''"""A learned driver; see ``CARD.md``."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +48,7 @@ env_name = "supertuxkart/full-v0"
 #: The name to show.
 player_name = "{name}"
 
-create_state = new_state
+create_state = partial(new_state, Path(__file__).parent)
 
 
 def get_actor(module_dir: Path, observation_space: Any, action_space: Any) -> Callable[..., Any]:
@@ -116,12 +120,14 @@ def _facts(source: Path, file: Path, name: str) -> dict[str, Any]:
     run = source.with_name("arguments.json")
     digits = source.stem.rpartition("-")[2]
     history = json.loads(run.read_text()) if run.exists() else []
+    rules = asdict(DriverParameters())
     return {
         "name": name,
         "sha256": digest_of(file),
         "size": file.stat().st_size,
         "parameters": sum(array.size for array in load_weights(file).values()),
         "kart_steps": int(digits) if digits.isdigit() else None,
+        "rules": history[-1].get("rules", rules) if history else rules,
         "history": history,
         "stkzoo": stkzoo.__version__,
     }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,8 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import CHOICES, MIRROR, SIZE
+
+from .command import training_library
 
 __all__ = ["Fit", "fit", "make_network", "mirrored"]
 
@@ -36,10 +36,7 @@ class Fit:
 
 
 def _torch() -> Any:
-    try:
-        torch = importlib.import_module("torch")
-    except ImportError as error:
-        raise ConfigError(f"learning needs torch ({error}); pip install 'stkzoo[train]'") from error
+    torch = training_library("torch")
     torch.set_num_threads(1)
     return torch
 

@@ -20,7 +20,6 @@ TensorBoard's files, ``arguments.json``, and ``policy-STEPS.safetensors`` now an
 from __future__ import annotations
 
 import argparse
-import importlib
 import itertools
 import json
 import sys
@@ -34,6 +33,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.drivers import CHOICES, HEADS, INPUT_SIZE, View, mirrored_inputs
 from stkzoo.agents.pretrained.policy import INPUT_CLIP, RacingPolicy, network
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
@@ -41,7 +41,7 @@ from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
 
-from .command import add_arguments, changes, values_of
+from .command import add_arguments, changes, training_library, values_of
 from .journal import Journal
 from .ppo_races import Finish, Fleet, RaceForm, StepOutcome
 
@@ -125,14 +125,8 @@ def race_forms(texts: Sequence[str]) -> list[RaceForm]:
 
 
 def _torch() -> Any:
-    try:
-        torch = importlib.import_module("torch")
-        threadpoolctl = importlib.import_module("threadpoolctl")
-    except ImportError as error:
-        raise ConfigError(f"learning needs {error.name}; pip install 'stkzoo[train]'") from error
-    # small networks: a second thread only takes the core that the games need
+    torch = training_library("torch")
     torch.set_num_threads(1)
-    threadpoolctl.threadpool_limits(1)
     return torch
 
 
@@ -297,7 +291,7 @@ class Learner:
             _Rollout.of_size(arguments.steps, fleet.num_slots) for fleet in self._fleets
         ]
         self.kart_steps = self.iteration = 0
-        self._history: list[dict[str, Any]] = [{"from": 0, "arguments": asdict(arguments)}]
+        self._history: list[dict[str, Any]] = [self._chapter(0)]
         self._recent: deque[Finish] = deque(maxlen=_RECENT)
         if (self.folder / _CHECKPOINT).exists():
             self._views = self._restore(may_change)
@@ -518,20 +512,27 @@ class Learner:
         save_weights(path, self._network.actor().weights)
         return path
 
+    def _chapter(self, kart_steps: int) -> dict[str, Any]:
+        """What holds from a number of kart-steps on."""
+        rules = asdict(DriverParameters())
+        return {"from": kart_steps, "arguments": asdict(self.arguments), "rules": rules}
+
     def _restore(self, may_change: bool) -> list[View]:
         torch = self._network.torch
         state = torch.load(self.folder / _CHECKPOINT, weights_only=True)
         facts = json.loads(state["facts"])
-        now = asdict(self.arguments)
+        now = self._chapter(facts["kart_steps"])
         self._history = facts["history"]
-        told = changes(self._history[-1]["arguments"], now)
-        if told and not may_change:
+        last = {"rules": now["rules"], **self._history[-1]}
+        told = [changes(last[part], now[part]) for part in ("arguments", "rules")]
+        if any(told) and not may_change:
             raise ConfigError(
-                f"the run in {str(self.folder)!r} has other arguments: {told}; give the same, "
-                "another --output, or --may-change to go on with these"
+                f"the run in {str(self.folder)!r} has other arguments or numbers of plans: "
+                f"{', '.join(filter(None, told))}; give the same, another --output, or "
+                "--may-change to go on with these"
             )
-        if told:
-            self._history.append({"from": facts["kart_steps"], "arguments": now})
+        if any(told):
+            self._history.append(now)
         self.kart_steps, self.iteration = facts["kart_steps"], facts["iteration"]
         self._random.bit_generator.state = facts["random"]
         for finish in facts["recent"]:

@@ -17,7 +17,6 @@ the same command goes on exactly, also after a kill; and ``best.json``, the mean
 from __future__ import annotations
 
 import argparse
-import importlib
 import itertools
 import json
 import math
@@ -36,6 +35,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
 
+from .command import training_library
 from .ppo_races import Beginning, Fleet, RaceForm
 
 __all__ = ["BOUNDS", "drive_all", "from_unit", "main", "to_unit"]
@@ -162,7 +162,7 @@ class _Search:
     """The strategy and its log."""
 
     def __init__(self, options: argparse.Namespace) -> None:
-        cma = _library()
+        cma = training_library("cma")
         self.folder = Path(options.output)
         self.folder.mkdir(parents=True, exist_ok=True)
         self.options = options
@@ -210,15 +210,6 @@ class _Search:
     def _lines(self) -> list[dict[str, Any]]:
         file = self.folder / _LOG
         return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
-
-
-def _library() -> Any:
-    try:
-        threads = importlib.import_module("threadpoolctl")
-        threads.threadpool_limits(1)
-        return importlib.import_module("cma")
-    except ImportError as error:
-        raise ConfigError(f"tuning needs {error.name}; pip install 'stkzoo[train]'") from error
 
 
 def main(words: list[str] | None = None) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ env_name = "supertuxkart/full-v0"
 #: The name to show.
 player_name = "scout"
 
-create_state = new_state
+create_state = partial(new_state, Path(__file__).parent)
 
 
 def get_actor(module_dir: Path, observation_space: Any, action_space: Any) -> Callable[..., Any]:
