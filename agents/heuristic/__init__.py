@@ -6,8 +6,9 @@ head (:mod:`.forecast`), in the road's own coordinates (:mod:`.road`), and begin
 farthest, boosts and items counted in metres (:mod:`.driver`, :mod:`.items`).
 
 It sees the ``full`` view and remembers a little (:class:`DriverState`). All its numbers
-stand in :class:`DriverParameters`. It was built and its numbers were chosen on the training
-tracks of :mod:`stkzoo.tracks` alone.
+stand in :class:`DriverParameters`. It was built on the training tracks of
+:mod:`stkzoo.tracks` alone, and an evolution strategy has found its numbers there
+(:mod:`stkzoo.agents.training.tune_plans`).
 """
 
 from __future__ import annotations
