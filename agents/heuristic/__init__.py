@@ -7,7 +7,7 @@ farthest, boosts and items counted in metres (:mod:`.driver`, :mod:`.items`).
 
 It sees the ``full`` view and remembers a little (:class:`DriverState`). All its numbers
 stand in :class:`DriverParameters`. It was built on the training tracks of
-:mod:`stkzoo.tracks` alone, and an evolution strategy has found its numbers there
+:mod:`stkzoo.tracks` alone, and an evolution strategy has found most of its numbers there
 (:mod:`stkzoo.agents.training.tune_plans`).
 """
 
