@@ -21,6 +21,7 @@ import time
 import uuid
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
@@ -65,8 +66,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     with progress_bar(arguments.faults) as (progress, task):
         while (missing := arguments.faults - _num_hits(rows)) > 0:
             progress.update(task, completed=_num_hits(rows))
-            first = 1 + max((row["number"] for row in rows), default=-1)
-            batch = range(first, first + min(_BATCH, missing))
+            done = {row["number"] for row in rows}
+            undone = (number for number in count() if number not in done)
+            batch = list(islice(undone, min(_BATCH, missing)))
             _run_batch(batch, arguments.seed, arguments.output)
             rows = _read(arguments.output)
         progress.update(task, completed=_num_hits(rows))
@@ -113,7 +115,7 @@ def _as_row(number: int, outcome: Outcome) -> dict[str, Any]:
 # ---------------------------------------------------------------------- its watch
 
 
-def _run_batch(numbers: range, seed: int, output: Path) -> None:
+def _run_batch(numbers: Sequence[int], seed: int, output: Path) -> None:
     """Runs a batch in a program of its own, which may hang or die: that is a loss then."""
     mark = uuid.uuid4().hex
     command = [sys.executable, "-X", "faulthandler", "-m", "benchmarks.chaos"]
@@ -152,7 +154,7 @@ def _watch(program: subprocess.Popen[str], output: Path) -> str:
     return ""
 
 
-def _add_loss(numbers: range, seed: int, output: Path, problem: str) -> None:
+def _add_loss(numbers: Sequence[int], seed: int, output: Path, problem: str) -> None:
     done = {row["number"] for row in _read(output)}
     left = [number for number in numbers if number not in done] or [numbers[-1]]
     lost = Outcome(fault_of(seed, left[0]), True, False, "", _PATIENCE, 0, problem)

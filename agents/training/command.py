@@ -11,7 +11,15 @@ from typing import Any
 
 from stkzoo.errors import ConfigError
 
-__all__ = ["RunBar", "add_arguments", "changes", "training_library", "values_of"]
+__all__ = [
+    "RunBar",
+    "add_arguments",
+    "changes",
+    "keep_to_one_thread",
+    "training_library",
+    "training_torch",
+    "values_of",
+]
 
 
 def add_arguments(parser: argparse.ArgumentParser, kind: Any) -> None:
@@ -53,19 +61,38 @@ def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
 
 
 def training_library(name: str) -> Any:
-    """Imports a library of ``stkzoo[train]``, and keeps numerical libraries to one thread.
-
-    The networks are small: a second thread only takes the core that the games need.
+    """Imports a library of ``stkzoo[train]``.
 
     Raises:
         ConfigError: it is not installed.
     """
     try:
-        library = importlib.import_module(name)
-        importlib.import_module("threadpoolctl").threadpool_limits(1)
+        return importlib.import_module(name)
     except ImportError as error:
         raise ConfigError(f"learning needs {error.name}; pip install 'stkzoo[train]'") from error
-    return library
+
+
+def keep_to_one_thread() -> None:
+    """Keeps the numerical libraries that are loaded to one thread.
+
+    The networks are small: a second thread only takes the core that the games need.
+
+    Raises:
+        ConfigError: the library for it is not installed.
+    """
+    training_library("threadpoolctl").threadpool_limits(1)
+
+
+def training_torch() -> Any:
+    """Imports torch, which keeps to one thread.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    torch = training_library("torch")
+    torch.set_num_threads(1)
+    keep_to_one_thread()
+    return torch
 
 
 class RunBar:

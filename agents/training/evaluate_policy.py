@@ -26,7 +26,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.race.benchmark import RaceForm as Form
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
-from .command import training_library
+from .command import keep_to_one_thread
 from .ppo_races import Beginning, Finish, Fleet, RaceForm
 
 __all__ = ["Outcome", "chooser", "evaluate", "main"]
@@ -148,7 +148,7 @@ def main(words: list[str] | None = None) -> int:
     try:
         tracks = [t for name in options.tracks for t in SPLITS.get(name, (name,))]
         form = Form.of(options.form)
-        training_library("threadpoolctl")
+        keep_to_one_thread()
         choosers = [chooser(source) for source in options.policies]
     except ConfigError as error:
         print(f"error: {error}", file=sys.stderr)

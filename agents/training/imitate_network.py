@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from stkzoo.wrappers.racing import CHOICES, MIRROR, SIZE
 
-from .command import training_library
+from .command import training_torch
 
 __all__ = ["Fit", "fit", "make_network", "mirrored"]
 
@@ -35,15 +35,9 @@ class Fit:
     accuracy: tuple[float, ...]
 
 
-def _torch() -> Any:
-    torch = training_library("torch")
-    torch.set_num_threads(1)
-    return torch
-
-
 def make_network(hidden: Sequence[int], seed: int) -> Any:
     """A fresh network of tanh layers, whose state dict has the names of a ``MlpPolicy``."""
-    torch = _torch()
+    torch = training_torch()
     torch.manual_seed(seed)
     nn = torch.nn
     sizes = [SIZE, *hidden]
@@ -85,7 +79,7 @@ def fit(
         batch: examples of a gradient.
         seed: of their order.
     """
-    torch = _torch()
+    torch = training_torch()
     random = np.random.default_rng(seed)
     is_left_out = np.repeat(random.random(len(actions) // 100 + 1) < 0.05, 100)[: len(actions)]
     if is_left_out.all() or not is_left_out.any():

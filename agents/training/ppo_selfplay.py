@@ -41,7 +41,7 @@ from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
 
-from .command import add_arguments, changes, training_library, values_of
+from .command import add_arguments, changes, training_torch, values_of
 from .journal import Journal
 from .ppo_races import Finish, Fleet, RaceForm, StepOutcome
 
@@ -124,17 +124,11 @@ def race_forms(texts: Sequence[str]) -> list[RaceForm]:
     return forms
 
 
-def _torch() -> Any:
-    torch = training_library("torch")
-    torch.set_num_threads(1)
-    return torch
-
-
 class _Network:
     """Policy and value with their optimiser."""
 
     def __init__(self, arguments: Arguments) -> None:
-        self.torch = torch = _torch()
+        self.torch = torch = training_torch()
         torch.manual_seed(arguments.seed)
         size = INPUT_SIZE
         self.mean, self.scale = np.zeros(size, np.float32), np.ones(size, np.float32)

@@ -29,7 +29,7 @@ from stkzoo.race.tournament.ratings import Rating
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
 
-from .command import training_library
+from .command import keep_to_one_thread
 from .league_matches import AI, SEATS, Match, Pairing, play, ratings_of
 
 __all__ = ["START", "draw_pairing", "kept_policies", "main"]
@@ -156,7 +156,7 @@ def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     options = _parser().parse_args(words)
     try:
-        training_library("threadpoolctl")
+        keep_to_one_thread()
         files = kept_policies(options.runs, options.every)
         policies = {START: RacingPolicy.of_plans_alone()}
         policies |= {name: RacingPolicy(load_weights(file)) for name, file in files.items()}

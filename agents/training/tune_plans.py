@@ -35,7 +35,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
 
-from .command import training_library
+from .command import keep_to_one_thread, training_library
 from .ppo_races import Beginning, Fleet, RaceForm
 
 __all__ = ["BOUNDS", "drive_all", "from_unit", "main", "to_unit"]
@@ -163,6 +163,7 @@ class _Search:
 
     def __init__(self, options: argparse.Namespace) -> None:
         cma = training_library("cma")
+        keep_to_one_thread()
         self.folder = Path(options.output)
         self.folder.mkdir(parents=True, exist_ok=True)
         self.options = options

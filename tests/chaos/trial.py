@@ -10,7 +10,7 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -70,19 +70,14 @@ class Outcome:
 class Trials:
     """Faults in this program, one after another, beside a race that must not notice.
 
-    A context manager: timeouts of the engine are short meanwhile, and temporary files go
-    to a folder of their own.
+    A context manager: temporary files go to a folder of their own meanwhile. Timeouts of the
+    engine are short from a fault on, and not while a form is learnt.
     """
 
     def __enter__(self) -> Trials:
-        self._undo: list[Callable[[], None]] = []
-        for module in (process, session):
-            self._replace(module, "START_TIMEOUT", START_TIMEOUT)
-        self._replace(filming, "DRAWING_START_TIMEOUT", DRAWING_START_TIMEOUT)
-        defaults = {"has_window": False, "timeout": DRAWING_TIMEOUT}
-        self._replace(filming.ShadowSession.__init__, "__kwdefaults__", defaults)
         self._folder = tempfile.TemporaryDirectory(prefix="chaos-")
-        self._replace(tempfile, "tempdir", self._folder.name)
+        self._patches = contextlib.ExitStack()
+        self._patches.enter_context(_replaced(tempfile, "tempdir", self._folder.name))
         process._close_all()  # the mother's home is to be in that folder
         self._witness = _Witness()
         self._traces: dict[str, str] = {}
@@ -93,8 +88,7 @@ class Trials:
     def __exit__(self, *_: object) -> None:
         self._witness.close()
         process._close_all()
-        for undo in reversed(self._undo):
-            undo()
+        self._patches.close()
         self._folder.cleanup()
 
     def run(self, fault: Fault) -> Outcome:
@@ -104,11 +98,12 @@ class Trials:
             # seen by the number of open files.
             if fault.signal == "SIGINT":
                 warnings.simplefilter("ignore", ResourceWarning)
-            return self._run(fault)
+            self._learn(fault.form, fault.moment)
+            with _short_timeouts():
+                return self._run(fault)
 
     def _run(self, fault: Fault) -> Outcome:
         form = FORMS[fault.form]()
-        self._learn(fault.form, fault.moment)
         strike = Strike(fault, os.getpid(), self._witness.pids)
         begin = time.monotonic()
         answer, resets = "", 0
@@ -207,10 +202,27 @@ class Trials:
         if not holds:
             raise AssertionError(problem if isinstance(problem, str) else problem())
 
-    def _replace(self, owner: Any, name: str, value: Any) -> None:
-        old = getattr(owner, name)
-        setattr(owner, name, value)
-        self._undo.append(lambda: setattr(owner, name, old))
+
+@contextlib.contextmanager
+def _replaced(owner: Any, name: str, value: Any) -> Iterator[None]:
+    old = getattr(owner, name)
+    setattr(owner, name, value)
+    try:
+        yield
+    finally:
+        setattr(owner, name, old)
+
+
+@contextlib.contextmanager
+def _short_timeouts() -> Iterator[None]:
+    drawing = {"has_window": False, "timeout": DRAWING_TIMEOUT}
+    with (
+        _replaced(process, "START_TIMEOUT", START_TIMEOUT),
+        _replaced(session, "START_TIMEOUT", START_TIMEOUT),
+        _replaced(filming, "DRAWING_START_TIMEOUT", DRAWING_START_TIMEOUT),
+        _replaced(filming.ShadowSession.__init__, "__kwdefaults__", drawing),
+    ):
+        yield
 
 
 class _Witness:
