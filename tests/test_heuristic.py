@@ -1,6 +1,7 @@
 """The heuristic driver in real races."""
 
 import copy
+import itertools
 import statistics
 
 import pytest
@@ -8,6 +9,7 @@ from gymnasium.utils.env_checker import data_equivalence
 
 from stkzoo import AgentSpec, race_v0
 from stkzoo.agents import heuristic
+from stkzoo.agents.heuristic.kart import RESCUE_STEPS, STEP
 from stkzoo.race import run_race
 
 SEEDS = range(1, 7)
@@ -66,12 +68,26 @@ def test_leaves_the_observation_as_it_is():
         assert data_equivalence(observation, before)
 
 
-def test_backs_out_and_then_calls_the_rescue_when_it_is_held():
+def what_a_held_kart_does(**rules):
+    """``go``, ``brake`` or ``rescue`` for each step of one that does not get away."""
     with race_v0.parallel_env(num_kart=1, track="lighthouse") as env:
         observation = env.reset(seed=0)[0]["kart_0"]
     held = {**observation, "phase": 3, "velocity": 0 * observation["velocity"]}
-    driver, state = heuristic.HeuristicDriver(), heuristic.create_state()
-    actions = [driver(state, held) for _ in range(40)]
-    pedals = ["rescue" if a["rescue"] else "brake" if a["brake"] else "go" for a in actions]
-    order = [now for now, before in zip(pedals, ["", *pedals[:-1]], strict=True) if now != before]
+    driver = heuristic.HeuristicDriver(heuristic.DriverParameters(**rules))
+    state = heuristic.create_state()
+    actions = [driver(state, held) for _ in range(60)]
+    return ["rescue" if a["rescue"] else "brake" if a["brake"] else "go" for a in actions]
+
+
+def test_calls_the_rescue_when_it_is_held_and_gives_it_time():
+    done = what_a_held_kart_does()
+    calls = [step for step, what in enumerate(done) if what == "rescue"]
+    assert calls[0] == pytest.approx(heuristic.DriverParameters().stuck_time / STEP, abs=1)
+    assert min(later - call for call, later in itertools.pairwise(calls)) >= RESCUE_STEPS
+    assert "brake" not in done
+
+
+def test_may_back_out_first_and_then_call_the_rescue():
+    done = what_a_held_kart_does(rescue_reverses=1)
+    order = [what for what, _ in itertools.groupby(done)]
     assert order[:4] == ["go", "brake", "go", "rescue"]

@@ -11,6 +11,7 @@ from stkzoo.agents import heuristic
 from stkzoo.agents.heuristic.forecast import Motion, forecast
 from stkzoo.agents.heuristic.kart import (
     BOOST_STEPS,
+    DRIFT_APART,
     DRIFT_TURN,
     RELEASE_STEPS,
     RELEASE_TURN,
@@ -156,6 +157,13 @@ def test_drifts_earn_boosts_in_the_game():
     assert statistics.median(gains) > 0.5  # m/s; without a boost the speed is not above 0
 
 
+def test_drifts_do_not_begin_too_soon_after_one_another():
+    drifts = [action["drift"] for *_, action in drive_alone("stk_enterprise", reverse=True)]
+    begins = np.flatnonzero(np.diff(drifts, prepend=0) == 1)
+    assert len(begins) > 10
+    assert np.diff(begins).min() >= DRIFT_APART
+
+
 def control(steer, drift=0):
     return {
         "acceleration": np.ones(1, np.float32),
@@ -221,3 +229,21 @@ def test_a_kart_goes_on_turning_after_a_drift_and_cannot_begin_another(fast_kart
     assert after == pytest.approx(0.1 * RELEASE_TURN * DRIFT_TURN[0], rel=0.3)
     again = turns_of(env, [*drift, control(0.0), *[control(-0.01, 1)] * 3])[len(drift) + 1 :]
     assert again == pytest.approx(after[:3], abs=0.01)  # in a drift it would turn left
+
+
+@pytest.mark.parametrize("steps", [2, 4])
+def test_after_a_short_drift_a_kart_turns_on_for_as_long_as_it_drifted(fast_kart, steps):
+    env, _ = fast_kart
+    drift = [control(0.3, 1), *[control(-1.0, 1)] * (steps - 1)]
+    after = turns_of(env, [*drift, *[control(0.0)] * 8])[steps + 1 :]
+    is_turning = after > 0.05 * RELEASE_TURN * DRIFT_TURN[0]
+    assert is_turning.tolist() == [step < steps - 1 for step in range(len(after))]
+
+
+@pytest.mark.parametrize("apart", range(2, 8))
+def test_a_drift_that_begins_too_soon_begins_late_and_to_the_wrong_side(fast_kart, apart):
+    env, _ = fast_kart
+    short = [control(0.3, 1), *[control(0.0)] * (apart - 1)]
+    # a drift to the right is begun, and widened at once by steering against it
+    again = turns_of(env, [*short, control(0.3, 1), *[control(-1.0, 1)] * 4])[-1]
+    assert (again > 0) == (apart >= DRIFT_APART)

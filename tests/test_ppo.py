@@ -95,12 +95,12 @@ def test_other_arguments_are_refused_unless_they_may_change(tmp_path):
     assert learn(tmp_path, 40).returncode == 0
     refused = learn(tmp_path, 80, learning_rate=0.001)
     assert refused.returncode != 0
-    assert "learning_rate was 0.0001, now 0.001" in refused.stderr
+    assert "learning_rate was 0.0003, now 0.001" in refused.stderr
     words = [*command(tmp_path, 80, learning_rate=0.001), "--may-change"]
     done = subprocess.run(words, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     history = json.loads((tmp_path / "arguments.json").read_text())
-    assert [part["arguments"]["learning_rate"] for part in history] == [0.0001, 0.001]
+    assert [part["arguments"]["learning_rate"] for part in history] == [0.0003, 0.001]
 
 
 def test_a_run_keeps_to_the_numbers_of_its_plans(tmp_path):
@@ -112,6 +112,25 @@ def test_a_run_keeps_to_the_numbers_of_its_plans(tmp_path):
     refused = learn(tmp_path, 80)
     assert refused.returncode != 0
     assert "margin was 9.0, now" in refused.stderr
+
+
+def test_choices_that_are_not_learned_stay_those_of_the_plans(tmp_path):
+    begin, turn, *_ = HEADS
+    learner = Learner(tmp_path, Arguments(**SMALL | {"warm_up": 0, "learns": ("begin", "fire")}))
+    before = learner._network.actor().weights
+    learner.iterate()
+    drawn = np.concatenate([rollout.choices[..., 1].ravel() for rollout in learner._rollouts])
+    weights = learner._network.actor().weights
+    learner.close()
+    assert set(drawn.tolist()) == {CHOICES[1] // 2}
+    assert not weights["w2"][:, turn].any()
+    assert (weights["w2"][:, begin] != before["w2"][:, begin]).any()
+
+
+@pytest.mark.parametrize("names", [("steer",), ()])
+def test_unknown_choices_are_refused(tmp_path, names):
+    with pytest.raises(ConfigError, match="begin, turn, nitro, fire"):
+        Learner(tmp_path, Arguments(**SMALL | {"learns": names}))
 
 
 def test_race_forms_are_read():

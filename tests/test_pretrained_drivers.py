@@ -7,7 +7,13 @@ import pytest
 
 from stkzoo import race_v0
 from stkzoo.agents.heuristic import DriverParameters
-from stkzoo.agents.heuristic.kart import BOOST_LASTS, BOOST_STEPS
+from stkzoo.agents.heuristic.kart import (
+    BOOST_LASTS,
+    BOOST_STEPS,
+    DRIFT_APART,
+    RESCUE_STEPS,
+    STEP,
+)
 from stkzoo.agents.pretrained.drivers import (
     ALL_LOOKS,
     CHOICES,
@@ -189,17 +195,40 @@ def test_a_drift_that_the_engine_ends_is_over():
     assert memory.situation().drift_side[0] == 0
 
 
-def test_who_is_stuck_backs_out_and_then_calls_the_rescue():
-    memory, zero = DriverMemory(1, DriverParameters()), np.zeros(1, np.float32)
+def test_a_drift_begins_with_a_hop_and_after_a_short_one_the_kart_turns_on_for_short():
+    memory, one = DriverMemory(1, DriverParameters()), np.array([1.0], np.float32)
+    none, may_hop = np.array([False]), []
+    for step in range(DRIFT_APART + 1):
+        memory.look(20 * one, 2 * one)
+        may_hop.append(bool(memory.situation().may_hop[0]))
+        memory.act(np.array([int(step < 2)]), 0.5 * one, none, none)
+        if step == 2:
+            assert memory.situation().release_steps[0] == 2
+    assert may_hop == [True, *[False] * (DRIFT_APART - 1), True]
+
+
+def when_a_held_kart_acts(**rules):
+    """In which steps one that does not get away backs out, and calls the rescue."""
+    memory, zero = DriverMemory(1, DriverParameters(**rules)), np.zeros(1, np.float32)
     backs, calls = [], []
-    for _ in range(60):
+    for step in range(60):
         memory.look(zero, zero + 1)
         back, call = memory.stuck()
-        backs.append(bool(back[0]))
-        calls.append(bool(call[0]))
-    assert backs.index(True) == 8
-    assert sum(calls) >= 1
-    assert calls.index(True) > backs.index(True) + 9
+        backs += [step] * int(back[0])
+        calls += [step] * int(call[0])
+    return backs, calls
+
+
+def test_who_is_stuck_calls_the_rescue_and_gives_it_time():
+    backs, calls = when_a_held_kart_acts()
+    assert not backs
+    assert calls[0] == pytest.approx(DriverParameters().stuck_time / STEP, abs=1)
+    assert min(np.diff(calls)) >= RESCUE_STEPS
+
+
+def test_who_is_stuck_may_back_out_first():
+    backs, calls = when_a_held_kart_acts(rescue_reverses=1)
+    assert calls[0] > backs[0] + 9
 
 
 def test_some_karts_are_forgotten_and_others_not():

@@ -17,7 +17,15 @@ from stkzoo import PowerupType
 
 from .forecast import Forecast, Motion, forecast
 from .items import RoadItems
-from .kart import BOOST_LASTS, BOOST_STEPS, DRIFT_TURN, RELEASE_STEPS, STEP
+from .kart import (
+    BOOST_LASTS,
+    BOOST_STEPS,
+    DRIFT_APART,
+    DRIFT_TURN,
+    RELEASE_STEPS,
+    RESCUE_STEPS,
+    STEP,
+)
 from .line import CentreLine
 from .parameters import DriverParameters
 from .plans import ITEM_LANES, SPANS, Plans, plans_in_drift, plans_without_drift
@@ -71,6 +79,7 @@ class DriverState:
         drift_turn: the same of the last call in a drift.
         drift_side: 1 in a drift to the right, -1 to the left, 0 in none.
         drift_steps: how long the drift has lasted.
+        hop_steps: how much longer no drift can begin.
         release_steps: how much longer the kart turns after a drift.
         boost_steps: how much longer the boost of a short drift lasts.
         big_boost_steps: how much longer that of a long one lasts.
@@ -80,6 +89,7 @@ class DriverState:
         still_steps: how long the kart has stood still.
         reverse_steps: how much longer to back out.
         reverses: how often it has backed out without getting away.
+        rescue_steps: how much longer a rescue that was called may take.
         free_steps: how long it has been driving.
         next_move: the second step of the last plan, if that is to be done.
     """
@@ -90,6 +100,7 @@ class DriverState:
     drift_turn: float = 0.0
     drift_side: int = 0
     drift_steps: int = 0
+    hop_steps: int = 0
     release_steps: int = 0
     boost_steps: int = 0
     big_boost_steps: int = 0
@@ -99,6 +110,7 @@ class DriverState:
     still_steps: int = 0
     reverse_steps: int = 0
     reverses: int = 0
+    rescue_steps: int = 0
     free_steps: int = 0
     next_move: Move | None = None
 
@@ -145,7 +157,8 @@ class HeuristicDriver:
             state.caution_steps = round(rules.caution_time / STEP)
             state.next_move = None
         state.speed = speed
-        if observation["phase"] >= _GO_PHASE and abs(speed) < rules.stuck_speed:
+        is_racing = observation["phase"] >= _GO_PHASE and state.rescue_steps == 0
+        if is_racing and abs(speed) < rules.stuck_speed:
             state.still_steps += 1
             state.free_steps = 0
         else:
@@ -216,7 +229,9 @@ class HeuristicDriver:
         if state.drift_side:
             plans = plans_in_drift(state.drift_side, min(state.drift_steps, BOOST_STEPS[1]))
         else:
-            may_drift = speed > rules.drift_speed and not observation["jumping"]
+            may_drift = (
+                speed > rules.drift_speed and not observation["jumping"] and not state.hop_steps
+            )
             plans = plans_without_drift(state.release_steps, may_drift)
         speed = max(speed, _SLOWEST)
         lock = speed * math.tan(max(float(observation["max_steer_angle"][0]), 0.02))
@@ -281,6 +296,7 @@ class HeuristicDriver:
         steer = 2.0 * (move.turn * move.side - least) / (most - least) - 1.0
         if not state.drift_side:
             state.drift_side, state.drift_steps = move.side, 0
+            state.hop_steps = DRIFT_APART
             steer = max(steer, _START_STEER)
         state.drift_steps += 1
         state.drift_turn = move.turn
@@ -293,8 +309,8 @@ class HeuristicDriver:
             state.big_boost_steps = BOOST_LASTS[1]
         elif state.drift_steps >= BOOST_STEPS[0]:
             state.boost_steps = BOOST_LASTS[0]
+        state.release_steps = min(state.drift_steps, RELEASE_STEPS)
         state.drift_side = state.drift_steps = 0
-        state.release_steps = RELEASE_STEPS
 
     # ------------------------------------------------------------------ getting unstuck
 
@@ -302,6 +318,7 @@ class HeuristicDriver:
         state.still_steps = state.drift_side = state.drift_steps = 0
         if state.reverses >= self.parameters.rescue_reverses:
             state.reverses = 0
+            state.rescue_steps = RESCUE_STEPS
             return _action(rescue=True)
         state.reverses += 1
         state.reverse_steps = round(self.parameters.reverse_time / STEP)
@@ -315,12 +332,14 @@ class HeuristicDriver:
 
 #: Times of the state that run out.
 _CLOCKS = (
+    "hop_steps",
     "release_steps",
     "boost_steps",
     "big_boost_steps",
     "nitro_steps",
     "caution_steps",
     "reverse_steps",
+    "rescue_steps",
 )
 
 

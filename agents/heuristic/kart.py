@@ -11,9 +11,11 @@ __all__ = [
     "BOOST_LASTS",
     "BOOST_STEPS",
     "BRAKING",
+    "DRIFT_APART",
     "DRIFT_TURN",
     "RELEASE_STEPS",
     "RELEASE_TURN",
+    "RESCUE_STEPS",
     "STEERING_LAG",
     "STEP",
 ]
@@ -29,13 +31,21 @@ BOOST_STEPS = (11, 31)
 #: ... which last so many steps, half the time in which they fade included.
 BOOST_LASTS = (35, 45)
 
-#: After a drift the kart goes on turning for so many steps, and cannot drift ...
+#: A drift begins with a hop: the next one begins so many steps after this one began at the soonest.
+#: Who asks for it sooner gets it later, to the side to which the kart steers by then.
+DRIFT_APART = 4
+
+#: After a drift the kart goes on turning for as many steps as it has drifted, but no more than
+#: this, and cannot drift ...
 RELEASE_STEPS = 7
 #: ... by this rate for each share of full lock with which the drift ended [rad/s].
 RELEASE_TURN = 1.25 / 0.7
 
 #: What the wheels still do of the step before, as a share of the step.
 STEERING_LAG = 0.33
+
+#: A rescue takes so many steps at most, in which the kart seems to go on at the speed that it had.
+RESCUE_STEPS = 14
 
 #: Deceleration with the brake on [m/s²].
 BRAKING = 22.0

@@ -87,7 +87,7 @@ class DriverParameters:
     caution_time: float = 3.0
     caution_room: float = 1.76
     stuck_speed: float = 1.5
-    stuck_time: float = 0.8
+    stuck_time: float = 0.4
     reverse_time: float = 1.0
-    rescue_reverses: int = 1
+    rescue_reverses: int = 0
     free_time: float = 3.0

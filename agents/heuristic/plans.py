@@ -101,9 +101,10 @@ def plans_in_drift(side: int, steps: int) -> Plans:
     """
     small, big = (max(earned - steps, 0) for earned in BOOST_STEPS)
     earned = 1 if not big else 0 if not small else -1
+    release = min(steps, RELEASE_STEPS)
     groups = [
-        _free(_ALL_LANES, RELEASE_STEPS, boost=earned),
-        _free(_FEW_LANES, RELEASE_STEPS, brake=True),
+        _free(_ALL_LANES, release, boost=earned),
+        _free(_FEW_LANES, release, brake=True),
     ]
     if small:
         groups.append(_drift(_ALL_LANES, side, small, boost=0))

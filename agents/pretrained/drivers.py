@@ -36,6 +36,7 @@ from .road import LINE_MARKS, Road
 __all__ = [
     "ALL_LOOKS",
     "CHOICES",
+    "CHOICE_NAMES",
     "HEADS",
     "INPUT_SIZE",
     "Drivers",
@@ -52,7 +53,8 @@ BoolArray = npt.NDArray[np.bool_]
 #: How much to turn beside what the plan wants [share of full lock].
 _OFFSETS = np.array([-0.45, -0.2, -0.08, 0.0, 0.08, 0.2, 0.45], np.float32)
 
-#: Number of choices: what to begin, turn beside it, nitro, fire; and where their logits stand.
+#: What is chosen, between how many; and where their logits stand.
+CHOICE_NAMES = ("begin", "turn", "nitro", "fire")
 CHOICES = (MANOEUVRES, len(_OFFSETS), 2, 2)
 _ENDS = np.cumsum(CHOICES)
 HEADS = tuple(slice(int(e) - n, int(e)) for e, n in zip(_ENDS, CHOICES, strict=True))

@@ -9,7 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.heuristic import DriverParameters
-from stkzoo.agents.heuristic.kart import BOOST_LASTS, BOOST_STEPS, RELEASE_STEPS, STEP
+from stkzoo.agents.heuristic.kart import (
+    BOOST_LASTS,
+    BOOST_STEPS,
+    DRIFT_APART,
+    RELEASE_STEPS,
+    RESCUE_STEPS,
+    STEP,
+)
 
 from .planner import Situation
 
@@ -53,6 +60,7 @@ class _Fields:
     drift_turn: FloatArray
     drift_side: FloatArray
     drift_steps: FloatArray
+    hop_steps: FloatArray
     release_steps: FloatArray
     boost_steps: FloatArray
     big_boost_steps: FloatArray
@@ -62,18 +70,21 @@ class _Fields:
     free_steps: FloatArray
     reverse_steps: FloatArray
     reverses: FloatArray
+    rescue_steps: FloatArray
     since_fire: FloatArray
 
 
 _NAMES = tuple(entry.name for entry in fields(_Fields))
 #: Times that run out.
 _CLOCKS = (
+    "hop_steps",
     "release_steps",
     "boost_steps",
     "big_boost_steps",
     "nitro_steps",
     "caution_steps",
     "reverse_steps",
+    "rescue_steps",
 )
 
 
@@ -107,7 +118,7 @@ class DriverMemory:
         of.gain[:] = speed - of.speed
         of.caution_steps[of.gain < -self._rules.crash_drop] = self._caution_steps
         of.speed[:] = speed
-        is_still = np.abs(speed) < self._rules.stuck_speed
+        is_still = (np.abs(speed) < self._rules.stuck_speed) & (of.rescue_steps == 0)
         of.still_steps[:] = np.where(is_still, of.still_steps + 1, 0)
         of.free_steps[:] = np.where(is_still, 0, of.free_steps + 1)
         of.reverses[of.free_steps * STEP > self._rules.free_time] = 0
@@ -123,6 +134,7 @@ class DriverMemory:
             drift_turn=of.drift_turn.copy(),
             drift_side=of.drift_side.astype(np.intp),
             drift_steps=of.drift_steps.astype(np.intp),
+            may_hop=of.hop_steps == 0,
             release_steps=of.release_steps.astype(np.intp),
             boost_steps=of.boost_steps.copy(),
             big_boost_steps=of.big_boost_steps.copy(),
@@ -168,6 +180,7 @@ class DriverMemory:
         of.still_steps[begins] = 0
         of.drift_side[begins] = of.drift_steps[begins] = 0
         of.reverses[calls] = 0
+        of.rescue_steps[calls] = RESCUE_STEPS
         of.reverses[backs] += 1
         of.reverse_steps[backs] = round(self._rules.reverse_time / STEP)
         return of.reverse_steps > 0, calls
@@ -190,9 +203,10 @@ class DriverMemory:
         earns = ends & ~earns_big & (of.drift_steps >= BOOST_STEPS[0])
         of.big_boost_steps[earns_big] = BOOST_LASTS[1]
         of.boost_steps[earns] = BOOST_LASTS[0]
-        of.release_steps[ends] = RELEASE_STEPS
+        of.release_steps[ends] = np.minimum(of.drift_steps[ends], RELEASE_STEPS)
         begins: BoolArray = (side != 0) & (of.drift_side == 0)
         of.drift_steps[begins] = 0
+        of.hop_steps[begins] = DRIFT_APART
         of.drift_side[:] = side
         of.drift_steps[:] = np.where(side != 0, of.drift_steps + 1, 0)
         of.turn[:] = turn

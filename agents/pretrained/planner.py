@@ -81,6 +81,7 @@ class Situation:
         drift_turn: the same of the last step in a drift.
         drift_side: 1 in a drift to the right, -1 to the left, 0 in none.
         drift_steps: how long the drift has lasted.
+        may_hop: whether a drift can begin.
         release_steps: how much longer the kart turns after a drift.
         boost_steps: how much longer the boost of a short drift lasts.
         big_boost_steps: how much longer that of a long one lasts.
@@ -91,6 +92,7 @@ class Situation:
     drift_turn: FloatArray
     drift_side: IntArray
     drift_steps: IntArray
+    may_hop: BoolArray
     release_steps: IntArray
     boost_steps: FloatArray
     big_boost_steps: FloatArray
@@ -185,7 +187,7 @@ def weigh(scene: Scene, now: Situation, rules: DriverParameters) -> Options:
     worth += _boosts(now, rows, rules)
     worth += _item_gain(items, along, across)
     manoeuvres = TABLE.manoeuvres[rows]
-    may_drift = (scene.speed > rules.drift_speed) & ~scene.is_jumping
+    may_drift = (scene.speed > rules.drift_speed) & ~scene.is_jumping & now.may_hop
     is_there = (manoeuvres >= 0) & (may_drift[:, None] | ~TABLE.needs_drift[rows])
     best = np.empty((len(rows), MANOEUVRES), np.intp)
     for manoeuvre in range(MANOEUVRES):

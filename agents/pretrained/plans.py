@@ -179,8 +179,9 @@ def _in_drift(side: int, steps: int) -> _Plans:
     plans = _Plans.none()
     small, big = (max(earned - steps, 0) for earned in BOOST_STEPS)
     earned = 1 if not big else 0 if not small else -1
-    plans.add_free(_ALL_LANES, RELEASE_STEPS, boost=earned)
-    plans.add_free(_FEW_LANES, RELEASE_STEPS, brake=True)
+    release = min(steps, RELEASE_STEPS)
+    plans.add_free(_ALL_LANES, release, boost=earned)
+    plans.add_free(_FEW_LANES, release, brake=True)
     if small:
         plans.add_drift(_ALL_LANES, side, small, boost=0)
     if big:

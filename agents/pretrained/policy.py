@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,8 +63,16 @@ class RacingPolicy:
         logits = self.logits(view)
         return np.stack([logits[:, head].argmax(axis=1) for head in HEADS], axis=1)
 
-    def sample(self, view: View, random: np.random.Generator) -> tuple[IntArray, FloatArray]:
-        """Choices ``(A, 4)`` drawn by their probabilities, and the logarithms of these ``(A,)``."""
+    def sample(
+        self,
+        view: View,
+        random: np.random.Generator,
+        columns: Sequence[int] = range(len(HEADS)),
+    ) -> tuple[IntArray, FloatArray]:
+        """Choices ``(A, 4)`` drawn by their probabilities, and the logarithms of these ``(A,)``.
+
+        Only ``columns`` are drawn; the others are the likeliest, and count as certain.
+        """
         logits = self.logits(view)
         noise = random.gumbel(size=logits.shape).astype(np.float32)
         rows = np.arange(len(logits))
@@ -72,6 +80,9 @@ class RacingPolicy:
         log_probability = np.zeros(len(logits), np.float32)
         for column, head in enumerate(HEADS):
             own = logits[:, head]
+            if column not in columns:
+                drawn[:, column] = own.argmax(axis=1)
+                continue
             choice = (own + noise[:, head]).argmax(axis=1)
             drawn[:, column] = choice
             top = own.max(axis=1)

@@ -5,9 +5,9 @@
 Proximal policy optimisation (Schulman et al., 2017) with one policy on all karts of many races,
 among themselves and against the game's AI. A small network sees the racing view
 (:mod:`stkzoo.wrappers.racing`), what the driver remembers and what plans for the next two seconds
-are worth (:mod:`stkzoo.agents.pretrained`), and chooses what to begin, how much to turn beside
-the plan, nitro and fire. It begins as the best plan's driver, and learns what to add. Half of
-the karts, drawn anew in each race, drive in the mirror: left is right. The reward is the way
+are worth (:mod:`stkzoo.agents.pretrained`), and chooses what to begin, nitro and fire, and if told
+how much to turn beside the plan. It begins as the best plan's driver, and learns what to add. Half
+of the karts, drawn anew in each race, drive in the mirror: left is right. The reward is the way
 along the track and places won; a finish is no end of earning, so that nobody slows down for it.
 
 ``--until`` is how many kart-steps there shall have been in all: the same command with a higher
@@ -34,7 +34,14 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.heuristic import DriverParameters
-from stkzoo.agents.pretrained.drivers import CHOICES, HEADS, INPUT_SIZE, View, mirrored_inputs
+from stkzoo.agents.pretrained.drivers import (
+    CHOICE_NAMES,
+    CHOICES,
+    HEADS,
+    INPUT_SIZE,
+    View,
+    mirrored_inputs,
+)
 from stkzoo.agents.pretrained.policy import INPUT_CLIP, RacingPolicy, network
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError, StkzooError
@@ -74,6 +81,7 @@ class Arguments:
         learning_rate: at the start.
         entropy: bonus at the start.
         leash: cost of a nat of divergence from the prior.
+        learns: which choices are learned; the others stay those of the plans alone, or of ``init``.
         place_reward: what a place is worth; a metre of way is worth 0.05.
         gamma: discount of a step.
         trace: lambda of the advantage.
@@ -89,17 +97,18 @@ class Arguments:
     seed: int = 0
     total: int = 20_000_000
     tracks: tuple[str, ...] = tuple(track for track in TRAIN_TRACKS if track != "black_forest")
-    forms: tuple[str, ...] = ("5x4", "2+3x4", "1x2")
+    forms: tuple[str, ...] = ("1x8", "5x8", "2+3x8", "1+4x8")
     groups: int = 2
     steps: int = 128
-    epochs: int = 4
-    minibatch: int = 1024
-    learning_rate: float = 1e-4
+    epochs: int = 3
+    minibatch: int = 4096
+    learning_rate: float = 3e-4
     entropy: float = 0.0
     leash: float = 5e-3
-    place_reward: float = 0.3
+    learns: tuple[str, ...] = ("begin", "nitro", "fire")
+    place_reward: float = 0.1
     gamma: float = 0.98
-    trace: float = 0.9
+    trace: float = 0.85
     clip: float = 0.2
     target_kl: float = 0.02
     warm_up: int = 10
@@ -133,6 +142,10 @@ class _Network:
         size = INPUT_SIZE
         self.mean, self.scale = np.zeros(size, np.float32), np.ones(size, np.float32)
         self.policy = self._layers((size, *arguments.hidden, _NUM_LOGITS), 0.01)
+        self.columns = _columns(arguments.learns)
+        with torch.no_grad():
+            for column in set(range(len(HEADS))) - set(self.columns):
+                self.policy[-1].weight[HEADS[column]] = 0.0
         self.value = self._layers((size, *arguments.hidden, 1), 1.0)
         if arguments.init:
             self._start_from(load_weights(arguments.init))
@@ -366,7 +379,7 @@ class Learner:
         actor: RacingPolicy,
     ) -> tuple[npt.NDArray[np.intp], FloatArray]:
         """What the karts of a group do, and the logarithms of its probabilities."""
-        return actor.sample(view, self._random)
+        return actor.sample(view, self._random, self._network.columns)
 
     def _judged(
         self,
@@ -442,7 +455,7 @@ class Learner:
         inputs, prior, choices, before, gains, targets = data
         torch, nets = self._network.torch, self._network
         logits = prior + nets.policy(inputs)
-        now, entropy, strayed = _chosen(torch, logits, prior, choices)
+        now, entropy, strayed = _chosen(torch, logits, prior, choices, nets.columns)
         change = now - before
         ratio = change.exp()
         clip = self.arguments.clip
@@ -558,10 +571,21 @@ def _values(critic: dict[str, FloatArray], inputs: FloatArray) -> FloatArray:
     return values
 
 
-def _chosen(torch: Any, logits: Any, prior: Any, choices: Any) -> tuple[Any, Any, Any]:
+def _columns(names: Sequence[str]) -> list[int]:
+    """Where choices of these names stand."""
+    unknown = sorted(set(names) - set(CHOICE_NAMES))
+    if unknown or not names:
+        raise ConfigError(f"learns is {list(names)}; expected some of {', '.join(CHOICE_NAMES)}")
+    return sorted(CHOICE_NAMES.index(name) for name in set(names))
+
+
+def _chosen(
+    torch: Any, logits: Any, prior: Any, choices: Any, columns: Sequence[int]
+) -> tuple[Any, Any, Any]:
     """The choices' log-probability, the entropy, the divergence from the prior; ``(B,)`` each."""
     now, entropy, strayed = 0.0, 0.0, 0.0
-    for column, head in enumerate(HEADS):
+    for column in columns:
+        head = HEADS[column]
         logs = torch.log_softmax(logits[:, head], dim=1)
         logs_before = torch.log_softmax(prior[:, head], dim=1)
         now = now + logs.gather(1, choices[:, column : column + 1])[:, 0]
