@@ -5,15 +5,19 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import asdict
 
 import numpy as np
 import pytest
 import torch
 
+from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.drivers import CHOICES, HEADS, INPUT_SIZE
 from stkzoo.agents.pretrained.weights import load_weights
-from stkzoo.agents.training.evaluate_policy import chooser, evaluate
+from stkzoo.agents.training.evaluate_policy import Entrant, evaluate
 from stkzoo.agents.training.evaluate_policy import main as evaluate_main
+from stkzoo.agents.training.export_policy import export_policy
+from stkzoo.agents.training.plan_numbers import NUMBERS, numbers_of_run
 from stkzoo.agents.training.plot_run import main as plot_main
 from stkzoo.agents.training.ppo_races import Fleet, RaceForm
 from stkzoo.agents.training.ppo_selfplay import Arguments, Learner, race_forms
@@ -205,12 +209,36 @@ def test_advantages_end_where_races_end(tmp_path):
 
 
 def test_policies_are_compared_in_the_same_races():
-    prior = chooser("prior")
+    prior = Entrant.of("prior")
     once, again = evaluate([prior, prior], ["olivermath"], RaceForm(1, 1), 1)
     assert once == again
     assert len(once) == 2  # both ways
     assert all(0.5 < outcome.ratio < 2.0 for outcome in once)
     assert all(outcome.is_won == (outcome.rank == 1) for outcome in once)
+
+
+def test_plans_go_by_the_numbers_of_their_run(tmp_path):
+    arguments = Arguments(**SMALL | {"plans": "by-hand"})
+    learner = Learner(tmp_path, arguments)
+    file = learner.save_policy()
+    learner.close()
+    assert Entrant.of("prior").rules == DriverParameters() != NUMBERS["by-hand"]
+    assert Entrant.of("prior:by-hand").rules == NUMBERS["by-hand"]
+    assert Entrant.of(str(file)).rules == NUMBERS["by-hand"]
+    card = json.loads((export_policy(file, "swift", tmp_path / "swift") / "card.json").read_text())
+    assert card["rules"] == asdict(NUMBERS["by-hand"])
+    by_hand, found = (Entrant.of(name) for name in ("prior:by-hand", "prior"))
+    outcomes = evaluate([by_hand, found, by_hand], ["olivermath"], RaceForm(1, 0), 1)
+    assert outcomes[0] == outcomes[2] != outcomes[1]
+
+
+def test_unknown_numbers_and_those_of_another_version_are_refused(tmp_path):
+    with pytest.raises(ConfigError, match="'best' are unknown; expected one of found, by-hand"):
+        Entrant.of("prior:best")
+    rules = asdict(DriverParameters()) | {"courage": 1.0}
+    (tmp_path / "arguments.json").write_text(json.dumps([{"rules": rules}]))
+    with pytest.raises(ConfigError, match="courage"):
+        numbers_of_run(tmp_path)
 
 
 def test_what_is_no_policy_is_refused(tmp_path, capsys):

@@ -2,13 +2,22 @@
 
 import json
 from collections import Counter
+from dataclasses import asdict
 
 import numpy as np
 import pytest
 
+from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
-from stkzoo.agents.training.rate_policies import START, draw_pairing, kept_policies, main
+from stkzoo.agents.training.plan_numbers import NUMBERS
+from stkzoo.agents.training.rate_policies import (
+    START,
+    common_numbers,
+    draw_pairing,
+    kept_policies,
+    main,
+)
 from stkzoo.errors import ConfigError
 
 
@@ -33,6 +42,16 @@ def test_policies_are_named_by_run_and_steps(run):
         kept_policies([run, run], 0)
     with pytest.raises(ConfigError, match="is it a run's folder"):
         kept_policies([run.parent], 0)
+
+
+def test_runs_of_other_numbers_are_not_rated_together(run, tmp_path):
+    other = tmp_path / "second"
+    other.mkdir()
+    (other / "arguments.json").write_text(json.dumps([{"rules": asdict(NUMBERS["by-hand"])}]))
+    assert common_numbers([other]) == NUMBERS["by-hand"]
+    assert common_numbers([run]) == DriverParameters()
+    with pytest.raises(ConfigError, match=r"different numbers.*margin was 1\.13, now 1\.0"):
+        common_numbers([run, other])
 
 
 def test_everybody_races_equally_often_and_everywhere():

@@ -3,8 +3,9 @@
     python -m stkzoo.agents.training.evaluate_policy prior runs/first/policy-*.safetensors
 
 Each policy drives, by its likeliest choices, one race for each track, direction and number, from
-the same beginning. ``prior`` is what a run starts from: the plans without anything learned. The
-first one named is what the others are compared with.
+the same beginning, its plans by the numbers of its run. ``prior`` is what a run starts from: the
+plans without anything learned; ``prior:by-hand`` with the numbers of that name. The first one named
+is what the others are compared with.
 """
 
 from __future__ import annotations
@@ -14,10 +15,12 @@ import itertools
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.driver import check_shapes
 from stkzoo.agents.pretrained.drivers import View
 from stkzoo.agents.pretrained.policy import RacingPolicy
@@ -27,11 +30,11 @@ from stkzoo.race.benchmark import RaceForm as Form
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
 from .command import keep_to_one_thread
+from .plan_numbers import numbers_of_run, plan_numbers
 from .ppo_races import Beginning, Finish, Fleet, RaceForm
 
-__all__ = ["Outcome", "chooser", "evaluate", "main"]
+__all__ = ["Entrant", "Outcome", "evaluate", "main"]
 
-Chooser = Callable[[View], npt.NDArray[np.intp]]
 #: What names the policy of the plans alone.
 PRIOR = "prior"
 #: A kart that does not finish counts as having taken so many times the AI's time.
@@ -67,51 +70,67 @@ class Outcome:
         return cls(float(np.mean(ratios)), float(np.mean(ranks)), min(ranks) == 1, unfinished)
 
 
-def chooser(source: str) -> Chooser:
-    """The likeliest choices of a policy: a file of weights, or ``"prior"``.
+@dataclass(frozen=True, slots=True)
+class Entrant:
+    """Who is evaluated.
 
-    Raises:
-        ConfigError: the file is no policy's.
+    Attributes:
+        choose: its choices.
+        rules: the numbers that its plans go by.
     """
-    if source == PRIOR:
-        return RacingPolicy.of_plans_alone().best
-    weights = load_weights(source)
-    check_shapes(weights, source)
-    return RacingPolicy(weights).best
+
+    choose: Callable[[View], npt.NDArray[np.intp]]
+    rules: DriverParameters
+
+    @classmethod
+    def of(cls, source: str) -> Entrant:
+        """The likeliest choices of a policy: a file of a run, ``"prior"`` or ``"prior:NUMBERS"``.
+
+        Raises:
+            ConfigError: the file is no policy's, or there are no numbers of that name.
+        """
+        prior, _, name = source.partition(":")
+        if prior == PRIOR:
+            rules = plan_numbers(name) if name else DriverParameters()
+            return cls(RacingPolicy.of_plans_alone().best, rules)
+        weights = load_weights(source)
+        check_shapes(weights, source)
+        return cls(RacingPolicy(weights).best, numbers_of_run(Path(source).parent))
 
 
 def evaluate(
-    choosers: Sequence[Chooser], tracks: Sequence[str], form: RaceForm, numbers: int
+    entrants: Sequence[Entrant], tracks: Sequence[str], form: RaceForm, numbers: int
 ) -> list[list[Outcome]]:
-    """Drives the races; for each chooser its outcomes, in the same order.
+    """Drives the races; for each entrant its outcomes, in the same order.
 
     Args:
-        choosers: the policies.
+        entrants: the policies.
         tracks: driven both ways.
         form: who drives.
         numbers: races of each track and direction.
     """
     places = itertools.product(tracks, (False, True), range(numbers))
     beginnings = [(track, reverse, _FIRST_NUMBER + number) for track, reverse, number in places]
-    outcomes: list[list[Outcome]] = [[] for _ in choosers]
+    outcomes: list[list[Outcome]] = [[] for _ in entrants]
     for first in range(0, len(beginnings), _SIDE_BY_SIDE):
         some = beginnings[first : first + _SIDE_BY_SIDE]
         fleet = Fleet([form] * len(some), tracks, 0, goes_on=False)
         try:
-            for driven, choose in zip(outcomes, choosers, strict=True):
-                driven += _drive(fleet, some, choose)
+            for driven, entrant in zip(outcomes, entrants, strict=True):
+                driven += _drive(fleet, some, entrant)
         finally:
             fleet.close()
     return outcomes
 
 
-def _drive(fleet: Fleet, beginnings: Sequence[Beginning], choose: Chooser) -> list[Outcome]:
+def _drive(fleet: Fleet, beginnings: Sequence[Beginning], entrant: Entrant) -> list[Outcome]:
     """One race at each beginning, all side by side."""
+    fleet.set_rules(entrant.rules)
     view = fleet.begin_at(beginnings)
     finishes: list[list[Finish]] = [[] for _ in beginnings]
     learners = fleet.num_slots // len(beginnings)
     while fleet.active.any():
-        fleet.send(choose(view))
+        fleet.send(entrant.choose(view))
         view, outcome = fleet.receive()
         for slot, finish in zip(np.flatnonzero(outcome.ended), outcome.finishes, strict=True):
             finishes[slot // learners].append(finish)
@@ -140,7 +159,7 @@ def main(words: list[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("policies", nargs="+", help="files of weights, or prior")
+    parser.add_argument("policies", nargs="+", help="files of runs, prior, or prior:by-hand")
     parser.add_argument("--form", default="PAAAA", help="who drives (default: PAAAA)")
     parser.add_argument("--numbers", type=int, default=2, help="races of each kind (default: 2)")
     parser.add_argument("--tracks", nargs="+", default=list(TRAIN_TRACKS), help="or train")
@@ -149,12 +168,12 @@ def main(words: list[str] | None = None) -> int:
         tracks = [t for name in options.tracks for t in SPLITS.get(name, (name,))]
         form = Form.of(options.form)
         keep_to_one_thread()
-        choosers = [chooser(source) for source in options.policies]
+        entrants = [Entrant.of(source) for source in options.policies]
     except ConfigError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     learned = RaceForm(form.agents, form.rivals)
-    _report(options.policies, evaluate(choosers, tracks, learned, options.numbers))
+    _report(options.policies, evaluate(entrants, tracks, learned, options.numbers))
     return 0
 
 

@@ -21,11 +21,12 @@ from pathlib import Path
 from typing import Any
 
 import stkzoo
-from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, check_shapes
 from stkzoo.agents.pretrained.weights import digest_of, load_weights
 from stkzoo.errors import ConfigError
 from stkzoo.whole_file import whole_file
+
+from .plan_numbers import ARGUMENTS, numbers_of_run
 
 __all__ = ["export_policy", "main"]
 
@@ -117,17 +118,16 @@ def export_policy(weights: str | Path, name: str, folder: str | Path) -> Path:
 
 
 def _facts(source: Path, file: Path, name: str) -> dict[str, Any]:
-    run = source.with_name("arguments.json")
+    run = source.with_name(ARGUMENTS)
     digits = source.stem.rpartition("-")[2]
     history = json.loads(run.read_text()) if run.exists() else []
-    rules = asdict(DriverParameters())
     return {
         "name": name,
         "sha256": digest_of(file),
         "size": file.stat().st_size,
         "parameters": sum(array.size for array in load_weights(file).values()),
         "kart_steps": int(digits) if digits.isdigit() else None,
-        "rules": history[-1].get("rules", rules) if history else rules,
+        "rules": asdict(numbers_of_run(source.parent)),
         "history": history,
         "stkzoo": stkzoo.__version__,
     }

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.race.tournament.ratings import Rating, rate
 
@@ -94,7 +95,10 @@ def draw_pairings(
 
 
 def play(
-    pairings: Sequence[Pairing], policies: Mapping[str, RacingPolicy], turn: int
+    pairings: Sequence[Pairing],
+    policies: Mapping[str, RacingPolicy],
+    turn: int,
+    rules: DriverParameters | None = None,
 ) -> list[Match]:
     """Plays matches, all by likeliest choices.
 
@@ -102,11 +106,13 @@ def play(
         pairings: the matches.
         policies: of all members in them.
         turn: of the league.
+        rules: the numbers that everybody's plans go by.
     """
     played: list[Match] = []
     for first in range(0, len(pairings), _SIDE_BY_SIDE):
         some = pairings[first : first + _SIDE_BY_SIDE]
         fleet = Fleet([RaceForm(SEATS, 1)] * len(some), [p.track for p in some], 0, goes_on=False)
+        fleet.set_rules(rules or DriverParameters())
         try:
             played += _play(fleet, some, policies, turn)
         finally:

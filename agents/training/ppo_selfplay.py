@@ -33,7 +33,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.drivers import (
     CHOICE_NAMES,
     CHOICES,
@@ -50,13 +49,14 @@ from stkzoo.whole_file import whole_file
 
 from .command import add_arguments, changes, training_torch, values_of
 from .journal import Journal
+from .plan_numbers import ARGUMENTS, plan_numbers
 from .ppo_races import Finish, Fleet, RaceForm, StepOutcome
 
 __all__ = ["Arguments", "Learner", "main"]
 
 FloatArray = npt.NDArray[np.float32]
 
-_CHECKPOINT, _ARGUMENTS = "checkpoint.pt", "arguments.json"
+_CHECKPOINT = "checkpoint.pt"
 _NUM_LOGITS = sum(CHOICES)
 #: Finished races over which the log's figures are means.
 _RECENT = 200
@@ -74,6 +74,7 @@ class Arguments:
         tracks: train on these.
         forms: races side by side, ``"8x5"`` is five of eight learners, ``"4+2x3"`` three of
             four learners and two of the game's AI at its hardest.
+        plans: the numbers that plans go by: found by a search, or by-hand.
         groups: the races are dealt out to so many groups; one thinks while the others drive.
         steps: steps of every race between two updates.
         epochs: how often an update goes over what was seen.
@@ -98,6 +99,7 @@ class Arguments:
     total: int = 20_000_000
     tracks: tuple[str, ...] = tuple(track for track in TRAIN_TRACKS if track != "black_forest")
     forms: tuple[str, ...] = ("1x8", "5x8", "2+3x8", "1+4x8")
+    plans: str = "found"
     groups: int = 2
     steps: int = 128
     epochs: int = 3
@@ -280,6 +282,7 @@ class Learner:
         self.folder.mkdir(parents=True, exist_ok=True)
         self._network = _Network(arguments)
         self._random = np.random.default_rng([arguments.seed, 1])
+        self._rules = plan_numbers(arguments.plans)
         forms = race_forms(arguments.forms)
         self._fleets: list[Fleet] = []
         for group in range(arguments.groups):
@@ -293,6 +296,7 @@ class Learner:
                 place_reward=arguments.place_reward,
                 parked=shared,
             )
+            fleet.set_rules(self._rules)
             self._fleets.append(fleet)
         self._rollouts = [
             _Rollout.of_size(arguments.steps, fleet.num_slots) for fleet in self._fleets
@@ -304,7 +308,7 @@ class Learner:
             self._views = self._restore(may_change)
         else:
             self._views = [fleet.begin() for fleet in self._fleets]
-        with whole_file(self.folder / _ARGUMENTS) as part:
+        with whole_file(self.folder / ARGUMENTS) as part:
             part.write_text(json.dumps(self._history, indent=1) + "\n")
 
     def iterate(self) -> dict[str, float]:
@@ -521,7 +525,7 @@ class Learner:
 
     def _chapter(self, kart_steps: int) -> dict[str, Any]:
         """What holds from a number of kart-steps on."""
-        rules = asdict(DriverParameters())
+        rules = asdict(self._rules)
         return {"from": kart_steps, "arguments": asdict(self.arguments), "rules": rules}
 
     def _restore(self, may_change: bool) -> list[View]:
@@ -530,7 +534,7 @@ class Learner:
         facts = json.loads(state["facts"])
         now = self._chapter(facts["kart_steps"])
         self._history = facts["history"]
-        last = {"rules": now["rules"], **self._history[-1]}
+        last = self._history[-1]
         told = [changes(last[part], now[part]) for part in ("arguments", "rules")]
         if any(told) and not may_change:
             raise ConfigError(

@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
@@ -29,8 +30,9 @@ from stkzoo.race.tournament.ratings import Rating
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
 
-from .command import keep_to_one_thread
+from .command import changes, keep_to_one_thread
 from .league_matches import AI, SEATS, Match, Pairing, play, ratings_of
+from .plan_numbers import numbers_of_run
 
 __all__ = ["START", "draw_pairing", "kept_policies", "main"]
 
@@ -160,14 +162,33 @@ def main(words: list[str] | None = None) -> int:
         files = kept_policies(options.runs, options.every)
         policies = {START: RacingPolicy.of_plans_alone()}
         policies |= {name: RacingPolicy(load_weights(file)) for name, file in files.items()}
-        _race(policies, options.output, options.matches)
+        _race(policies, common_numbers(options.runs), options.output, options.matches)
     except ConfigError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     return 0
 
 
-def _race(policies: Mapping[str, RacingPolicy], folder: Path, wanted: int) -> None:
+def common_numbers(runs: Sequence[Path]) -> DriverParameters:
+    """The numbers that the plans of all runs go by.
+
+    Raises:
+        ConfigError: they go by different ones.
+    """
+    numbers = {run: numbers_of_run(run) for run in runs}
+    first = runs[0]
+    for run, own in numbers.items():
+        if told := changes(asdict(numbers[first]), asdict(own)):
+            raise ConfigError(
+                f"the plans of {str(first)!r} and {str(run)!r} go by different numbers, expected "
+                f"the same: {told}; rate these runs apart, or race agents made of them"
+            )
+    return numbers[first]
+
+
+def _race(
+    policies: Mapping[str, RacingPolicy], rules: DriverParameters, folder: Path, wanted: int
+) -> None:
     if len(policies) < SEATS:
         raise ConfigError(
             f"there are {len(policies)} policies, expected {SEATS} or more; see --every"
@@ -178,7 +199,7 @@ def _race(policies: Mapping[str, RacingPolicy], folder: Path, wanted: int) -> No
     names = sorted(policies)
     while len(matches) < wanted:
         numbers = range(len(matches), min(wanted, len(matches) + _AT_ONCE))
-        played = play([draw_pairing(names, number) for number in numbers], policies, 0)
+        played = play([draw_pairing(names, number) for number in numbers], policies, 0, rules)
         with file.open("a") as out:
             out.writelines(json.dumps(asdict(match)) + "\n" for match in played)
         matches += played
