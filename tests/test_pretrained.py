@@ -137,7 +137,7 @@ def test_exporting_tells_where_the_agent_comes_from(tmp_path, capsys):
     assert main([str(file), "--name=tiny", f"--output={tmp_path / 'agent'}"]) == 0
     card = json.loads((tmp_path / "agent" / "card.json").read_text())
     assert (card["kart_steps"], card["history"][0]["arguments"]["seed"]) == (123, 5)
-    assert card["rules"] == {"margin": 2.0}
+    assert card["rules"] == asdict(DriverParameters(margin=2.0))
     text = (tmp_path / "agent" / "CARD.md").read_text()
     assert "mines" in text
     assert card["sha256"] in text
