@@ -111,8 +111,9 @@ def play(
     played: list[Match] = []
     for first in range(0, len(pairings), _SIDE_BY_SIDE):
         some = pairings[first : first + _SIDE_BY_SIDE]
-        fleet = Fleet([RaceForm(SEATS, 1)] * len(some), [p.track for p in some], 0, goes_on=False)
-        fleet.set_rules(rules or DriverParameters())
+        tracks = [pairing.track for pairing in some]
+        form = RaceForm(SEATS, 1)
+        fleet = Fleet([form] * len(some), tracks, 0, rules=rules, goes_on=False)
         try:
             played += _play(fleet, some, policies, turn)
         finally:

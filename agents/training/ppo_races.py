@@ -264,6 +264,7 @@ class Fleet:
         variants: how many different beginnings each track, direction and form has.
         place_reward: what a place is worth; a metre of way is worth 0.05.
         parked: beginnings to share with another fleet.
+        rules: the numbers that the learners' plans go by.
         goes_on: whether races that are over begin anew.
     """
 
@@ -275,6 +276,7 @@ class Fleet:
         variants: int = 2,
         place_reward: float = 0.3,
         parked: _Parked | None = None,
+        rules: DriverParameters | None = None,
         *,
         goes_on: bool = True,
     ) -> None:
@@ -285,7 +287,7 @@ class Fleet:
         self._races = [_Race(form, self.parked, place_reward) for form in forms]
         self._first = np.cumsum([0, *(form.learners for form in forms)])
         self.num_slots = int(self._first[-1])
-        self._drivers = Drivers(self.num_slots)
+        self._drivers = Drivers(self.num_slots, rules)
         self._is_mirrored = np.zeros(self.num_slots, bool)
 
     def begin(self) -> View:

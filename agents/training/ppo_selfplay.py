@@ -295,8 +295,8 @@ class Learner:
                 seed,
                 place_reward=arguments.place_reward,
                 parked=shared,
+                rules=self._rules,
             )
-            fleet.set_rules(self._rules)
             self._fleets.append(fleet)
         self._rollouts = [
             _Rollout.of_size(arguments.steps, fleet.num_slots) for fleet in self._fleets
@@ -535,7 +535,7 @@ class Learner:
         now = self._chapter(facts["kart_steps"])
         self._history = facts["history"]
         last = self._history[-1]
-        told = [changes(last[part], now[part]) for part in ("arguments", "rules")]
+        told = [changes(last.get(part, {}), now[part]) for part in ("arguments", "rules")]
         if any(told) and not may_change:
             raise ConfigError(
                 f"the run in {str(self.folder)!r} has other arguments or numbers of plans: "
