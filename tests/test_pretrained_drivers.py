@@ -31,7 +31,7 @@ from stkzoo.agents.pretrained.plans import (
     DRIFT_LEFT,
     DRIFT_RIGHT,
     FREE,
-    TABLE,
+    plan_table,
     table_rows,
 )
 from stkzoo.agents.pretrained.policy import RacingPolicy
@@ -161,12 +161,12 @@ def test_mirrored_choices_steer_the_other_way():
 
 def test_plans_know_their_state():
     rows = table_rows(np.array([0, 0, 1, -1]), np.array([0, 0, 5, 99]), np.array([0, 3, 0, 0]))
-    begins = [set(TABLE.manoeuvres[row].tolist()) - {-1} for row in rows]
+    begins = [set(plan_table(4).manoeuvres[row].tolist()) - {-1} for row in rows]
     assert begins[0] == {FREE, BRAKE, DRIFT_LEFT, DRIFT_RIGHT}
     assert begins[1] == {FREE, BRAKE}  # the last drift must end first; then a new one may be
     assert begins[2] == {FREE, BRAKE, DRIFT_RIGHT}
     assert begins[3] == {FREE, BRAKE}  # nothing more is to be earned
-    assert (TABLE.least <= TABLE.most).all()
+    assert (plan_table(4).least <= plan_table(4).most).all()
 
 
 def test_a_drift_is_remembered_with_what_it_earns():

@@ -227,12 +227,14 @@ class HeuristicDriver:
     ) -> Move:
         rules = self.parameters
         if state.drift_side:
-            plans = plans_in_drift(state.drift_side, min(state.drift_steps, BOOST_STEPS[1]))
+            plans = plans_in_drift(
+                state.drift_side, min(state.drift_steps, BOOST_STEPS[1]), rules.lane_changes
+            )
         else:
             may_drift = (
                 speed > rules.drift_speed and not observation["jumping"] and not state.hop_steps
             )
-            plans = plans_without_drift(state.release_steps, may_drift)
+            plans = plans_without_drift(state.release_steps, may_drift, rules.lane_changes)
         speed = max(speed, _SLOWEST)
         lock = speed * math.tan(max(float(observation["max_steer_angle"][0]), 0.02))
         lock /= rules.wheel_base

@@ -73,7 +73,7 @@ def forecast(
         reach: how far ahead the point is [m].
         item_lanes: ``(ITEM_LANES,)`` how far from the middle of the road the items are [m].
     """
-    count, moments = len(plans.lanes), len(SPANS)
+    moments, count = plans.lanes.shape
     # what turns into a share of full lock, for each m/s of speed
     pull, damp = 2.0 / (reach * reach * motion.lock), 2.0 / (reach * motion.lock)
     speeds = np.maximum(motion.speed + plans.slower, 4.0)
@@ -95,7 +95,7 @@ def forecast(
         bend, width, curvature = here
         if moment:
             ahead[moment - 1] = width
-        turn = plans.lanes * width
+        turn = plans.lanes[moment] * width
         turn += extra
         turn -= beside
         turn += bend

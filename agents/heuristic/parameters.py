@@ -16,6 +16,7 @@ class DriverParameters:
         aim_distance: how far ahead to aim at standstill [m].
         aim_time: how much farther for each m/s [s].
         margin: how far from the road's edge to keep [m].
+        lane_changes: plans may go over from one of so many lanes to another; 0 if to none.
         greatest_room: how far from the middle of the road to drive at most [m].
         over_cost: of a second that is spent a metre beyond that [m].
         late_time: so long after its end a plan goes straight on [s]; it should still be on
@@ -57,6 +58,7 @@ class DriverParameters:
     aim_distance: float = 4.67
     aim_time: float = 0.31
     margin: float = 1.13
+    lane_changes: int = 4
     greatest_room: float = 4.37
     over_cost: float = 17.4
     late_time: float = 0.05

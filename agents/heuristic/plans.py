@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,7 +13,22 @@ import numpy.typing as npt
 
 from .kart import BOOST_STEPS, BRAKING, DRIFT_TURN, RELEASE_STEPS, STEP
 
-__all__ = ["ITEM_LANES", "SPANS", "Plans", "plans_in_drift", "plans_without_drift"]
+__all__ = [
+    "BIG_BOOST_IN_SIGHT",
+    "BRAKE_TIME",
+    "CHANGE_AT",
+    "FEW_LANES",
+    "GAIN",
+    "ITEM_LANES",
+    "SOME_LANES",
+    "SPANS",
+    "SWINGS",
+    "Lanes",
+    "Plans",
+    "all_lanes",
+    "plans_in_drift",
+    "plans_without_drift",
+]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -25,19 +41,22 @@ _BEGINS, _MIDDLES = _ENDS - SPANS, _ENDS - SPANS / 2
 #: Plans aim at so many items, each at one of its own.
 ITEM_LANES = 2
 
-#: Lanes to aim at: -1 is the left edge of the road, 1 the right one.
-_ALL_LANES = np.linspace(-1.0, 1.0, 9).tolist()
-_SOME_LANES = np.linspace(-0.9, 0.9, 5).tolist()
-_FEW_LANES = np.linspace(-0.8, 0.8, 4).tolist()
+#: Lanes to aim at, before and after a change: -1 is the left edge of the road, 1 the right one.
+Lanes = Sequence[tuple[float, float]]
+SOME_LANES: Lanes = [(lane, lane) for lane in np.linspace(-0.9, 0.9, 5).tolist()]
+FEW_LANES: Lanes = [(lane, lane) for lane in np.linspace(-0.8, 0.8, 4).tolist()]
+
+#: A lane is changed after this time [s].
+CHANGE_AT = 0.8
 
 #: Before a drift the kart may turn away from it for so many steps.
-_SWINGS = (1, 2, 3)
+SWINGS = (1, 2, 3)
 
 #: A plan with brakes brakes for so long [s], then gains speed [m/s²].
-_BRAKE_TIME, _GAIN = 0.3, 4.0
+BRAKE_TIME, GAIN = 0.3, 4.0
 
 #: The big boost counts for plans that come so near to it [steps].
-_BIG_BOOST_IN_SIGHT = 20
+BIG_BOOST_IN_SIGHT = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +69,7 @@ class Plans:
         drifts: ``(T, C)`` whether the kart drifts.
         releases: ``(T, C)`` whether it goes on turning after a drift.
         slower: ``(T, C)`` change of speed [m/s].
-        lanes: ``(C,)`` where to drive, -1 is the left edge of the road, 1 the right one.
+        lanes: ``(T, C)`` where to drive, -1 is the left edge of the road, 1 the right one.
         items: ``(C,)`` number of the item to drive over instead, -1 for none.
         sides: ``(2, C)`` 1 if it drifts to the right in this step and the next, -1 to the
             left, 0 not at all.
@@ -72,53 +91,61 @@ class Plans:
     boost_steps: FloatArray
 
 
+def all_lanes(changes: int) -> Lanes:
+    """Nine lanes, and those of plans that go over from one of ``changes`` lanes to another."""
+    kept = [(lane, lane) for lane in np.linspace(-1.0, 1.0, 9).tolist()]
+    return [*kept, *itertools.permutations(np.linspace(-0.9, 0.9, changes).tolist(), 2)]
+
+
 @lru_cache(maxsize=64)
-def plans_without_drift(release: int, may_drift: bool) -> Plans:
+def plans_without_drift(release: int, may_drift: bool, changes: int) -> Plans:
     """The plans of a kart that does not drift.
 
     Args:
         release: for how many steps it still turns after a drift.
         may_drift: whether drifts may begin.
+        changes: between so many lanes plans may change.
     """
-    groups = [_free(_ALL_LANES, release), _free(_FEW_LANES, release, brake=True)]
+    groups = [_free(all_lanes(changes), release), _free(FEW_LANES, release, brake=True)]
     for side in (-1, 1) if may_drift else ():
         length = BOOST_STEPS[0]
-        groups.append(_drift(_SOME_LANES, side, length, boost=0, wait=release))
+        groups.append(_drift(SOME_LANES, side, length, boost=0, wait=release))
         groups.extend(
-            _drift(_FEW_LANES, side, length, boost=0, wait=release, swing=swing)
-            for swing in _SWINGS
+            _drift(FEW_LANES, side, length, boost=0, wait=release, swing=swing) for swing in SWINGS
         )
     return _join(groups)
 
 
 @lru_cache(maxsize=128)
-def plans_in_drift(side: int, steps: int) -> Plans:
+def plans_in_drift(side: int, steps: int, changes: int) -> Plans:
     """The plans of a kart in a drift.
 
     Args:
         side: 1 to the right, -1 to the left.
         steps: how long it has drifted.
+        changes: between so many lanes plans may change.
     """
+    lanes = all_lanes(changes)
     small, big = (max(earned - steps, 0) for earned in BOOST_STEPS)
     earned = 1 if not big else 0 if not small else -1
     release = min(steps, RELEASE_STEPS)
     groups = [
-        _free(_ALL_LANES, release, boost=earned),
-        _free(_FEW_LANES, release, brake=True),
+        _free(lanes, release, boost=earned),
+        _free(FEW_LANES, release, brake=True),
     ]
     if small:
-        groups.append(_drift(_ALL_LANES, side, small, boost=0))
+        groups.append(_drift(lanes, side, small, boost=0))
     if big:
-        in_sight = big <= _BIG_BOOST_IN_SIGHT
-        groups.append(_drift(_ALL_LANES, side, big, boost=1 if in_sight else -1))
+        in_sight = big <= BIG_BOOST_IN_SIGHT
+        groups.append(_drift(lanes, side, big, boost=1 if in_sight else -1))
     return _join(groups)
 
 
-def _free(lanes: Sequence[float], release: int, *, boost: int = -1, brake: bool = False) -> Plans:
+def _free(lanes: Lanes, release: int, *, boost: int = -1, brake: bool = False) -> Plans:
     """Plans without any drift."""
-    lost = -BRAKING * _BRAKE_TIME
-    regained = lost + _GAIN * (_ENDS[-1] - _BRAKE_TIME)
-    slower = np.interp(_BEGINS, [0.0, _BRAKE_TIME, _ENDS[-1]], [0.0, lost, regained])
+    lost = -BRAKING * BRAKE_TIME
+    regained = lost + GAIN * (_ENDS[-1] - BRAKE_TIME)
+    slower = np.interp(_BEGINS, [0.0, BRAKE_TIME, _ENDS[-1]], [0.0, lost, regained])
     return _group(
         lanes,
         releases=_between(0.0, release * STEP),
@@ -129,7 +156,7 @@ def _free(lanes: Sequence[float], release: int, *, boost: int = -1, brake: bool 
 
 
 def _drift(
-    lanes: Sequence[float], side: int, steps: int, *, boost: int, wait: int = 0, swing: int = 0
+    lanes: Lanes, side: int, steps: int, *, boost: int, wait: int = 0, swing: int = 0
 ) -> Plans:
     """Plans with one drift: wait for the end of the last, swing away, drift, release."""
     swings, begin = wait * STEP, (wait + swing) * STEP
@@ -154,7 +181,7 @@ def _between(begin: float, end: float) -> BoolArray:
 
 
 def _group(
-    lanes: Sequence[float],
+    lanes: Lanes,
     *,
     least: FloatArray | None = None,
     most: FloatArray | None = None,
@@ -168,7 +195,7 @@ def _group(
 ) -> Plans:
     """Plans that differ in their lanes only, and those for items."""
     zeros = np.zeros(len(SPANS))
-    all_lanes = np.array([*lanes, *[0.0] * ITEM_LANES])
+    before, after = np.array([*lanes, *[(0.0, 0.0)] * ITEM_LANES]).T
     items = np.array([-1] * len(lanes) + list(range(ITEM_LANES)), np.intp)
     count = len(items)
 
@@ -181,7 +208,7 @@ def _group(
         drifts=spread(zeros.astype(bool) if drifts is None else drifts),
         releases=spread(releases),
         slower=spread(zeros if slower is None else slower),
-        lanes=all_lanes,
+        lanes=np.where(_MIDDLES[:, None] < CHANGE_AT, before, after),
         items=items,
         sides=spread(np.zeros(2, np.intp) if drifts is None else drifts[:2] * side),
         brakes=np.full(count, brake),

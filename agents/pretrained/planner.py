@@ -21,7 +21,8 @@ from .plans import (
     ITEM_LANES,
     MANOEUVRES,
     SPANS,
-    TABLE,
+    PlanTable,
+    plan_table,
     table_rows,
 )
 from .road import MARK_COUNT, MARK_SPACING, Road
@@ -177,18 +178,18 @@ def weigh(scene: Scene, now: Situation, rules: DriverParameters) -> Options:
         now: what they are in the middle of.
         rules: what plans are worth.
     """
-    road = scene.road
+    road, table = scene.road, plan_table(rules.lane_changes)
     rows = table_rows(now.drift_side, now.drift_steps, now.release_steps)
     speed = np.maximum(scene.speed, _SLOWEST)
     items = _Items.of(scene, road, rules)
-    along, across, ahead, angles, turns = _forecast(scene, now, road, items, rows, speed, rules)
+    along, across, ahead, angles, turns = _forecast(scene, now, items, table, rows, speed, rules)
     danger = _danger(across, ahead, angles, speed, rules)
     worth = along[-1] - danger - np.float32(rules.angle_cost) * angles * angles
-    worth += _boosts(now, rows, rules)
+    worth += _boosts(now, table, rows, rules)
     worth += _item_gain(items, along, across)
-    manoeuvres = TABLE.manoeuvres[rows]
+    manoeuvres = table.manoeuvres[rows]
     may_drift = (scene.speed > rules.drift_speed) & ~scene.is_jumping & now.may_hop
-    is_there = (manoeuvres >= 0) & (may_drift[:, None] | ~TABLE.needs_drift[rows])
+    is_there = (manoeuvres >= 0) & (may_drift[:, None] | ~table.needs_drift[rows])
     best = np.empty((len(rows), MANOEUVRES), np.intp)
     for manoeuvre in range(MANOEUVRES):
         own = np.where(is_there & (manoeuvres == manoeuvre), worth, NEVER)
@@ -210,8 +211,8 @@ def weigh(scene: Scene, now: Situation, rules: DriverParameters) -> Options:
 def _forecast(
     scene: Scene,
     now: Situation,
-    road: Road,
     items: _Items,
+    table: PlanTable,
     rows: IntArray,
     speed: FloatArray,
     rules: DriverParameters,
@@ -220,19 +221,20 @@ def _forecast(
 
     A kart steers for a point of its lane ahead, as far as its plan lets it.
     """
+    road = scene.road
     lock = speed * np.tan(np.maximum(scene.max_steer_angle, 0.02)) / np.float32(rules.wheel_base)
     reach = (rules.aim_distance + rules.aim_time * speed).astype(np.float32)
     widest = np.where(now.is_cautious, rules.caution_room, rules.greatest_room)
     room = np.minimum(np.maximum(road.half_widths - rules.margin, 0.3), widest[:, None])
-    table = np.stack(
+    at_marks = np.stack(
         [road.bends(reach) * (0.5 * reach * reach)[:, None], room, road.curvature]
     ).astype(np.float32)
     # what turns into a share of full lock, for each m/s of speed
     pull = (2.0 / (reach * reach * lock))[:, None]
     ratio = reach[:, None]
-    least, most = TABLE.least[rows], TABLE.most[rows]
-    drifts, releases, slower = TABLE.drifts[rows] > 0, TABLE.releases[rows], TABLE.slower[rows]
-    lanes, which = TABLE.lanes[rows], TABLE.items[rows]
+    least, most = table.least[rows], table.most[rows]
+    drifts, releases, slower = table.drifts[rows] > 0, table.releases[rows], table.slower[rows]
+    lanes, which = table.lanes[rows], table.items[rows]
     extra = np.where(which < 0, 0, np.take_along_axis(items.lanes(), np.maximum(which, 0), axis=1))
     moments, (count, plans) = len(SPANS), which.shape
     along, across, ahead = (np.empty((moments, count, plans), np.float32) for _ in range(3))
@@ -240,16 +242,16 @@ def _forecast(
     beside = np.repeat(road.offset[:, None], plans, axis=1)
     angle = np.repeat(road.angle[:, None], plans, axis=1)
     last_turn = np.repeat(now.drift_turn[:, None], plans, axis=1)
-    table = table.reshape(len(table), -1)
+    at_marks = at_marks.reshape(len(at_marks), -1)
     first = MARK_COUNT * np.arange(count)[:, None]
     marks = np.repeat(first, plans, axis=1)
     turns = last_turn
     for moment in range(moments):
-        bend, width, curvature = table.take(marks, axis=1)
+        bend, width, curvature = at_marks.take(marks, axis=1)
         if moment:
             ahead[moment - 1] = width
         speeds = np.maximum(speed[:, None] + slower[:, moment], 4.0)
-        turn = (lanes * width + extra - beside + bend - angle * ratio) * (speeds * pull)
+        turn = (lanes[:, moment] * width + extra - beside + bend - angle * ratio) * (speeds * pull)
         turn = np.minimum(np.maximum(turn, least[:, moment]), most[:, moment])
         last_turn = np.where(drifts[:, moment], turn, last_turn)
         if moment == 0:
@@ -268,7 +270,7 @@ def _forecast(
         along[moment], across[moment] = at, beside
         marks = (at * np.float32(1.0 / MARK_SPACING)).astype(np.intp)
         marks = first + np.minimum(np.maximum(marks, 0), MARK_COUNT - 1)
-    ahead[-1] = table[1].take(marks)
+    ahead[-1] = at_marks[1].take(marks)
     return along, across, ahead, angle, turns
 
 
@@ -288,10 +290,12 @@ def _danger(
     return cost
 
 
-def _boosts(now: Situation, rows: IntArray, rules: DriverParameters) -> FloatArray:
+def _boosts(
+    now: Situation, table: PlanTable, rows: IntArray, rules: DriverParameters
+) -> FloatArray:
     """What plans earn by drifting, ``(A, C)`` [m]: less while such a boost still lasts."""
     small, big = BOOST_LASTS
-    wait, boosts = TABLE.boost_steps[rows], TABLE.boosts[rows]
+    wait, boosts = table.boost_steps[rows], table.boosts[rows]
     fresh = np.minimum(1.0 - (now.boost_steps[:, None] - wait) / small, 1.0) * rules.boost_worth
     fresh_big = np.minimum(1.0 - (now.big_boost_steps[:, None] - wait) / big, 1.0)
     worth = np.where(boosts == 1, fresh_big * rules.big_boost_worth, fresh)

@@ -7,13 +7,26 @@ that those of many karts stand in one array; plans that a kart does not have are
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.agents.heuristic import plans as heuristic_plans
 from stkzoo.agents.heuristic.kart import BOOST_STEPS, BRAKING, DRIFT_TURN, RELEASE_STEPS, STEP
+from stkzoo.agents.heuristic.plans import (
+    BIG_BOOST_IN_SIGHT,
+    BRAKE_TIME,
+    CHANGE_AT,
+    FEW_LANES,
+    GAIN,
+    ITEM_LANES,
+    SOME_LANES,
+    SWINGS,
+    Lanes,
+    all_lanes,
+)
 
 __all__ = [
     "BRAKE",
@@ -23,7 +36,8 @@ __all__ = [
     "ITEM_LANES",
     "MANOEUVRES",
     "SPANS",
-    "TABLE",
+    "PlanTable",
+    "plan_table",
     "table_rows",
 ]
 
@@ -31,26 +45,9 @@ FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 
 #: How long the moments of a plan last [s].
-SPANS = np.array([0.1] * 4 + [0.2] * 8, np.float32)
+SPANS = heuristic_plans.SPANS.astype(np.float32)
 _ENDS = np.cumsum(SPANS)
 _BEGINS, _MIDDLES = _ENDS - SPANS, _ENDS - SPANS / 2
-
-#: Plans aim at so many items, each at one of its own.
-ITEM_LANES = 2
-
-#: Lanes to aim at: -1 is the left edge of the road, 1 the right one.
-_ALL_LANES = np.linspace(-1.0, 1.0, 9).tolist()
-_SOME_LANES = np.linspace(-0.9, 0.9, 5).tolist()
-_FEW_LANES = np.linspace(-0.8, 0.8, 4).tolist()
-
-#: Before a drift the kart may turn away from it for so many steps.
-_SWINGS = (1, 2, 3)
-
-#: A plan with brakes brakes for so long [s], then gains speed [m/s²].
-_BRAKE_TIME, _GAIN = 0.3, 4.0
-
-#: The big boost counts for plans that come so near to it [steps].
-_BIG_BOOST_IN_SIGHT = 20
 
 #: What plans begin with; each plan has one of these.
 FREE, BRAKE, DRIFT_LEFT, DRIFT_RIGHT = range(4)
@@ -66,7 +63,7 @@ class _Plans:
     drifts: list[FloatArray]
     releases: list[FloatArray]
     slower: list[FloatArray]
-    lanes: list[float]
+    lanes: list[FloatArray]
     items: list[int]
     manoeuvres: list[int]
     boosts: list[int]
@@ -77,13 +74,11 @@ class _Plans:
     def none(cls) -> _Plans:
         return cls(*[[] for _ in range(11)])
 
-    def add_free(
-        self, lanes: Sequence[float], release: int, *, boost: int = -1, brake: bool = False
-    ) -> None:
+    def add_free(self, lanes: Lanes, release: int, *, boost: int = -1, brake: bool = False) -> None:
         """Plans without any drift."""
-        lost = -BRAKING * _BRAKE_TIME
-        regained = lost + _GAIN * (_ENDS[-1] - _BRAKE_TIME)
-        slower = np.interp(_BEGINS, [0.0, _BRAKE_TIME, _ENDS[-1]], [0.0, lost, regained])
+        lost = -BRAKING * BRAKE_TIME
+        regained = lost + GAIN * (_ENDS[-1] - BRAKE_TIME)
+        slower = np.interp(_BEGINS, [0.0, BRAKE_TIME, _ENDS[-1]], [0.0, lost, regained])
         self._add(
             lanes,
             least=-np.ones_like(SPANS),
@@ -97,7 +92,7 @@ class _Plans:
 
     def add_drift(
         self,
-        lanes: Sequence[float],
+        lanes: Lanes,
         side: int,
         steps: int,
         *,
@@ -127,7 +122,7 @@ class _Plans:
 
     def _add(
         self,
-        lanes: Sequence[float],
+        lanes: Lanes,
         *,
         least: FloatArray,
         most: FloatArray,
@@ -140,13 +135,14 @@ class _Plans:
         needs_drift: bool = False,
     ) -> None:
         """Plans that differ in their lanes only, and those for items."""
-        for lane, item in [*((lane, -1) for lane in lanes), *((0.0, i) for i in range(ITEM_LANES))]:
+        to_items = [((0.0, 0.0), item) for item in range(ITEM_LANES)]
+        for (before, after), item in [*((lane, -1) for lane in lanes), *to_items]:
             self.least.append(least)
             self.most.append(most)
             self.drifts.append(drifts)
             self.releases.append(releases)
             self.slower.append(slower)
-            self.lanes.append(lane)
+            self.lanes.append(np.where(_MIDDLES < CHANGE_AT, before, after))
             self.items.append(item)
             self.manoeuvres.append(manoeuvre)
             self.boosts.append(boost)
@@ -159,34 +155,34 @@ def _between(begin: float, end: float) -> FloatArray:
     return (np.greater_equal(_MIDDLES, begin) & np.less(_MIDDLES, end)).astype(np.float32)
 
 
-def _without_drift(release: int) -> _Plans:
+def _without_drift(release: int, lanes: Lanes) -> _Plans:
     """The plans of a kart that does not drift but still turns for some steps after one."""
     plans = _Plans.none()
-    plans.add_free(_ALL_LANES, release)
-    plans.add_free(_FEW_LANES, release, brake=True)
+    plans.add_free(lanes, release)
+    plans.add_free(FEW_LANES, release, brake=True)
     for side in (-1, 1):
         length = BOOST_STEPS[0]
-        plans.add_drift(_SOME_LANES, side, length, boost=0, wait=release, is_new=True)
-        for swing in _SWINGS:
+        plans.add_drift(SOME_LANES, side, length, boost=0, wait=release, is_new=True)
+        for swing in SWINGS:
             plans.add_drift(
-                _FEW_LANES, side, length, boost=0, wait=release, swing=swing, is_new=True
+                FEW_LANES, side, length, boost=0, wait=release, swing=swing, is_new=True
             )
     return plans
 
 
-def _in_drift(side: int, steps: int) -> _Plans:
+def _in_drift(side: int, steps: int, lanes: Lanes) -> _Plans:
     """The plans of a kart that has drifted to a side for some steps."""
     plans = _Plans.none()
     small, big = (max(earned - steps, 0) for earned in BOOST_STEPS)
     earned = 1 if not big else 0 if not small else -1
     release = min(steps, RELEASE_STEPS)
-    plans.add_free(_ALL_LANES, release, boost=earned)
-    plans.add_free(_FEW_LANES, release, brake=True)
+    plans.add_free(lanes, release, boost=earned)
+    plans.add_free(FEW_LANES, release, brake=True)
     if small:
-        plans.add_drift(_ALL_LANES, side, small, boost=0)
+        plans.add_drift(lanes, side, small, boost=0)
     if big:
-        is_in_sight = big <= _BIG_BOOST_IN_SIGHT
-        plans.add_drift(_ALL_LANES, side, big, boost=1 if is_in_sight else -1)
+        is_in_sight = big <= BIG_BOOST_IN_SIGHT
+        plans.add_drift(lanes, side, big, boost=1 if is_in_sight else -1)
     return plans
 
 
@@ -200,7 +196,7 @@ class PlanTable:
         drifts: ``(S, T, C)`` 1 where the kart drifts.
         releases: ``(S, T, C)`` 1 where it goes on turning after a drift.
         slower: ``(S, T, C)`` change of speed [m/s].
-        lanes: ``(S, C)`` where to drive, -1 is the left edge of the road, 1 the right one.
+        lanes: ``(S, T, C)`` where to drive, -1 is the left edge of the road, 1 the right one.
         items: ``(S, C)`` number of the item to drive over instead, -1 for none.
         manoeuvres: ``(S, C)`` what the plan begins with; -1 is no plan.
         boosts: ``(S, C)`` 0 if it earns the small boost, 1 if the big one, -1 if none.
@@ -224,21 +220,28 @@ class PlanTable:
 _LONGEST = BOOST_STEPS[1]
 
 
-def _table() -> PlanTable:
-    states = [_without_drift(release) for release in range(RELEASE_STEPS + 1)]
-    states += [_in_drift(side, steps) for side in (-1, 1) for steps in range(_LONGEST + 1)]
-    most = max(len(plans.lanes) for plans in states)
+@lru_cache(maxsize=8)
+def plan_table(changes: int) -> PlanTable:
+    """All plans there are.
+
+    Args:
+        changes: between so many lanes plans may change.
+    """
+    lanes = all_lanes(changes)
+    states = [_without_drift(release, lanes) for release in range(RELEASE_STEPS + 1)]
+    states += [_in_drift(side, steps, lanes) for side in (-1, 1) for steps in range(_LONGEST + 1)]
+    most = max(len(plans.items) for plans in states)
 
     def by_moment(name: str) -> FloatArray:
         rows = np.zeros((len(states), len(SPANS), most), np.float32)
         for row, plans in zip(rows, states, strict=True):
-            row[:, : len(plans.lanes)] = np.stack(getattr(plans, name), axis=1)
+            row[:, : len(plans.items)] = np.stack(getattr(plans, name), axis=1)
         return rows
 
     def by_plan(name: str, missing: float) -> FloatArray:
         rows = np.full((len(states), most), missing, np.float32)
         for row, plans in zip(rows, states, strict=True):
-            row[: len(plans.lanes)] = getattr(plans, name)
+            row[: len(plans.items)] = getattr(plans, name)
         return rows
 
     return PlanTable(
@@ -247,7 +250,7 @@ def _table() -> PlanTable:
         drifts=by_moment("drifts"),
         releases=by_moment("releases"),
         slower=by_moment("slower"),
-        lanes=by_plan("lanes", 0),
+        lanes=by_moment("lanes"),
         items=by_plan("items", -1).astype(np.intp),
         manoeuvres=by_plan("manoeuvres", -1).astype(np.intp),
         boosts=by_plan("boosts", -1).astype(np.intp),
@@ -256,12 +259,8 @@ def _table() -> PlanTable:
     )
 
 
-#: All plans there are.
-TABLE = _table()
-
-
 def table_rows(drift_side: IntArray, drift_steps: IntArray, release_steps: IntArray) -> IntArray:
-    """The rows of :data:`TABLE` for karts, ``(A,)``.
+    """The rows of :func:`plan_table` for karts, ``(A,)``.
 
     Args:
         drift_side: ``(A,)`` 1 in a drift to the right, -1 to the left, 0 in none.

@@ -17,6 +17,7 @@ ARGUMENTS = "arguments.json"
 NUMBERS = {
     "found": DriverParameters(),
     "by-hand": DriverParameters(
+        lane_changes=0,
         wheel_base=0.97,
         aim_distance=4.0,
         aim_time=0.35,
