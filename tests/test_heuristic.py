@@ -4,12 +4,15 @@ import copy
 import itertools
 import statistics
 
+import numpy as np
 import pytest
 from gymnasium.utils.env_checker import data_equivalence
 
 from stkzoo import AgentSpec, race_v0
 from stkzoo.agents import heuristic
 from stkzoo.agents.heuristic.kart import RESCUE_STEPS, STEP
+from stkzoo.agents.heuristic.line import CentreLine
+from stkzoo.agents.heuristic.road import Road
 from stkzoo.race import run_race
 
 SEEDS = range(1, 7)
@@ -84,7 +87,27 @@ def test_calls_the_rescue_when_it_is_held_and_gives_it_time():
     calls = [step for step, what in enumerate(done) if what == "rescue"]
     assert calls[0] == pytest.approx(heuristic.DriverParameters().stuck_time / STEP, abs=1)
     assert min(later - call for call, later in itertools.pairwise(calls)) >= RESCUE_STEPS
-    assert "brake" not in done
+    order = [what for what, _ in itertools.groupby(done)]
+    assert order[:6] == ["go", "rescue", "go", "brake", "go", "rescue"]  # the first did not help
+
+
+def test_calls_the_rescue_when_it_is_lost():
+    driver, calls = heuristic.HeuristicDriver(), []
+    with race_v0.parallel_env(num_kart=1, track="lighthouse") as env:
+        observation = env.reset(seed=0)[0]["kart_0"]
+    road = Road.of(CentreLine.of(observation))
+    for beyond in np.array([-0.5, 0.5]) + driver.parameters.lost_room:
+        aside = np.array([road.offset + road.half_widths[0] + beyond, 0, 0], np.float32)
+        moved = {
+            **observation,
+            "phase": 3,
+            "velocity": np.array([0, 0, 20], np.float32),
+            "paths_start": [np.add(start, aside) for start in observation["paths_start"]],
+            "paths_end": [np.add(end, aside) for end in observation["paths_end"]],
+        }
+        state = heuristic.create_state()
+        calls.append(sum(driver(state, moved)["rescue"] for _ in range(20)))
+    assert calls == [0, 1]
 
 
 def test_may_back_out_first_and_then_call_the_rescue():

@@ -122,25 +122,25 @@ def test_brakes_cost_way():
 def test_a_drift_turns_at_least_so_much(side):
     plans = plans_in_drift(side, 3, CHANGES)
     drifting = plans.drifts[0]
-    turns = foresee(plans, straight_road()).turns[0, drifting] * side
+    turns = foresee(plans, straight_road()).turns[drifting] * side
     assert (turns >= DRIFT_TURN[0] - 1e-9).all()
     assert (turns <= DRIFT_TURN[1] + 1e-9).all()
-    assert set(plans.sides[0, drifting]) == {side}
+    assert set(plans.sides[drifting]) == {side}
 
 
 def test_no_drift_begins_while_the_last_one_still_turns_the_kart():
     for release in range(1, RELEASE_STEPS + 1):
         plans = plans_without_drift(release, True, CHANGES)
         assert (plans.boosts == 0).any()
-        assert not plans.sides[0].any()
+        assert not plans.sides.any()
         assert not plans.drifts[0].any()
 
 
 def test_boosts_are_earned_by_drifts_that_last():
     begin = plans_without_drift(0, True, CHANGES)
-    assert begin.boost_steps[begin.sides[0] != 0] == pytest.approx(BOOST_STEPS[0])
+    assert begin.boost_steps[begin.sides != 0] == pytest.approx(BOOST_STEPS[0])
     too_short = plans_in_drift(1, 4, CHANGES)
-    assert not (too_short.boosts[too_short.sides[0] == 0] >= 0).any()
+    assert not (too_short.boosts[too_short.sides == 0] >= 0).any()
     done = plans_in_drift(1, BOOST_STEPS[1], CHANGES)
     assert not done.sides.any()
     assert (done.boosts == 1).any()

@@ -221,7 +221,7 @@ def when_a_held_kart_acts(**rules):
 
 def test_who_is_stuck_calls_the_rescue_and_gives_it_time():
     backs, calls = when_a_held_kart_acts()
-    assert not backs
+    assert calls[0] < backs[0] < calls[1]  # it backs out, since the first rescue did not help
     assert calls[0] == pytest.approx(DriverParameters().stuck_time / STEP, abs=1)
     assert min(np.diff(calls)) >= RESCUE_STEPS
 
@@ -229,6 +229,18 @@ def test_who_is_stuck_calls_the_rescue_and_gives_it_time():
 def test_who_is_stuck_may_back_out_first():
     backs, calls = when_a_held_kart_acts(rescue_reverses=1)
     assert calls[0] > backs[0] + 9
+
+
+def test_who_is_lost_calls_the_rescue():
+    rules = DriverParameters()
+    memory, fast = DriverMemory(2, rules), np.full(2, 20.0, np.float32)
+    beyond = rules.lost_room + np.array([-0.5, 0.5], np.float32)
+    calls = np.zeros(2, int)
+    for _ in range(20):
+        memory.look(fast, fast)
+        memory.look_around(beyond)
+        calls += memory.stuck()[1]
+    assert calls.tolist() == [0, 1]
 
 
 def test_some_karts_are_forgotten_and_others_not():

@@ -1,7 +1,4 @@
-"""The heuristic driver: weighs plans for the next two seconds, and begins the best one.
-
-It looks at every second moment only, and does two steps of what it has chosen then.
-"""
+"""The heuristic driver: weighs plans for the next two seconds, and begins the best one."""
 
 from __future__ import annotations
 
@@ -53,7 +50,7 @@ _NO_LANES = np.zeros(ITEM_LANES)
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """What a plan does in one step.
+    """What a plan does now.
 
     Attributes:
         turn: by which share of full lock it turns, positive to the right.
@@ -91,7 +88,7 @@ class DriverState:
         reverses: how often it has backed out without getting away.
         rescue_steps: how much longer a rescue that was called may take.
         free_steps: how long it has been driving.
-        next_move: the second step of the last plan, if that is to be done.
+        on_road: call in which it was last on the road, or near it.
     """
 
     steps: int = 0
@@ -112,7 +109,7 @@ class DriverState:
     reverses: int = 0
     rescue_steps: int = 0
     free_steps: int = 0
-    next_move: Move | None = None
+    on_road: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,12 +134,11 @@ class HeuristicDriver:
         """
         speed = float(observation["velocity"][2])
         self._remember(state, speed, observation)
-        move, state.next_move = state.next_move, None
-        if move is not None:
-            return self._act(state, move)
         road = Road.of(CentreLine.of(observation))
         if state.reverse_steps > 0:
             return self._back_out(state, road)
+        if self._is_lost(state, road):
+            return self._call_rescue(state)
         if state.still_steps * STEP > self.parameters.stuck_time:
             return self._get_unstuck(state, road)
         return self._race(state, road, speed, observation)
@@ -155,7 +151,6 @@ class HeuristicDriver:
             setattr(state, name, max(getattr(state, name) - 1, 0))
         if state.speed - speed > rules.crash_drop:
             state.caution_steps = round(rules.caution_time / STEP)
-            state.next_move = None
         state.speed = speed
         is_racing = observation["phase"] >= _GO_PHASE and state.rescue_steps == 0
         if is_racing and abs(speed) < rules.stuck_speed:
@@ -168,7 +163,6 @@ class HeuristicDriver:
             state.reverses = 0
         if state.drift_steps >= _DRIFT_SHOWS and observation["skeed_factor"][0] <= 1.0:
             state.drift_side = state.drift_steps = 0
-            state.next_move = None
 
     def _race(
         self, state: DriverState, road: Road, speed: float, observation: Mapping[str, Any]
@@ -255,16 +249,12 @@ class HeuristicDriver:
         if items:
             worth += items.gain(ways)
         best = int(worth.argmax())
-        now, state.next_move = (
-            Move(
-                float(turns[best]),
-                int(sides[best]),
-                bool(plans.brakes[best]),
-                float(danger[best]),
-            )
-            for turns, sides in zip(ways.turns, plans.sides, strict=True)
+        return Move(
+            float(ways.turns[best]),
+            int(plans.sides[best]),
+            bool(plans.brakes[best]),
+            float(danger[best]),
         )
-        return now
 
     def _danger(self, ways: Forecast, speed: float) -> FloatArray:
         """What plans cost by leaving the road, ``(C,)`` [m]."""
@@ -316,15 +306,26 @@ class HeuristicDriver:
 
     # ------------------------------------------------------------------ getting unstuck
 
+    def _is_lost(self, state: DriverState, road: Road) -> bool:
+        rules = self.parameters
+        beyond = abs(road.offset) - float(road.half_widths[0])
+        if beyond < rules.lost_room or state.rescue_steps > 0:
+            state.on_road = state.steps
+        return (state.steps - state.on_road) * STEP > rules.lost_time
+
     def _get_unstuck(self, state: DriverState, road: Road) -> Action:
         state.still_steps = state.drift_side = state.drift_steps = 0
         if state.reverses >= self.parameters.rescue_reverses:
-            state.reverses = 0
-            state.rescue_steps = RESCUE_STEPS
-            return _action(rescue=True)
+            return self._call_rescue(state)
         state.reverses += 1
         state.reverse_steps = round(self.parameters.reverse_time / STEP)
         return self._back_out(state, road)
+
+    def _call_rescue(self, state: DriverState) -> Action:
+        state.still_steps = state.drift_side = state.drift_steps = 0
+        state.reverses = -self.parameters.rescued_reverses
+        state.rescue_steps = RESCUE_STEPS
+        return _action(rescue=True)
 
     def _back_out(self, state: DriverState, road: Road) -> Action:
         state.still_steps = 0

@@ -42,8 +42,7 @@ class Forecast:
         across: ``(T, C)`` distance from the middle of the road, positive to the right [m].
         room: ``(T, C)`` the distance that there may be [m].
         angles: ``(C,)`` last direction, 0 is the road's [rad].
-        turns: ``(2, C)`` share of full lock to turn by in this step and the next, positive to
-            the right.
+        turns: ``(C,)`` share of full lock to turn by now, positive to the right.
     """
 
     along: FloatArray
@@ -88,7 +87,6 @@ def forecast(
     last_turn = np.full(count, motion.drift_turn)
     here = np.empty((3, count))
     marks = np.zeros(count, np.intp)
-    turns = np.empty((2, count))
     ratio = damp / pull
     for moment in range(moments):
         table.take(marks, axis=1, mode="clip", out=here)
@@ -104,9 +102,8 @@ def forecast(
         np.maximum(turn, plans.least[moment], out=turn)
         np.minimum(turn, plans.most[moment], out=turn)
         np.copyto(last_turn, turn, where=plans.drifts[moment])
-        if moment < len(turns):
-            turns[moment] = turn
         if moment == 0:
+            turns = turn.copy()
             turn += (motion.turn - turn) * STEERING_LAG
         turn += last_turn * releases[moment]
         turn *= motion.lock * SPANS[moment]

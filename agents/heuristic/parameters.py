@@ -51,7 +51,10 @@ class DriverParameters:
         stuck_time: after standing so long, back out [s].
         reverse_time: for so long [s].
         rescue_reverses: after backing out so often without getting away, call the rescue.
+        rescued_reverses: and so often more when the last rescue did not help.
         free_time: driving so long means having got away [s].
+        lost_room: who is farther than this beyond the edge of the road [m]
+        lost_time: for this time [s] calls the rescue.
     """
 
     wheel_base: float = 0.89
@@ -92,4 +95,7 @@ class DriverParameters:
     stuck_time: float = 0.4
     reverse_time: float = 1.0
     rescue_reverses: int = 0
-    free_time: float = 3.0
+    rescued_reverses: int = 1
+    free_time: float = 6.0
+    lost_room: float = 6.0
+    lost_time: float = 1.0

@@ -71,8 +71,7 @@ class Plans:
         slower: ``(T, C)`` change of speed [m/s].
         lanes: ``(T, C)`` where to drive, -1 is the left edge of the road, 1 the right one.
         items: ``(C,)`` number of the item to drive over instead, -1 for none.
-        sides: ``(2, C)`` 1 if it drifts to the right in this step and the next, -1 to the
-            left, 0 not at all.
+        sides: ``(C,)`` 1 if it drifts to the right now, -1 to the left, 0 not at all.
         brakes: ``(C,)`` whether it brakes now.
         boosts: ``(C,)`` 0 if it earns the small boost, 1 if the big one, -1 if none.
         boost_steps: ``(C,)`` in how many steps.
@@ -210,7 +209,7 @@ def _group(
         slower=spread(zeros if slower is None else slower),
         lanes=np.where(_MIDDLES[:, None] < CHANGE_AT, before, after),
         items=items,
-        sides=spread(np.zeros(2, np.intp) if drifts is None else drifts[:2] * side),
+        sides=np.full(count, 0 if drifts is None else int(drifts[0]) * side, np.intp),
         brakes=np.full(count, brake),
         boosts=np.full(count, boost, np.intp),
         boost_steps=np.full(count, float(boost_steps)),

@@ -154,7 +154,10 @@ class Drivers:
         speed = np.asarray(own["velocity"][:, 2], np.float32)
         self.memory.look(speed, np.reshape(own["skeed_factor"], -1))
         self._tracker.look()
-        return self.view(own, around)
+        view = self.view(own, around)
+        assert self._options is not None  # noqa: S101 - since view
+        self.memory.look_around(self._options.beyond)
+        return view
 
     def view(self, own: Mapping[str, Any], around: Surroundings) -> View:
         """What the policy sees, when no step has passed."""

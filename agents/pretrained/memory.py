@@ -71,6 +71,7 @@ class _Fields:
     reverse_steps: FloatArray
     reverses: FloatArray
     rescue_steps: FloatArray
+    lost_steps: FloatArray
     since_fire: FloatArray
 
 
@@ -126,6 +127,16 @@ class DriverMemory:
         is_over = (of.drift_steps >= _DRIFT_SHOWS) & (skeed_factor <= 1.0)
         of.drift_side[is_over] = of.drift_steps[is_over] = 0
 
+    def look_around(self, beyond: FloatArray) -> None:
+        """The same step, once the road has been seen.
+
+        Args:
+            beyond: ``(A,)`` how far beyond the edge of the road the karts are [m].
+        """
+        of = self._of
+        is_off = (beyond >= self._rules.lost_room) & (of.rescue_steps == 0)
+        of.lost_steps[:] = np.where(is_off, of.lost_steps + 1, 0)
+
     def situation(self) -> Situation:
         """What the karts are in the middle of."""
         of = self._of
@@ -174,12 +185,14 @@ class DriverMemory:
     def stuck(self) -> tuple[BoolArray, BoolArray]:
         """Who backs out now, and who calls the rescue, ``(A,)`` each; it is noted that they do."""
         of = self._of
-        begins = (of.reverse_steps == 0) & (of.still_steps > self._stuck_steps)
-        calls = begins & (of.reverses >= self._rules.rescue_reverses)
+        is_lost = of.lost_steps * STEP > self._rules.lost_time
+        is_stuck = of.still_steps > self._stuck_steps
+        begins = (of.reverse_steps == 0) & (is_lost | is_stuck)
+        calls = begins & (is_lost | (of.reverses >= self._rules.rescue_reverses))
         backs = begins & ~calls
-        of.still_steps[begins] = 0
+        of.still_steps[begins] = of.lost_steps[begins] = 0
         of.drift_side[begins] = of.drift_steps[begins] = 0
-        of.reverses[calls] = 0
+        of.reverses[calls] = -self._rules.rescued_reverses
         of.rescue_steps[calls] = RESCUE_STEPS
         of.reverses[backs] += 1
         of.reverse_steps[backs] = round(self._rules.reverse_time / STEP)

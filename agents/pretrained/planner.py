@@ -110,6 +110,7 @@ class Options:
         danger: what it costs beyond the edge of the road [m].
         angle: ``(A,)`` the kart's direction, 0 is the road's [rad].
         offset: ``(A,)`` how far it is from the middle, positive to the right [m].
+        beyond: ``(A,)`` how far it is beyond the edge of the road, negative on it [m].
         straightness: ``(A,)`` by how much the road turns at most in a while [rad].
     """
 
@@ -118,6 +119,7 @@ class Options:
     danger: FloatArray
     angle: FloatArray
     offset: FloatArray
+    beyond: FloatArray
     straightness: FloatArray
 
 
@@ -204,6 +206,7 @@ def weigh(scene: Scene, now: Situation, rules: DriverParameters) -> Options:
         danger=np.where(exists, take(danger, best, axis=1), 0).astype(np.float32),
         angle=road.angle,
         offset=road.offset,
+        beyond=np.abs(road.offset) - road.half_widths[:, 0],
         straightness=road.straightness(rules.straight_time * scene.speed),
     )
 
