@@ -314,9 +314,9 @@ class HeuristicDriver:
         return (state.steps - state.on_road) * STEP > rules.lost_time
 
     def _get_unstuck(self, state: DriverState, road: Road) -> Action:
-        state.still_steps = state.drift_side = state.drift_steps = 0
         if state.reverses >= self.parameters.rescue_reverses:
             return self._call_rescue(state)
+        state.drift_side = state.drift_steps = 0
         state.reverses += 1
         state.reverse_steps = round(self.parameters.reverse_time / STEP)
         return self._back_out(state, road)
