@@ -24,7 +24,9 @@ from stkzoo.wrappers.racing import (
     RoadTable,
     choices_of_action,
     controls_of_choices,
+    racing_features,
     road_line,
+    surroundings_of,
 )
 from stkzoo.wrappers.racing.layout import MARKS
 from stkzoo.wrappers.racing.road import NUM_POINTS, STEP
@@ -113,6 +115,19 @@ def test_the_view_by_its_name_is_in_its_space_and_finite():
             observations, *_ = env.step({a: env.action_space(a).sample() for a in env.agents})
     assert np.isfinite(seen).all()
     assert np.ptp(seen, axis=0).max() > 0.5  # it moves
+
+
+@pytest.mark.parametrize("max_paths", [None, 10])
+def test_the_view_by_its_name_shows_what_its_wrappers_make(max_paths):
+    with race(view="racing", max_paths=max_paths) as env:
+        observations, _ = env.reset(seed=5)
+        for _ in range(40):
+            seen = np.stack([observations[agent] for agent in env.agents])
+            made = racing_features(*surroundings_of(env.observe_batch(env.agents)))
+            np.testing.assert_allclose(seen, made, atol=1e-4)
+            observations, *_ = env.step({a: env.action_space(a).sample() for a in env.agents})
+        observations[env.agents[0]][:] = 9.0
+        assert max(observations[agent].max() for agent in env.agents[1:]) < 9.0
 
 
 def test_it_is_registered():

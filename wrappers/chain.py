@@ -12,6 +12,7 @@ from gymnasium import spaces
 from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo.errors import ActionError, ConfigError
+from stkzoo.kernel import kernel
 from stkzoo.wrappers.actions import read_actions
 from stkzoo.wrappers.agent_chain import AgentChain, WrapperFactory, agent_failures
 from stkzoo.wrappers.batch import split, take
@@ -41,10 +42,10 @@ class Sight(Protocol):
         """All agents' base observations in batch form."""
 
     def through(self, view: Any, rows: npt.NDArray[np.intp]) -> list[Any] | None:
-        """What some agents see in a view of the kernel, in Gymnasium's form.
+        """What some agents see in a view that needs no batch, in Gymnasium's form.
 
         Args:
-            view: a ``stkzoo.kernel`` view.
+            view: of :func:`stkzoo.wrappers.fused.fused_view`.
             rows: which agents.
 
         Returns:
@@ -228,7 +229,9 @@ class AgentChains:
 
     def views(self, agents: Sequence[str]) -> list[tuple[Any, npt.NDArray[np.intp]]]:
         """The kernel's views, each with the numbers of the agents that it shows all to."""
-        return [(g.view, g.rows) for g in self._groups(agents) if g.view is not None]
+        if kernel is None:
+            return []
+        return [(g.view, g.rows) for g in self._groups(agents) if isinstance(g.view, kernel.View)]
 
     def step(self, agents: Sequence[str], sight: Sight, parts: StepParts) -> StepParts:
         """The agents' views of one step; call it once after each :meth:`decode`.

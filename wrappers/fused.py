@@ -1,9 +1,10 @@
-"""Chains of the shipped wrappers as one pass of the compiled kernel.
+"""Chains of the shipped wrappers as one pass.
 
 A chain that is nothing but shipped wrappers in the usual order (fixed sizes, polar
-coordinates, actions in steps, flattening) need not be walked wrapper by wrapper: the kernel
-does all at once, from records to what the agent gets and from the agent's action to controls.
-Every other chain is run as it is.
+coordinates, actions in steps, flattening) need not be walked wrapper by wrapper: the compiled
+kernel does all at once, from records to what the agent gets and from the agent's action to
+controls. The ``racing`` view is made of records too, by :class:`RacingSight`. Every other chain is
+run as it is.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from stkzoo.wrappers.discrete_actions import DiscreteActionsWrapper
 from stkzoo.wrappers.flatten_multidiscrete import FlattenMultiDiscreteActions
 from stkzoo.wrappers.flattener import FlattenerWrapper
 from stkzoo.wrappers.polar import PolarObservations
+from stkzoo.wrappers.racing.crowd import RacingSight
+from stkzoo.wrappers.racing.wrapper import RacingActions, RacingObservations
 
 __all__ = ["fused_controls", "fused_view"]
 
@@ -29,16 +32,21 @@ _Leaf = tuple[tuple[float, float, bool, int, Any], ...]
 
 
 def fused_view(wrappers: Sequence[Any], base: Any) -> Any:
-    """The kernel's view that shows what some wrappers make of a base observation.
+    """What shows at once what some wrappers make of a base observation.
 
     Args:
         wrappers: all wrappers, the innermost first.
         base: the base observation space.
 
     Returns:
-        A ``kernel.View``, or ``None`` if the kernel cannot do what the wrappers do.
+        A ``kernel.View``, a :class:`RacingSight`, or ``None`` if neither can do what the wrappers
+        do.
     """
-    if kernel is None or not isinstance(base, spaces.Dict) or "action" in base.spaces:
+    if not isinstance(base, spaces.Dict) or "action" in base.spaces:
+        return None
+    if [type(wrapper) for wrapper in wrappers] == _RACING:
+        return RacingSight()
+    if kernel is None:
         return None
     space: Any = base
     sizes: dict[str, int] = {}
@@ -68,6 +76,7 @@ def fused_view(wrappers: Sequence[Any], base: Any) -> Any:
         return None
 
 
+_RACING = [RacingObservations, RacingActions]
 _ACTIONS_ONLY = (OnlyContinuousActionsWrapper, DiscreteActionsWrapper, FlattenMultiDiscreteActions)
 
 

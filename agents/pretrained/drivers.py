@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.heuristic.kart import DRIFT_TURN
+from stkzoo.mdp.geometry import squared
 from stkzoo.names import PowerupType
 from stkzoo.wrappers.racing import (
     LOOKS,
@@ -24,7 +25,6 @@ from stkzoo.wrappers.racing import (
     SIZE,
     Surroundings,
     racing_features,
-    squared,
 )
 
 from .memory import MEMORY_MIRROR, DriverMemory

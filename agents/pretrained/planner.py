@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.heuristic.kart import BOOST_LASTS, RELEASE_TURN, STEERING_LAG, STEP
+from stkzoo.mdp.geometry import squared
 from stkzoo.names import ItemType, PowerupType
-from stkzoo.wrappers.racing import squared
 
 from .plans import (
     ITEM_LANES,

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.heuristic.kart import STEP
-from stkzoo.wrappers.racing import squared
+from stkzoo.mdp.geometry import squared
 
 from .road import MARK_COUNT, Road
 

@@ -23,6 +23,7 @@ from stkzoo.mdp.observations import KartObserver, ai_actions
 from stkzoo.mdp.rewards import Reward
 from stkzoo.mdp.state import race_state
 from stkzoo.wrappers.chain import AgentChains, StepParts
+from stkzoo.wrappers.racing import RacingSight
 
 __all__ = ["Episode"]
 
@@ -161,8 +162,10 @@ class Episode:
         """What some agents see now, to be made in the form that is asked for."""
         return Sight(self, self._karts(agents), agents, paths_used)
 
-    def through(self, view: Any, karts: IntArray) -> list[Any]:
-        """What some karts see now in a view of the compiled kernel."""
+    def through(self, view: Any, karts: IntArray) -> list[Any] | None:
+        """What some karts see now in a view that needs no batch (``wrappers/fused.py``)."""
+        if isinstance(view, RacingSight):
+            return view.observe(self.track_map, self.snapshot, karts, self._max_paths)
         return self._observer.through(view, self.snapshot, karts)
 
     def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -183,7 +186,7 @@ class Episode:
         self.record = EpisodeRecord(rewards, self.race.kart_indices, race_length)
         self._outcome = None
         self._num_steps = 0
-        self._max_cycles = options.max_cycles
+        self._max_cycles, self._max_paths = options.max_cycles, options.max_paths
         self._observer = KartObserver(self.track_map, self.race.kart_types, options.max_paths)
 
     def _karts(self, agents: Sequence[str]) -> IntArray:
@@ -218,6 +221,6 @@ class Sight:
             self._batch = self._episode.observe(self._agents, self._paths_used)
         return self._batch
 
-    def through(self, view: Any, rows: IntArray) -> list[Any]:
-        """What the agents of some rows see in a view of the compiled kernel."""
+    def through(self, view: Any, rows: IntArray) -> list[Any] | None:
+        """What the agents of some rows see in a view that needs no batch."""
         return self._episode.through(view, self._karts[rows])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["rotation_matrices", "to_kart_frame"]
+__all__ = ["rotation_matrices", "squared", "to_kart_frame"]
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -67,3 +67,10 @@ def to_kart_frame(points: FloatArray, locations: FloatArray, matrices: FloatArra
     """
     seen: FloatArray = np.matmul(points - locations[:, None], matrices.transpose(0, 2, 1))
     return seen
+
+
+def squared(vectors: FloatArray) -> FloatArray:
+    """The squared lengths ``(...)`` of ``(..., 3)``, quicker than by a sum."""
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    squares: FloatArray = x * x + y * y + z * z
+    return squares

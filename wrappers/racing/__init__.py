@@ -1,12 +1,11 @@
 """The racing view: a fixed-size driver's view of the race, and a few choices to act by."""
 
-from stkzoo.wrappers.racing.crowd import CrowdView, KartColumns
+from stkzoo.wrappers.racing.crowd import CrowdView, KartColumns, RacingSight
 from stkzoo.wrappers.racing.features import (
     ABSENT,
     LOOKS,
     Surroundings,
     racing_features,
-    squared,
 )
 from stkzoo.wrappers.racing.layout import MIRROR, PARTS, SIZE
 from stkzoo.wrappers.racing.road import RoadTable, road_line
@@ -32,12 +31,12 @@ __all__ = [
     "KartColumns",
     "RacingActions",
     "RacingObservations",
+    "RacingSight",
     "RoadTable",
     "Surroundings",
     "choices_of_action",
     "controls_of_choices",
     "racing_features",
     "road_line",
-    "squared",
     "surroundings_of",
 ]

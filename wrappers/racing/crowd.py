@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -23,9 +24,12 @@ from stkzoo.wrappers.racing.features import (
     line_places,
     racing_features,
 )
-from stkzoo.wrappers.racing.road import RoadTable
+from stkzoo.wrappers.racing.road import MAX_SEGMENTS, RoadTable
 
-__all__ = ["CrowdView", "KartColumns"]
+if TYPE_CHECKING:
+    from stkzoo.engine.track import TrackMap
+
+__all__ = ["CrowdView", "KartColumns", "RacingSight"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
@@ -197,3 +201,31 @@ def _own(columns: KartColumns) -> dict[str, npt.NDArray[np.generic]]:
         "powerup_count": np.minimum(columns.choice("powerup_num"), POWERUP_COUNT_LIMIT),
         "attachment": columns.choice("attachment_type"),
     }
+
+
+class RacingSight:
+    """The view ``racing`` of the agents of one race, without an observation in between."""
+
+    def observe(
+        self, track: TrackMap, snapshot: Snapshot, karts: IntArray, max_paths: int | None
+    ) -> list[FloatArray] | None:
+        """What some karts see.
+
+        Args:
+            track: the race's track.
+            snapshot: the moment.
+            karts: ``(A,)`` indices of the observing karts.
+            max_paths: how many track segments ahead an observation has; ``None`` is all.
+
+        Returns:
+            ``(SIZE,)`` float32 for each; ``None`` if they see fewer segments than the view
+            looks at.
+        """
+        if max_paths is not None and max_paths < MAX_SEGMENTS:
+            return None
+        return list(_view_of(track).observe([snapshot], [0], [karts]))
+
+
+@functools.lru_cache(maxsize=64)
+def _view_of(track: TrackMap) -> CrowdView:
+    return CrowdView([RoadTable(track)])

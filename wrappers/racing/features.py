@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.mdp.geometry import squared
 from stkzoo.names import ItemType
 from stkzoo.wrappers.racing.layout import (
     ATTACHMENTS,
@@ -72,13 +73,6 @@ class Surroundings:
     karts: FloatArray
     items: FloatArray
     item_types: IntArray
-
-
-def squared(vectors: FloatArray) -> FloatArray:
-    """The squared lengths ``(...)`` of ``(..., 3)``, quicker than by a sum."""
-    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    squares: FloatArray = x * x + y * y + z * z
-    return squares
 
 
 def line_places(

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.mdp.geometry import squared
+
 if TYPE_CHECKING:
     from stkzoo.engine.track import TrackMap
 
@@ -78,7 +80,7 @@ def _chain(starts: FloatArray, ends: FloatArray) -> npt.NDArray[np.intp]:
     jumps = np.abs(starts[1:] - ends[:-1]).max(axis=1) if count > 1 else np.zeros(0)
     if (jumps < _TOUCHING).all():
         return np.arange(count)
-    squares = ((starts[None, :, :] - ends[:, None, :]) ** 2).sum(axis=2)
+    squares = squared(starts[None, :, :] - ends[:, None, :])
     squares[np.tri(count, dtype=bool)] = np.inf  # what follows comes later in driving order
     followers = squares.argmin(axis=1).tolist()
     is_last = (squares.min(axis=1) > _LONGEST_JUMP**2).tolist()
