@@ -71,11 +71,11 @@ def test_leaves_the_observation_as_it_is():
         assert data_equivalence(observation, before)
 
 
-def what_a_held_kart_does(**rules):
+def what_a_held_kart_does(speed=0.0, **rules):
     """``go``, ``brake`` or ``rescue`` for each step of one that does not get away."""
     with race_v0.parallel_env(num_kart=1, track="lighthouse") as env:
         observation = env.reset(seed=0)[0]["kart_0"]
-    held = {**observation, "phase": 3, "velocity": 0 * observation["velocity"]}
+    held = {**observation, "phase": 3, "velocity": np.array([0, 0, speed], np.float32)}
     driver = heuristic.HeuristicDriver(heuristic.DriverParameters(**rules))
     state = heuristic.create_state()
     actions = [driver(state, held) for _ in range(60)]
@@ -89,6 +89,13 @@ def test_calls_the_rescue_when_it_is_held_and_gives_it_time():
     assert min(later - call for call, later in itertools.pairwise(calls)) >= RESCUE_STEPS
     order = [what for what, _ in itertools.groupby(done)]
     assert order[:6] == ["go", "rescue", "go", "brake", "go", "rescue"]  # the first did not help
+
+
+def test_calls_the_rescue_when_it_crawls_along_an_obstacle():
+    rules = heuristic.DriverParameters()
+    assert "rescue" not in what_a_held_kart_does(rules.crawl_speed + 0.5)
+    calls = what_a_held_kart_does(rules.crawl_speed - 0.5).index("rescue")
+    assert calls == pytest.approx(rules.crawl_time / STEP, abs=1)
 
 
 def test_calls_the_rescue_when_it_is_lost():
@@ -108,6 +115,27 @@ def test_calls_the_rescue_when_it_is_lost():
         state = heuristic.create_state()
         calls.append(sum(driver(state, moved)["rescue"] for _ in range(20)))
     assert calls == [0, 1]
+
+
+def test_brakes_for_what_is_ahead_unless_it_would_drive_backwards():
+    with race_v0.parallel_env(num_kart=1, track="lighthouse") as env:
+        observation = env.reset(seed=0)[0]["kart_0"]
+    cosine, sine = np.cos(1.0), np.sin(1.0)  # the road is to the right, and turned away
+    turned = np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]], np.float32)
+    sharp = {
+        **observation,
+        "phase": 3,
+        "max_steer_angle": np.array([0.05], np.float32),
+        **{
+            key: [turned @ (point + np.array([4, 0, 0], np.float32)) for point in observation[key]]
+            for key in ("paths_start", "paths_end")
+        },
+    }
+    driver, brakes = heuristic.HeuristicDriver(), []
+    for speed in np.array([-1, 1]) + driver.parameters.brake_speed:
+        moving = {**sharp, "velocity": np.array([0, 0, speed], np.float32)}
+        brakes.append(driver(heuristic.create_state(), moving)["brake"])
+    assert brakes == [0, 1]
 
 
 def test_may_back_out_first_and_then_call_the_rescue():

@@ -207,12 +207,12 @@ def test_a_drift_begins_with_a_hop_and_after_a_short_one_the_kart_turns_on_for_s
     assert may_hop == [True, *[False] * (DRIFT_APART - 1), True]
 
 
-def when_a_held_kart_acts(**rules):
+def when_a_held_kart_acts(speed=0.0, **rules):
     """In which steps one that does not get away backs out, and calls the rescue."""
-    memory, zero = DriverMemory(1, DriverParameters(**rules)), np.zeros(1, np.float32)
+    memory, speeds = DriverMemory(1, DriverParameters(**rules)), np.full(1, speed, np.float32)
     backs, calls = [], []
     for step in range(60):
-        memory.look(zero, zero + 1)
+        memory.look(speeds, np.ones(1))
         back, call = memory.stuck()
         backs += [step] * int(back[0])
         calls += [step] * int(call[0])
@@ -229,6 +229,13 @@ def test_who_is_stuck_calls_the_rescue_and_gives_it_time():
 def test_who_is_stuck_may_back_out_first():
     backs, calls = when_a_held_kart_acts(rescue_reverses=1)
     assert calls[0] > backs[0] + 9
+
+
+def test_who_crawls_along_an_obstacle_calls_the_rescue():
+    rules = DriverParameters()
+    assert when_a_held_kart_acts(rules.crawl_speed + 0.5) == ([], [])
+    _, calls = when_a_held_kart_acts(rules.crawl_speed - 0.5)
+    assert calls[0] == pytest.approx(rules.crawl_time / STEP, abs=1)
 
 
 def test_who_is_lost_calls_the_rescue():

@@ -84,6 +84,7 @@ class DriverState:
         last_shot: call of the last shot.
         caution_steps: how much longer to be careful.
         still_steps: how long the kart has stood still.
+        crawl_steps: how long it has been very slow.
         reverse_steps: how much longer to back out.
         reverses: how often it has backed out without getting away.
         rescue_steps: how much longer a rescue that was called may take.
@@ -105,6 +106,7 @@ class DriverState:
     last_shot: int = 0
     caution_steps: int = 0
     still_steps: int = 0
+    crawl_steps: int = 0
     reverse_steps: int = 0
     reverses: int = 0
     rescue_steps: int = 0
@@ -139,7 +141,10 @@ class HeuristicDriver:
             return self._back_out(state, road)
         if self._is_lost(state, road):
             return self._call_rescue(state)
-        if state.still_steps * STEP > self.parameters.stuck_time:
+        if (
+            state.still_steps * STEP > self.parameters.stuck_time
+            or state.crawl_steps * STEP > self.parameters.crawl_time
+        ):
             return self._get_unstuck(state, road)
         return self._race(state, road, speed, observation)
 
@@ -159,6 +164,8 @@ class HeuristicDriver:
         else:
             state.still_steps = 0
             state.free_steps += 1
+        crawls = is_racing and abs(speed) < rules.crawl_speed
+        state.crawl_steps = state.crawl_steps + 1 if crawls else 0
         if state.free_steps * STEP > rules.free_time:
             state.reverses = 0
         if state.drift_steps >= _DRIFT_SHOWS and observation["skeed_factor"][0] <= 1.0:
@@ -229,6 +236,7 @@ class HeuristicDriver:
                 speed > rules.drift_speed and not observation["jumping"] and not state.hop_steps
             )
             plans = plans_without_drift(state.release_steps, may_drift, rules.lane_changes)
+        may_brake = speed > rules.brake_speed
         speed = max(speed, _SLOWEST)
         lock = speed * math.tan(max(float(observation["max_steer_angle"][0]), 0.02))
         lock /= rules.wheel_base
@@ -248,6 +256,8 @@ class HeuristicDriver:
         worth += self._boosts(state, plans)
         if items:
             worth += items.gain(ways)
+        if not may_brake:
+            worth[plans.brakes] = -np.inf
         best = int(worth.argmax())
         return Move(
             float(ways.turns[best]),
@@ -322,13 +332,13 @@ class HeuristicDriver:
         return self._back_out(state, road)
 
     def _call_rescue(self, state: DriverState) -> Action:
-        state.still_steps = state.drift_side = state.drift_steps = 0
+        state.still_steps = state.crawl_steps = state.drift_side = state.drift_steps = 0
         state.reverses = -self.parameters.rescued_reverses
         state.rescue_steps = RESCUE_STEPS
         return _action(rescue=True)
 
     def _back_out(self, state: DriverState, road: Road) -> Action:
-        state.still_steps = 0
+        state.still_steps = state.crawl_steps = 0
         state.turn = math.copysign(1.0, road.angle + 0.1 * road.offset)
         return _action(brake=True, steer=state.turn)
 

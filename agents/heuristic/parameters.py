@@ -24,6 +24,7 @@ class DriverParameters:
         late_cost: for each metre beyond costs so much [m].
         angle_cost: of ending at an angle of a radian to the road [m].
         drift_speed: no drift begins below this speed [m/s].
+        brake_speed: nobody brakes below this one [m/s]: the brake then drives backwards.
         boost_worth: of the boost of a short drift [m].
         big_boost_worth: of the boost of a long one [m].
         boost_wait_cost: for each second until the boost begins [m].
@@ -49,12 +50,17 @@ class DriverParameters:
         caution_room: so near to the middle of the road [m].
         stuck_speed: slower than this is standing still [m/s].
         stuck_time: after standing so long, back out [s].
+        crawl_speed: who is slower than this [m/s]
+        crawl_time: for this time [s] is stuck too.
         reverse_time: for so long [s].
         rescue_reverses: after backing out so often without getting away, call the rescue.
         rescued_reverses: and so often more when the last rescue did not help.
         free_time: driving so long means having got away [s].
         lost_room: who is farther than this beyond the edge of the road [m]
         lost_time: for this time [s] calls the rescue.
+        bump_cost: of running into a slower kart ahead, for each m/s of difference [m]; for
+            learned drivers, who know how fast others are,
+        bump_width: where its middle is nearer than this to the way [m].
     """
 
     wheel_base: float = 0.89
@@ -68,6 +74,7 @@ class DriverParameters:
     late_cost: float = 2.57
     angle_cost: float = 4.0
     drift_speed: float = 14.2
+    brake_speed: float = 10.0
     boost_worth: float = 11.0
     big_boost_worth: float = 22.9
     boost_wait_cost: float = 0.98
@@ -93,9 +100,13 @@ class DriverParameters:
     caution_room: float = 1.76
     stuck_speed: float = 1.5
     stuck_time: float = 0.4
+    crawl_speed: float = 6.0
+    crawl_time: float = 2.5
     reverse_time: float = 1.0
     rescue_reverses: int = 0
     rescued_reverses: int = 1
     free_time: float = 6.0
     lost_room: float = 6.0
     lost_time: float = 1.0
+    bump_cost: float = 1.0
+    bump_width: float = 1.5

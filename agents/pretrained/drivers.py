@@ -171,6 +171,7 @@ class Drivers:
             road=road,
             items=around.items,
             item_types=around.item_types,
+            rivals=rivals,
         )
         options = weigh(scene, self.memory.situation(), self._rules)
         self._options = options

@@ -67,6 +67,7 @@ class _Fields:
     nitro_steps: FloatArray
     caution_steps: FloatArray
     still_steps: FloatArray
+    crawl_steps: FloatArray
     free_steps: FloatArray
     reverse_steps: FloatArray
     reverses: FloatArray
@@ -121,6 +122,8 @@ class DriverMemory:
         of.speed[:] = speed
         is_still = (np.abs(speed) < self._rules.stuck_speed) & (of.rescue_steps == 0)
         of.still_steps[:] = np.where(is_still, of.still_steps + 1, 0)
+        crawls = (np.abs(speed) < self._rules.crawl_speed) & (of.rescue_steps == 0)
+        of.crawl_steps[:] = np.where(crawls, of.crawl_steps + 1, 0)
         of.free_steps[:] = np.where(is_still, 0, of.free_steps + 1)
         of.reverses[of.free_steps * STEP > self._rules.free_time] = 0
         of.since_fire[:] = np.minimum(of.since_fire + 1, _LONG_AGO)
@@ -187,10 +190,11 @@ class DriverMemory:
         of = self._of
         is_lost = of.lost_steps * STEP > self._rules.lost_time
         is_stuck = of.still_steps > self._stuck_steps
+        is_stuck |= of.crawl_steps * STEP > self._rules.crawl_time
         begins = (of.reverse_steps == 0) & (is_lost | is_stuck)
         calls = begins & (is_lost | (of.reverses >= self._rules.rescue_reverses))
         backs = begins & ~calls
-        of.still_steps[begins] = of.lost_steps[begins] = 0
+        of.still_steps[begins] = of.crawl_steps[begins] = of.lost_steps[begins] = 0
         of.drift_side[begins] = of.drift_steps[begins] = 0
         of.reverses[calls] = -self._rules.rescued_reverses
         of.rescue_steps[calls] = RESCUE_STEPS

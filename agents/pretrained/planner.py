@@ -18,6 +18,7 @@ from stkzoo.mdp.geometry import squared
 from stkzoo.names import ItemType, PowerupType
 
 from .plans import (
+    BRAKE,
     ITEM_LANES,
     MANOEUVRES,
     SPANS,
@@ -25,6 +26,7 @@ from .plans import (
     plan_table,
     table_rows,
 )
+from .rivals import Rivals
 from .road import MARK_COUNT, MARK_SPACING, Road
 
 __all__ = ["ITEMS", "Options", "Scene", "Situation", "weigh"]
@@ -44,6 +46,14 @@ _BEYOND = 1.0
 #: A miss by so much more than the radius earns nothing [m].
 _BLUR = 0.5
 
+#: The centres of karts that run into one another are so far apart [m].
+_LENGTH = 1.8
+#: Who is less far ahead is beside [m]; to come nearer at less than this does no harm [m/s].
+_BESIDE, _HARMLESS = 0.5, 1.0
+#: A moment's end; and for how long till then rivals go on across the road as they do now [s].
+_ENDS = np.cumsum(SPANS).astype(np.float32)
+_CROSSING = np.minimum(_ENDS, 0.5)
+
 #: Karts are taken to be at least so fast [m/s].
 _SLOWEST = 5.0
 #: The worth of a manoeuvre that there is not.
@@ -62,6 +72,7 @@ class Scene:
         road: what lies ahead.
         items: ``(A, M, 3)`` in the kart's frame [m].
         item_types: ``(A, M)`` numbers of :class:`~stkzoo.names.ItemType`; others are none.
+        rivals: the nearest karts.
     """
 
     speed: FloatArray
@@ -71,6 +82,7 @@ class Scene:
     road: Road
     items: FloatArray
     item_types: npt.NDArray[np.integer]
+    rivals: Rivals
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,9 +201,13 @@ def weigh(scene: Scene, now: Situation, rules: DriverParameters) -> Options:
     worth = along[-1] - danger - np.float32(rules.angle_cost) * angles * angles
     worth += _boosts(now, table, rows, rules)
     worth += _item_gain(items, along, across)
+    if rules.bump_cost:
+        worth -= _bumps(scene.rivals, along, across, speed, rules)
     manoeuvres = table.manoeuvres[rows]
     may_drift = (scene.speed > rules.drift_speed) & ~scene.is_jumping & now.may_hop
+    may_brake = scene.speed > rules.brake_speed
     is_there = (manoeuvres >= 0) & (may_drift[:, None] | ~table.needs_drift[rows])
+    is_there &= may_brake[:, None] | (manoeuvres != BRAKE)
     best = np.empty((len(rows), MANOEUVRES), np.intp)
     for manoeuvre in range(MANOEUVRES):
         own = np.where(is_there & (manoeuvres == manoeuvre), worth, NEVER)
@@ -327,6 +343,33 @@ def _item_gain(items: _Items, along: FloatArray, across: FloatArray) -> FloatArr
         hit = np.clip((items.radius[who, item][:, None] - miss) / _BLUR + 1.0, 0.0, 1.0)
         gain[who] += items.worth[who, item][:, None] * hit * passed[last]
     return gain
+
+
+def _bumps(
+    rivals: Rivals,
+    along: FloatArray,
+    across: FloatArray,
+    speed: FloatArray,
+    rules: DriverParameters,
+) -> FloatArray:
+    """What plans cost by running into slower karts ahead, ``(A, C)`` [m]."""
+    cost: FloatArray = np.zeros(along.shape[1:], np.float32)
+    closing = -rivals.gain
+    matters = rivals.is_there & (rivals.along > _BESIDE) & (closing > _HARMLESS)
+    matters &= rivals.along < closing * _ENDS[-1] + _LENGTH
+    for rival in range(matters.shape[1]):
+        who = np.flatnonzero(matters[:, rival])
+        if not len(who):
+            continue
+        ahead = rivals.along[who, rival] + (speed - closing[:, rival])[who] * _ENDS[:, None]
+        beside = rivals.across[who, rival] + rivals.drift[who, rival] * _CROSSING[:, None]
+        reached = ahead[..., None] - along[:, who] < _LENGTH
+        moment = reached.argmax(axis=0)
+        rows, columns = np.arange(len(who))[:, None], np.arange(cost.shape[1])
+        gap = np.abs(across[moment, who[:, None], columns] - beside[moment, rows])
+        hit = np.clip((np.float32(rules.bump_width) - gap) / _BLUR, 0.0, 1.0) * reached.any(axis=0)
+        cost[who] += np.float32(rules.bump_cost) * closing[who, rival][:, None] * hit
+    return cost
 
 
 def has_powerup(powerup_type: npt.NDArray[np.integer]) -> BoolArray:
