@@ -71,10 +71,15 @@ def test_leaves_the_observation_as_it_is():
         assert data_equivalence(observation, before)
 
 
+def on_the_grid():
+    """What a kart sees there."""
+    with race_v0.parallel_env(num_kart=1, track="lighthouse") as env:
+        return env.reset(seed=0)[0]["kart_0"]
+
+
 def what_a_held_kart_does(speed=0.0, **rules):
     """``go``, ``brake`` or ``rescue`` for each step of one that does not get away."""
-    with race_v0.parallel_env(num_kart=1, track="lighthouse") as env:
-        observation = env.reset(seed=0)[0]["kart_0"]
+    observation = on_the_grid()
     held = {**observation, "phase": 3, "velocity": np.array([0, 0, speed], np.float32)}
     driver = heuristic.HeuristicDriver(heuristic.DriverParameters(**rules))
     state = heuristic.create_state()
@@ -100,8 +105,7 @@ def test_calls_the_rescue_when_it_crawls_along_an_obstacle():
 
 def test_calls_the_rescue_when_it_is_lost():
     driver, calls = heuristic.HeuristicDriver(), []
-    with race_v0.parallel_env(num_kart=1, track="lighthouse") as env:
-        observation = env.reset(seed=0)[0]["kart_0"]
+    observation = on_the_grid()
     road = Road.of(CentreLine.of(observation))
     for beyond in np.array([-0.5, 0.5]) + driver.parameters.lost_room:
         aside = np.array([road.offset + road.half_widths[0] + beyond, 0, 0], np.float32)
@@ -118,8 +122,7 @@ def test_calls_the_rescue_when_it_is_lost():
 
 
 def test_brakes_for_what_is_ahead_unless_it_would_drive_backwards():
-    with race_v0.parallel_env(num_kart=1, track="lighthouse") as env:
-        observation = env.reset(seed=0)[0]["kart_0"]
+    observation = on_the_grid()
     cosine, sine = np.cos(1.0), np.sin(1.0)  # the road is to the right, and turned away
     turned = np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]], np.float32)
     sharp = {

@@ -19,6 +19,7 @@ from stkzoo.names import ItemType, PowerupType
 
 from .plans import (
     BRAKE,
+    ENDS,
     ITEM_LANES,
     MANOEUVRES,
     SPANS,
@@ -50,9 +51,8 @@ _BLUR = 0.5
 _LENGTH = 1.8
 #: Who is less far ahead is beside [m]; to come nearer at less than this does no harm [m/s].
 _BESIDE, _HARMLESS = 0.5, 1.0
-#: A moment's end; and for how long till then rivals go on across the road as they do now [s].
-_ENDS = np.cumsum(SPANS).astype(np.float32)
-_CROSSING = np.minimum(_ENDS, 0.5)
+#: For how long until a moment's end rivals go on across the road as they do now [s].
+_CROSSING = np.minimum(ENDS, 0.5)
 
 #: Karts are taken to be at least so fast [m/s].
 _SLOWEST = 5.0
@@ -356,12 +356,12 @@ def _bumps(
     cost: FloatArray = np.zeros(along.shape[1:], np.float32)
     closing = -rivals.gain
     matters = rivals.is_there & (rivals.along > _BESIDE) & (closing > _HARMLESS)
-    matters &= rivals.along < closing * _ENDS[-1] + _LENGTH
+    matters &= rivals.along < closing * ENDS[-1] + _LENGTH
     for rival in range(matters.shape[1]):
         who = np.flatnonzero(matters[:, rival])
         if not len(who):
             continue
-        ahead = rivals.along[who, rival] + (speed - closing[:, rival])[who] * _ENDS[:, None]
+        ahead = rivals.along[who, rival] + (speed - closing[:, rival])[who] * ENDS[:, None]
         beside = rivals.across[who, rival] + rivals.drift[who, rival] * _CROSSING[:, None]
         reached = ahead[..., None] - along[:, who] < _LENGTH
         moment = reached.argmax(axis=0)

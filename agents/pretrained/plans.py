@@ -32,6 +32,7 @@ __all__ = [
     "BRAKE",
     "DRIFT_LEFT",
     "DRIFT_RIGHT",
+    "ENDS",
     "FREE",
     "ITEM_LANES",
     "MANOEUVRES",
@@ -46,8 +47,9 @@ IntArray = npt.NDArray[np.intp]
 
 #: How long the moments of a plan last [s].
 SPANS = heuristic_plans.SPANS.astype(np.float32)
-_ENDS = np.cumsum(SPANS)
-_BEGINS, _MIDDLES = _ENDS - SPANS, _ENDS - SPANS / 2
+#: When they end [s].
+ENDS = np.cumsum(SPANS)
+_BEGINS, _MIDDLES = ENDS - SPANS, ENDS - SPANS / 2
 
 #: What plans begin with; each plan has one of these.
 FREE, BRAKE, DRIFT_LEFT, DRIFT_RIGHT = range(4)
@@ -77,8 +79,8 @@ class _Plans:
     def add_free(self, lanes: Lanes, release: int, *, boost: int = -1, brake: bool = False) -> None:
         """Plans without any drift."""
         lost = -BRAKING * BRAKE_TIME
-        regained = lost + GAIN * (_ENDS[-1] - BRAKE_TIME)
-        slower = np.interp(_BEGINS, [0.0, BRAKE_TIME, _ENDS[-1]], [0.0, lost, regained])
+        regained = lost + GAIN * (ENDS[-1] - BRAKE_TIME)
+        slower = np.interp(_BEGINS, [0.0, BRAKE_TIME, ENDS[-1]], [0.0, lost, regained])
         self._add(
             lanes,
             least=-np.ones_like(SPANS),

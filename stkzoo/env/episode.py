@@ -165,7 +165,7 @@ class Episode:
     def through(self, view: Any, karts: IntArray) -> list[Any] | None:
         """What some karts see now in a view that needs no batch (``wrappers/fused.py``)."""
         if isinstance(view, RacingSight):
-            return view.observe(self.track_map, self.snapshot, karts, self._max_paths)
+            return view.observe(self.track_map, self.snapshot, karts, self._observer.max_paths)
         return self._observer.through(view, self.snapshot, karts)
 
     def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -186,7 +186,7 @@ class Episode:
         self.record = EpisodeRecord(rewards, self.race.kart_indices, race_length)
         self._outcome = None
         self._num_steps = 0
-        self._max_cycles, self._max_paths = options.max_cycles, options.max_paths
+        self._max_cycles = options.max_cycles
         self._observer = KartObserver(self.track_map, self.race.kart_types, options.max_paths)
 
     def _karts(self, agents: Sequence[str]) -> IntArray:

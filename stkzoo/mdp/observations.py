@@ -34,13 +34,14 @@ class KartObserver:
         max_paths: how many track segments ahead are seen; all by default.
 
     Attributes:
+        max_paths: how many track segments ahead are seen; ``None`` is all.
         course: the race as the compiled kernel's views need it.
     """
 
     def __init__(self, track: TrackMap, kart_types: Sequence[str], max_paths: int | None) -> None:
         self._track = track
         self._kart_types = np.array(kart_types)
-        self._max_paths = max_paths
+        self.max_paths = max_paths
         num_paths = min(track.num_nodes, max_paths or track.num_nodes)
         self.course = track.in_kernel, num_paths, tuple(kart_types)
         num_kart = len(kart_types)
@@ -58,7 +59,7 @@ class KartObserver:
             paths_used: make no more segments than this, because nobody looks at them.
         """
         records = snapshot.karts[karts]
-        limits = [limit for limit in (self._max_paths, paths_used) if limit is not None]
+        limits = [limit for limit in (self.max_paths, paths_used) if limit is not None]
         ahead = self._track.nodes_ahead(records["node"], min(limits, default=None))
         front, own_node, items, others, ahead_ends = self._seen(snapshot, records, karts, ahead)
         return {
