@@ -264,7 +264,8 @@ def test_choices_are_the_games_actions():
             action = wrapped.action(choices)
             assert base.contains(action)
             assert action["steer"][0] == STEERS[steer]
-            assert (action["acceleration"][0], action["brake"]) == [(1, 0), (0, 0), (0, 1)][pedal]
+            pedals = (action["acceleration"][0], action["brake"], action["rescue"])
+            assert pedals == [(1, 0, 0), (0, 0, 0), (0, 1, 0), (0, 0, 1)][pedal]
             assert (choices_of_action(action) == choices).all()
     together = controls_of_choices(np.stack([choices, choices]))
     assert together.shape == (2, 7)

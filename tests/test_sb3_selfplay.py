@@ -35,6 +35,7 @@ SMALL = {
     "epochs": 2,
     "hidden": (16, 16),
     "keep_every": 60,
+    "fade": 100,
     "share": 1.0,
     "evaluation_races": 0,
 }
@@ -283,6 +284,9 @@ def test_it_learns_evaluates_and_ends(tmp_path):
     assert [line["iteration"] for line in log] == list(range(1, len(log) + 1))
     assert log[-1]["rivals"] >= 1
     assert all(np.isfinite(list(line.values())).all() for line in log)
+    seen = np.array([0, *(line["kart_steps"] for line in log[:-1])])
+    rates = [line["learning_rate"] for line in log]
+    assert np.allclose(rates, Arguments().learning_rate / np.sqrt(1 + seen / 100), atol=1e-6)
     first = load_weights(tmp_path / "policy-000000000.safetensors")
     assert any((last_policy(tmp_path)[name] != first[name]).any() for name in first)
     ratings = json.loads((tmp_path / "ratings.json").read_text())

@@ -77,7 +77,7 @@ class MlpDriver:
             )
 
     def logits(self, observations: FloatArray) -> FloatArray:
-        """Those of all choices, ``(A, 30)``, of observations ``(A, 165)``."""
+        """Those of all choices, ``(A, 31)``, of observations ``(A, 165)``."""
         x = np.asarray(observations, np.float32)
         *hidden, (matrix, bias) = self._layers
         for weights, offset in hidden:

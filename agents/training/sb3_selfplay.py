@@ -54,9 +54,10 @@ from .sb3_curriculum import EASY_TO_HARD, Curriculum
 __all__ = ["Arguments", "Run", "main"]
 
 _CHECKPOINT, _ARGUMENTS, _AGENT = "checkpoint.pt", "arguments.json", "agent"
-#: A policy that knows nothing goes rather than brakes, and does not drift: among the view's choices
-#: those of go and of no drift. Without it every kart stands for most of its first races.
-_LIKELY, _LEANING = (CHOICES[0], sum(CHOICES[:2])), 1.5
+#: What a policy that knows nothing leans towards, by the place among the view's choices: to go
+#: rather than to brake, not to drift, and to call for the rescue now and then only. Without it
+#: every kart stands for most of its first races.
+_LEANINGS = {CHOICES[0]: 1.5, CHOICES[0] + 3: -3.0, sum(CHOICES[:2]): 1.5}
 #: Karts whose races the log's figures are means of.
 _RECENT = 100
 #: How long the last evaluations may take [s].
@@ -81,11 +82,12 @@ class Arguments:
         updates: of a round, after which there is a checkpoint.
         minibatch: kart-steps of a gradient.
         epochs: how often an update goes over what was seen.
-        learning_rate: of the optimiser.
+        learning_rate: of the optimiser at the start.
         gamma: discount of a step.
         trace: lambda of the advantage.
         clip: how far a probability may move in one update, as a share.
-        entropy: bonus.
+        entropy: bonus at the start.
+        fade: learning rate and entropy bonus are over sqrt(1 + kart-steps / fade); 0 keeps them.
         keep_every: kart-steps between two snapshots.
         evaluate_every: kart-steps between two evaluations.
         evaluation_races: of each; 0 evaluates nothing.
@@ -111,6 +113,7 @@ class Arguments:
     trace: float = 0.95
     clip: float = 0.2
     entropy: float = 0.003
+    fade: int = 1_000_000
     keep_every: int = 50_000
     evaluate_every: int = 100_000
     evaluation_races: int = 6
@@ -254,14 +257,15 @@ class Run:
                 device="cpu",
             )
         with self._torch.no_grad():
-            for choice in _LIKELY:
-                model.policy.action_net.bias[choice] += _LEANING
+            for choice, leaning in _LEANINGS.items():
+                model.policy.action_net.bias[choice] += leaning
         model.set_logger(logger.Logger(None, []))
         return model
 
     def _update(self) -> dict[str, float]:
         """One update: its line of the log."""
         begin, before = time.perf_counter(), self._envs.kart_steps
+        self._fade()
         size = self.arguments.steps * self._envs.num_envs
         self._model.learn(size, reset_num_timesteps=False, log_interval=None)
         driven = self._envs.kart_steps - before
@@ -285,12 +289,21 @@ class Run:
                     ("entropy", "train/entropy_loss"),
                     ("value_loss", "train/value_loss"),
                     ("explained", "train/explained_variance"),
+                    ("learning_rate", "train/learning_rate"),
                 )
                 if name in logged
             },
             "kart_steps_per_s": driven / (time.perf_counter() - begin),
         }
         return {name: round(value, 6) for name, value in line.items()}
+
+    def _fade(self) -> None:
+        """Sets learning rate and entropy bonus, which fall so that the policy settles."""
+        arguments = self.arguments
+        passed = self.kart_steps / arguments.fade if arguments.fade else 0.0
+        share = (1.0 + passed) ** -0.5
+        self._model.lr_schedule = lambda _: share * arguments.learning_rate
+        self._model.ent_coef = share * arguments.entropy
 
     def _racing_figures(self) -> dict[str, float]:
         if not self._recent:

@@ -36,8 +36,9 @@ _RIGHT = (0.05, 0.1, 0.16, 0.23, 0.31, 0.4, 0.52, 0.66, 0.82, 1.0)
 #: What the steering can be chosen to be; a mirrored choice is the one at the mirrored place.
 STEERS = np.array([*(-steer for steer in reversed(_RIGHT)), 0.0, *_RIGHT], np.float32)
 
-#: Number of choices for steering, pedal (go, coast, brake), drift, nitro and fire.
-CHOICES = (len(STEERS), 3, 2, 2, 2)
+#: Number of choices for steering, pedal (go, coast, brake, rescue), drift, nitro and fire.
+CHOICES = (len(STEERS), 4, 2, 2, 2)
+_GO, _COAST, _BRAKE, _RESCUE = range(CHOICES[1])
 
 _NEEDED = ("paths_start", "paths_end", "paths_width", "items_position", "karts_position")
 
@@ -152,10 +153,9 @@ def _road(paths: dict[str, FloatArray], looks: FloatArray) -> FloatArray:
 class RacingActions(ActionObservationWrapper, BatchedWrapper):
     """The game's actions as a few choices: steering, pedal, drift, nitro, fire.
 
-    The pedal is go, coast or brake; the brake also drives backwards. The rescue is not among
-    them. :data:`CHOICES` says how many choices there are, :data:`STEERS` what each steering is.
-    The game AI's own ``action``, where the observation carries it, is given as the nearest
-    choices.
+    The pedal is go, coast, brake or rescue; the brake also drives backwards. :data:`CHOICES` says
+    how many choices there are, :data:`STEERS` what each steering is. The game AI's own ``action``,
+    where the observation carries it, is given as the nearest choices.
 
     Args:
         env: an environment with the game's own actions.
@@ -200,11 +200,12 @@ class RacingActions(ActionObservationWrapper, BatchedWrapper):
 def choices_of_action(action: Mapping[str, Any]) -> npt.NDArray[np.int64]:
     """The choices ``(..., 5)`` nearest to an action of the game."""
     steer = np.asarray(action["steer"])
+    is_rescued = np.asarray(action["rescue"]) > 0
     is_braking = np.asarray(action["brake"]) > 0
     is_going = np.asarray(action["acceleration"])[..., 0] > 0.5
     parts = [
         np.abs(steer - STEERS).argmin(axis=-1),
-        np.where(is_braking, 2, np.where(is_going, 0, 1)),
+        np.select([is_rescued, is_braking, is_going], [_RESCUE, _BRAKE, _GO], _COAST),
         *(np.asarray(action[key]) for key in ("drift", "nitro", "fire")),
     ]
     return np.stack(parts, axis=-1).astype(np.int64)
@@ -213,10 +214,11 @@ def choices_of_action(action: Mapping[str, Any]) -> npt.NDArray[np.int64]:
 def controls_of_choices(choices: npt.NDArray[Any]) -> FloatArray:
     """What the engine is told for choices ``(..., 5)``: ``(..., 7)`` float32."""
     controls = np.zeros((*choices.shape[:-1], 7), np.float32)
-    controls[..., 0] = choices[..., 1] == 0
+    controls[..., 0] = choices[..., 1] == _GO
     controls[..., 1] = STEERS[choices[..., 0]]
-    controls[..., 2] = choices[..., 1] == 2
+    controls[..., 2] = choices[..., 1] == _BRAKE
     controls[..., 3] = choices[..., 2]
     controls[..., 4] = choices[..., 4]
     controls[..., 5] = choices[..., 3]
+    controls[..., 6] = choices[..., 1] == _RESCUE
     return controls
