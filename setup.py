@@ -5,14 +5,14 @@ import sys
 import numpy
 from setuptools import Extension, setup
 
-_PARTS = ("module", "engine", "track", "view", "controls", "outcome", "rows")
+_PARTS = ("module", "engine", "track", "view", "racing", "controls", "outcome", "rows")
 
 setup(
     ext_modules=[
         Extension(
             "stkzoo.kernel._kernel",
             sources=[f"stkzoo/kernel/{part}.c" for part in _PARTS],
-            depends=["stkzoo/kernel/kernel.h"],
+            depends=["stkzoo/kernel/kernel.h", "stkzoo/kernel/geometry.h"],
             include_dirs=[numpy.get_include()],
             # Every result is rounded as numpy rounds it.
             extra_compile_args=[]

@@ -18,9 +18,13 @@ from stkzoo.engine.track import TrackMap
 from stkzoo.env.views import VIEWS as ALL_VIEWS
 from stkzoo.errors import ActionError
 from stkzoo.kernel import kernel
+from stkzoo.names import AttachmentType, ItemType, PowerupType
 from stkzoo.tracks import SPLITS
 from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarObservations
 from stkzoo.wrappers import chain as chain_module
+from stkzoo.wrappers.racing import SIZE, CrowdView, RoadTable, racing_features
+from stkzoo.wrappers.racing.features import KERNEL_TABLES
+from stkzoo.wrappers.racing.road import NUM_POINTS
 
 pytestmark = pytest.mark.skipif(kernel is None, reason="nothing was compiled here to compare")
 
@@ -44,7 +48,7 @@ def flat_actions_only(env):
     return FlattenerWrapper(env, flatten_observations=False)
 
 
-#: Those that the kernel does not know.
+#: Those that the kernel does not know, or makes elsewhere.
 OTHERS = ("control", "racing", "box", "masked")
 VIEWS = [view for view in ALL_VIEWS if not any(word in view for word in OTHERS)]
 
@@ -115,6 +119,56 @@ def test_a_race_is_the_same_with_and_without_the_kernel(view, track, numpy_only)
         assert_close(step[0], observations)
         assert list(step[1:]) == rest
     without.close()
+
+
+@pytest.mark.parametrize("track", TRACKS)
+def test_the_racing_view_is_the_same_with_and_without_the_kernel(track):
+    with race_v0.parallel_env(num_kart=6, track=track, view="racing") as env:
+        env.reset(seed=3)
+        for agent, space in env.action_spaces.items():
+            space.seed(int(agent[-1]))
+        crowd, who = CrowdView([RoadTable(env.track_map)]), np.array([5, 0, 3])
+        for _ in range(80):
+            env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+            seen = crowd.observe([env.snapshot], [0], [who])
+            made = racing_features(*crowd.surroundings([env.snapshot], [0], [who]))
+            assert_close(seen, made)
+    assert seen.any(axis=0).sum() > 80
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=None)
+def test_the_racing_view_is_the_same_wherever_things_are(seed):
+    """Karts and items anywhere, in any state, many of them at the same place."""
+    random = np.random.default_rng(seed)
+    karts, items = np.zeros(9, KART_DTYPE), np.zeros(12, ITEM_DTYPE)
+    for things in (karts, items):
+        places = random.normal(size=(len(things), 3)) * random.choice([2, 10, 50])
+        things["location"] = random.choice(places, len(things))
+    turns = random.normal(size=(9, 4))
+    karts["rotation"] = turns / np.linalg.norm(turns, axis=1, keepdims=True)
+    for key in ("velocity_lc", "energy", "shield_time", "max_steer_angle", "skeed_factor"):
+        karts[key] = random.normal(size=karts[key].shape) * 40
+    for key, kind in (("powerup_type", PowerupType), ("attachment_type", AttachmentType)):
+        karts[key] = random.choice(list(kind), 9)
+    karts["powerup_num"], karts["jumping"] = random.integers(0, 20, 9), random.integers(0, 2, 9)
+    items["type"] = random.choice(list(ItemType), 12)
+    snapshot = Snapshot.of(np.zeros((), HEADER_DTYPE), karts, items)
+    crowd, who = CrowdView([road_of(random)]), np.arange(9)
+    assert_close(
+        crowd.observe([snapshot], [0], [who]),
+        racing_features(*crowd.surroundings([snapshot], [0], [who])),
+    )
+
+
+def road_of(random):
+    """A table of one segment, of no length in one case of four."""
+    road = RoadTable.__new__(RoadTable)
+    road.length = 100.0
+    road.lines = random.normal(size=(1, NUM_POINTS, 4)).astype("f4") * 20
+    road.starts = random.normal(size=(1, 3)).astype("f4") * 5
+    road.along = (random.normal(size=(1, 3)) * random.choice([0, 1, 10, 30])).astype("f4")
+    return road
 
 
 @pytest.mark.parametrize("reward", ["default", "placement", {"rank": 0.5, "time": 3}])
@@ -296,6 +350,19 @@ def test_the_kernel_checks_what_it_is_given():
     for wrong in ([[1]], [[-1]], []):
         with pytest.raises(ValueError, match="do not fit"):
             track_of(wrong)
+    road = road_of(np.random.default_rng(0))
+    racing = kernel.Racing((road.lines, road.starts, road.along), *KERNEL_TABLES)
+    view = np.zeros((1, SIZE), "f4")
+    racing.observe(snapshot.data, one, view)
+    with pytest.raises(ValueError, match="165 numbers"):
+        racing.observe(snapshot.data, one, view[:, 1:].copy())
+    with pytest.raises(IndexError, match="kart 1 of 1"):
+        racing.observe(snapshot.data, one + 1, view)
+    view.flags.writeable = False
+    with pytest.raises(ValueError, match="165 numbers"):
+        racing.observe(snapshot.data, one, view)
+    with pytest.raises(ValueError, match="do not fit"):
+        kernel.Racing((road.lines[:, 1:].copy(), road.starts[:0], road.along), *KERNEL_TABLES)
     with pytest.raises(ValueError, match="do not fit"):
         track_of([[0]], count=2)
     with pytest.raises(IndexError):

@@ -51,6 +51,18 @@ class View:
         who: npt.NDArray[np.intp],
     ) -> list[Any]: ...
 
+class Racing:
+    def __new__(
+        cls,
+        road: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.float32]],
+        tables: tuple[npt.NDArray[np.float32], npt.NDArray[np.int8], npt.NDArray[np.int8]],
+        counts: tuple[int, int, int, int, int, int, int],
+        lengths: tuple[float, float, float, float, float, float],
+    ) -> Racing: ...
+    def observe(
+        self, data: bytes, who: npt.NDArray[np.intp], out: npt.NDArray[np.float32]
+    ) -> None: ...
+
 class Controls:
     def __new__(
         cls, names: tuple[str, ...], leaves: tuple[Any, ...], num_columns: int

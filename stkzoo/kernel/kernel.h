@@ -84,6 +84,6 @@ void *numbers_of(PyObject *object, const char *name, int type, npy_intp *count);
 
 PyObject *join_rows(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
 
-extern PyTypeObject EngineType, TrackType, ViewType, ControlsType, OutcomeType;
+extern PyTypeObject EngineType, TrackType, ViewType, RacingType, ControlsType, OutcomeType;
 
 #endif

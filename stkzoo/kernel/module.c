@@ -113,11 +113,12 @@ static struct PyModuleDef module = {
 
 PyMODINIT_FUNC PyInit__kernel(void)
 {
-    static PyTypeObject *const TYPES[] = {&EngineType, &TrackType, &ViewType, &ControlsType,
-                                          &OutcomeType};
+    static PyTypeObject *const TYPES[] = {&EngineType, &TrackType,    &ViewType,
+                                          &RacingType, &ControlsType, &OutcomeType};
+    const size_t count = sizeof TYPES / sizeof *TYPES;
     import_array();
     PyObject *kernel = PyModule_Create(&module);
-    for (int i = 0; kernel && i < 5; i++) {
+    for (size_t i = 0; kernel && i < count; i++) {
         if (PyModule_AddType(kernel, TYPES[i]) < 0) Py_CLEAR(kernel);
     }
     return kernel;

@@ -3,9 +3,8 @@
    The formulas are those of stkzoo.mdp.observations, stkzoo.wrappers.polar,
    stkzoo.wrappers.constant_size and stkzoo.wrappers.space_flattener. */
 
-#include "kernel.h"
+#include "geometry.h"
 
-#include <math.h>
 #include <string.h>
 
 enum { ITEMS, KARTS, PATHS, OWN }; /* what the rows of an entry are */
@@ -92,34 +91,9 @@ typedef struct {
 
 /* ---------------------------------------------------------------- geometry */
 
-static void turn(Scene *scene)
-{
-    const float *q = scene->me->rotation;
-    const float w = q[0], x = q[1], y = q[2], z = q[3];
-    float *m = scene->matrix;
-    m[0] = w * w + x * x - y * y - z * z;
-    m[1] = 2 * x * y - 2 * w * z;
-    m[2] = 2 * x * z + 2 * w * y;
-    m[3] = 2 * x * y + 2 * w * z;
-    m[4] = w * w - x * x + y * y - z * z;
-    m[5] = 2 * y * z - 2 * w * x;
-    m[6] = 2 * x * z - 2 * w * y;
-    m[7] = 2 * y * z + 2 * w * x;
-    m[8] = w * w - x * x - y * y + z * z;
-}
-
 static void see(const Scene *scene, const float *point, float *out)
 {
-    const float *o = scene->me->location, *m = scene->matrix;
-    const float x = point[0] - o[0], y = point[1] - o[1], z = point[2] - o[2];
-    out[0] = x * m[0] + y * m[1] + z * m[2];
-    out[1] = x * m[3] + y * m[4] + z * m[5];
-    out[2] = x * m[6] + y * m[7] + z * m[8];
-}
-
-static float length(const float *v)
-{
-    return sqrtf(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+    to_kart_frame(scene->me, scene->matrix, point, out);
 }
 
 static void make_polar(float *v)
@@ -137,10 +111,9 @@ static void find_center_path(Scene *scene)
     see(scene, node, start);
     see(scene, node + 3, end);
     for (int i = 0; i < 3; i++) along[i] = start[i] - end[i];
-    const float squared = along[0] * along[0] + along[1] * along[1] + along[2] * along[2];
-    const float dot = along[0] * start[0] + along[1] * start[1] + along[2] * start[2];
+    const float squared = dot(along, along), share = dot(along, start) / squared;
     float *path = scene->center_path;
-    for (int i = 0; i < 3; i++) path[i] = squared > 0 ? dot / squared * along[i] - start[i] : 0;
+    for (int i = 0; i < 3; i++) path[i] = squared > 0 ? share * along[i] - start[i] : 0;
     scene->center_path_distance = path[0] < 0 ? -length(path) : length(path);
 }
 
@@ -502,7 +475,7 @@ static int look(const View *view, Scene *scene, npy_intp kart, float *keys)
     }
     scene->me = scene->karts + kart;
     if (!(scene->ahead = nodes_ahead(scene->course->track, scene->me->node))) return -1;
-    turn(scene);
+    rotation_matrix(scene->me, scene->matrix);
     if (view->needs[OWN]) find_center_path(scene);
     if (view->needs[ITEMS]) find_items(view, scene, keys);
     if (view->needs[KARTS]) find_karts(view, scene, keys);

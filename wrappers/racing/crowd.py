@@ -15,15 +15,18 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.snapshot import KART_DTYPE, Snapshot
+from stkzoo.kernel import kernel
 from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
 from stkzoo.mdp.spaces import POWERUP_COUNT_LIMIT
 from stkzoo.wrappers.racing.features import (
     ABSENT,
+    KERNEL_TABLES,
     LOOKS,
     Surroundings,
     line_places,
     racing_features,
 )
+from stkzoo.wrappers.racing.layout import SIZE
 from stkzoo.wrappers.racing.road import MAX_SEGMENTS, RoadTable
 
 if TYPE_CHECKING:
@@ -88,6 +91,11 @@ class CrowdView:
         self._along = np.concatenate([road.along for road in roads])
         sizes = [len(road.lines) for road in roads]
         self._offsets = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.intp)
+        if kernel is not None:
+            self._sights = [
+                kernel.Racing((road.lines, road.starts, road.along), *KERNEL_TABLES)
+                for road in roads
+            ]
 
     def observe(
         self,
@@ -105,8 +113,15 @@ class CrowdView:
         Returns:
             ``(A, SIZE)`` float32: the karts of the first race, then those of the second, ...
         """
-        own, around = self.surroundings(snapshots, roads, karts)
-        return racing_features(own, around)
+        if kernel is None:
+            own, around = self.surroundings(snapshots, roads, karts)
+            return racing_features(own, around)
+        ends = np.cumsum([len(who) for who in karts])
+        views = np.empty((ends[-1], SIZE), np.float32)
+        parts = np.split(views, ends[:-1])
+        for snapshot, road, who, part in zip(snapshots, roads, karts, parts, strict=True):
+            self._sights[road].observe(snapshot.data, np.ascontiguousarray(who, np.intp), part)
+        return views
 
     def surroundings(
         self,

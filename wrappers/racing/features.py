@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.mdp.geometry import squared
+from stkzoo.mdp.spaces import POWERUP_COUNT_LIMIT
 from stkzoo.names import ItemType
 from stkzoo.wrappers.racing.layout import (
     ATTACHMENTS,
@@ -25,7 +26,14 @@ from stkzoo.wrappers.racing.layout import (
 )
 from stkzoo.wrappers.racing.road import NUM_POINTS, STEP
 
-__all__ = ["ABSENT", "LOOKS", "Surroundings", "line_places", "racing_features"]
+__all__ = [
+    "ABSENT",
+    "KERNEL_TABLES",
+    "LOOKS",
+    "Surroundings",
+    "line_places",
+    "racing_features",
+]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[Any]
@@ -35,7 +43,8 @@ ABSENT = -1
 
 #: Where the line is looked at: beside the kart and at the marks; and a little farther, for its
 #: heading [m].
-LOOKS = np.concatenate([[0.0], MARKS, MARKS + 3.0]).astype(np.float32)
+_BEYOND = 3.0
+LOOKS = np.concatenate([[0.0], MARKS, MARKS + _BEYOND]).astype(np.float32)
 
 _KART_REACH, _ITEM_REACH = 60.0, 60.0  # [m]
 _ITEM_LEAST_AHEAD, _ITEM_LEVEL = 0.5, 6.0  # [m]
@@ -48,6 +57,22 @@ _GOOD_ROWS[list(TYPES_GOOD), range(len(TYPES_GOOD))] = 1.0
 _POWERUP_ROWS = np.eye(NUM_POWERUPS, dtype=np.float32)
 _ATTACHMENT_ROWS = np.zeros((16, len(ATTACHMENTS)), np.float32)
 _ATTACHMENT_ROWS[list(ATTACHMENTS), range(len(ATTACHMENTS))] = 1.0
+
+
+def _kernel_tables() -> tuple[tuple[Any, ...], ...]:
+    """The same constants and tables as the kernel's ``Racing`` takes them."""
+    items = np.full(max(ItemType) + 1, -2, np.int8)
+    items[list(TYPES_GOOD)] = range(len(TYPES_GOOD))
+    items[list(TYPES_BAD)] = -1
+    attachments = np.full(len(_ATTACHMENT_ROWS), -1, np.int8)
+    attachments[list(ATTACHMENTS)] = range(len(ATTACHMENTS))
+    columns = NUM_POWERUPS, POWERUP_COUNT_LIMIT, len(ATTACHMENTS), len(TYPES_GOOD)
+    lengths = STEP, _BEYOND, _KART_REACH, _ITEM_REACH, _ITEM_LEAST_AHEAD, _ITEM_LEVEL
+    return (MARKS, items, attachments), (*columns, KARTS, GOODS, BADS), lengths
+
+
+#: What the kernel's ``Racing`` takes after a road's ``(lines, starts, along)``.
+KERNEL_TABLES = _kernel_tables()
 
 
 def _places() -> dict[str, slice]:

@@ -102,7 +102,7 @@ class RoadTable:
 
     def __init__(self, track: TrackMap) -> None:
         self.length = track.length
-        self.starts = track.path_nodes[:, 0]
+        self.starts = np.ascontiguousarray(track.path_nodes[:, 0])
         self.along = track.path_nodes[:, 1] - track.path_nodes[:, 0]
         ahead = track.nodes_ahead(np.arange(track.num_nodes), MAX_SEGMENTS)
         widths = track.path_width[:, 0]

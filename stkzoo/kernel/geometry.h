@@ -1,0 +1,46 @@
+/* A kart's frame; as stkzoo.mdp.geometry. */
+
+#ifndef STKZOO_GEOMETRY_H
+#define STKZOO_GEOMETRY_H
+
+#include "kernel.h"
+
+#include <math.h>
+
+static inline void rotation_matrix(const Kart *kart, float m[9])
+{
+    const float *q = kart->rotation;
+    const float w = q[0], x = q[1], y = q[2], z = q[3];
+    m[0] = w * w + x * x - y * y - z * z;
+    m[1] = 2 * x * y - 2 * w * z;
+    m[2] = 2 * x * z + 2 * w * y;
+    m[3] = 2 * x * y + 2 * w * z;
+    m[4] = w * w - x * x + y * y - z * z;
+    m[5] = 2 * y * z - 2 * w * x;
+    m[6] = 2 * x * z - 2 * w * y;
+    m[7] = 2 * y * z + 2 * w * x;
+    m[8] = w * w - x * x - y * y + z * z;
+}
+
+/* A point of the world as a kart with this matrix sees it. */
+static inline void to_kart_frame(const Kart *kart, const float m[9], const float *point,
+                                 float *out)
+{
+    const float *o = kart->location;
+    const float x = point[0] - o[0], y = point[1] - o[1], z = point[2] - o[2];
+    out[0] = x * m[0] + y * m[1] + z * m[2];
+    out[1] = x * m[3] + y * m[4] + z * m[5];
+    out[2] = x * m[6] + y * m[7] + z * m[8];
+}
+
+static inline float dot(const float *v, const float *w)
+{
+    return v[0] * w[0] + v[1] * w[1] + v[2] * w[2];
+}
+
+static inline float length(const float *v)
+{
+    return sqrtf(dot(v, v));
+}
+
+#endif

@@ -1,0 +1,302 @@
+/* The view racing, from records to its vector, in one pass.
+
+   The formulas are those of stkzoo.wrappers.racing.features, the order of the numbers is that of
+   stkzoo.wrappers.racing.layout, from where constants and tables are given. */
+
+#include "geometry.h"
+
+enum { LINE = 4 }; /* x, y, z and room of a line's point */
+
+typedef struct {
+    PyObject_HEAD
+    PyObject *arrays; /* keeps them alive */
+    const float *lines, *starts, *along; /* (N, points, 4), (N, 3), (N, 3) */
+    npy_intp num_nodes, num_points;
+    const float *marks; /* where the road is looked at */
+    npy_intp num_marks;
+    const npy_int8 *items;       /* by type: a good one's column, -1 for a bad one, -2 for others */
+    const npy_int8 *attachments; /* by type: its column, or -1 */
+    npy_intp num_items, num_attachments;
+    int num_powerups, powerup_limit, num_hangs, num_kinds; /* columns of the one-hot parts */
+    int karts, goods, bads;                                /* how many are seen */
+    float step, beyond, kart_reach, item_reach, item_ahead, item_level;
+    npy_intp size;
+} Racing;
+
+/* A thing that is near, in the kart's frame. */
+typedef struct {
+    float squared, place[3];
+    int kind;
+} Near;
+
+enum { MOST = 8 }; /* that are seen of one sort */
+
+typedef struct {
+    const Racing *view;
+    const Kart *me;
+    float matrix[9];
+    float *out;
+} Pen;
+
+static float clipped(float x)
+{
+    return x < -5.0f ? -5.0f : x > 5.0f ? 5.0f : x;
+}
+
+static void put(Pen *pen, float x)
+{
+    *pen->out++ = clipped(x);
+}
+
+static void put_one_of(Pen *pen, npy_intp which, int count)
+{
+    for (int i = 0; i < count; i++) put(pen, i == which ? 1.0f : 0.0f);
+}
+
+/* ---------------------------------------------------------------- the kart itself */
+
+static void put_own(Pen *pen)
+{
+    const Racing *view = pen->view;
+    const Kart *me = pen->me;
+    for (int i = 0; i < 3; i++) put(pen, me->velocity_lc[i] / 20.0f);
+    put(pen, me->max_steer_angle);
+    put(pen, me->skeed_factor);
+    put(pen, me->energy / 20.0f);
+    put(pen, me->attachment_time_left / 10.0f);
+    put(pen, me->shield_time / 10.0f);
+    put(pen, (float)me->jumping);
+    put_one_of(pen, me->powerup_type, view->num_powerups);
+    const int count = me->powerup_num;
+    put(pen, (float)(count < view->powerup_limit ? count : view->powerup_limit) / 3.0f);
+    const int kind = me->attachment_type;
+    const int is_known = kind >= 0 && kind < view->num_attachments;
+    put_one_of(pen, is_known ? view->attachments[kind] : -1, view->num_hangs);
+}
+
+/* ---------------------------------------------------------------- the road */
+
+/* How far the kart has come on its segment [m]. */
+static float passed(const Racing *view, const Kart *me)
+{
+    const float *start = view->starts + 3 * me->node, *along = view->along + 3 * me->node;
+    float from[3];
+    for (int i = 0; i < 3; i++) from[i] = start[i] - me->location[i];
+    const float squared = dot(along, along);
+    const float share = -dot(from, along) / (squared > 0 ? squared : 1.0f);
+    return (share < 0 ? 0 : share > 1 ? 1 : share) * sqrtf(squared);
+}
+
+/* The line's point at a distance along it, in the kart's frame, and its room. */
+static void look_at(const Pen *pen, float distance, float point[LINE])
+{
+    const Racing *view = pen->view;
+    const float place = distance / view->step;
+    npy_intp before = (npy_intp)place;
+    if (before > view->num_points - 2) before = view->num_points - 2;
+    const float share = place - (float)before;
+    const float *first = view->lines + LINE * (view->num_points * pen->me->node + before);
+    float there[LINE];
+    for (int i = 0; i < LINE; i++) there[i] = first[i] + (first[LINE + i] - first[i]) * share;
+    to_kart_frame(pen->me, pen->matrix, there, point);
+    point[3] = there[3];
+}
+
+static void put_road(Pen *pen)
+{
+    const Racing *view = pen->view;
+    const npy_intp count = view->num_marks;
+    const float here = passed(view, pen->me);
+    float point[LINE], beyond[LINE];
+    look_at(pen, here, point);
+    for (int i = 0; i < LINE; i++) put(pen, point[i] / 10.0f);
+    float *out = pen->out;
+    for (npy_intp mark = 0; mark < count; mark++) {
+        look_at(pen, here + view->marks[mark], point);
+        look_at(pen, here + (view->marks[mark] + view->beyond), beyond);
+        const float x = beyond[0] - point[0], z = beyond[2] - point[2];
+        const float far = sqrtf(x * x + z * z), least = far > 0.1f ? far : 0.1f;
+        for (int i = 0; i < 3; i++) out[3 * mark + i] = clipped(point[i] / view->marks[mark]);
+        out[3 * count + mark] = clipped(point[3] / 10.0f);
+        out[4 * count + 2 * mark] = clipped(x / least);
+        out[4 * count + 2 * mark + 1] = clipped(z / least);
+    }
+    pen->out += 6 * count;
+}
+
+/* ---------------------------------------------------------------- what is near */
+
+/* Takes a thing in where it belongs, nearest first; of equals the first stays first. */
+static int take_in(Near *nearest, int count, int limit, Near one)
+{
+    int at = count < limit ? count : limit;
+    while (at > 0 && one.squared < nearest[at - 1].squared) at--;
+    if (at >= limit) return count;
+    if (count < limit) count++;
+    for (int i = count - 1; i > at; i--) nearest[i] = nearest[i - 1];
+    nearest[at] = one;
+    return count;
+}
+
+static Near near_of(const Pen *pen, const float *location, int kind)
+{
+    Near one = {.kind = kind};
+    to_kart_frame(pen->me, pen->matrix, location, one.place);
+    one.squared = dot(one.place, one.place);
+    return one;
+}
+
+static void put_places(Pen *pen, const Near *nearest, int count, int limit)
+{
+    for (int i = 0; i < limit; i++) {
+        const float far = i < count ? length(nearest[i].place) : 1.0f;
+        const float least = far > 0.5f ? far : 0.5f;
+        for (int k = 0; k < 3; k++) put(pen, i < count ? nearest[i].place[k] / least : 0.0f);
+    }
+    for (int i = 0; i < limit; i++) {
+        put(pen, i < count ? 1.0f / (1.0f + length(nearest[i].place) / 5.0f) : 0.0f);
+    }
+}
+
+static void put_karts(Pen *pen, const Moment *moment)
+{
+    const Racing *view = pen->view;
+    Near nearest[MOST];
+    int count = 0;
+    for (npy_int32 i = 0; i < moment->header->num_kart; i++) {
+        if (moment->karts + i == pen->me) continue;
+        const Near one = near_of(pen, moment->karts[i].location, 0);
+        if (!(one.squared < view->kart_reach * view->kart_reach)) continue;
+        count = take_in(nearest, count, view->karts, one);
+    }
+    put_places(pen, nearest, count, view->karts);
+}
+
+static void put_items(Pen *pen, const Moment *moment)
+{
+    const Racing *view = pen->view;
+    Near goods[MOST], bads[MOST];
+    int num_goods = 0, num_bads = 0;
+    for (npy_int32 i = 0; i < moment->header->num_items; i++) {
+        const Item *item = moment->items + i;
+        const int is_known = item->type >= 0 && item->type < view->num_items;
+        const int kind = is_known ? view->items[item->type] : -2;
+        if (kind == -2) continue;
+        const Near one = near_of(pen, item->location, kind);
+        if (!(one.place[2] > view->item_ahead && fabsf(one.place[1]) < view->item_level &&
+              one.squared < view->item_reach * view->item_reach)) {
+            continue;
+        }
+        if (kind < 0) num_bads = take_in(bads, num_bads, view->bads, one);
+        else num_goods = take_in(goods, num_goods, view->goods, one);
+    }
+    put_places(pen, goods, num_goods, view->goods);
+    for (int i = 0; i < view->goods; i++) put(pen, i < num_goods ? goods[i].place[0] / 5.0f : 0);
+    for (int i = 0; i < view->goods; i++) {
+        put_one_of(pen, i < num_goods ? goods[i].kind : -1, view->num_kinds);
+    }
+    put_places(pen, bads, num_bads, view->bads);
+    for (int i = 0; i < view->bads; i++) put(pen, i < num_bads ? bads[i].place[0] / 5.0f : 0);
+}
+
+/* ---------------------------------------------------------------- the type */
+
+/* observe(data, who, out): the view of each kart of `who`, a row of `out` each. */
+static PyObject *racing_observe(PyObject *self, PyObject *const *args, Py_ssize_t nargs)
+{
+    const Racing *view = (Racing *)self;
+    Moment moment;
+    npy_intp count, size;
+    if (nargs != 3) return PyErr_Format(PyExc_TypeError, "observe() takes 3 arguments");
+    if (read_moment(args[0], &moment) < 0) return NULL;
+    const npy_intp *who = numbers_of(args[1], "who", NPY_INTP, &count);
+    float *out = who ? numbers_of(args[2], "out", NPY_FLOAT32, &size) : NULL;
+    if (!out) return NULL;
+    if (size != count * view->size || !PyArray_ISWRITEABLE((PyArrayObject *)args[2])) {
+        return PyErr_Format(PyExc_ValueError, "out must hold %zd numbers", count * view->size);
+    }
+    for (npy_intp i = 0; i < count; i++) {
+        if (who[i] < 0 || who[i] >= moment.header->num_kart) {
+            return PyErr_Format(PyExc_IndexError, "kart %zd of %d", who[i],
+                                moment.header->num_kart);
+        }
+        Pen pen = {.view = view, .me = moment.karts + who[i], .out = out + i * view->size};
+        if (pen.me->node < 0 || pen.me->node >= view->num_nodes) {
+            return PyErr_Format(PyExc_IndexError, "there is no segment %d", pen.me->node);
+        }
+        rotation_matrix(pen.me, pen.matrix);
+        put_own(&pen);
+        put_road(&pen);
+        put_karts(&pen, &moment);
+        put_items(&pen, &moment);
+    }
+    Py_RETURN_NONE;
+}
+
+static int fits_together(const Racing *view, const npy_intp sizes[3])
+{
+    return view->num_nodes > 0 && sizes[1] == 3 * view->num_nodes && sizes[2] == sizes[1] &&
+           sizes[0] % (LINE * view->num_nodes) == 0 && view->num_points >= 2 && view->step > 0 &&
+           view->karts >= 0 && view->karts <= MOST && view->goods >= 0 && view->goods <= MOST &&
+           view->bads >= 0 && view->bads <= MOST && view->num_powerups >= 0 &&
+           view->num_kinds >= 0 && view->num_hangs >= 0;
+}
+
+/* Racing((lines, starts, along), (marks, items, attachments), (counts), (lengths)) */
+static PyObject *racing_new(PyTypeObject *type, PyObject *args, PyObject *Py_UNUSED(kwargs))
+{
+    PyObject *road[3], *tables[3];
+    npy_intp sizes[3];
+    Racing *view = (Racing *)type->tp_alloc(type, 0);
+    if (!view) return NULL;
+    if (!PyArg_ParseTuple(args, "(OOO)(OOO)(iiiiiii)(ffffff)", road, road + 1, road + 2, tables,
+                          tables + 1, tables + 2, &view->num_powerups, &view->powerup_limit,
+                          &view->num_hangs, &view->num_kinds, &view->karts, &view->goods,
+                          &view->bads, &view->step, &view->beyond, &view->kart_reach,
+                          &view->item_reach, &view->item_ahead, &view->item_level) ||
+        !(view->lines = numbers_of(road[0], "lines", NPY_FLOAT32, sizes)) ||
+        !(view->starts = numbers_of(road[1], "starts", NPY_FLOAT32, sizes + 1)) ||
+        !(view->along = numbers_of(road[2], "along", NPY_FLOAT32, sizes + 2)) ||
+        !(view->marks = numbers_of(tables[0], "marks", NPY_FLOAT32, &view->num_marks)) ||
+        !(view->items = numbers_of(tables[1], "items", NPY_INT8, &view->num_items)) ||
+        !(view->attachments =
+              numbers_of(tables[2], "attachments", NPY_INT8, &view->num_attachments))) {
+        Py_DECREF(view);
+        return NULL;
+    }
+    Py_INCREF(args);
+    view->arrays = args;
+    view->num_nodes = sizes[1] / 3;
+    view->num_points = view->num_nodes ? sizes[0] / (LINE * view->num_nodes) : 0;
+    if (!fits_together(view, sizes)) {
+        PyErr_SetString(PyExc_ValueError, "the road's arrays do not fit together");
+        Py_DECREF(view);
+        return NULL;
+    }
+    view->size = 10 + view->num_powerups + view->num_hangs + LINE + 6 * view->num_marks +
+                 4 * view->karts + (5 + view->num_kinds) * view->goods + 5 * view->bads;
+    return (PyObject *)view;
+}
+
+static void racing_dealloc(PyObject *self)
+{
+    Py_XDECREF(((Racing *)self)->arrays);
+    Py_TYPE(self)->tp_free(self);
+}
+
+static PyMethodDef racing_methods[] = {
+    {"observe", (PyCFunction)(void (*)(void))racing_observe, METH_FASTCALL,
+     "The view of each of some karts, as rows of an array."},
+    {NULL, NULL, 0, NULL},
+};
+
+PyTypeObject RacingType = {
+    PyVarObject_HEAD_INIT(NULL, 0)
+    .tp_name = "stkzoo.kernel._kernel.Racing",
+    .tp_basicsize = sizeof(Racing),
+    .tp_flags = Py_TPFLAGS_DEFAULT,
+    .tp_doc = "The view racing on a track.",
+    .tp_new = racing_new,
+    .tp_dealloc = racing_dealloc,
+    .tp_methods = racing_methods,
+};
