@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from stable_baselines3 import PPO
 
+from stkzoo import Start
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.agents.training import sb3_races
 from stkzoo.agents.training.pool import Pool
@@ -217,6 +218,30 @@ def test_pace_and_places_of_a_whole_race():
         assert 0 <= end.pace < 0.9
         assert end.beaten == 0.0
         assert not end.finished
+    finally:
+        envs.close()
+
+
+def test_the_way_goes_on_behind_the_finish(monkeypatch):
+    """Towards the learner a finish is a race that is cut short, with a last view."""
+    near_finish = Start(share=0.97, speed=15.0)
+    monkeypatch.setattr(sb3_races, "RandomStart", lambda: near_finish)
+    bots, snapshots = pools()
+    envs = SelfPlayVecEnv(
+        [RaceGroup(1, 0, 1)], Curriculum(["lighthouse"]), bots, snapshots, grid=0.0
+    )
+    try:
+        envs.seed(1)
+        envs.reset()
+        total = 0.0
+        while not envs.ends:
+            _, rewards, dones, infos = envs.step(np.array([[10, 0, 0, 0, 0]]))
+            total += float(rewards[0])
+        assert envs.ends[0].finished
+        assert dones[0]
+        assert infos[0]["TimeLimit.truncated"]
+        assert infos[0]["terminal_observation"][0:3].any()  # its velocity
+        assert envs.rewarded == pytest.approx(total)
     finally:
         envs.close()
 

@@ -4,6 +4,10 @@ In some races the learner drives all agents; in the others a frozen rival drives
 Towards Stable-Baselines3 a rival's slot idles: each of its steps is an episode by itself, without
 reward, which :class:`stkzoo.sb3.ActiveRolloutBuffer` gives to no update. So it may be another
 slot in the next race.
+
+The finish counts as a race that is cut short: the road goes on behind the line, and a kart does not
+see how far away that is. Were nothing to come after it, the worth of the last seconds before would
+fall to nothing, by far more than what driving well or badly makes, and unforeseeably.
 """
 
 from __future__ import annotations
@@ -202,6 +206,7 @@ class SelfPlayVecEnv(VecEnv):
 
     Attributes:
         kart_steps: how many steps the learner has driven.
+        rewarded: the sum of its rewards.
         ends: of the learner's karts whose races were over, for whoever empties it.
 
     Raises:
@@ -241,7 +246,7 @@ class SelfPlayVecEnv(VecEnv):
                 first += group.agents
         self._cuts = np.cumsum([env.num_envs for env in self._envs])[:-1].tolist()
         self._random = np.random.default_rng()
-        self.kart_steps = 0
+        self.kart_steps, self.rewarded = 0, 0.0
         self.ends: list[RaceEnd] = []
         self._observations = np.zeros((first, SIZE), np.float32)
         super().__init__(first, self._envs[0].observation_space, self._envs[0].action_space)
@@ -342,6 +347,9 @@ class SelfPlayVecEnv(VecEnv):
                 race.ended[row], race.finals[row] = True, info
             if race.is_learner[row]:
                 self.kart_steps += int(is_active)
+                self.rewarded += float(rewards[slot]) * is_active
+                if is_active and dones[slot]:
+                    infos[slot]["TimeLimit.truncated"] = True
             else:
                 infos[slot], rewards[slot], dones[slot] = {}, 0.0, True
 

@@ -264,23 +264,23 @@ class Run:
 
     def _update(self) -> dict[str, float]:
         """One update: its line of the log."""
-        begin, before = time.perf_counter(), self._envs.kart_steps
+        begin, envs = time.perf_counter(), self._envs
+        before = envs.kart_steps, envs.rewarded
         self._fade()
-        size = self.arguments.steps * self._envs.num_envs
+        size = self.arguments.steps * envs.num_envs
         self._model.learn(size, reset_num_timesteps=False, log_interval=None)
-        driven = self._envs.kart_steps - before
+        driven, rewarded = envs.kart_steps - before[0], envs.rewarded - before[1]
         self.kart_steps += driven
         self.iteration += 1
-        self._recent.extend(self._envs.ends)
-        self._envs.ends.clear()
+        self._recent.extend(envs.ends)
+        envs.ends.clear()
         logged = self._model.logger.name_to_value
-        buffer = self._model.rollout_buffer
         line = {
             "iteration": self.iteration,
             "kart_steps": self.kart_steps,
             "stage": self._curriculum.stage,
             "rivals": len(self._snapshots.rivals),
-            "reward": float(buffer.rewards.sum()) / max(driven, 1),
+            "reward": rewarded / max(driven, 1),
             **self._racing_figures(),
             **{
                 short: float(logged[name])

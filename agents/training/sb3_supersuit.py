@@ -25,6 +25,7 @@ class SuperSuitRaces(VecEnvWrapper):
 
     Attributes:
         kart_steps: how many steps there were, those of karts that had finished among them.
+        rewarded: the sum of their rewards.
         ends: nothing; SuperSuit does not tell how a kart's race ended.
     """
 
@@ -45,7 +46,7 @@ class SuperSuitRaces(VecEnvWrapper):
         self._inner = envs.venv  # SuperSuit's SB3 form hands on no seed
         self._seed: int | None = None
         self.num_races = group.races
-        self.kart_steps = 0
+        self.kart_steps, self.rewarded = 0, 0.0
         self.ends: list[RaceEnd] = []
         super().__init__(envs)
 
@@ -62,8 +63,10 @@ class SuperSuitRaces(VecEnvWrapper):
 
     def step_wait(self) -> Any:
         """What came of a step."""
+        step = self.venv.step_wait()
         self.kart_steps += self.num_envs
-        return self.venv.step_wait()
+        self.rewarded += float(step[1].sum())
+        return step
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """An attribute of the vector, for each slot; SuperSuit has no way to those of races."""
