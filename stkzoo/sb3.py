@@ -245,6 +245,10 @@ class ActiveRolloutBuffer(RolloutBuffer):
     For ``rollout_buffer_class`` of PPO and A2C with a :class:`RaceVecEnv`. Idle steps are
     known by being whole episodes of one step, which no race is; so it works through
     wrappers of the environment too. Batches are as large as asked for, but fewer.
+
+    Attributes:
+        active: indices of the real steps, slot after slot, as they lie in the buffer once batches
+            have been asked for.
     """
 
     def compute_returns_and_advantage(
@@ -254,12 +258,12 @@ class ActiveRolloutBuffer(RolloutBuffer):
         super().compute_returns_and_advantage(last_values, dones)
         starts = self.episode_starts.astype(np.bool_)
         ends = np.vstack([starts[1:], dones.astype(np.bool_)[None]])
-        self._active = np.flatnonzero(~(starts & ends).T)  # slot after slot, as steps lie flat
+        self.active = np.flatnonzero(~(starts & ends).T)  # slot after slot, as steps lie flat
 
     def get(self, batch_size: int | None = None) -> Generator[Any, None, None]:
         """The real steps in random order, ``batch_size`` at a time."""
         next(super().get(1))  # lays the steps flat
-        order = np.random.permutation(self._active)
+        order = np.random.permutation(self.active)
         size = batch_size or max(len(order), 1)
         for first in range(0, len(order), size):
             yield self._get_samples(order[first : first + size])

@@ -17,8 +17,10 @@ from stkzoo.agents.training.rate_policies import (
     draw_pairing,
     kept_policies,
     main,
+    players_of,
 )
 from stkzoo.errors import ConfigError
+from stkzoo.wrappers.racing import CHOICES, SIZE
 
 
 @pytest.fixture
@@ -82,3 +84,30 @@ def test_the_better_ones_are_rated_higher_and_more_races_are_added(run, tmp_path
 def test_too_few_policies_are_refused(run, tmp_path, capsys):
     assert main([str(run), "--every=9000000", f"--output={tmp_path / 'out'}"]) == 1
     assert "expected 4 or more" in capsys.readouterr().err
+
+
+def test_policies_of_stable_baselines_are_rated_too(tmp_path):
+    """From nothing to one that goes straight on, which standing still does not beat."""
+    folder = tmp_path / "from_nothing"
+    folder.mkdir()
+    for number, steps in enumerate((0, 1_000_100, 2_000_200, 3_000_300)):
+        weights = {
+            "mlp_extractor.policy_net.0.weight": np.zeros((1, SIZE), np.float32),
+            "mlp_extractor.policy_net.0.bias": np.zeros(1, np.float32),
+            "action_net.weight": np.zeros((sum(CHOICES), 1), np.float32),
+            "action_net.bias": np.zeros(sum(CHOICES), np.float32),
+        }
+        weights["action_net.bias"][[10, CHOICES[0] + (0 if number == 3 else 1)]] = 5.0
+        save_weights(folder / f"policy-{steps:09d}.safetensors", weights)
+    assert main([str(folder), f"--output={tmp_path / 'out'}", "--matches=1"]) == 0
+    kept = json.loads((tmp_path / "out" / "ratings.json").read_text())
+    value = {row["name"]: row["value"] for row in kept["ratings"]}
+    assert {*value} == {START, "ai", *(f"from_nothing {n}.00" for n in (1, 2, 3))}
+    assert value["ai"] > value["from_nothing 3.00"] > max(value[START], value["from_nothing 2.00"])
+
+
+def test_runs_of_two_scripts_are_not_rated_together(run):
+    ours = {"one": run / "policy-000000100.safetensors", "two": run / "policy-0.safetensors"}
+    save_weights(ours["two"], {"action_net.weight": np.zeros((1, 1), np.float32)})
+    with pytest.raises(ConfigError, match="expected runs of one of them"):
+        players_of([run], ours)

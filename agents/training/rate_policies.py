@@ -2,11 +2,12 @@
 
     python -m stkzoo.agents.training.rate_policies runs/first runs/second --output ratings
 
-Races of four policies and one kart of the game's AI, on training tracks; who meets whom and where
-is drawn evenly. Each race is a line of ``matches.jsonl``: the same command with a higher
-``--matches`` goes on, and so does it after a kill. From all orders together come ratings with
-intervals (``ratings.json``) and the picture of them over kart-steps (``ratings.png``). ``start``
-is what all runs start from: the plans alone.
+The runs are of ``ppo_selfplay`` or of ``sb3_selfplay``. Races of four policies and one kart of the
+game's AI at its hardest, on training tracks; who meets whom and where is drawn evenly. Each race
+is a line of ``matches.jsonl``: the same command with a higher ``--matches`` goes on, and so does it
+after a kill. From all orders together come ratings with intervals (``ratings.json``) and the
+picture of them over kart-steps (``ratings.png``). ``start`` is what runs start from: the plans
+alone, or the first run's policy that has learned nothing.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import argparse
 import json
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -33,14 +34,19 @@ from stkzoo.whole_file import whole_file
 from .command import changes, keep_to_one_thread
 from .league_matches import AI, SEATS, Match, Pairing, play, ratings_of
 from .plan_numbers import numbers_of_run
+from .sb3_heats import Chooser, Heat, bots_of, drive
+from .sb3_policy import MlpDriver, load_driver
 
 __all__ = ["START", "draw_pairing", "kept_policies", "main"]
 
 #: What all runs start from.
 START = "start"
 _MATCHES, _RATINGS, _PICTURE = "matches.jsonl", "ratings.json", "ratings.png"
+_KEPT = "policy-*.safetensors"
 #: So many are raced before they are written down.
 _AT_ONCE = 16
+#: Plays matches.
+Player = Callable[[Sequence[Pairing]], list[Match]]
 _TRACKS = tuple(track for track in TRAIN_TRACKS if track != "black_forest")
 
 
@@ -56,9 +62,9 @@ def kept_policies(runs: Sequence[Path], every: int) -> dict[str, Path]:
     """
     found: dict[str, Path] = {}
     for run in runs:
-        files = sorted(run.glob("policy-*.safetensors"))
+        files = sorted(run.glob(_KEPT))
         if not files:
-            raise ConfigError(f"{str(run)!r} has no policy-*.safetensors; is it a run's folder?")
+            raise ConfigError(f"{str(run)!r} has no {_KEPT}; is it a run's folder?")
         last = 0
         for file in files:
             steps = _steps_of(file.name)
@@ -69,6 +75,42 @@ def kept_policies(runs: Sequence[Path], every: int) -> dict[str, Path]:
                 raise ConfigError(f"two policies are called {name!r}; give the runs other names")
             found[name] = file
     return found
+
+
+def players_of(runs: Sequence[Path], files: Mapping[str, Path]) -> tuple[list[str], Player]:
+    """Who races, and what plays their matches.
+
+    Args:
+        runs: the runs' folders, all of one script.
+        files: their kept policies by name.
+
+    Raises:
+        ConfigError: the runs are of both scripts, or a file is no policy's.
+    """
+    weights = {name: load_weights(file) for name, file in files.items()}
+    kinds = {"action_net.weight" in own for own in weights.values()}
+    if len(kinds) > 1:
+        raise ConfigError(
+            "these are runs of ppo_selfplay and of sb3_selfplay, expected runs of one of them"
+        )
+    if kinds == {False}:
+        rules = common_numbers(runs)
+        policies = {START: RacingPolicy.of_plans_alone()}
+        policies |= {name: RacingPolicy(own) for name, own in weights.items()}
+        return sorted(policies), lambda pairings: play(pairings, policies, 0, rules)
+    drivers = {name: MlpDriver(own, str(files[name])).best for name, own in weights.items()}
+    drivers[START] = load_driver(min(runs[0].glob(_KEPT))).best
+    return sorted(drivers), lambda pairings: play_heats(pairings, drivers)
+
+
+def play_heats(pairings: Sequence[Pairing], drivers: Mapping[str, Chooser]) -> list[Match]:
+    """Plays matches of drivers on the view ``racing``, the game's AI at the end of the grid."""
+    ends = drive([Heat(p.members, p.track, p.number, p.reverse) for p in pairings], drivers)
+    ai = bots_of(3)
+    return [
+        Match(0, p.track, p.reverse, [AI if name == ai else name for name in end.order])
+        for p, end in zip(pairings, ends, strict=True)
+    ]
 
 
 def _steps_of(name: str) -> int:
@@ -140,7 +182,7 @@ def _parser() -> argparse.ArgumentParser:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("runs", nargs="+", type=Path, help="folders of runs of ppo_selfplay")
+    parser.add_argument("runs", nargs="+", type=Path, help="folders of runs, all of one script")
     parser.add_argument("--output", required=True, type=Path, help="folder for races and ratings")
     parser.add_argument(
         "--matches", type=int, default=200, help="races there shall be in all (default: 200)"
@@ -160,9 +202,8 @@ def main(words: list[str] | None = None) -> int:
     try:
         keep_to_one_thread()
         files = kept_policies(options.runs, options.every)
-        policies = {START: RacingPolicy.of_plans_alone()}
-        policies |= {name: RacingPolicy(load_weights(file)) for name, file in files.items()}
-        _race(policies, common_numbers(options.runs), options.output, options.matches)
+        names, player = players_of(options.runs, files)
+        _race(names, player, options.output, options.matches)
     except ConfigError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
@@ -186,20 +227,15 @@ def common_numbers(runs: Sequence[Path]) -> DriverParameters:
     return numbers[first]
 
 
-def _race(
-    policies: Mapping[str, RacingPolicy], rules: DriverParameters, folder: Path, wanted: int
-) -> None:
-    if len(policies) < SEATS:
-        raise ConfigError(
-            f"there are {len(policies)} policies, expected {SEATS} or more; see --every"
-        )
+def _race(names: Sequence[str], player: Player, folder: Path, wanted: int) -> None:
+    if len(names) < SEATS:
+        raise ConfigError(f"there are {len(names)} policies, expected {SEATS} or more; see --every")
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / _MATCHES
     matches = _read(file)
-    names = sorted(policies)
     while len(matches) < wanted:
         numbers = range(len(matches), min(wanted, len(matches) + _AT_ONCE))
-        played = play([draw_pairing(names, number) for number in numbers], policies, 0, rules)
+        played = player([draw_pairing(names, number) for number in numbers])
         with file.open("a") as out:
             out.writelines(json.dumps(asdict(match)) + "\n" for match in played)
         matches += played

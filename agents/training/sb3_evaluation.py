@@ -12,26 +12,23 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import math
 import os
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo import race_v0
 from stkzoo.errors import ConfigError, StkzooError
-from stkzoo.race.benchmark import load_ai_times
 from stkzoo.race.tournament.ratings import Rating, rate
 from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.racing import CHOICES
 
+from .sb3_heats import Chooser, Heat, drive
 from .sb3_policy import load_driver
 
 __all__ = [
@@ -45,17 +42,10 @@ __all__ = [
     "write_ratings",
 ]
 
-Chooser = Callable[[npt.NDArray[np.float32]], npt.NDArray[np.int64]]
-
 #: What the first kept policy of a run and one that draws its choices by chance are called.
 START, RANDOM = "start", "random"
 #: Where the judgements of a run are, and the ratings of all of them.
 FOLDER, RATINGS = "evaluations", "ratings.json"
-_STEP, _COUNTDOWN = 0.1, 2.0  # [s]
-#: A race is cut short after so many times the AI's median time.
-_PATIENCE = 2.0
-#: No time ratio is counted as worse.
-_WORST = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,9 +103,10 @@ def judge(run: Path, name: str, tracks: Sequence[str], races: int) -> Judgement:
         if os.getppid() != parent:
             raise ConfigError("the training that asked for this is gone")
         track = tracks[number % len(tracks)]
-        order, found = _drive(drivers, track, number % 4, 1000 + number)
-        orders.append(order)
-        for driver, ratio in found.items():
+        heat = Heat(tuple(drivers), track, 1000 + number, difficulty=number % 4)
+        (end,) = drive([heat], drivers)
+        orders.append(end.order)
+        for driver, ratio in end.ratios.items():
             ratios[driver].append(round(ratio, 4))
     judgement = Judgement(own, kart_steps_of(name), orders, ratios)
     (run / FOLDER).mkdir(exist_ok=True)
@@ -135,43 +126,6 @@ def _random_choices(seed: int) -> Chooser:
         return random.integers(0, CHOICES, (len(observations), len(CHOICES)))
 
     return choose
-
-
-def _drive(
-    drivers: dict[str, Chooser], track: str, difficulty: int, seed: int
-) -> tuple[list[str], dict[str, float]]:
-    """One race: the order of all, and the drivers' time ratios."""
-    ai_time = load_ai_times().of(track, False, difficulty).median
-    env = race_v0.parallel_env(
-        agents=len(drivers),
-        num_kart=len(drivers) + 1,
-        track=track,
-        difficulty=difficulty,
-        view="racing",
-        max_cycles=math.ceil((_PATIENCE * ai_time + _COUNTDOWN) / _STEP),
-    )
-    names = dict(zip(env.possible_agents, drivers, strict=True))
-    last: dict[str, Any] = {}
-    with contextlib.closing(env):
-        seen, _ = env.reset(seed=seed)
-        assert env.track_map is not None  # noqa: S101 - since reset
-        speed = env.track_map.length / ai_time
-        while env.agents:
-            actions = {agent: drivers[names[agent]](seen[agent][None])[0] for agent in env.agents}
-            seen, _, _, _, infos = env.step(actions)
-            last.update({names[agent]: info for agent, info in infos.items()})
-    places = {name: int(info["position"]) for name, info in last.items()}
-    (missing,) = set(range(1, len(places) + 2)) - set(places.values())
-    places[f"bot:{difficulty}"] = missing
-    return sorted(places, key=lambda name: places[name]), {
-        name: _ratio(info, speed) for name, info in last.items()
-    }
-
-
-def _ratio(info: dict[str, Any], ai_speed: float) -> float:
-    seconds = _STEP * int(info["episode/length"]) - _COUNTDOWN
-    pace = float(info["distance"]) / max(seconds, _STEP) / ai_speed
-    return 1.0 / max(pace, 1.0 / _WORST)
 
 
 def read_judgements(run: Path) -> list[Judgement]:

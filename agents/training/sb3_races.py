@@ -12,7 +12,6 @@ fall to nothing, by far more than what driving well or badly makes, and unforese
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -24,12 +23,12 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from stkzoo import RandomStart, Reward
 from stkzoo.errors import ConfigError
-from stkzoo.race.benchmark import load_ai_times
 from stkzoo.sb3 import RaceVecEnv
 from stkzoo.wrappers.racing import SIZE
 
 from .pool import Pool
 from .sb3_curriculum import Curriculum
+from .sb3_heats import COUNTDOWN, PATIENCE, STEP, ai_time, bots_of
 from .sb3_policy import MlpDriver
 
 __all__ = [
@@ -37,20 +36,13 @@ __all__ = [
     "RaceEnd",
     "RaceGroup",
     "SelfPlayVecEnv",
-    "ai_time",
-    "bots_of",
     "race_groups",
     "way_and_places",
 ]
 
 Indices = None | int | Iterable[int]
 
-_STEP = 0.1  # [s]
-#: On the grid karts wait so long for GO [s].
-_COUNTDOWN = 2.0
-#: A race from the grid is cut short after so many times the AI's median time.
-_PATIENCE = 2.0
-#: And one from elsewhere after so many steps.
+#: A race that begins elsewhere than on the grid is cut short after so many steps.
 SHORT_RACE = 250
 #: What is driven faster than this was a leap of the game's count, off the road [m a step].
 _LONGEST_STEP = 5.0
@@ -84,17 +76,6 @@ class RaceEnd:
     pace: float
     finished: bool
     steps: int
-
-
-@functools.cache
-def ai_time(track: str, reverse: bool, difficulty: int) -> float:
-    """The median time of the game's AI [s]; the difficulty makes all karts quicker."""
-    return load_ai_times().of(track, reverse, difficulty).median
-
-
-def bots_of(difficulty: int) -> str:
-    """What the bots of a difficulty are called as rivals."""
-    return f"bot:{difficulty}"
 
 
 def race_groups(texts: Sequence[str]) -> list[RaceGroup]:
@@ -171,7 +152,7 @@ class _Race:
         for row in np.flatnonzero(self.is_learner):
             info = self.finals[row]
             steps = int(info["episode/length"])
-            seconds = max(_STEP * steps - _COUNTDOWN * self.from_grid, _STEP)
+            seconds = max(STEP * steps - COUNTDOWN * self.from_grid, STEP)
             way = max(float(info["distance"]) - self.begin_at[row], 0.0)
             ends.append(
                 RaceEnd(
@@ -377,8 +358,8 @@ class SelfPlayVecEnv(VecEnv):
         known = [bots_of(difficulty) for difficulty in self._curriculum.difficulties]
         bot = self._bots.draw(self._random, known)
         difficulty = int(bot.removeprefix("bot:"))
-        limit = _PATIENCE * ai_time(track, reverse, difficulty) + _COUNTDOWN
-        steps = math.ceil(limit / _STEP)
+        limit = PATIENCE * ai_time(track, reverse, difficulty) + COUNTDOWN
+        steps = math.ceil(limit / STEP)
         race.env.options = race.env.options.changed(
             {
                 "track": track,

@@ -288,11 +288,11 @@ class Run:
                     ("kl", "train/approx_kl"),
                     ("entropy", "train/entropy_loss"),
                     ("value_loss", "train/value_loss"),
-                    ("explained", "train/explained_variance"),
                     ("learning_rate", "train/learning_rate"),
                 )
                 if name in logged
             },
+            "explained": _explained(self._model.rollout_buffer),
             "kart_steps_per_s": driven / (time.perf_counter() - begin),
         }
         return {name: round(value, 6) for name, value in line.items()}
@@ -382,6 +382,12 @@ class Run:
             if last // every < steps // every and steps <= self.kart_steps:
                 self.judge.ask(path.stem)
             last = steps
+
+
+def _explained(buffer: Any) -> float:
+    """The share of the returns' variance that the values foresaw, without idle steps."""
+    values, returns = (a.reshape(-1)[buffer.active] for a in (buffer.values, buffer.returns))
+    return float(1.0 - np.var(returns - values) / max(np.var(returns), 1e-8))
 
 
 def _seed(seed: int, number: int) -> int:
