@@ -19,6 +19,7 @@ from stkzoo.agents.training.rate_policies import (
     main,
     players_of,
 )
+from stkzoo.agents.training.sb3_heats import WORST, Heat, drive
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
@@ -104,6 +105,19 @@ def test_policies_of_stable_baselines_are_rated_too(tmp_path):
     value = {row["name"]: row["value"] for row in kept["ratings"]}
     assert {*value} == {START, "ai", *(f"from_nothing {n}.00" for n in (1, 2, 3))}
     assert value["ai"] > value["from_nothing 3.00"] > max(value[START], value["from_nothing 2.00"])
+
+
+def test_a_driver_with_two_karts_counts_by_the_better_one():
+    def go(seen):
+        return np.tile([10, 0, 0, 0, 0], (len(seen), 1))
+
+    def stand(seen):
+        return np.tile([10, 1, 0, 0, 0], (len(seen), 1))
+
+    heat = Heat(("stand", "go", "go"), "snowmountain", 1)
+    (end,) = drive([heat], {"go": go, "stand": stand})
+    assert end.order == ["bot:3", "go", "stand"]
+    assert 1 < end.ratios["go"] < end.ratios["stand"] == WORST
 
 
 def test_runs_of_two_scripts_are_not_rated_together(run):

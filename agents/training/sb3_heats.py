@@ -58,7 +58,7 @@ class Heat:
     """A race to be driven.
 
     Attributes:
-        names: who drives, from the front of the grid on; each once.
+        names: who drives, from the front of the grid on; some may be there twice.
         track: its name.
         seed: of the race.
         reverse: the other way round.
@@ -77,9 +77,10 @@ class HeatEnd:
     """How it went.
 
     Attributes:
-        order: who came in first, second, ...; the game's AI as ``bot:3`` or such.
-        ratios: of each driver: its time over the median time of the game's AI in such a race;
-            who did not finish counts as if going on at its pace, :data:`WORST` at most.
+        order: who came in first, second, ..., the game's AI as ``bot:3`` or such; each once, at its
+            better place.
+        ratios: of each driver: its better time over the median time of the game's AI in such a
+            race; who did not finish counts as if going on at its pace, :data:`WORST` at most.
     """
 
     order: list[str]
@@ -114,18 +115,21 @@ class _Run:
         )
 
     def take_in(self) -> None:
-        self.seen, _, _, _, infos = self.env.step_wait()
-        self.last.update({self._names[agent]: info for agent, info in infos.items()})
-        self.seen = {agent: self.seen[agent] for agent in self.env.agents}
+        seen, _, _, _, infos = self.env.step_wait()
+        self.last.update(infos)
+        self.seen = {agent: seen[agent] for agent in self.env.agents}
 
     def end(self) -> HeatEnd:
         assert self.env.track_map is not None  # noqa: S101 - since begin
         speed = self.env.track_map.length / self.ai_time
-        places = {name: int(info["position"]) for name, info in self.last.items()}
-        (of_ai,) = set(range(1, len(places) + 2)) - set(places.values())
-        places[bots_of(self.heat.difficulty)] = of_ai
-        ratios = {name: _ratio(info, speed) for name, info in self.last.items()}
-        return HeatEnd(sorted(places, key=lambda name: places[name]), ratios)
+        places = {int(info["position"]): self._names[agent] for agent, info in self.last.items()}
+        (of_ai,) = set(range(1, len(places) + 2)) - set(places)
+        places[of_ai] = bots_of(self.heat.difficulty)
+        ratios: dict[str, float] = {}
+        for agent, info in self.last.items():
+            name = self._names[agent]
+            ratios[name] = min(_ratio(info, speed), ratios.get(name, WORST))
+        return HeatEnd(list(dict.fromkeys(places[place] for place in sorted(places))), ratios)
 
 
 def _ratio(info: Mapping[str, Any], ai_speed: float) -> float:
@@ -142,10 +146,11 @@ def drive(heats: Sequence[Heat], drivers: Mapping[str, Chooser]) -> list[HeatEnd
         drivers: of all that drive in them: choices ``(A, 5)`` by views ``(A, 165)``.
     """
     with contextlib.ExitStack() as stack:
-        runs = [_Run(heat) for heat in heats]
-        for run in runs:
-            stack.enter_context(contextlib.closing(run.env))
-            run.begin()
+        runs = []
+        for heat in heats:
+            runs.append(_Run(heat))
+            stack.enter_context(contextlib.closing(runs[-1].env))
+            runs[-1].begin()
         while under_way := [run for run in runs if run.env.agents]:
             for run in under_way:
                 run.ask(drivers)
