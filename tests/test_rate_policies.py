@@ -115,7 +115,7 @@ def test_a_driver_with_two_karts_counts_by_the_better_one():
         return np.tile([10, 1, 0, 0, 0], (len(seen), 1))
 
     heat = Heat(("stand", "go", "go"), "snowmountain", 1)
-    (end,) = drive([heat], {"go": go, "stand": stand})
+    (end,) = drive([heat], {"go": lambda: go, "stand": lambda: stand})
     assert end.order == ["bot:3", "go", "stand"]
     assert 1 < end.ratios["go"] < end.ratios["stand"] == WORST
 

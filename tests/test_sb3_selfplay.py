@@ -17,7 +17,14 @@ from stkzoo.agents.training.pool import Pool
 from stkzoo.agents.training.sb3_curriculum import EASY_TO_HARD, Curriculum
 from stkzoo.agents.training.sb3_evaluation import judge, ratings_of, read_judgements
 from stkzoo.agents.training.sb3_plot import main as plot_main
-from stkzoo.agents.training.sb3_policy import MlpDriver, save_driver, start_weights, write_agent
+from stkzoo.agents.training.sb3_policy import (
+    DriftHold,
+    MlpDriver,
+    load_driver,
+    save_driver,
+    start_weights,
+    write_agent,
+)
 from stkzoo.agents.training.sb3_races import RaceGroup, SelfPlayVecEnv, race_groups
 from stkzoo.agents.training.sb3_selfplay import Arguments, Run
 from stkzoo.errors import ConfigError
@@ -249,6 +256,37 @@ def test_the_way_goes_on_behind_the_finish(monkeypatch):
 # ---------------------------------------------------------------------- policies
 
 
+def test_a_drift_is_held_from_where_it_begins():
+    hold = DriftHold(2, 3)
+
+    def down(*asked):
+        choices = np.zeros((2, 5), int)
+        choices[:, 2] = asked
+        return hold.apply(choices)[:, 2].tolist()
+
+    assert down(1, 0) == [1, 0]
+    assert down(0, 0) == [1, 0]
+    assert down(1, 1) == [1, 1]
+    assert down(1, 0) == [1, 1]  # the first goes on by itself now
+    assert down(0, 0) == [0, 1]
+    assert down(1, 0) == [1, 0]
+    hold.forget(slice(0, 1))
+    assert down(0, 0) == [0, 0]
+    free = DriftHold(1, 0)
+    for asked in (1, 0, 1, 1, 0):
+        choices = np.array([[3, 1, asked, 1, 0]])
+        assert (free.apply(choices) == choices).all()
+
+
+def test_a_kept_policy_knows_how_long_it_holds(tmp_path, policy):
+    save_driver(tmp_path / "held", policy, hold=4)
+    driver, seen = load_driver(tmp_path / "held"), np.zeros((1, SIZE), np.float32)
+    driver.best = lambda _: np.array([[0, 0, next(asked), 0, 0]])
+    asked = iter([1, 0, 0, 0, 0])
+    seat = driver.seat()
+    assert [int(seat(seen)[0, 2]) for _ in range(5)] == [1, 1, 1, 1, 0]
+
+
 def test_a_driver_does_as_its_policy(policy):
     weights = {name: value.numpy() for name, value in policy.state_dict().items()}
     seen = np.random.default_rng(0).normal(size=(64, SIZE)).astype(np.float32)
@@ -267,8 +305,9 @@ def test_weights_to_start_from_may_lack_the_value(tmp_path, policy):
     own = {name: array + 1 for name, array in weights.items() if "value" not in name}
     save_weights(tmp_path / "part", own)
     started = start_weights(tmp_path / "part", policy)
-    for name, array in weights.items():
-        assert (started[name] == own.get(name, array)).all()
+    assert {*started} == {*policy.state_dict()}
+    for name, array in started.items():
+        assert (array == own.get(name, weights[name])).all()
 
 
 def test_other_weights_are_refused(tmp_path, policy):

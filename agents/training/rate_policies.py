@@ -34,8 +34,8 @@ from stkzoo.whole_file import whole_file
 from .command import changes, keep_to_one_thread
 from .league_matches import AI, SEATS, Match, Pairing, play, ratings_of
 from .plan_numbers import numbers_of_run
-from .sb3_heats import Chooser, Heat, bots_of, drive
-from .sb3_policy import MlpDriver, load_driver
+from .sb3_heats import Heat, bots_of, drive
+from .sb3_policy import MlpDriver, Seat, load_driver
 
 __all__ = ["START", "draw_pairing", "kept_policies", "main"]
 
@@ -98,12 +98,14 @@ def players_of(runs: Sequence[Path], files: Mapping[str, Path]) -> tuple[list[st
         policies = {START: RacingPolicy.of_plans_alone()}
         policies |= {name: RacingPolicy(own) for name, own in weights.items()}
         return sorted(policies), lambda pairings: play(pairings, policies, 0, rules)
-    drivers = {name: MlpDriver(own, str(files[name])).best for name, own in weights.items()}
-    drivers[START] = load_driver(min(runs[0].glob(_KEPT))).best
+    drivers = {name: MlpDriver(own, str(files[name])).seat for name, own in weights.items()}
+    drivers[START] = load_driver(min(runs[0].glob(_KEPT))).seat
     return sorted(drivers), lambda pairings: play_heats(pairings, drivers)
 
 
-def play_heats(pairings: Sequence[Pairing], drivers: Mapping[str, Chooser]) -> list[Match]:
+def play_heats(
+    pairings: Sequence[Pairing], drivers: Mapping[str, Callable[[], Seat]]
+) -> list[Match]:
     """Plays matches of drivers on the view ``racing``, the game's AI at the end of the grid."""
     ends = drive([Heat(p.members, p.track, p.number, p.reverse) for p in pairings], drivers)
     ai = bots_of(3)

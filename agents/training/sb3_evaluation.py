@@ -16,7 +16,7 @@ import os
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -28,8 +28,8 @@ from stkzoo.race.tournament.ratings import Rating, rate
 from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.racing import CHOICES
 
-from .sb3_heats import Chooser, Heat, drive
-from .sb3_policy import load_driver
+from .sb3_heats import Heat, drive
+from .sb3_policy import Seat, load_driver
 
 __all__ = [
     "RATINGS",
@@ -89,13 +89,14 @@ def judge(run: Path, name: str, tracks: Sequence[str], races: int) -> Judgement:
     """
     older = sorted(path.stem for path in run.glob("policy-*.safetensors") if path.stem < name)
     own = name if older else START
-    drivers: dict[str, Chooser] = {own: _likeliest(run, name)}
+    drivers: dict[str, Callable[[], Seat]] = {own: _likeliest(run, name)}
     if older:
         drivers[START] = _likeliest(run, older[0])
     if len(older) > 1:
         past = older[len(older) // 2]
         drivers[past] = _likeliest(run, past)
-    drivers[RANDOM] = _random_choices(kart_steps_of(name))
+    by_chance = _random_choices(kart_steps_of(name))
+    drivers[RANDOM] = lambda: by_chance
     orders: list[list[str]] = []
     ratios: dict[str, list[float]] = {driver: [] for driver in drivers}
     parent = os.getppid()
@@ -115,11 +116,11 @@ def judge(run: Path, name: str, tracks: Sequence[str], races: int) -> Judgement:
     return judgement
 
 
-def _likeliest(run: Path, name: str) -> Chooser:
-    return load_driver(run / f"{name}.safetensors").best
+def _likeliest(run: Path, name: str) -> Callable[[], Seat]:
+    return load_driver(run / f"{name}.safetensors").seat
 
 
-def _random_choices(seed: int) -> Chooser:
+def _random_choices(seed: int) -> Seat:
     random = np.random.default_rng(seed)
 
     def choose(observations: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:

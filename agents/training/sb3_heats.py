@@ -12,27 +12,23 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from stkzoo import race_v0
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.race.benchmark import load_ai_times
+
+from .sb3_policy import Seat
 
 __all__ = [
     "COUNTDOWN",
     "PATIENCE",
     "STEP",
     "WORST",
-    "Chooser",
     "Heat",
     "HeatEnd",
     "ai_time",
     "bots_of",
     "drive",
 ]
-
-Chooser = Callable[[npt.NDArray[np.float32]], npt.NDArray[np.int64]]
 
 #: How long a step is, and how long karts wait on the grid for GO [s].
 STEP, COUNTDOWN = 0.1, 2.0
@@ -90,7 +86,7 @@ class HeatEnd:
 class _Run:
     """A heat that is being driven."""
 
-    def __init__(self, heat: Heat) -> None:
+    def __init__(self, heat: Heat, drivers: Mapping[str, Callable[[], Seat]]) -> None:
         self.heat = heat
         self.ai_time = ai_time(heat.track, heat.reverse, heat.difficulty)
         self.env: RaceParallelEnv = race_v0.parallel_env(
@@ -105,13 +101,14 @@ class _Run:
         self.seen: dict[str, Any] = {}
         self.last: dict[str, Any] = {}
         self._names = dict(zip(self.env.possible_agents, heat.names, strict=True))
+        self._seats = {agent: drivers[name]() for agent, name in self._names.items()}
 
     def begin(self) -> None:
         self.seen, _ = self.env.reset(seed=self.heat.seed)
 
-    def ask(self, drivers: Mapping[str, Chooser]) -> None:
+    def ask(self) -> None:
         self.env.step_async(
-            {agent: drivers[self._names[agent]](seen[None])[0] for agent, seen in self.seen.items()}
+            {agent: self._seats[agent](seen[None])[0] for agent, seen in self.seen.items()}
         )
 
     def take_in(self) -> None:
@@ -138,22 +135,22 @@ def _ratio(info: Mapping[str, Any], ai_speed: float) -> float:
     return 1.0 / max(pace, 1.0 / WORST)
 
 
-def drive(heats: Sequence[Heat], drivers: Mapping[str, Chooser]) -> list[HeatEnd]:
+def drive(heats: Sequence[Heat], drivers: Mapping[str, Callable[[], Seat]]) -> list[HeatEnd]:
     """Drives some races side by side.
 
     Args:
         heats: the races.
-        drivers: of all that drive in them: choices ``(A, 5)`` by views ``(A, 165)``.
+        drivers: of all that drive in them: what makes a seat for one kart in one race.
     """
     with contextlib.ExitStack() as stack:
         runs = []
         for heat in heats:
-            runs.append(_Run(heat))
+            runs.append(_Run(heat, drivers))
             stack.enter_context(contextlib.closing(runs[-1].env))
             runs[-1].begin()
         while under_way := [run for run in runs if run.env.agents]:
             for run in under_way:
-                run.ask(drivers)
+                run.ask()
             for run in under_way:
                 run.take_in()
         return [run.end() for run in runs]

@@ -1,12 +1,12 @@
 """A Stable-Baselines3 policy in numpy, as a file, and as an agent to race.
 
 The policy is an ``MlpPolicy`` of tanh layers on the view ``racing``; a file of it is a
-safetensors file of its state dict, so that ``model.policy.load_state_dict`` takes it back.
+safetensors file of its state dict, and of how long it holds a drift if it does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,15 @@ from stkzoo.errors import ConfigError
 from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
-__all__ = ["MlpDriver", "load_driver", "save_driver", "start_weights", "write_agent"]
+__all__ = [
+    "DriftHold",
+    "MlpDriver",
+    "Seat",
+    "load_driver",
+    "save_driver",
+    "start_weights",
+    "write_agent",
+]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
@@ -26,19 +34,63 @@ IntArray = npt.NDArray[np.int64]
 _LAYER = "mlp_extractor.policy_net.{}.{}"
 _LAST = "action_net.{}"
 _SPLITS = np.cumsum(CHOICES)[:-1].tolist()
+#: The column of choices that is the drift.
+_DRIFT = 2
+#: Under this name a file says for how many steps a drift is held.
+_HOLD = "drift_hold"
+
+#: Chooses for one kart at a time: choices ``(1, 5)`` by its view ``(1, 165)``; it may remember.
+Seat = Callable[[FloatArray], IntArray]
 
 _MODULE = '''"""A driver learned by self-play with Stable-Baselines3."""
+
+from pathlib import Path
 
 from stkzoo.agents.training.sb3_policy import load_driver
 
 env_name = "supertuxkart/racing-v0"
 player_name = {name!r}
+driver = load_driver(Path(__file__).with_name("policy.safetensors"))
+
+
+def create_state():
+    return driver.seat()
 
 
 def get_actor(module_dir, observation_space, action_space):
-    driver = load_driver(module_dir / "policy.safetensors")
-    return lambda state, observation: driver.best(observation[None])[0]
+    return lambda seat, observation: seat(observation[None])[0]
 '''
+
+
+class DriftHold:
+    """Keeps the drift buttons of some karts down for a while, once they are pressed.
+
+    A drift pays after a second. Who decides anew in each step whether to go on with it, by chance,
+    never comes so far, and never learns it.
+
+    Args:
+        karts: how many.
+        steps: for how many steps a button stays down; 0 or 1 leaves choices as they are.
+    """
+
+    def __init__(self, karts: int, steps: int) -> None:
+        self._steps = steps
+        self._left = np.zeros(karts, np.int64)
+        self._is_down = np.zeros(karts, np.bool_)
+
+    def apply(self, choices: npt.NDArray[Any]) -> IntArray:
+        """What is done of the choices ``(karts, 5)`` of one step."""
+        is_asked = choices[:, _DRIFT] == 1
+        begins = is_asked & ~self._is_down
+        self._left = np.where(begins, self._steps, self._left) - 1
+        self._is_down = is_asked | (self._left >= 0)
+        done = np.array(choices, np.int64)
+        done[:, _DRIFT] = self._is_down
+        return done
+
+    def forget(self, karts: slice) -> None:
+        """Begins some karts anew."""
+        self._left[karts], self._is_down[karts] = 0, False
 
 
 class MlpDriver:
@@ -48,11 +100,15 @@ class MlpDriver:
         weights: a state dict, its arrays in numpy; what is not the policy's is left alone.
         name: what errors call it.
 
+    Attributes:
+        hold: for how many steps it holds a drift.
+
     Raises:
         ConfigError: they are not of an ``MlpPolicy`` on the view ``racing``.
     """
 
     def __init__(self, weights: Mapping[str, FloatArray], name: str = "the weights") -> None:
+        self.hold = int(np.asarray(weights.get(_HOLD, np.zeros(1))).sum())
         self._layers: list[tuple[FloatArray, FloatArray]] = []
         number = 0
         while _LAYER.format(number, "weight") in weights:
@@ -90,6 +146,11 @@ class MlpDriver:
         parts = np.split(self.logits(observations), _SPLITS, axis=1)
         return np.stack([part.argmax(axis=1) for part in parts], axis=1)
 
+    def seat(self) -> Seat:
+        """Drives one kart through one race by the likeliest choices."""
+        hold = DriftHold(1, self.hold)
+        return lambda observation: hold.apply(self.best(observation))
+
     def sample(self, observations: FloatArray, random: np.random.Generator) -> IntArray:
         """Choices drawn by their probabilities, ``(A, 5)``."""
         logits = self.logits(observations)
@@ -115,10 +176,16 @@ def load_driver(path: str | Path) -> MlpDriver:
     return MlpDriver(load_weights(path), f"the weights {str(path)!r}")
 
 
-def save_driver(path: str | Path, policy: Any) -> None:
-    """Writes the state dict of a Stable-Baselines3 policy to a file, whole or not at all."""
-    state = policy.state_dict()
-    save_weights(path, {name: value.detach().cpu().numpy() for name, value in state.items()})
+def save_driver(path: str | Path, policy: Any, hold: int = 0) -> None:
+    """Writes a Stable-Baselines3 policy to a file, whole or not at all.
+
+    Args:
+        path: of the file.
+        policy: its state dict is kept.
+        hold: for how many steps it holds a drift.
+    """
+    state = {name: value.detach().cpu().numpy() for name, value in policy.state_dict().items()}
+    save_weights(path, state | ({_HOLD: np.array([hold], np.float32)} if hold else {}))
 
 
 def start_weights(path: str | Path, policy: Any) -> dict[str, FloatArray]:
@@ -133,6 +200,7 @@ def start_weights(path: str | Path, policy: Any) -> dict[str, FloatArray]:
     """
     weights = load_weights(path)
     MlpDriver(weights, f"the weights {str(path)!r}")
+    weights = {name: array for name, array in weights.items() if name != _HOLD}
     own = {name: value.detach().cpu().numpy() for name, value in policy.state_dict().items()}
     others = [n for n, array in weights.items() if n not in own or own[n].shape != array.shape]
     if others:
@@ -143,11 +211,21 @@ def start_weights(path: str | Path, policy: Any) -> dict[str, FloatArray]:
     return {**own, **weights}
 
 
-def write_agent(folder: str | Path, policy: Any, name: str) -> Path:
-    """Makes an agent of a policy: a folder that ``stkzoo race`` takes; its path."""
+def write_agent(folder: str | Path, policy: Any, name: str, hold: int = 0) -> Path:
+    """Makes an agent of a policy: a folder that ``stkzoo race`` takes.
+
+    Args:
+        folder: which is made.
+        policy: of Stable-Baselines3.
+        name: of the agent.
+        hold: for how many steps it holds a drift.
+
+    Returns:
+        The folder.
+    """
     path = Path(folder)
     path.mkdir(parents=True, exist_ok=True)
-    save_driver(path / "policy.safetensors", policy)
+    save_driver(path / "policy.safetensors", policy, hold)
     with whole_file(path / "pystk_actor.py") as part:
         part.write_text(_MODULE.format(name=name))
     return path

@@ -29,7 +29,7 @@ from stkzoo.wrappers.racing import SIZE
 from .pool import Pool
 from .sb3_curriculum import Curriculum
 from .sb3_heats import COUNTDOWN, PATIENCE, STEP, ai_time, bots_of
-from .sb3_policy import MlpDriver
+from .sb3_policy import DriftHold, MlpDriver
 
 __all__ = [
     "SHORT_RACE",
@@ -184,6 +184,7 @@ class SelfPlayVecEnv(VecEnv):
         snapshots: the frozen rivals, told likewise.
         share: of races without bots in which a snapshot drives half of the karts.
         grid: share of races that begin on the grid; the others begin anywhere on the track.
+        hold: for how many steps all hold a drift.
 
     Attributes:
         kart_steps: how many steps the learner has driven.
@@ -203,6 +204,7 @@ class SelfPlayVecEnv(VecEnv):
         *,
         share: float = 0.5,
         grid: float = 0.3,
+        hold: int = 0,
     ) -> None:
         self._curriculum, self._bots, self._snapshots = curriculum, bots, snapshots
         self._share, self._grid = share, grid
@@ -227,6 +229,7 @@ class SelfPlayVecEnv(VecEnv):
                 first += group.agents
         self._cuts = np.cumsum([env.num_envs for env in self._envs])[:-1].tolist()
         self._random = np.random.default_rng()
+        self._hold = DriftHold(first, hold)
         self.kart_steps, self.rewarded = 0, 0.0
         self.ends: list[RaceEnd] = []
         self._observations = np.zeros((first, SIZE), np.float32)
@@ -268,7 +271,8 @@ class SelfPlayVecEnv(VecEnv):
                 rows = np.flatnonzero(~race.is_learner) + race.slots.start
                 driver = self._drivers[race.rival]
                 chosen[rows] = driver.sample(self._observations[rows], self._random)
-        for env, part in zip(self._envs, np.split(chosen, self._cuts), strict=True):
+        done = self._hold.apply(chosen)
+        for env, part in zip(self._envs, np.split(done, self._cuts), strict=True):
             env.step_async(part)
 
     def step_wait(
@@ -346,6 +350,7 @@ class SelfPlayVecEnv(VecEnv):
 
     def _begin(self, race: _Race, infos: Sequence[dict[str, Any]]) -> None:
         race.begin(infos)
+        self._hold.forget(race.slots)
         is_faced = not race.group.bots and race.group.agents > 1 and self._snapshots.rivals
         if is_faced and self._random.random() < self._share:
             race.face(self._snapshots.draw(self._random), self._random)

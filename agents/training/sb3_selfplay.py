@@ -55,9 +55,9 @@ __all__ = ["Arguments", "Run", "main"]
 
 _CHECKPOINT, _ARGUMENTS, _AGENT = "checkpoint.pt", "arguments.json", "agent"
 #: What a policy that knows nothing leans towards, by the place among the view's choices: to go
-#: rather than to brake, not to drift, and to call for the rescue now and then only. Without it
+#: rather than to brake, and to drift or call for the rescue now and then only. Without it
 #: every kart stands for most of its first races.
-_LEANINGS = {CHOICES[0]: 1.5, CHOICES[0] + 3: -3.0, sum(CHOICES[:2]): 1.5}
+_LEANINGS = {CHOICES[0]: 1.5, CHOICES[0] + 3: -3.0, sum(CHOICES[:2]): 4.0}
 #: Karts whose races the log's figures are means of.
 _RECENT = 100
 #: How long the last evaluations may take [s].
@@ -87,6 +87,7 @@ class Arguments:
         trace: lambda of the advantage.
         clip: how far a probability may move in one update, as a share.
         entropy: bonus at the start.
+        hold: for how many steps a drift is held; it pays after 11.
         fade: learning rate and entropy bonus are over sqrt(1 + kart-steps / fade); 0 keeps them.
         keep_every: kart-steps between two snapshots.
         evaluate_every: kart-steps between two evaluations.
@@ -113,6 +114,7 @@ class Arguments:
     trace: float = 0.95
     clip: float = 0.2
     entropy: float = 0.003
+    hold: int = 11
     fade: int = 1_000_000
     keep_every: int = 50_000
     evaluate_every: int = 100_000
@@ -205,7 +207,9 @@ class Run:
     def save_agent(self) -> Path:
         """Writes the policy as an agent to race; its folder."""
         name = f"self-play {self.kart_steps:,}"
-        agent: Path = self._policies.write_agent(self.folder / _AGENT, self._model.policy, name)
+        agent: Path = self._policies.write_agent(
+            self.folder / _AGENT, self._model.policy, name, self._held
+        )
         return agent
 
     def close(self) -> None:
@@ -214,6 +218,10 @@ class Run:
         self._envs.close()
 
     # ------------------------------------------------------------------ parts
+
+    @property
+    def _held(self) -> int:
+        return 0 if self.arguments.supersuit else self.arguments.hold
 
     def _make_races(self) -> Any:
         races = importlib.import_module("stkzoo.agents.training.sb3_races")
@@ -229,6 +237,7 @@ class Run:
             self._snapshots,
             share=self.arguments.share,
             grid=self.arguments.grid,
+            hold=self._held,
         )
 
     def _make_model(self) -> Any:
@@ -325,7 +334,8 @@ class Run:
     def _keep(self, *, is_rival: bool) -> None:
         """Writes the policy as it is now, and makes it one of the rivals."""
         name = self._policy_name()
-        self._policies.save_driver(self.folder / f"{name}.safetensors", self._model.policy)
+        file = self.folder / f"{name}.safetensors"
+        self._policies.save_driver(file, self._model.policy, self._held)
         if is_rival and not self.arguments.supersuit:
             self._snapshots.add(name)
             self._make_ready(name)
