@@ -112,7 +112,7 @@ def test_an_interrupted_command_tells_the_race_so_far_and_that_it_is_partial(tmp
     assert json.loads(result.read_text())["steps"] == told.steps > 0
     kept = load_replay(replay)
     assert kept.is_partial
-    assert kept.steps == told.steps
+    assert told.steps - kept.steps in (0, 1)  # it may come before the last step is written down
     assert "heuristic" in shown
 
 
