@@ -18,8 +18,8 @@ from stkzoo.agents.training.sb3_curriculum import EASY_TO_HARD, Curriculum
 from stkzoo.agents.training.sb3_evaluation import judge, ratings_of, read_judgements
 from stkzoo.agents.training.sb3_plot import main as plot_main
 from stkzoo.agents.training.sb3_policy import (
-    DriftHold,
     MlpDriver,
+    Reflexes,
     load_driver,
     save_driver,
     start_weights,
@@ -256,13 +256,20 @@ def test_the_way_goes_on_behind_the_finish(monkeypatch):
 # ---------------------------------------------------------------------- policies
 
 
+def views(*speeds):
+    """Views of karts that go so fast [m/s]."""
+    seen = np.zeros((len(speeds), SIZE), np.float32)
+    seen[:, 2] = np.array(speeds) / 20.0
+    return seen
+
+
 def test_a_drift_is_held_from_where_it_begins():
-    hold = DriftHold(2, 3)
+    reflexes = Reflexes(2, 3)
 
     def down(*asked):
         choices = np.zeros((2, 5), int)
         choices[:, 2] = asked
-        return hold.apply(choices)[:, 2].tolist()
+        return reflexes.apply(choices, views(9, 9))[:, 2].tolist()
 
     assert down(1, 0) == [1, 0]
     assert down(0, 0) == [1, 0]
@@ -270,17 +277,29 @@ def test_a_drift_is_held_from_where_it_begins():
     assert down(1, 0) == [1, 1]  # the first goes on by itself now
     assert down(0, 0) == [0, 1]
     assert down(1, 0) == [1, 0]
-    hold.forget(slice(0, 1))
+    reflexes.forget(slice(0, 1))
     assert down(0, 0) == [0, 0]
-    free = DriftHold(1, 0)
+    free = Reflexes(1, 0)
     for asked in (1, 0, 1, 1, 0):
         choices = np.array([[3, 1, asked, 1, 0]])
-        assert (free.apply(choices) == choices).all()
+        assert (free.apply(choices, views(9)) == choices).all()
+
+
+def test_who_is_stuck_calls_for_the_rescue_but_not_on_the_grid():
+    reflexes, choices = Reflexes(2, 0), np.array([[10, 0, 0, 0, 0]] * 2)
+    calls = []
+    for step in range(60):
+        seen = views(0, 0 if step != 10 else 8)
+        calls.append((reflexes.apply(choices, seen)[:, 1] == 3).tolist())
+    assert not np.array(calls)[:, 0].any()  # it has never moved
+    assert np.flatnonzero(np.array(calls)[:, 1]).tolist() == [30, 50]
+    reflexes.forget(slice(0, 2))
+    assert (reflexes.apply(choices, views(0, 0)) == choices).all()
 
 
 def test_a_kept_policy_knows_how_long_it_holds(tmp_path, policy):
     save_driver(tmp_path / "held", policy, hold=4)
-    driver, seen = load_driver(tmp_path / "held"), np.zeros((1, SIZE), np.float32)
+    driver, seen = load_driver(tmp_path / "held"), views(9)
     driver.best = lambda _: np.array([[0, 0, next(asked), 0, 0]])
     asked = iter([1, 0, 0, 0, 0])
     seat = driver.seat()

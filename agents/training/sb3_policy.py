@@ -19,8 +19,8 @@ from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
 __all__ = [
-    "DriftHold",
     "MlpDriver",
+    "Reflexes",
     "Seat",
     "load_driver",
     "save_driver",
@@ -34,8 +34,12 @@ IntArray = npt.NDArray[np.int64]
 _LAYER = "mlp_extractor.policy_net.{}.{}"
 _LAST = "action_net.{}"
 _SPLITS = np.cumsum(CHOICES)[:-1].tolist()
-#: The column of choices that is the drift.
-_DRIFT = 2
+#: The columns of choices that are the pedal and the drift, and which pedal is the rescue.
+_PEDAL, _DRIFT, _RESCUE = 1, 2, 3
+#: Where the view has the speed forwards [20 m/s].
+_SPEED = 2
+#: A kart slower than this [20 m/s] for so many steps is stuck.
+_STILL, _STUCK_STEPS = 3.0 / 20.0, 20
 #: Under this name a file says for how many steps a drift is held.
 _HOLD = "drift_hold"
 
@@ -62,35 +66,47 @@ def get_actor(module_dir, observation_space, action_space):
 '''
 
 
-class DriftHold:
-    """Keeps the drift buttons of some karts down for a while, once they are pressed.
+class Reflexes:
+    """What some karts do without deciding: they hold drifts, and call for the rescue when stuck.
 
     A drift pays after a second. Who decides anew in each step whether to go on with it, by chance,
-    never comes so far, and never learns it.
+    never comes so far, and never learns it. And who is stuck by its likeliest choice stays so.
 
     Args:
         karts: how many.
-        steps: for how many steps a button stays down; 0 or 1 leaves choices as they are.
+        hold: for how many steps a drift goes on once it has begun; 0 or 1 leaves it to the choices.
     """
 
-    def __init__(self, karts: int, steps: int) -> None:
-        self._steps = steps
-        self._left = np.zeros(karts, np.int64)
-        self._is_down = np.zeros(karts, np.bool_)
+    def __init__(self, karts: int, hold: int) -> None:
+        self._hold = hold
+        self._left, self._still = np.zeros(karts, np.int64), np.zeros(karts, np.int64)
+        self._drifts, self._has_moved = np.zeros(karts, np.bool_), np.zeros(karts, np.bool_)
 
-    def apply(self, choices: npt.NDArray[Any]) -> IntArray:
-        """What is done of the choices ``(karts, 5)`` of one step."""
-        is_asked = choices[:, _DRIFT] == 1
-        begins = is_asked & ~self._is_down
-        self._left = np.where(begins, self._steps, self._left) - 1
-        self._is_down = is_asked | (self._left >= 0)
+    def apply(self, choices: npt.NDArray[Any], views: FloatArray) -> IntArray:
+        """What is done of one step's choices.
+
+        Args:
+            choices: ``(karts, 5)``.
+            views: ``(karts, 165)``, by which they were made.
+        """
         done = np.array(choices, np.int64)
-        done[:, _DRIFT] = self._is_down
+        is_asked = done[:, _DRIFT] == 1
+        begins = is_asked & ~self._drifts
+        self._left = np.where(begins, self._hold, self._left) - 1
+        self._drifts = is_asked | (self._left >= 0)
+        done[:, _DRIFT] = self._drifts
+        is_slow = np.abs(views[:, _SPEED]) < _STILL
+        self._has_moved |= ~is_slow  # on the grid all stand still
+        self._still = np.where(is_slow & self._has_moved, self._still + 1, 0)
+        is_stuck = self._still >= _STUCK_STEPS
+        done[is_stuck, _PEDAL] = _RESCUE
+        self._still[is_stuck] = 0
         return done
 
     def forget(self, karts: slice) -> None:
         """Begins some karts anew."""
-        self._left[karts], self._is_down[karts] = 0, False
+        self._left[karts] = self._still[karts] = 0
+        self._drifts[karts] = self._has_moved[karts] = False
 
 
 class MlpDriver:
@@ -148,8 +164,8 @@ class MlpDriver:
 
     def seat(self) -> Seat:
         """Drives one kart through one race by the likeliest choices."""
-        hold = DriftHold(1, self.hold)
-        return lambda observation: hold.apply(self.best(observation))
+        reflexes = Reflexes(1, self.hold)
+        return lambda view: reflexes.apply(self.best(view), view)
 
     def sample(self, observations: FloatArray, random: np.random.Generator) -> IntArray:
         """Choices drawn by their probabilities, ``(A, 5)``."""

@@ -29,7 +29,7 @@ from stkzoo.wrappers.racing import SIZE
 from .pool import Pool
 from .sb3_curriculum import Curriculum
 from .sb3_heats import COUNTDOWN, PATIENCE, STEP, ai_time, bots_of
-from .sb3_policy import DriftHold, MlpDriver
+from .sb3_policy import MlpDriver, Reflexes
 
 __all__ = [
     "SHORT_RACE",
@@ -229,7 +229,7 @@ class SelfPlayVecEnv(VecEnv):
                 first += group.agents
         self._cuts = np.cumsum([env.num_envs for env in self._envs])[:-1].tolist()
         self._random = np.random.default_rng()
-        self._hold = DriftHold(first, hold)
+        self._reflexes = Reflexes(first, hold)
         self.kart_steps, self.rewarded = 0, 0.0
         self.ends: list[RaceEnd] = []
         self._observations = np.zeros((first, SIZE), np.float32)
@@ -271,7 +271,7 @@ class SelfPlayVecEnv(VecEnv):
                 rows = np.flatnonzero(~race.is_learner) + race.slots.start
                 driver = self._drivers[race.rival]
                 chosen[rows] = driver.sample(self._observations[rows], self._random)
-        done = self._hold.apply(chosen)
+        done = self._reflexes.apply(chosen, self._observations)
         for env, part in zip(self._envs, np.split(done, self._cuts), strict=True):
             env.step_async(part)
 
@@ -350,7 +350,7 @@ class SelfPlayVecEnv(VecEnv):
 
     def _begin(self, race: _Race, infos: Sequence[dict[str, Any]]) -> None:
         race.begin(infos)
-        self._hold.forget(race.slots)
+        self._reflexes.forget(race.slots)
         is_faced = not race.group.bots and race.group.agents > 1 and self._snapshots.rivals
         if is_faced and self._random.random() < self._share:
             race.face(self._snapshots.draw(self._random), self._random)
