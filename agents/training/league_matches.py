@@ -13,6 +13,7 @@ from stkzoo.race.tournament.ratings import Rating, rate
 
 from .league_learner import rows_of
 from .ppo_races import Finish, Fleet, RaceForm
+from .sb3_heats import finishing_order
 
 __all__ = ["AI", "Match", "Pairing", "draw_pairings", "payoff", "play", "ratings_of"]
 
@@ -146,9 +147,7 @@ def _play(
 def _order(pairing: Pairing, first: int, ends: Mapping[int, Finish]) -> list[str]:
     """Who came in first, second, ... in the match whose first seat has this number."""
     places = {ends[first + seat].rank: name for seat, name in enumerate(pairing.members)}
-    (of_ai,) = set(range(1, SEATS + 2)) - set(places)
-    places[of_ai] = AI
-    return list(dict.fromkeys(places[place] for place in sorted(places)))
+    return finishing_order(places, AI)
 
 
 def ratings_of(matches: Sequence[Match]) -> dict[str, Rating]:

@@ -28,6 +28,7 @@ __all__ = [
     "ai_time",
     "bots_of",
     "drive",
+    "finishing_order",
 ]
 
 #: How long a step is, and how long karts wait on the grid for GO [s].
@@ -120,13 +121,23 @@ class _Run:
         assert self.env.track_map is not None  # noqa: S101 - since begin
         speed = self.env.track_map.length / self.ai_time
         places = {int(info["position"]): self._names[agent] for agent, info in self.last.items()}
-        (of_ai,) = set(range(1, len(places) + 2)) - set(places)
-        places[of_ai] = bots_of(self.heat.difficulty)
         ratios: dict[str, float] = {}
         for agent, info in self.last.items():
             name = self._names[agent]
             ratios[name] = min(_ratio(info, speed), ratios.get(name, WORST))
-        return HeatEnd(list(dict.fromkeys(places[place] for place in sorted(places))), ratios)
+        return HeatEnd(finishing_order(places, bots_of(self.heat.difficulty)), ratios)
+
+
+def finishing_order(places: Mapping[int, str], ai: str) -> list[str]:
+    """Who came in first, second, ...; each once, at the better place.
+
+    Args:
+        places: who came in at which place; one from 1 on is missing.
+        ai: who came in there.
+    """
+    (of_ai,) = set(range(1, len(places) + 2)) - set(places)
+    found = {**places, of_ai: ai}
+    return list(dict.fromkeys(found[place] for place in sorted(found)))
 
 
 def _ratio(info: Mapping[str, Any], ai_speed: float) -> float:

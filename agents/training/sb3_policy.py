@@ -16,7 +16,7 @@ import numpy.typing as npt
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
 from stkzoo.whole_file import whole_file
-from stkzoo.wrappers.racing import CHOICES, SIZE
+from stkzoo.wrappers.racing import CHOICES, RESCUE, SIZE
 
 __all__ = [
     "MlpDriver",
@@ -34,8 +34,8 @@ IntArray = npt.NDArray[np.int64]
 _LAYER = "mlp_extractor.policy_net.{}.{}"
 _LAST = "action_net.{}"
 _SPLITS = np.cumsum(CHOICES)[:-1].tolist()
-#: The columns of choices that are the pedal and the drift, and which pedal is the rescue.
-_PEDAL, _DRIFT, _RESCUE = 1, 2, 3
+#: The columns of choices that are the pedal and the drift.
+_PEDAL, _DRIFT = 1, 2
 #: Where the view has the speed forwards [20 m/s].
 _SPEED = 2
 #: A kart slower than this [20 m/s] for so many steps is stuck.
@@ -99,7 +99,7 @@ class Reflexes:
         self._has_moved |= ~is_slow  # on the grid all stand still
         self._still = np.where(is_slow & self._has_moved, self._still + 1, 0)
         is_stuck = self._still >= _STUCK_STEPS
-        done[is_stuck, _PEDAL] = _RESCUE
+        done[is_stuck, _PEDAL] = RESCUE
         self._still[is_stuck] = 0
         return done
 

@@ -44,7 +44,7 @@ import numpy as np
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.race.tournament.ratings import rating_library
 from stkzoo.whole_file import whole_file
-from stkzoo.wrappers.racing import CHOICES
+from stkzoo.wrappers.racing import CHOICES, RESCUE
 
 from .command import RunBar, add_arguments, changes, values_of
 from .journal import Journal
@@ -57,7 +57,7 @@ _CHECKPOINT, _ARGUMENTS, _AGENT = "checkpoint.pt", "arguments.json", "agent"
 #: What a policy that knows nothing leans towards, by the place among the view's choices: to go
 #: rather than to brake, and to drift or call for the rescue now and then only. Without it
 #: every kart stands for most of its first races.
-_LEANINGS = {CHOICES[0]: 1.5, CHOICES[0] + 3: -3.0, sum(CHOICES[:2]): 4.0}
+_LEANINGS = {CHOICES[0]: 1.5, CHOICES[0] + RESCUE: -3.0, sum(CHOICES[:2]): 4.0}
 #: Karts whose races the log's figures are means of.
 _RECENT = 100
 #: How long the last evaluations may take [s].

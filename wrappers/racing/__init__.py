@@ -11,6 +11,7 @@ from stkzoo.wrappers.racing.layout import MIRROR, PARTS, SIZE
 from stkzoo.wrappers.racing.road import RoadTable, road_line
 from stkzoo.wrappers.racing.wrapper import (
     CHOICES,
+    RESCUE,
     STEERS,
     RacingActions,
     RacingObservations,
@@ -25,6 +26,7 @@ __all__ = [
     "LOOKS",
     "MIRROR",
     "PARTS",
+    "RESCUE",
     "SIZE",
     "STEERS",
     "CrowdView",
