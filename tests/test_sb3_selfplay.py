@@ -18,6 +18,8 @@ from stkzoo.agents.training.sb3_curriculum import EASY_TO_HARD, Curriculum
 from stkzoo.agents.training.sb3_evaluation import judge, ratings_of, read_judgements
 from stkzoo.agents.training.sb3_plot import main as plot_main
 from stkzoo.agents.training.sb3_policy import (
+    INPUT_MIRROR,
+    INPUT_SIZE,
     MlpDriver,
     Reflexes,
     load_driver,
@@ -31,7 +33,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.race import RaceSettings, run_race
 from stkzoo.sb3 import ActiveRolloutBuffer, RaceVecEnv
 from stkzoo.tracks import TRAIN_TRACKS
-from stkzoo.wrappers.racing import CHOICES, SIZE
+from stkzoo.wrappers.racing import BRAKE, CHOICES, PLACES, RESCUE, SIZE, STEERS
 from tests.processes import wait_until
 
 SMALL = {
@@ -256,54 +258,140 @@ def test_the_way_goes_on_behind_the_finish(monkeypatch):
 # ---------------------------------------------------------------------- policies
 
 
-def views(*speeds):
+RIGHT, LEFT = 15, 5  # 0.31 of full lock
+
+
+def views(*speeds, skid=2.0, **parts):
     """Views of karts that go so fast [m/s]."""
     seen = np.zeros((len(speeds), SIZE), np.float32)
-    seen[:, 2] = np.array(speeds) / 20.0
+    seen[:, PLACES["velocity"].start + 2] = np.array(speeds) / 20.0
+    seen[:, PLACES["skeed_factor"]] = skid
+    for part, number in parts.items():
+        seen[:, PLACES[part].start] = number
     return seen
+
+
+def drives(reflexes, steers, drifts, **others):
+    """What is done of one step's steering and drifting."""
+    reflexes.look(views(*[20.0] * len(steers), **others))
+    choices = np.zeros((len(steers), 5), int)
+    choices[:, 0], choices[:, 2] = steers, drifts
+    return reflexes.apply(choices)
 
 
 def test_a_drift_is_held_from_where_it_begins():
     reflexes = Reflexes(2, 3)
 
     def down(*asked):
-        choices = np.zeros((2, 5), int)
-        choices[:, 2] = asked
-        return reflexes.apply(choices, views(9, 9))[:, 2].tolist()
+        return drives(reflexes, [RIGHT, LEFT], asked)[:, 2].tolist()
 
     assert down(1, 0) == [1, 0]
     assert down(0, 0) == [1, 0]
-    assert down(1, 1) == [1, 1]
-    assert down(1, 0) == [1, 1]  # the first goes on by itself now
+    assert down(0, 1) == [1, 1]
     assert down(0, 0) == [0, 1]
-    assert down(1, 0) == [1, 0]
-    reflexes.forget(slice(0, 1))
+    reflexes.forget(slice(1, 2))
     assert down(0, 0) == [0, 0]
-    free = Reflexes(1, 0)
-    for asked in (1, 0, 1, 1, 0):
-        choices = np.array([[3, 1, asked, 1, 0]])
-        assert (free.apply(choices, views(9)) == choices).all()
 
 
-def test_who_is_stuck_calls_for_the_rescue_but_not_on_the_grid():
-    reflexes, choices = Reflexes(2, 0), np.array([[10, 0, 0, 0, 0]] * 2)
-    calls = []
+def test_a_drift_needs_speed_and_a_side_and_a_hop_that_is_over():
+    assert drives(Reflexes(1, 3), [10], [1])[0, 2] == 0
+    slow, choices = Reflexes(1, 3), np.array([[RIGHT, 0, 1, 0, 0]])
+    slow.look(views(8.0))
+    assert slow.apply(choices)[0, 2] == 0
+    hops = Reflexes(1, 1)
+    assert [drives(hops, [RIGHT], [asked])[0, 2] for asked in (1, 0, 1, 1, 1)] == [1, 0, 0, 0, 1]
+
+
+def test_who_steers_to_the_other_side_lets_go_of_a_drift():
+    reflexes = Reflexes(2, 11)
+    drives(reflexes, [RIGHT, RIGHT], [1, 1])
+    assert drives(reflexes, [LEFT, 9], [1, 1])[:, 2].tolist() == [0, 1]
+
+
+def test_a_drift_that_the_game_has_ended_is_over():
+    reflexes = Reflexes(1, 11)
+    held = [drives(reflexes, [RIGHT], [step == 0], skid=1.0)[0, 2] for step in range(6)]
+    assert held == [1, 1, 1, 1, 0, 0]
+
+
+def test_in_a_drift_a_choice_turns_as_much_as_without():
+    reflexes = Reflexes(1, 11)
+    first = drives(reflexes, [RIGHT], [1])
+    assert STEERS[first[0, 0]] == pytest.approx(0.31)  # or it could not tell the side
+    for choice in (14, 15, 16, 17, 18):
+        steer = STEERS[drives(reflexes, [choice], [1])[0, 0]]
+        assert 0.2 + 0.6 * (1 + steer) / 2 == pytest.approx(STEERS[choice], abs=0.04)
+    assert drives(reflexes, [20], [1])[0, 0] == 20  # all that a drift can
+    assert drives(reflexes, [10], [1])[0, 0] == 0
+
+
+def test_nitro_works_before_there_is_more_of_it():
+    reflexes, choices = Reflexes(1, 1), np.array([[10, 0, 0, 1, 0]])
+    pressed = []
     for step in range(60):
-        seen = views(0, 0 if step != 10 else 8)
-        calls.append((reflexes.apply(choices, seen)[:, 1] == 3).tolist())
-    assert not np.array(calls)[:, 0].any()  # it has never moved
-    assert np.flatnonzero(np.array(calls)[:, 1]).tolist() == [30, 50]
+        reflexes.look(views(20.0, energy=0.1 if step > 5 else 0.0))
+        pressed.append(int(reflexes.apply(choices)[0, 3]))
+    assert np.flatnonzero(pressed).tolist() == [6, 35]
+
+
+def test_without_hold_drifts_and_nitro_are_as_chosen():
+    free, random = Reflexes(4, 0), np.random.default_rng(1)
+    for _ in range(30):
+        choices = random.integers(0, [21, 3, 2, 2, 2], (4, 5))
+        free.look(views(*[15.0] * 4))
+        assert (free.apply(choices) == choices).all()
+
+
+def test_what_is_remembered_is_seen():
+    reflexes = Reflexes(2, 11)
+    for step in range(12):
+        seen = reflexes.look(views(20.0, 20.0))
+        assert seen.shape == (2, INPUT_SIZE)
+        reflexes.apply(np.array([[RIGHT, 0, step > 0, 0, 0], [LEFT, 0, step > 0, 0, 0]]))
+    ones, others = reflexes.look(views(20.0, 20.0))
+    drifted = 11 / 30
+    assert ones[SIZE + 2 : SIZE + 4].tolist() == pytest.approx([drifted, drifted])
+    assert ones == pytest.approx(others * INPUT_MIRROR)
+    fresh = Reflexes(2, 11).look(views(0.0, 0.0))
     reflexes.forget(slice(0, 2))
-    assert (reflexes.apply(choices, views(0, 0)) == choices).all()
+    assert (reflexes.look(views(0.0, 0.0)) == fresh).all()
+
+
+def test_who_is_stuck_gets_away_but_not_on_the_grid():
+    reflexes, choices = Reflexes(2, 0), np.array([[10, 0, 0, 0, 0]] * 2)
+    pedals = []
+    for step in range(60):
+        reflexes.look(views(0.0, 0.0 if step != 10 else 8.0, line_position=0.1))
+        done = reflexes.apply(choices)
+        pedals.append(done[:, 1].tolist())
+    grid, stuck = np.array(pedals).T
+    assert not grid.any()  # it has never moved
+    called = np.flatnonzero(stuck == RESCUE)
+    assert called[0] == 15
+    backs = np.flatnonzero(stuck == BRAKE)
+    assert backs[0] > called[0] + 14  # a rescue takes a while
+    assert done[1, 0] in (0, 10)  # away from the road's middle, which is on the right
+    reflexes.forget(slice(0, 2))
+    reflexes.look(views(0.0, 0.0))
+    assert (reflexes.apply(choices) == choices).all()
+
+
+def test_who_is_far_off_the_road_calls_for_the_rescue():
+    reflexes, choices = Reflexes(1, 0), np.array([[10, 0, 0, 0, 0]])
+    calls = []
+    for _ in range(15):
+        reflexes.look(views(12.0, line_position=1.5, line_room=0.5))  # 10 m beyond the edge
+        calls.append(int(reflexes.apply(choices)[0, 1] == RESCUE))
+    assert np.flatnonzero(calls).tolist() == [10]
 
 
 def test_a_kept_policy_knows_how_long_it_holds(tmp_path, policy):
     save_driver(tmp_path / "held", policy, hold=4)
-    driver, seen = load_driver(tmp_path / "held"), views(9)
-    driver.best = lambda _: np.array([[0, 0, next(asked), 0, 0]])
+    driver = load_driver(tmp_path / "held")
+    driver.best = lambda _: np.array([[RIGHT, 0, next(asked), 0, 0]])
     asked = iter([1, 0, 0, 0, 0])
     seat = driver.seat()
-    assert [int(seat(seen)[0, 2]) for _ in range(5)] == [1, 1, 1, 1, 0]
+    assert [int(seat(views(20.0))[0, 2]) for _ in range(5)] == [1, 1, 1, 1, 0]
 
 
 def test_a_driver_does_as_its_policy(policy):

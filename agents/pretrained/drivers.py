@@ -39,11 +39,13 @@ __all__ = [
     "CHOICE_NAMES",
     "HEADS",
     "INPUT_SIZE",
+    "START_STEER",
     "Drivers",
     "View",
     "mirrored_choices",
     "mirrored_inputs",
     "mirrored_prior",
+    "steer_of_turn",
 ]
 
 FloatArray = npt.NDArray[np.float32]
@@ -69,7 +71,7 @@ _OFFSET_PRIOR = np.array([-5.5, -4.5, -3.5, 0.0, -3.5, -4.5, -5.5], np.float32)
 _BUTTON = 2.0  # for what the rules would do, and its negative for what not
 
 #: A drift begins to the side of steer, which must not be too small to tell.
-_START_STEER = 0.3
+START_STEER = 0.3
 
 _OPTION_SIGNS = np.array([1, 1, -1, 1], np.float32)
 _ROAD_SIGNS = np.array([-1, -1, 1], np.float32)
@@ -155,8 +157,7 @@ class Drivers:
         self.memory.look(speed, np.reshape(own["skeed_factor"], -1))
         self._tracker.look()
         view = self.view(own, around)
-        assert self._options is not None  # noqa: S101 - since view
-        self.memory.look_around(self._options.beyond)
+        self.memory.look_around(self.options.beyond)
         return view
 
     def view(self, own: Mapping[str, Any], around: Surroundings) -> View:
@@ -197,6 +198,19 @@ class Drivers:
         self.memory.restore(state)
         self._tracker.restore(state)
 
+    @property
+    def options(self) -> Options:
+        """The best plans, of what was seen last."""
+        assert self._options is not None  # noqa: S101 - since view
+        return self._options
+
+    def moves(self, choices: IntArray) -> tuple[IntArray, FloatArray]:
+        """What choices ``(A, 4)`` mean: to which side to drift, and which share of full lock."""
+        begin, offset = choices[:, 0], choices[:, 1]
+        side = (begin == DRIFT_RIGHT).astype(np.intp) - (begin == DRIFT_LEFT)
+        turn = self.options.turn[np.arange(len(choices)), begin] + _OFFSETS[offset]
+        return side, np.clip(turn, -1.0, 1.0)
+
     def act(self, choices: IntArray) -> tuple[FloatArray, BoolArray]:
         """What the engine is told.
 
@@ -207,13 +221,10 @@ class Drivers:
             Controls ``(A, 7)``, in the order of ``stkzoo.engine.snapshot.CONTROLS``; and
             ``(A,)``: who did what was chosen, and not what gets a stuck kart away.
         """
-        options = self._options
-        assert options is not None  # noqa: S101 - since look
-        begin, offset, nitro, fire = choices.T
-        rows = np.arange(len(choices))
+        options = self.options
+        side, turn = self.moves(choices)
+        begin, _, nitro, fire = choices.T
         backs, calls = self.memory.stuck()
-        side = (begin == DRIFT_RIGHT).astype(np.intp) - (begin == DRIFT_LEFT)
-        turn = np.clip(options.turn[rows, begin] + _OFFSETS[offset], -1.0, 1.0)
         away = np.where(options.angle + 0.1 * options.offset < 0, -1.0, 1.0)
         is_driven = ~(backs | calls)
         side = np.where(is_driven, side, 0)
@@ -224,7 +235,7 @@ class Drivers:
         brakes = backs | (is_driven & (begin == BRAKE))
         controls = np.zeros((len(choices), 7), np.float32)
         controls[:, 0] = ~brakes & ~calls
-        controls[:, 1] = np.clip(_steer(side, turn, begins), -1.0, 1.0)
+        controls[:, 1] = steer_of_turn(side, turn, begins)
         controls[:, 2] = brakes
         controls[:, 3] = side != 0
         controls[:, 4] = fires
@@ -289,10 +300,16 @@ def _numbers(options: Options) -> FloatArray:
     return np.concatenate([each.reshape(len(behind), -1), road], axis=1).astype(np.float32)
 
 
-def _steer(side: IntArray, turn: FloatArray, begins: BoolArray) -> FloatArray:
-    """What to steer, so that karts in a drift turn as much as they should."""
+def steer_of_turn(side: IntArray, turn: FloatArray, begins: BoolArray) -> FloatArray:
+    """What to steer, so that karts in a drift turn as much as they should.
+
+    Args:
+        side: ``(A,)`` to which they drift: 1 to the right, -1 to the left, 0 not at all.
+        turn: ``(A,)`` share of full lock, positive to the right.
+        begins: ``(A,)`` whose drift begins.
+    """
     least, most = DRIFT_TURN
     inwards = 2.0 * (turn * side - least) / (most - least) - 1.0
-    inwards = np.where(begins, np.maximum(inwards, _START_STEER), inwards)
+    inwards = np.where(begins, np.maximum(inwards, START_STEER), inwards)
     steer: FloatArray = np.where(side == 0, turn, side * np.clip(inwards, -1.0, 1.0))
-    return steer.astype(np.float32)
+    return np.clip(steer, -1.0, 1.0).astype(np.float32)

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.wrappers.racing import CHOICES, MIRROR, SIZE
+from stkzoo.wrappers.racing import CHOICES, SIZE
 
 from .command import training_torch
+from .sb3_policy import INPUT_MIRROR
 
 __all__ = ["Fit", "fit", "make_network", "mirrored"]
 
@@ -35,12 +36,12 @@ class Fit:
     accuracy: tuple[float, ...]
 
 
-def make_network(hidden: Sequence[int], seed: int) -> Any:
+def make_network(hidden: Sequence[int], seed: int, inputs: int = SIZE) -> Any:
     """A fresh network of tanh layers, whose state dict has the names of a ``MlpPolicy``."""
     torch = training_torch()
     torch.manual_seed(seed)
     nn = torch.nn
-    sizes = [SIZE, *hidden]
+    sizes = [inputs, *hidden]
     layers: list[Any] = []
     for inputs, outputs in itertools.pairwise(sizes):
         layers += [nn.Linear(inputs, outputs), nn.Tanh()]
@@ -55,7 +56,7 @@ def mirrored(observations: Numbers, actions: Numbers) -> tuple[Numbers, Numbers]
     """The same examples with left for right."""
     turned = actions.copy()
     turned[:, 0] = CHOICES[0] - 1 - turned[:, 0]
-    return observations * MIRROR, turned
+    return observations * INPUT_MIRROR[: observations.shape[1]], turned
 
 
 def fit(
@@ -72,7 +73,7 @@ def fit(
 
     Args:
         network: of :func:`make_network`; it goes on from what it is.
-        observations: ``(N, 165)``.
+        observations: ``(N, inputs)``.
         actions: ``(N, 5)``.
         epochs: how often all are gone over.
         learning_rate: of Adam at the start; it falls to nothing.

@@ -266,6 +266,10 @@ class Fleet:
         parked: beginnings to share with another fleet.
         rules: the numbers that the learners' plans go by.
         goes_on: whether races that are over begin anew.
+        mirrors: whether half of the karts see and choose as if left were right.
+
+    Attributes:
+        drivers: what the learners see and remember.
     """
 
     def __init__(
@@ -279,15 +283,17 @@ class Fleet:
         rules: DriverParameters | None = None,
         *,
         goes_on: bool = True,
+        mirrors: bool = True,
     ) -> None:
         self.parked = parked or _Parked()
         self._tracks, self._variants, self._goes_on = tuple(tracks), variants, goes_on
+        self._mirrors = mirrors
         self._random = np.random.default_rng(seed)
         self._times = load_ai_times()
         self._races = [_Race(form, self.parked, place_reward) for form in forms]
         self._first = np.cumsum([0, *(form.learners for form in forms)])
         self.num_slots = int(self._first[-1])
-        self._drivers = Drivers(self.num_slots, rules)
+        self.drivers = Drivers(self.num_slots, rules)
         self._is_mirrored = np.zeros(self.num_slots, bool)
 
     def begin(self) -> View:
@@ -298,14 +304,14 @@ class Fleet:
 
     def set_rules(self, rules: DriverParameters) -> None:
         """The learners' plans go by these numbers from the next beginning on."""
-        self._drivers = Drivers(self.num_slots, rules)
+        self.drivers = Drivers(self.num_slots, rules)
 
     def begin_at(self, beginnings: Sequence[Beginning]) -> View:
         """Begins each race as told, with nobody mirrored; what the learners see first."""
         for race, (track, reverse, number) in zip(self._races, beginnings, strict=True):
             kind = _Kind(track, reverse, race.form, number)
             race.begin(kind, self._limit(track, reverse, race.form))
-        self._drivers.forget(np.arange(self.num_slots))
+        self.drivers.forget(np.arange(self.num_slots))
         self._is_mirrored[:] = False
         return self._look(is_later=False)
 
@@ -321,11 +327,15 @@ class Fleet:
             ``(S,)``: who does what was chosen, and not what gets a stuck kart away.
         """
         chosen = np.where(self._is_mirrored[:, None], mirrored_choices(choices), choices)
-        controls, is_driven = self._drivers.act(chosen)
+        controls, is_driven = self.drivers.act(chosen)
+        self.control(controls)
+        return is_driven
+
+    def control(self, controls: FloatArray) -> None:
+        """Asks all races for a step with what the engine is told, ``(S, 7)``."""
         controls[~self.active] = 0.0
         for race, first in zip(self._races, self._first, strict=False):
             race.send(controls[first : first + race.form.learners])
-        return is_driven
 
     def receive(self) -> tuple[View, StepOutcome]:
         """What the learners see after the step that was asked for, and what came of it."""
@@ -349,7 +359,7 @@ class Fleet:
         return {
             "random": self._random.bit_generator.state,
             "races": [race.state() for race in self._races],
-            "memory": self._drivers.state(),
+            "memory": self.drivers.state(),
             "is_mirrored": self._is_mirrored.copy(),
         }
 
@@ -357,7 +367,7 @@ class Fleet:
         """Brings all back to what it was; what the learners saw then."""
         self._random.bit_generator.state = state["random"]
         self._drive_again(state["races"])
-        self._drivers.restore(state["memory"])
+        self.drivers.restore(state["memory"])
         self._is_mirrored = np.array(state["is_mirrored"], bool)
         return self._look(is_later=False)
 
@@ -397,8 +407,8 @@ class Fleet:
         kind = _Kind(track, reverse, race.form, int(self._random.integers(self._variants)))
         race.begin(kind, self._limit(track, reverse, race.form))
         rows = np.arange(self._first[number], self._first[number + 1])
-        self._drivers.forget(rows)
-        self._is_mirrored[rows] = self._random.random(len(rows)) < 0.5
+        self.drivers.forget(rows)
+        self._is_mirrored[rows] = self._random.random(len(rows)) < 0.5 * self._mirrors
 
     def _look(self, is_later: bool) -> View:
         own, around = self.parked.crowd.surroundings(
@@ -407,7 +417,7 @@ class Fleet:
             [race.karts for race in self._races],
             ALL_LOOKS,
         )
-        look = self._drivers.look if is_later else self._drivers.view
+        look = self.drivers.look if is_later else self.drivers.view
         view = look(own, around)
         if not self._is_mirrored.any():
             return view

@@ -19,17 +19,17 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
 from stkzoo import RandomStart, Reward
 from stkzoo.errors import ConfigError
 from stkzoo.sb3 import RaceVecEnv
-from stkzoo.wrappers.racing import SIZE
 
 from .pool import Pool
 from .sb3_curriculum import Curriculum
 from .sb3_heats import COUNTDOWN, PATIENCE, STEP, ai_time, bots_of
-from .sb3_policy import MlpDriver, Reflexes
+from .sb3_policy import INPUT_SIZE, MlpDriver, Reflexes
 
 __all__ = [
     "SHORT_RACE",
@@ -232,8 +232,9 @@ class SelfPlayVecEnv(VecEnv):
         self._reflexes = Reflexes(first, hold)
         self.kart_steps, self.rewarded = 0, 0.0
         self.ends: list[RaceEnd] = []
-        self._observations = np.zeros((first, SIZE), np.float32)
-        super().__init__(first, self._envs[0].observation_space, self._envs[0].action_space)
+        self._observations = np.zeros((first, INPUT_SIZE), np.float32)
+        space = spaces.Box(-np.inf, np.inf, (INPUT_SIZE,), np.float32)
+        super().__init__(first, space, self._envs[0].action_space)
 
     @property
     def num_races(self) -> int:
@@ -255,10 +256,11 @@ class SelfPlayVecEnv(VecEnv):
         """New races everywhere."""
         for race in self._races:
             self._plan(race)
-        self._observations = np.concatenate([np.asarray(env.reset()) for env in self._envs])
+        views = np.concatenate([np.asarray(env.reset()) for env in self._envs])
         infos = [info for env in self._envs for info in env.reset_infos]
         for race in self._races:
             self._begin(race, infos[race.slots])
+        self._observations = self._reflexes.see(views)
         self._reset_seeds()
         self._reset_options()
         return self._observations
@@ -271,7 +273,7 @@ class SelfPlayVecEnv(VecEnv):
                 rows = np.flatnonzero(~race.is_learner) + race.slots.start
                 driver = self._drivers[race.rival]
                 chosen[rows] = driver.sample(self._observations[rows], self._random)
-        done = self._reflexes.apply(chosen, self._observations)
+        done = self._reflexes.apply(chosen)
         for env, part in zip(self._envs, np.split(done, self._cuts), strict=True):
             env.step_async(part)
 
@@ -285,15 +287,17 @@ class SelfPlayVecEnv(VecEnv):
     ]:
         """What came of it; a rival's slot idles."""
         parts = [env.step_wait() for env in self._envs]
-        self._observations = np.concatenate([np.asarray(part[0]) for part in parts])
+        views = np.concatenate([np.asarray(part[0]) for part in parts])
         rewards, dones = (np.concatenate([part[n] for part in parts]) for n in (1, 2))
         infos = [info for part in parts for info in part[3]]
+        self._look(views, dones, infos)
         first_infos = [info for env in self._envs for info in env.reset_infos]
         for race in self._races:
             self._take_in(race, dones, rewards, infos)
             if race.ended.all():
                 self._report(race)
                 self._begin(race, first_infos[race.slots])
+        self._observations = self._reflexes.see(views)
         return self._observations, rewards, dones, infos
 
     def close(self) -> None:
@@ -322,6 +326,15 @@ class SelfPlayVecEnv(VecEnv):
         return [wrapper_class is None for _ in self._get_indices(indices)]
 
     # ------------------------------------------------------------------ race by race
+
+    def _look(self, views: Any, dones: Any, infos: list[Any]) -> None:
+        """Has the reflexes take in the step, those whose race has ended by what they saw last."""
+        last = np.array(views)
+        for slot in np.flatnonzero(dones):
+            last[slot] = infos[slot]["terminal_observation"]
+        seen = self._reflexes.look(last)
+        for slot in np.flatnonzero(dones):
+            infos[slot]["terminal_observation"] = seen[slot]
 
     def _take_in(self, race: _Race, dones: Any, rewards: Any, infos: list[Any]) -> None:
         for row in range(race.group.agents):

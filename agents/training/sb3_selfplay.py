@@ -57,7 +57,7 @@ _CHECKPOINT, _ARGUMENTS, _AGENT = "checkpoint.pt", "arguments.json", "agent"
 #: What a policy that knows nothing leans towards, by the place among the view's choices: to go
 #: rather than to brake, and to drift or call for the rescue now and then only. Without it
 #: every kart stands for most of its first races.
-_LEANINGS = {CHOICES[0]: 1.5, CHOICES[0] + RESCUE: -3.0, sum(CHOICES[:2]): 4.0}
+_LEANINGS = {CHOICES[0]: 1.5, CHOICES[0] + RESCUE: -3.0, sum(CHOICES[:2]): 2.0}
 #: Karts whose races the log's figures are means of.
 _RECENT = 100
 #: How long the last evaluations may take [s].
@@ -88,6 +88,7 @@ class Arguments:
         clip: how far a probability may move in one update, as a share.
         entropy: bonus at the start.
         hold: for how many steps a drift is held; it pays after 11.
+        warm_up: kart-steps from which only values are learned; for those who --start as drivers.
         fade: learning rate and entropy bonus are over sqrt(1 + kart-steps / fade); 0 keeps them.
         keep_every: kart-steps between two snapshots.
         evaluate_every: kart-steps between two evaluations.
@@ -115,6 +116,7 @@ class Arguments:
     clip: float = 0.2
     entropy: float = 0.003
     hold: int = 11
+    warm_up: int = 0
     fade: int = 1_000_000
     keep_every: int = 50_000
     evaluate_every: int = 100_000
@@ -276,6 +278,7 @@ class Run:
         begin, envs = time.perf_counter(), self._envs
         before = envs.kart_steps, envs.rewarded
         self._fade()
+        self._warm_up()
         size = self.arguments.steps * envs.num_envs
         self._model.learn(size, reset_num_timesteps=False, log_interval=None)
         driven, rewarded = envs.kart_steps - before[0], envs.rewarded - before[1]
@@ -313,6 +316,12 @@ class Run:
         share = (1.0 + passed) ** -0.5
         self._model.lr_schedule = lambda _: share * arguments.learning_rate
         self._model.ent_coef = share * arguments.entropy
+
+    def _warm_up(self) -> None:
+        """Keeps the policy as it is while values know nothing."""
+        policy = self._model.policy
+        for part in (policy.mlp_extractor.policy_net, policy.action_net):
+            part.requires_grad_(self.kart_steps >= self.arguments.warm_up)
 
     def _racing_figures(self) -> dict[str, float]:
         if not self._recent:

@@ -7,9 +7,10 @@ from stkzoo.wrappers.racing.features import (
     Surroundings,
     racing_features,
 )
-from stkzoo.wrappers.racing.layout import MIRROR, PARTS, SIZE
+from stkzoo.wrappers.racing.layout import MIRROR, PARTS, PLACES, SIZE
 from stkzoo.wrappers.racing.road import RoadTable, road_line
 from stkzoo.wrappers.racing.wrapper import (
+    BRAKE,
     CHOICES,
     RESCUE,
     STEERS,
@@ -22,10 +23,12 @@ from stkzoo.wrappers.racing.wrapper import (
 
 __all__ = [
     "ABSENT",
+    "BRAKE",
     "CHOICES",
     "LOOKS",
     "MIRROR",
     "PARTS",
+    "PLACES",
     "RESCUE",
     "SIZE",
     "STEERS",

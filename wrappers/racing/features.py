@@ -19,7 +19,7 @@ from stkzoo.wrappers.racing.layout import (
     KARTS,
     MARKS,
     NUM_POWERUPS,
-    PARTS,
+    PLACES,
     SIZE,
     TYPES_BAD,
     TYPES_GOOD,
@@ -73,14 +73,6 @@ def _kernel_tables() -> tuple[tuple[Any, ...], ...]:
 
 #: What the kernel's ``Racing`` takes after a road's ``(lines, starts, along)``.
 KERNEL_TABLES = _kernel_tables()
-
-
-def _places() -> dict[str, slice]:
-    ends = np.cumsum([count * width for count, width in PARTS.values()]).tolist()
-    return {name: slice(a, b) for name, a, b in zip(PARTS, [0, *ends], ends, strict=False)}
-
-
-_PLACES = _places()
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,30 +134,30 @@ def racing_features(own: Mapping[str, Any], around: Surroundings) -> FloatArray:
 
 
 def _write_own(view: FloatArray, own: Mapping[str, Any]) -> None:
-    view[:, _PLACES["velocity"]] = own["velocity"] / 20.0
-    view[:, _PLACES["max_steer_angle"]] = own["max_steer_angle"]
-    view[:, _PLACES["skeed_factor"]] = own["skeed_factor"]
-    view[:, _PLACES["energy"]] = own["energy"] / 20.0
-    view[:, _PLACES["attachment_time_left"]] = own["attachment_time_left"] / 10.0
-    view[:, _PLACES["shield_time"]] = own["shield_time"] / 10.0
-    view[:, _PLACES["jumping"]] = np.reshape(own["jumping"], (-1, 1))
-    view[:, _PLACES["powerup_type"]] = _POWERUP_ROWS[own["powerup_type"]]
-    view[:, _PLACES["powerup_count"]] = np.reshape(own["powerup_count"], (-1, 1)) / 3.0
-    view[:, _PLACES["attachment"]] = _ATTACHMENT_ROWS[own["attachment"]]
+    view[:, PLACES["velocity"]] = own["velocity"] / 20.0
+    view[:, PLACES["max_steer_angle"]] = own["max_steer_angle"]
+    view[:, PLACES["skeed_factor"]] = own["skeed_factor"]
+    view[:, PLACES["energy"]] = own["energy"] / 20.0
+    view[:, PLACES["attachment_time_left"]] = own["attachment_time_left"] / 10.0
+    view[:, PLACES["shield_time"]] = own["shield_time"] / 10.0
+    view[:, PLACES["jumping"]] = np.reshape(own["jumping"], (-1, 1))
+    view[:, PLACES["powerup_type"]] = _POWERUP_ROWS[own["powerup_type"]]
+    view[:, PLACES["powerup_count"]] = np.reshape(own["powerup_count"], (-1, 1)) / 3.0
+    view[:, PLACES["attachment"]] = _ATTACHMENT_ROWS[own["attachment"]]
 
 
 def _write_road(view: FloatArray, road: FloatArray) -> None:
     count = len(MARKS)
     beside, marks, beyond = np.split(road[:, : len(LOOKS)], [1, count + 1], axis=1)
     beside = beside[:, 0]
-    view[:, _PLACES["line_position"]] = beside[:, :3] / 10.0
-    view[:, _PLACES["line_room"]] = beside[:, 3:] / 10.0
+    view[:, PLACES["line_position"]] = beside[:, :3] / 10.0
+    view[:, PLACES["line_room"]] = beside[:, 3:] / 10.0
     directions = marks[..., :3] / MARKS[:, None]
-    view[:, _PLACES["marks_direction"]] = directions.reshape(len(view), -1)
-    view[:, _PLACES["marks_room"]] = marks[..., 3] / 10.0
+    view[:, PLACES["marks_direction"]] = directions.reshape(len(view), -1)
+    view[:, PLACES["marks_room"]] = marks[..., 3] / 10.0
     heading = (beyond - marks)[..., [0, 2]]
     length = np.sqrt((heading * heading).sum(-1, keepdims=True))
-    view[:, _PLACES["marks_heading"]] = (heading / np.maximum(length, 0.1)).reshape(len(view), -1)
+    view[:, PLACES["marks_heading"]] = (heading / np.maximum(length, 0.1)).reshape(len(view), -1)
 
 
 def _write_karts(view: FloatArray, karts: FloatArray) -> None:
@@ -186,18 +178,18 @@ def _write_items(view: FloatArray, around: Surroundings) -> None:
     for name, sign, count in (("goods", 1, GOODS), ("bads", -1, BADS)):
         seen, there, order = _nearest_with_order(items, squares, is_seen & (worth == sign), count)
         _write_places(view, name, seen, there)
-        view[:, _PLACES[f"{name}_beside"]] = seen[..., 0] / 5.0
+        view[:, PLACES[f"{name}_beside"]] = seen[..., 0] / 5.0
         if name == "goods":
             found = there[:, : order.shape[1], None]
             kinds = _GOOD_ROWS[np.take_along_axis(types, order, axis=1)] * found
-            view[:, _PLACES["goods_type"]] = _padded(kinds, count).reshape(len(view), -1)
+            view[:, PLACES["goods_type"]] = _padded(kinds, count).reshape(len(view), -1)
 
 
 def _write_places(view: FloatArray, name: str, points: FloatArray, there: FloatArray) -> None:
     distances = np.sqrt(squared(points))
     directions = points / np.maximum(distances, 0.5)[..., None]
-    view[:, _PLACES[f"{name}_direction"]] = directions.reshape(len(view), -1)
-    view[:, _PLACES[f"{name}_nearness"]] = there / (1.0 + distances / 5.0)
+    view[:, PLACES[f"{name}_direction"]] = directions.reshape(len(view), -1)
+    view[:, PLACES[f"{name}_nearness"]] = there / (1.0 + distances / 5.0)
 
 
 def _nearest(

@@ -16,6 +16,7 @@ __all__ = [
     "MIRROR",
     "NUM_POWERUPS",
     "PARTS",
+    "PLACES",
     "SIZE",
     "TYPES_BAD",
     "TYPES_GOOD",
@@ -68,6 +69,15 @@ PARTS: dict[str, tuple[int, int]] = {
 
 #: How many numbers the view has.
 SIZE = sum(count * width for count, width in PARTS.values())
+
+
+def _places() -> dict[str, slice]:
+    ends = np.cumsum([count * width for count, width in PARTS.values()]).tolist()
+    return {name: slice(a, b) for name, a, b in zip(PARTS, [0, *ends], ends, strict=False)}
+
+
+#: Where in the view each part stands.
+PLACES = _places()
 
 
 def _mirror() -> npt.NDArray[np.float32]:

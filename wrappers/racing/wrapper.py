@@ -21,6 +21,7 @@ from stkzoo.wrappers.racing.layout import SIZE
 from stkzoo.wrappers.racing.road import MAX_SEGMENTS, road_line
 
 __all__ = [
+    "BRAKE",
     "CHOICES",
     "RESCUE",
     "STEERS",
@@ -39,8 +40,8 @@ STEERS = np.array([*(-steer for steer in reversed(_RIGHT)), 0.0, *_RIGHT], np.fl
 
 #: Number of choices for steering, pedal (go, coast, brake, rescue), drift, nitro and fire.
 CHOICES = (len(STEERS), 4, 2, 2, 2)
-#: Which pedal is the rescue; the others come in the order above.
-_GO, _COAST, _BRAKE, RESCUE = range(CHOICES[1])
+#: Which pedal is which; in the order above.
+_GO, _COAST, BRAKE, RESCUE = range(CHOICES[1])
 
 _NEEDED = ("paths_start", "paths_end", "paths_width", "items_position", "karts_position")
 
@@ -207,7 +208,7 @@ def choices_of_action(action: Mapping[str, Any]) -> npt.NDArray[np.int64]:
     is_going = np.asarray(action["acceleration"])[..., 0] > 0.5
     parts = [
         np.abs(steer - STEERS).argmin(axis=-1),
-        np.select([is_rescued, is_braking, is_going], [RESCUE, _BRAKE, _GO], _COAST),
+        np.select([is_rescued, is_braking, is_going], [RESCUE, BRAKE, _GO], _COAST),
         *(np.asarray(action[key]) for key in ("drift", "nitro", "fire")),
     ]
     return np.stack(parts, axis=-1).astype(np.int64)
@@ -218,7 +219,7 @@ def controls_of_choices(choices: npt.NDArray[Any]) -> FloatArray:
     controls = np.zeros((*choices.shape[:-1], 7), np.float32)
     controls[..., 0] = choices[..., 1] == _GO
     controls[..., 1] = STEERS[choices[..., 0]]
-    controls[..., 2] = choices[..., 1] == _BRAKE
+    controls[..., 2] = choices[..., 1] == BRAKE
     controls[..., 3] = choices[..., 2]
     controls[..., 4] = choices[..., 4]
     controls[..., 5] = choices[..., 3]

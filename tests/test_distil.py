@@ -1,0 +1,102 @@
+"""Plans distilled into one network."""
+
+import json
+
+import pytest
+
+from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo.agents.pretrained.weights import load_weights
+from stkzoo.agents.training import distil
+from stkzoo.agents.training.ppo_races import Fleet, RaceForm
+from stkzoo.agents.training.sb3_policy import INPUT_SIZE, load_driver
+from stkzoo.errors import ConfigError
+from stkzoo.race import run_race
+from stkzoo.wrappers.racing import CHOICES
+
+SMALL = distil.Arguments(
+    rounds=2, steps=300, tracks=("olivermath",), hidden=(16, 16), epochs=1, last_epochs=1, batch=64
+)
+
+
+@pytest.fixture
+def fleet():
+    fleet = Fleet([RaceForm(1, 0)], ["lighthouse"], 0, goes_on=False, mirrors=False)
+    yield fleet
+    fleet.close()
+
+
+def way_of(fleet):
+    kart = fleet._races[0].snapshot.karts[0]
+    return float(kart["overall_distance"])
+
+
+def test_the_plans_answers_drive_as_the_plans_do(fleet):
+    start, plans = ("lighthouse", False, 0), RacingPolicy.of_plans_alone()
+    view = fleet.begin_at([start])
+    for _ in range(120):
+        fleet.send(plans.best(view))
+        view, _ = fleet.receive()
+    there = way_of(fleet)
+    lesson = distil.Class(fleet, fleet.begin_at([start]))
+    drifted = 0
+    for _ in range(120):
+        answers = lesson.answers()
+        assert answers.shape == (1, len(CHOICES))
+        assert lesson.seen.shape == (1, INPUT_SIZE)
+        drifted += int(answers[0, 2])
+        lesson.step(answers)
+    assert there > 200
+    assert way_of(fleet) == pytest.approx(there, rel=0.1)
+    assert drifted > 20
+
+
+def test_a_fleet_mirrors_nobody_if_told(fleet):
+    fleet.begin()
+    assert not fleet.state()["is_mirrored"].any()
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("distil")
+    return folder, distil.run(SMALL, folder)
+
+
+def test_a_run_drives_by_plans_then_by_the_network(run):
+    folder, log = run
+    assert [line["driver"] for line in log] == ["the plans", "the network"]
+    assert [line["lessons"] for line in log] == pytest.approx([300, 600], abs=60)
+    assert log[1]["loss"] < log[0]["loss"]
+    assert [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()] == log
+    driver = load_driver(folder / "policy.safetensors")
+    assert (driver.inputs, driver.hold) == (INPUT_SIZE, 1)
+
+
+def test_a_killed_run_goes_on_with_its_round(run, tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        calls = iter([distil._alone])
+
+        def alone(*arguments):
+            return next(calls)(*arguments)
+
+        patch.setattr(distil, "_alone", alone)
+        with pytest.raises(StopIteration):
+            distil.run(SMALL, tmp_path)
+    assert len((tmp_path / "log.jsonl").read_text().splitlines()) == 1
+    folder, log = run
+    assert distil.run(SMALL, tmp_path) == log
+    ours, theirs = (load_weights(f / "policy.safetensors") for f in (tmp_path, folder))
+    assert all((ours[name] == theirs[name]).all() for name in theirs)
+
+
+def test_another_run_is_refused_in_its_folder(run, capsys):
+    folder, _ = run
+    with pytest.raises(ConfigError, match="steps was 300, now 400"):
+        distil.run(distil.Arguments(steps=400), folder)
+    assert distil.main(["--output", str(folder), "--steps", "0"]) == 1
+    assert "steps" in capsys.readouterr().err
+
+
+def test_its_agent_races(run):
+    folder, _ = run
+    result = run_race([str(folder / "agent"), "ai"], track="olivermath", max_steps=40)
+    assert result.steps == 40
