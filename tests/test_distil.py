@@ -4,11 +4,12 @@ import json
 
 import pytest
 
+from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo.agents.pretrained.reflexes import INPUT_SIZE
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.agents.training import distil
 from stkzoo.agents.training.ppo_races import Fleet, RaceForm
-from stkzoo.agents.training.sb3_policy import INPUT_SIZE, load_driver
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import CHOICES

@@ -9,13 +9,22 @@ import pytest
 
 from stkzoo import race_v0
 from stkzoo.agents.heuristic import DriverParameters
-from stkzoo.agents.pretrained.driver import check_shapes, make_actor, new_state, read_policy
+from stkzoo.agents.pretrained import reflexes
+from stkzoo.agents.pretrained.driver import (
+    check_shapes,
+    make_actor,
+    new_seat,
+    new_state,
+    read_network,
+    read_policy,
+)
 from stkzoo.agents.pretrained.drivers import ALL_LOOKS, CHOICES, INPUT_SIZE
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
 from stkzoo.agents.training.export_policy import export_policy, main
 from stkzoo.errors import ConfigError
 from stkzoo.race import driver_names, find_driver, run_race
+from stkzoo.wrappers import racing
 from stkzoo.wrappers.racing import surroundings_of
 
 LEARNED = [name for name in driver_names() if name.startswith("pretrained:")]
@@ -37,6 +46,44 @@ def network(hidden=8, seed=0):
 def agent(tmp_path):
     save_weights(tmp_path / "policy-000000123.safetensors", network())
     return export_policy(tmp_path / "policy-000000123.safetensors", "tiny", tmp_path / "tiny")
+
+
+@pytest.fixture
+def quick_agent(tmp_path):
+    """Of a network without plans."""
+    chance = np.random.default_rng(0)
+    sizes = (reflexes.INPUT_SIZE, 8, 8)
+    weights = {"drift_hold": np.ones(1, np.float32), "value_net.bias": np.zeros(1, np.float32)}
+    for layer, name in enumerate(["policy_net.0", "policy_net.2"]):
+        shape = sizes[layer + 1], sizes[layer]
+        weights[f"mlp_extractor.{name}.weight"] = chance.normal(0, 0.1, shape).astype(np.float32)
+        weights[f"mlp_extractor.{name}.bias"] = np.zeros(shape[0], np.float32)
+    weights["action_net.weight"] = chance.normal(0, 0.1, (sum(racing.CHOICES), 8)).astype("f4")
+    weights["action_net.bias"] = np.zeros(sum(racing.CHOICES), np.float32)
+    run = tmp_path / "run"
+    run.mkdir()
+    save_weights(run / "policy-000000123.safetensors", weights)
+    (run / "arguments.json").write_text(json.dumps({"seed": 7, "tracks": ["lighthouse"]}))
+    return export_policy(run / "policy-000000123.safetensors", "quick", tmp_path / "quick")
+
+
+def test_a_network_without_plans_becomes_an_agent_too(quick_agent):
+    card = json.loads((quick_agent / "card.json").read_text())
+    assert card["history"] == [{"from": 0, "arguments": {"seed": 7, "tracks": ["lighthouse"]}}]
+    assert "rules" not in card
+    assert "value_net.bias" not in load_weights(quick_agent / "weights.safetensors")
+    driver = read_network(quick_agent)
+    assert (driver.hold, driver.inputs) == (1, reflexes.INPUT_SIZE)
+    result = run_race([str(quick_agent)], track="olivermath", max_steps=25)
+    assert result.agents[0].num_errors == 0
+
+
+def test_a_network_that_is_not_the_cards_is_refused(quick_agent):
+    file = quick_agent / "weights.safetensors"
+    save_weights(file, {n: a + 1 for n, a in load_weights(file).items()})
+    read_network.cache_clear()
+    with pytest.raises(ConfigError, match="not those of the card"):
+        new_seat(quick_agent)
 
 
 def test_weights_come_back_as_they_were(tmp_path):

@@ -11,22 +11,15 @@ import pytest
 from stable_baselines3 import PPO
 
 from stkzoo import Start
+from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
+from stkzoo.agents.pretrained.reflexes import INPUT_MIRROR, INPUT_SIZE, Reflexes
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.agents.training import sb3_races
 from stkzoo.agents.training.pool import Pool
 from stkzoo.agents.training.sb3_curriculum import EASY_TO_HARD, Curriculum
 from stkzoo.agents.training.sb3_evaluation import judge, ratings_of, read_judgements
 from stkzoo.agents.training.sb3_plot import main as plot_main
-from stkzoo.agents.training.sb3_policy import (
-    INPUT_MIRROR,
-    INPUT_SIZE,
-    MlpDriver,
-    Reflexes,
-    load_driver,
-    save_driver,
-    start_weights,
-    write_agent,
-)
+from stkzoo.agents.training.sb3_policy import save_driver, start_weights, write_agent
 from stkzoo.agents.training.sb3_races import RaceGroup, SelfPlayVecEnv, race_groups
 from stkzoo.agents.training.sb3_selfplay import Arguments, Run
 from stkzoo.errors import ConfigError
@@ -443,6 +436,15 @@ def test_a_policy_becomes_an_agent(tmp_path, policy):
 
 
 # ---------------------------------------------------------------------- runs
+
+
+def test_values_are_learned_before_the_policy(tmp_path):
+    done = learn(tmp_path, 100, warm_up=1_000_000, keep_every=10)
+    assert done.returncode == 0, done.stderr
+    first = load_weights(tmp_path / "policy-000000000.safetensors")
+    for name, array in last_policy(tmp_path).items():
+        is_value = name.startswith(("value_net", "mlp_extractor.value_net"))
+        assert (array == first[name]).all() != is_value, name
 
 
 def test_it_learns_evaluates_and_ends(tmp_path):

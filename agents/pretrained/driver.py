@@ -1,7 +1,8 @@
-"""A learned driver in a race."""
+"""Learned drivers in a race: policies over plans, and networks that answer at once."""
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -15,10 +16,20 @@ from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import surroundings_of
 
 from .drivers import ALL_LOOKS, CHOICES, INPUT_SIZE, Drivers
+from .mlp import MlpDriver, Seat
 from .policy import RacingPolicy
 from .weights import load_weights
 
-__all__ = ["CARD", "WEIGHTS", "check_shapes", "make_actor", "new_state", "read_policy"]
+__all__ = [
+    "CARD",
+    "WEIGHTS",
+    "check_shapes",
+    "make_actor",
+    "new_seat",
+    "new_state",
+    "read_network",
+    "read_policy",
+]
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -40,6 +51,26 @@ def read_policy(folder: str | Path) -> RacingPolicy:
     weights = load_weights(Path(folder) / WEIGHTS, str(_on_card(folder, "sha256")))
     check_shapes(weights, str(Path(folder) / WEIGHTS))
     return RacingPolicy(weights)
+
+
+@functools.cache
+def read_network(folder: str | Path) -> MlpDriver:
+    """The network of an agent's folder that has no plans, checked against its card.
+
+    Raises:
+        ConfigError: as :func:`read_policy`.
+    """
+    file = Path(folder) / WEIGHTS
+    return MlpDriver(load_weights(file, str(_on_card(folder, "sha256"))), repr(str(file)))
+
+
+def new_seat(folder: str | Path) -> Seat:
+    """The driver of one kart in one race, by the network of an agent's folder.
+
+    Raises:
+        ConfigError: as :func:`read_policy`.
+    """
+    return read_network(folder).seat()
 
 
 def check_shapes(weights: Mapping[str, FloatArray], name: str) -> None:

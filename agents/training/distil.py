@@ -28,8 +28,10 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.pretrained.drivers import START_STEER, View
+from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.plans import BRAKE as BRAKE_PLAN
 from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo.agents.pretrained.reflexes import INPUT_SIZE, Reflexes
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError, StkzooError, check_whole
 from stkzoo.tracks import TRAIN_TRACKS
@@ -39,7 +41,7 @@ from stkzoo.wrappers.racing import BRAKE, SIZE, STEERS, controls_of_choices
 from .command import RunBar, add_arguments, changes, training_torch, values_of
 from .imitate_network import fit, make_network
 from .ppo_races import Finish, Fleet, RaceForm
-from .sb3_policy import INPUT_SIZE, MlpDriver, Reflexes, save_driver, write_agent
+from .sb3_policy import save_driver, write_agent
 
 __all__ = ["Arguments", "Class", "main", "run"]
 
@@ -76,7 +78,7 @@ class Arguments:
         seed: of everything.
     """
 
-    rounds: int = 16
+    rounds: int = 8
     steps: int = 60_000
     tracks: tuple[str, ...] = tuple(track for track in TRAIN_TRACKS if track != "black_forest")
     hidden: tuple[int, ...] = (256, 128)

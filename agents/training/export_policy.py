@@ -3,8 +3,9 @@ r"""Makes an agent of learned weights: a folder to race, to ship and to send aro
     python -m stkzoo.agents.training.export_policy runs/first/policy-002000000.safetensors \
         --name swift --output agents/pretrained/swift
 
-The folder has the weights, ``card.json`` with their digest, how they were learned (from the run's
-``arguments.json`` beside them, if it is there) and the numbers that the plans go by, ``CARD.md``
+The run is of ``ppo_selfplay``, ``sb3_selfplay`` or ``distil``. The folder has the weights,
+``card.json`` with their digest, how they were learned (from the run's ``arguments.json`` beside
+them, if it is there) and, if they choose among plans, the numbers that these go by, ``CARD.md``
 for people, whose gaps are to be filled by hand, and the words of an agent.
 ``stkzoo race agents/pretrained/swift`` races it from wherever it is, and ``pretrained:swift`` if it
 is among stkzoo's own.
@@ -14,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import shutil
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -22,13 +22,17 @@ from typing import Any
 
 import stkzoo
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, check_shapes
-from stkzoo.agents.pretrained.weights import digest_of, load_weights
+from stkzoo.agents.pretrained.mlp import MlpDriver
+from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
 from stkzoo.errors import ConfigError
 from stkzoo.whole_file import whole_file
 
 from .plan_numbers import ARGUMENTS, numbers_of_run
 
 __all__ = ["export_policy", "main"]
+
+#: What of a network's names says that it is the value's.
+_VALUES = "value"
 
 _MODULE = '''"""A learned driver; see ``CARD.md``."""
 
@@ -62,6 +66,41 @@ def get_actor(module_dir: Path, observation_space: Any, action_space: Any) -> Ca
     """
     del observation_space, action_space
     return make_actor(module_dir)
+'''
+
+_NETWORK_MODULE = '''"""A learned driver; see ``CARD.md``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from stkzoo.agents.pretrained.driver import new_seat, read_network
+
+__all__ = ["create_state", "env_name", "get_actor", "player_name"]
+
+#: The environment that the driver was made for.
+env_name = "supertuxkart/racing-v0"
+
+#: The name to show.
+player_name = "{name}"
+
+create_state = partial(new_seat, Path(__file__).parent)
+
+
+def get_actor(module_dir: Path, observation_space: Any, action_space: Any) -> Callable[..., Any]:
+    """The driver.
+
+    Args:
+        module_dir: this folder, where the weights are.
+        observation_space: not needed.
+        action_space: not needed.
+    """
+    del observation_space, action_space
+    read_network(module_dir)
+    return lambda seat, observation: seat(observation[None])[0]
 '''
 
 _PACKAGE = '''"""A learned driver; see ``CARD.md``."""
@@ -102,15 +141,22 @@ def export_policy(weights: str | Path, name: str, folder: str | Path) -> Path:
     if not name.isidentifier():
         raise ConfigError(f"the name {name!r} cannot be; expected letters, digits and _")
     source, target = Path(weights), Path(folder)
-    check_shapes(load_weights(source), str(source))
+    arrays = load_weights(source)
+    is_network = any(name.startswith("action_net") for name in arrays)
+    if is_network:
+        MlpDriver(arrays, str(source))
+        arrays = {name: array for name, array in arrays.items() if _VALUES not in name}
+    else:
+        check_shapes(arrays, str(source))
     if target.exists() and any(target.iterdir()) and not (target / CARD).exists():
         raise ConfigError(f"{str(target)!r} is no agent's folder; give another --output")
     target.mkdir(parents=True, exist_ok=True)
-    with whole_file(target / WEIGHTS) as part:
-        shutil.copyfile(source, part)
-    facts = _facts(source, target / WEIGHTS, name)
+    save_weights(target / WEIGHTS, arrays)
+    rules = {} if is_network else {"rules": asdict(numbers_of_run(source.parent))}
+    facts = _facts(source, target / WEIGHTS, name) | rules
     _write(target / "__init__.py", _PACKAGE)
-    _write(target / "pystk_actor.py", _MODULE.format(name=name))
+    module = _NETWORK_MODULE if is_network else _MODULE
+    _write(target / "pystk_actor.py", module.format(name=name))
     _write(target / CARD, json.dumps(facts, indent=1) + "\n")
     if not (target / "CARD.md").exists():
         _write(target / "CARD.md", _human(facts))
@@ -121,13 +167,14 @@ def _facts(source: Path, file: Path, name: str) -> dict[str, Any]:
     run = source.with_name(ARGUMENTS)
     digits = source.stem.rpartition("-")[2]
     history = json.loads(run.read_text()) if run.exists() else []
+    if isinstance(history, dict):  # a run whose arguments never change
+        history = [{"from": 0, "arguments": history}]
     return {
         "name": name,
         "sha256": digest_of(file),
         "size": file.stat().st_size,
         "parameters": sum(array.size for array in load_weights(file).values()),
         "kart_steps": int(digits) if digits.isdigit() else None,
-        "rules": asdict(numbers_of_run(source.parent)),
         "history": history,
         "stkzoo": stkzoo.__version__,
     }

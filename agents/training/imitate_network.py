@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.agents.pretrained.reflexes import INPUT_MIRROR
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
 from .command import training_torch
-from .sb3_policy import INPUT_MIRROR
 
 __all__ = ["Fit", "fit", "make_network", "mirrored"]
 

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race import Driver, find_driver, run_race
@@ -25,8 +26,6 @@ from stkzoo.race.replay.record import action_of, controls_of
 from stkzoo.race.seats import Seat, SeatRequest
 from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.racing import controls_of_choices
-
-from .sb3_policy import load_driver
 
 __all__ = ["Lesson", "LessonOrder", "end_with_parent", "read_lesson", "run_order"]
 

@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from stkzoo.agents.heuristic import DriverParameters
+from stkzoo.agents.pretrained.mlp import MlpDriver, Seat, load_driver
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
@@ -35,7 +36,6 @@ from .command import changes, keep_to_one_thread
 from .league_matches import AI, SEATS, Match, Pairing, play, ratings_of
 from .plan_numbers import numbers_of_run
 from .sb3_heats import Heat, bots_of, drive
-from .sb3_policy import MlpDriver, Seat, load_driver
 
 __all__ = ["START", "draw_pairing", "kept_policies", "main"]
 

@@ -23,13 +23,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.agents.pretrained.mlp import Seat, load_driver
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.race.tournament.ratings import Rating, rate
 from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.racing import CHOICES
 
 from .sb3_heats import Heat, drive
-from .sb3_policy import Seat, load_driver
 
 __all__ = [
     "RATINGS",

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from stkzoo import race_v0
+from stkzoo.agents.pretrained.mlp import Seat
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.race.benchmark import load_ai_times
-
-from .sb3_policy import Seat
 
 __all__ = [
     "COUNTDOWN",

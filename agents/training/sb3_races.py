@@ -23,13 +23,14 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
 from stkzoo import RandomStart, Reward
+from stkzoo.agents.pretrained.mlp import MlpDriver
+from stkzoo.agents.pretrained.reflexes import INPUT_SIZE, Reflexes
 from stkzoo.errors import ConfigError
 from stkzoo.sb3 import RaceVecEnv
 
 from .pool import Pool
 from .sb3_curriculum import Curriculum
 from .sb3_heats import COUNTDOWN, PATIENCE, STEP, ai_time, bots_of
-from .sb3_policy import INPUT_SIZE, MlpDriver, Reflexes
 
 __all__ = [
     "SHORT_RACE",

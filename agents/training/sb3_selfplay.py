@@ -41,6 +41,7 @@ from typing import Any
 
 import numpy as np
 
+from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.race.tournament.ratings import rating_library
 from stkzoo.whole_file import whole_file
@@ -351,7 +352,7 @@ class Run:
 
     def _make_ready(self, name: str) -> None:
         path = self.folder / f"{name}.safetensors"
-        self._envs.add_driver(name, self._policies.load_driver(path))
+        self._envs.add_driver(name, load_driver(path))
 
     def _policy_name(self) -> str:
         return f"policy-{self.kart_steps:09d}"

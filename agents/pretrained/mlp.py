@@ -1,0 +1,118 @@
+"""A Stable-Baselines3 ``MlpPolicy`` on the view ``racing``, in numpy.
+
+A file of it is a safetensors file of its state dict, and of how long it holds a drift.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.errors import ConfigError
+from stkzoo.wrappers.racing import CHOICES, SIZE
+
+from .reflexes import INPUT_SIZE, Reflexes
+from .weights import load_weights
+
+__all__ = ["HOLD", "MlpDriver", "Seat", "load_driver"]
+
+FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.int64]
+
+_LAYER = "mlp_extractor.policy_net.{}.{}"
+_LAST = "action_net.{}"
+_SPLITS = np.cumsum(CHOICES)[:-1].tolist()
+#: Under this name a file says for how many steps a drift is held.
+HOLD = "drift_hold"
+
+#: Chooses for one kart at a time: choices ``(1, 5)`` by its view ``(1, 165)``; it may remember.
+Seat = Callable[[FloatArray], IntArray]
+
+
+class MlpDriver:
+    """The policy's part of a state dict, for any number of karts at once.
+
+    Args:
+        weights: a state dict, its arrays in numpy; what is not the policy's is left alone.
+        name: what errors call it.
+
+    Attributes:
+        hold: for how many steps it holds a drift.
+        inputs: how many numbers it sees: the view, and mostly what the reflexes remember.
+
+    Raises:
+        ConfigError: they are not of an ``MlpPolicy`` on the view ``racing``.
+    """
+
+    def __init__(self, weights: Mapping[str, FloatArray], name: str = "the weights") -> None:
+        self.hold = int(np.asarray(weights.get(HOLD, np.zeros(1))).sum())
+        self._layers: list[tuple[FloatArray, FloatArray]] = []
+        number = 0
+        while _LAYER.format(number, "weight") in weights:
+            self._layers.append(_layer(weights, _LAYER, number))
+            number += 2  # every other one is the tanh
+        if _LAST.format("weight") in weights:
+            self._layers.append(_layer(weights, "action_net.{1}", 0))
+        found = [matrix.shape for matrix, _ in self._layers]
+        self.inputs = SIZE if found and found[0][-1] == SIZE else INPUT_SIZE
+        sizes = [self.inputs, *(len(bias) for _, bias in self._layers)]
+        wanted = list(zip(sizes[1:], sizes, strict=False))
+        arrays = [array for layer in self._layers for array in layer]
+        if (
+            len(found) < 2
+            or found != wanted
+            or sizes[-1] != sum(CHOICES)
+            or not all(np.isfinite(array).all() for array in arrays)
+        ):
+            raise ConfigError(
+                f"{name} have layers of the shapes {found}, expected finite ones of a "
+                f"Stable-Baselines3 MlpPolicy from the {SIZE} numbers of the view 'racing', or "
+                f"{INPUT_SIZE} with what reflexes remember, to its {sum(CHOICES)} choices "
+                "(mlp_extractor.policy_net.*, action_net.*)"
+            )
+
+    def logits(self, observations: FloatArray) -> FloatArray:
+        """Those of all choices, ``(A, 31)``, of what karts see, ``(A, 177)``."""
+        x = np.asarray(observations[:, : self.inputs], np.float32)
+        *hidden, (matrix, bias) = self._layers
+        for weights, offset in hidden:
+            x = np.tanh(x @ weights.T + offset)
+        logits: FloatArray = x @ matrix.T + bias
+        return logits
+
+    def best(self, observations: FloatArray) -> IntArray:
+        """The likeliest choices, ``(A, 5)``."""
+        parts = np.split(self.logits(observations), _SPLITS, axis=1)
+        return np.stack([part.argmax(axis=1) for part in parts], axis=1)
+
+    def seat(self) -> Seat:
+        """Drives one kart through one race by the likeliest choices."""
+        reflexes = Reflexes(1, self.hold)
+        return lambda view: reflexes.apply(self.best(reflexes.look(view)))
+
+    def sample(self, observations: FloatArray, random: np.random.Generator) -> IntArray:
+        """Choices drawn by their probabilities, ``(A, 5)``."""
+        logits = self.logits(observations)
+        noisy = logits + random.gumbel(size=logits.shape).astype(np.float32)
+        parts = np.split(noisy, _SPLITS, axis=1)
+        return np.stack([part.argmax(axis=1) for part in parts], axis=1)
+
+
+def _layer(
+    weights: Mapping[str, FloatArray], pattern: str, number: int
+) -> tuple[FloatArray, FloatArray]:
+    names = [pattern.format(number, part) for part in ("weight", "bias")]
+    matrix, bias = (np.asarray(weights.get(name, np.zeros((0, 0))), np.float32) for name in names)
+    return matrix, bias.reshape(-1)
+
+
+def load_driver(path: str | Path) -> MlpDriver:
+    """Reads a policy's file.
+
+    Raises:
+        ConfigError: it cannot be read or holds something else.
+    """
+    return MlpDriver(load_weights(path), f"the weights {str(path)!r}")

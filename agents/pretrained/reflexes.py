@@ -1,0 +1,124 @@
+"""What karts of learned drivers do without deciding, and what they remember of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.agents.heuristic import DriverParameters
+from stkzoo.agents.heuristic.kart import DRIFT_TURN
+from stkzoo.wrappers.racing import BRAKE, CHOICES, MIRROR, PLACES, RESCUE, SIZE, STEERS
+
+from .drivers import START_STEER, steer_of_turn
+from .memory import MEMORY_MIRROR, MEMORY_SIZE, DriverMemory
+from .planner import Situation
+
+__all__ = ["INPUT_MIRROR", "INPUT_SIZE", "Reflexes"]
+
+FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.int64]
+
+#: How much a policy with reflexes sees: the view, and what the reflexes remember.
+INPUT_SIZE = SIZE + MEMORY_SIZE
+#: It times this is what would be seen if left were right.
+INPUT_MIRROR = np.concatenate([MIRROR, MEMORY_MIRROR])
+
+#: The columns of choices.
+_STEER, _PEDAL, _DRIFT, _NITRO, _FIRE = range(5)
+#: Where the view has the speed forwards [20 m/s] and other parts, vectors by their first number.
+_SPEED = PLACES["velocity"].start + 2
+_SKEED, _ENERGY, _LINE, _ROOM, _HEADING = (
+    PLACES[part].start
+    for part in ("skeed_factor", "energy", "line_position", "line_room", "marks_heading")
+)
+#: A drift begins to the side to which the kart steers, if so much and at such a speed [20 m/s];
+#: who steers so much to the other one lets go of it.
+_DRIFT_SPEED, _OTHER_SIDE = 10.0 / 20.0, 0.3
+#: Who has been so fast has left its place on the grid [20 m/s].
+_MOVES = 3.0 / 20.0
+
+
+class Reflexes:
+    """What karts do without deciding, and what they remember of it, which the policy sees too.
+
+    - **Drifts are carried through.** A drift pays after a second; who decides anew in each step
+      whether to go on with it, by chance, never comes so far. And the game turns a drifting kart by
+      other shares of full lock than one that does not drift, so that who tries it leaves the road.
+      With reflexes a drift lasts for a while at least, and turns the kart as much as the same
+      choice without one, as far as a drift can. Who steers to the other side lets go of it.
+    - **Nitro is not wasted.** One burst of it works before the next.
+    - **Who is stuck gets away**, as the learned drivers do.
+
+    Args:
+        karts: how many.
+        hold: for how many steps a drift goes on at least; 0 leaves drifts and nitro to the choices.
+        memory: theirs, if somebody else keeps it up to date and never calls :meth:`look`.
+    """
+
+    def __init__(self, karts: int, hold: int, memory: DriverMemory | None = None) -> None:
+        self._hold = hold
+        self._memory = memory or DriverMemory(karts, DriverParameters())
+        self._has_moved = np.zeros(karts, np.bool_)
+        self._views = np.zeros((karts, SIZE), np.float32)
+
+    def look(self, views: FloatArray) -> FloatArray:
+        """A step has passed.
+
+        Args:
+            views: ``(karts, 165)``.
+
+        Returns:
+            What the policy sees, ``(karts, 177)``: the views, and what is remembered.
+        """
+        self._memory.look(20.0 * views[:, _SPEED], views[:, _SKEED])
+        aside = np.hypot(views[:, _LINE], views[:, _LINE + 2]) - views[:, _ROOM]
+        self._memory.look_around(10.0 * aside)
+        self._has_moved |= np.abs(views[:, _SPEED]) > _MOVES
+        self._memory.forget(np.flatnonzero(~self._has_moved))  # on the grid all stand still
+        return self.see(views)
+
+    def see(self, views: FloatArray) -> FloatArray:
+        """What the policy sees when no step has passed."""
+        self._views = views
+        return np.concatenate([views, self._memory.numbers()], axis=1)
+
+    def apply(self, choices: npt.NDArray[Any]) -> IntArray:
+        """What is done of one step's choices ``(karts, 5)``, made by what was seen last."""
+        done, now = np.array(choices, np.int64), self._memory.situation()
+        backs, calls = self._memory.stuck()
+        side = np.where(backs | calls, 0, self._drift_side(done, now))
+        turn = STEERS[done[:, _STEER]]
+        if self._hold:
+            uses = (done[:, _NITRO] == 1) & self._memory.may_boost & (self._views[:, _ENERGY] > 0)
+            done[:, _NITRO] = uses
+            begins = (side != 0) & (now.drift_side == 0)
+            turn = np.where(side == 0, turn, side * np.clip(turn * side, *DRIFT_TURN))
+            steer = steer_of_turn(side, turn, begins)
+            in_drift = np.abs(STEERS - steer[:, None]).argmin(axis=1)
+            done[:, _STEER] = np.where(side == 0, done[:, _STEER], in_drift)
+            done[:, _DRIFT] = side != 0
+        is_left = self._views[:, _LINE] + self._views[:, _HEADING] > 0  # of the road, or its way
+        away = np.where(is_left, 0, CHOICES[_STEER] - 1)  # backwards a kart turns the other way
+        done[backs, _STEER] = away[backs]
+        done[backs, _PEDAL] = BRAKE
+        done[calls, _PEDAL] = RESCUE
+        nitro, fire = done[:, _NITRO] == 1, done[:, _FIRE] == 1
+        self._memory.act(side.astype(np.intp), turn.astype(np.float32), nitro, fire)
+        return done
+
+    def forget(self, karts: slice) -> None:
+        """Begins some karts anew."""
+        self._memory.forget(np.arange(len(self._has_moved))[karts])
+        self._has_moved[karts] = False
+
+    def _drift_side(self, chosen: IntArray, now: Situation) -> IntArray:
+        """To which side karts drift now: 1 to the right, -1 to the left, 0 for not at all."""
+        turn, is_asked = STEERS[chosen[:, _STEER]], chosen[:, _DRIFT] == 1
+        begins = is_asked & (np.abs(turn) >= START_STEER) & now.may_hop
+        begins &= self._views[:, _SPEED] > _DRIFT_SPEED
+        goes_on = is_asked | (now.drift_steps < self._hold)
+        goes_on &= turn * now.drift_side > -_OTHER_SIDE
+        kept = np.where(goes_on, now.drift_side, 0)
+        return np.where(now.drift_side == 0, np.where(begins, np.sign(turn), 0), kept)
