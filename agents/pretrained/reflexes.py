@@ -101,7 +101,7 @@ class Reflexes:
             done[:, _DRIFT] = side != 0
         is_left = self._views[:, _LINE] + self._views[:, _HEADING] > 0  # of the road, or its way
         away = np.where(is_left, 0, CHOICES[_STEER] - 1)  # backwards a kart turns the other way
-        done[backs, _STEER] = away[backs]
+        done[backs, _STEER], turn[backs] = away[backs], STEERS[away[backs]]
         done[backs, _PEDAL] = BRAKE
         done[calls, _PEDAL] = RESCUE
         nitro, fire = done[:, _NITRO] == 1, done[:, _FIRE] == 1
