@@ -25,6 +25,7 @@ __all__ = [
     "WEIGHTS",
     "check_shapes",
     "make_actor",
+    "make_network_actor",
     "new_seat",
     "new_state",
     "read_network",
@@ -32,6 +33,7 @@ __all__ = [
 ]
 
 FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.int64]
 
 #: An agent's files.
 CARD, WEIGHTS = "card.json", "weights.safetensors"
@@ -71,6 +73,16 @@ def new_seat(folder: str | Path) -> Seat:
         ConfigError: as :func:`read_policy`.
     """
     return read_network(folder).seat()
+
+
+def make_network_actor(folder: str | Path) -> Callable[[Seat, FloatArray], IntArray]:
+    """The actor of an agent's folder that has no plans, for the view ``racing``.
+
+    Raises:
+        ConfigError: as :func:`read_policy`.
+    """
+    read_network(folder)
+    return lambda seat, observation: seat(observation[None])[0]
 
 
 def check_shapes(weights: Mapping[str, FloatArray], name: str) -> None:

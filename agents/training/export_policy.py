@@ -43,17 +43,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from stkzoo.agents.pretrained.driver import make_actor, new_state
+from stkzoo.agents.pretrained.driver import {make}, {state}
 
 __all__ = ["create_state", "env_name", "get_actor", "player_name"]
 
 #: The environment that the driver was made for.
-env_name = "supertuxkart/full-v0"
+env_name = "supertuxkart/{view}-v0"
 
 #: The name to show.
 player_name = "{name}"
 
-create_state = partial(new_state, Path(__file__).parent)
+create_state = partial({state}, Path(__file__).parent)
 
 
 def get_actor(module_dir: Path, observation_space: Any, action_space: Any) -> Callable[..., Any]:
@@ -65,43 +65,12 @@ def get_actor(module_dir: Path, observation_space: Any, action_space: Any) -> Ca
         action_space: not needed.
     """
     del observation_space, action_space
-    return make_actor(module_dir)
+    return {make}(module_dir)
 '''
 
-_NETWORK_MODULE = '''"""A learned driver; see ``CARD.md``."""
-
-from __future__ import annotations
-
-from collections.abc import Callable
-from functools import partial
-from pathlib import Path
-from typing import Any
-
-from stkzoo.agents.pretrained.driver import new_seat, read_network
-
-__all__ = ["create_state", "env_name", "get_actor", "player_name"]
-
-#: The environment that the driver was made for.
-env_name = "supertuxkart/racing-v0"
-
-#: The name to show.
-player_name = "{name}"
-
-create_state = partial(new_seat, Path(__file__).parent)
-
-
-def get_actor(module_dir: Path, observation_space: Any, action_space: Any) -> Callable[..., Any]:
-    """The driver.
-
-    Args:
-        module_dir: this folder, where the weights are.
-        observation_space: not needed.
-        action_space: not needed.
-    """
-    del observation_space, action_space
-    read_network(module_dir)
-    return lambda seat, observation: seat(observation[None])[0]
-'''
+#: What its gaps are filled with for policies over plans, and for networks that answer at once.
+_OF_PLANS = {"make": "make_actor", "state": "new_state", "view": "full"}
+_OF_NETWORKS = {"make": "make_network_actor", "state": "new_seat", "view": "racing"}
 
 _PACKAGE = '''"""A learned driver; see ``CARD.md``."""
 
@@ -155,8 +124,8 @@ def export_policy(weights: str | Path, name: str, folder: str | Path) -> Path:
     rules = {} if is_network else {"rules": asdict(numbers_of_run(source.parent))}
     facts = _facts(source, target / WEIGHTS, name) | rules
     _write(target / "__init__.py", _PACKAGE)
-    module = _NETWORK_MODULE if is_network else _MODULE
-    _write(target / "pystk_actor.py", module.format(name=name))
+    gaps = _OF_NETWORKS if is_network else _OF_PLANS
+    _write(target / "pystk_actor.py", _MODULE.format(name=name, **gaps))
     _write(target / CARD, json.dumps(facts, indent=1) + "\n")
     if not (target / "CARD.md").exists():
         _write(target / "CARD.md", _human(facts))
