@@ -5,21 +5,28 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
-from collections.abc import Mapping
-from dataclasses import MISSING, fields
+from collections.abc import Collection, Mapping
+from dataclasses import MISSING, asdict, fields
+from pathlib import Path
 from typing import Any
 
 from stkzoo.errors import ConfigError
+from stkzoo.whole_file import whole_file
 
 __all__ = [
+    "ARGUMENTS",
     "RunBar",
     "add_arguments",
     "changes",
+    "keep_arguments",
     "keep_to_one_thread",
     "training_library",
     "training_torch",
     "values_of",
 ]
+
+#: The file in a run's folder that says what the run is made of.
+ARGUMENTS = "arguments.json"
 
 
 def add_arguments(parser: argparse.ArgumentParser, kind: Any) -> None:
@@ -58,6 +65,31 @@ def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
     now = json.loads(json.dumps(now))
     others = [name for name in now if before.get(name) != now[name]]
     return ", ".join(f"{n} was {before.get(n)!r}, now {now[n]!r}" for n in others)
+
+
+def keep_arguments(folder: Path, arguments: Any, free: Collection[str] = ()) -> None:
+    """Notes what a new run is made of, or checks that the one that is there is made of the same.
+
+    Args:
+        folder: the run's; it is made.
+        arguments: a dataclass.
+        free: names of its fields that may be others when a run goes on, and are not noted.
+
+    Raises:
+        ConfigError: the folder has another run.
+    """
+    now = {name: value for name, value in asdict(arguments).items() if name not in free}
+    file = folder / ARGUMENTS
+    if file.exists():
+        if told := changes(json.loads(file.read_text()), now):
+            raise ConfigError(
+                f"the run in {str(folder)!r} has other arguments: {told}; give the same, or "
+                "another --output"
+            )
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    with whole_file(file) as part:
+        part.write_text(json.dumps(now, indent=1) + "\n")
 
 
 def training_library(name: str) -> Any:

@@ -16,11 +16,9 @@ and the rounds' lessons. A killed run goes on with its round when the same comma
 from __future__ import annotations
 
 import argparse
-import importlib
-import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,14 +30,14 @@ from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.plans import BRAKE as BRAKE_PLAN
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.reflexes import INPUT_SIZE, Reflexes
-from stkzoo.agents.pretrained.weights import load_weights
-from stkzoo.errors import ConfigError, StkzooError, check_whole
+from stkzoo.errors import StkzooError, check_whole
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.racing import BRAKE, SIZE, STEERS, controls_of_choices
 
-from .command import RunBar, add_arguments, changes, training_torch, values_of
-from .imitate_network import fit, make_network
+from .command import RunBar, add_arguments, keep_arguments, training_torch, values_of
+from .imitate_network import fit, make_network, take_over
+from .journal import read_log, write_log
 from .ppo_races import Finish, Fleet, RaceForm
 from .sb3_policy import save_driver, write_agent
 
@@ -48,7 +46,7 @@ __all__ = ["Arguments", "Class", "main", "run"]
 IntArray = npt.NDArray[np.int64]
 Numbers = npt.NDArray[Any]
 
-_ARGUMENTS, _LOG, _POLICY = "arguments.json", "log.jsonl", "policy.safetensors"
+_POLICY = "policy.safetensors"
 #: Alone, against others, and against the game's AI.
 _FORMS = [
     *[RaceForm(1, 0)] * 8,
@@ -149,17 +147,15 @@ def run(arguments: Arguments, folder: Path, bar: RunBar | None = None) -> list[d
         ConfigError: torch is missing, or the folder has another run.
     """
     training_torch()
-    folder.mkdir(parents=True, exist_ok=True)
-    _keep(arguments, folder)
-    log = _read_log(folder)
+    keep_arguments(folder, arguments)
+    log = read_log(folder)
     network = make_network(arguments.hidden, arguments.seed, INPUT_SIZE)
     if log:
-        _take_over(network, folder / _POLICY)
+        take_over(network, folder / _POLICY)
     for number in range(len(log), arguments.rounds):
         log.append(_round(arguments, folder, network, number, bar))
         save_driver(folder / _POLICY, network, _HOLD)
-        with whole_file(folder / _LOG) as part:
-            part.write_text("".join(json.dumps(line) + "\n" for line in log))
+        write_log(folder, log)
     write_agent(folder / "agent", network, "pupil of the plans", _HOLD)
     return log
 
@@ -253,31 +249,6 @@ def _driver(network: Any) -> MlpDriver:
 
 def _lessons(folder: Path, number: int) -> Path:
     return folder / f"lessons-{number:02d}.npz"
-
-
-def _keep(arguments: Arguments, folder: Path) -> None:
-    file, now = folder / _ARGUMENTS, asdict(arguments)
-    if file.exists():
-        told = changes(json.loads(file.read_text()), now)
-        if told:
-            raise ConfigError(
-                f"the run in {str(folder)!r} has other arguments: {told}; give the same, or "
-                "another --output"
-            )
-    with whole_file(file) as part:
-        part.write_text(json.dumps(now, indent=1) + "\n")
-
-
-def _read_log(folder: Path) -> list[dict[str, Any]]:
-    file = folder / _LOG
-    return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
-
-
-def _take_over(network: Any, file: Path) -> None:
-    torch = importlib.import_module("torch")
-    weights = load_weights(file)
-    own = {name: torch.from_numpy(weights[name]) for name in network.state_dict()}
-    network.load_state_dict(own)
 
 
 def _shown(line: dict[str, Any]) -> str:

@@ -27,7 +27,8 @@ from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weigh
 from stkzoo.errors import ConfigError
 from stkzoo.whole_file import whole_file
 
-from .plan_numbers import ARGUMENTS, numbers_of_run
+from .command import ARGUMENTS
+from .plan_numbers import numbers_of_run
 
 __all__ = ["export_policy", "main"]
 

@@ -20,7 +20,6 @@ when the same command is given again.
 from __future__ import annotations
 
 import argparse
-import importlib
 import itertools
 import json
 import multiprocessing
@@ -28,13 +27,12 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.cores import usable_cores
 from stkzoo.errors import ConfigError, StkzooError, check_whole
 from stkzoo.race import find_driver
@@ -42,8 +40,8 @@ from stkzoo.race.demos import Demonstrations, load, record
 from stkzoo.tracks import SPLITS
 from stkzoo.whole_file import whole_file
 
-from .command import add_arguments, values_of
-from .imitate_network import Fit, fit, make_network
+from .command import add_arguments, keep_arguments, values_of
+from .imitate_network import Fit, fit, make_network, take_over
 from .imitate_races import (
     Lesson,
     LessonOrder,
@@ -53,14 +51,12 @@ from .imitate_races import (
     run_order,
     time_ratio,
 )
+from .journal import write_log
 from .sb3_policy import save_driver, write_agent
 
 __all__ = ["Arguments", "main", "parse", "plot_log", "run"]
 
-_ARGUMENTS, _LOG, _POLICY, _PICTURE = (
-    *("arguments.json", "log.jsonl"),
-    *("policy.safetensors", "imitation.png"),
-)
+_POLICY, _PICTURE = "policy.safetensors", "imitation.png"
 #: What may be other when a run goes on.
 _FREE = ("rounds", "jobs")
 
@@ -144,8 +140,7 @@ def run(arguments: Arguments, folder: Path, tell: Tell = lambda *_: None) -> lis
         ConfigError: an argument cannot be, torch is missing, or the folder has another run.
         AssetError: the game's data is missing.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    _keep(arguments, folder)
+    keep_arguments(folder, arguments, _FREE)
     demos = _demonstrations(arguments, folder, tell)
     observations, actions = demos.pairs()
     lessons = [_Examples(observations, actions)]
@@ -160,27 +155,9 @@ def run(arguments: Arguments, folder: Path, tell: Tell = lambda *_: None) -> lis
             log.append(_line(number, who, ratios, finished))
         if number <= arguments.rounds:
             log[-1] |= _learn(arguments, folder, number, lessons, tell)
-        _write_log(folder, log)
+        write_log(folder, log)
     _finish(arguments, folder)
     return log
-
-
-def _keep(arguments: Arguments, folder: Path) -> None:
-    file = folder / _ARGUMENTS
-    now = {k: v for k, v in json.loads(json.dumps(asdict(arguments))).items() if k not in _FREE}
-    if file.exists():
-        then = json.loads(file.read_text())
-        changed = [
-            f"{k} is {v!r} and was {then.get(k)!r}" for k, v in now.items() if v != then.get(k)
-        ]
-        if changed:
-            raise ConfigError(
-                f"{folder} has a run with other arguments: {'; '.join(changed)}. Give another "
-                "--output, or those"
-            )
-        return
-    with whole_file(file) as part:
-        part.write_text(json.dumps(now, indent=1) + "\n")
 
 
 def _demonstrations(arguments: Arguments, folder: Path, tell: Tell) -> Demonstrations:
@@ -283,7 +260,7 @@ def _learn(
     tell(f"round {number}: learning from {len(actions):,} examples", 0, 1)
     network = make_network(arguments.hidden, arguments.seed)
     if number:
-        _take_over(network, _policy_file(folder, number - 1))
+        take_over(network, _policy_file(folder, number - 1))
     result: Fit = fit(
         network,
         observations,
@@ -300,12 +277,6 @@ def _learn(
     return line
 
 
-def _take_over(network: Any, file: Path) -> None:
-    torch = importlib.import_module("torch")
-    weights = load_weights(file)
-    network.load_state_dict({name: torch.from_numpy(array) for name, array in weights.items()})
-
-
 def _policy_file(folder: Path, number: int) -> Path:
     return folder / f"policy-{number:02d}.safetensors"
 
@@ -313,14 +284,9 @@ def _policy_file(folder: Path, number: int) -> Path:
 def _finish(arguments: Arguments, folder: Path) -> None:
     """The last round's policy as the run's, and as an agent."""
     network = make_network(arguments.hidden, arguments.seed)
-    _take_over(network, _policy_file(folder, arguments.rounds))
+    take_over(network, _policy_file(folder, arguments.rounds))
     save_driver(folder / _POLICY, network)
     write_agent(folder / "agent", network, f"{arguments.teacher}'s pupil")
-
-
-def _write_log(folder: Path, log: Sequence[dict[str, Any]]) -> None:
-    with whole_file(folder / _LOG) as part:
-        part.write_text("".join(json.dumps(line) + "\n" for line in log))
 
 
 # ------------------------------------------------------------------ what is shown

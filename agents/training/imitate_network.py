@@ -5,17 +5,19 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.pretrained.reflexes import INPUT_MIRROR
+from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
 from .command import training_torch
 
-__all__ = ["Fit", "fit", "make_network", "mirrored"]
+__all__ = ["Fit", "fit", "make_network", "mirrored", "take_over"]
 
 Numbers = npt.NDArray[Any]
 
@@ -50,6 +52,17 @@ def make_network(hidden: Sequence[int], seed: int, inputs: int = SIZE) -> Any:
     network.mlp_extractor.policy_net = nn.Sequential(*layers)
     network.action_net = nn.Linear(sizes[-1], sum(CHOICES))
     return network
+
+
+def take_over(network: Any, path: str | Path) -> None:
+    """Gives a network the weights of a file, which may hold more than those.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
+    torch, weights = training_torch(), load_weights(path)
+    own = {name: torch.from_numpy(weights[name]) for name in network.state_dict()}
+    network.load_state_dict(own)
 
 
 def mirrored(observations: Numbers, actions: Numbers) -> tuple[Numbers, Numbers]:

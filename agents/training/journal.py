@@ -4,16 +4,28 @@ from __future__ import annotations
 
 import importlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from stkzoo.whole_file import whole_file
 
-__all__ = ["LOG", "Journal"]
+__all__ = ["LOG", "Journal", "read_log", "write_log"]
 
 #: The log's file in a run's folder.
 LOG = "log.jsonl"
+
+
+def read_log(folder: Path) -> list[dict[str, Any]]:
+    """The lines of a run's log; none if there is no log yet."""
+    file = folder / LOG
+    return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+
+
+def write_log(folder: Path, log: Sequence[Mapping[str, Any]]) -> None:
+    """Writes all of a run's log, whole or not at all."""
+    with whole_file(folder / LOG) as part:
+        part.write_text("".join(json.dumps(dict(line)) + "\n" for line in log))
 
 
 class Journal:
@@ -22,28 +34,33 @@ class Journal:
     Args:
         folder: the run's.
         iteration: the last one that counts.
-        kart_steps: how many there had been then.
+
+    Attributes:
+        last: the last line; empty at the beginning.
     """
 
-    def __init__(self, folder: Path, iteration: int, kart_steps: int) -> None:
+    def __init__(self, folder: Path, iteration: int) -> None:
         self._file = folder / LOG
-        old = self._file.read_text().splitlines() if self._file.exists() else []
-        kept = [line for line in old if json.loads(line)["iteration"] <= iteration]
-        with whole_file(self._file) as part:
-            part.write_text("".join(f"{line}\n" for line in kept))
+        kept = [line for line in read_log(folder) if line["iteration"] <= iteration]
+        write_log(folder, kept)
+        self.last: dict[str, Any] = kept[-1] if kept else {}
         self._writer: Any = None
         try:
             board = importlib.import_module("torch.utils.tensorboard")
         except ImportError:
             return
-        self._writer = board.SummaryWriter(folder, purge_step=kart_steps + 1)
+        self._writer = board.SummaryWriter(folder, purge_step=self.last.get("kart_steps", 0) + 1)
 
-    def write(self, line: Mapping[str, float]) -> None:
-        """Adds an iteration's figures, ``iteration`` and ``kart_steps`` among them."""
+    def write(self, line: Mapping[str, Any]) -> None:
+        """Adds an iteration's figures, ``iteration`` and ``kart_steps`` among them.
+
+        One that is None is not known: TensorBoard's files lack it.
+        """
         with self._file.open("a") as log:
             log.write(json.dumps(dict(line)) + "\n")
         for name, value in line.items():
-            self.add(name, value, int(line["kart_steps"]))
+            if value is not None:
+                self.add(name, value, int(line["kart_steps"]))
 
     def add(self, name: str, value: float, kart_steps: int) -> None:
         """Adds a figure to TensorBoard's files alone."""

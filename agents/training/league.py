@@ -202,7 +202,7 @@ class League:
         until = player.kart_steps + self.arguments.turn
         arguments = self.arguments.of_learner(state.players.index(player), player.generation)
         learner = LeagueLearner(folder, arguments, matchmaker, [self.arguments.seed, state.turn])
-        journal = Journal(folder, learner.iteration, learner.kart_steps)
+        journal = Journal(folder, learner.iteration)
         try:
             is_played = learner.kart_steps >= until
             while learner.kart_steps < until:

@@ -8,10 +8,9 @@ from pathlib import Path
 from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.errors import ConfigError
 
-__all__ = ["ARGUMENTS", "NUMBERS", "numbers_of_run", "plan_numbers"]
+from .command import ARGUMENTS
 
-#: A run's file of what it is made of.
-ARGUMENTS = "arguments.json"
+__all__ = ["NUMBERS", "numbers_of_run", "plan_numbers"]
 
 #: Sets of numbers by name: those of the search on training tracks, and those from before it.
 NUMBERS = {

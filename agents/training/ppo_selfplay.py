@@ -47,9 +47,9 @@ from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
 
-from .command import add_arguments, changes, training_torch, values_of
+from .command import ARGUMENTS, add_arguments, changes, training_torch, values_of
 from .journal import Journal
-from .plan_numbers import ARGUMENTS, plan_numbers
+from .plan_numbers import plan_numbers
 from .ppo_races import Finish, Fleet, RaceForm, StepOutcome
 
 __all__ = ["Arguments", "Learner", "main"]
@@ -652,7 +652,7 @@ def main(words: list[str] | None = None) -> int:
     except StkzooError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    journal = Journal(learner.folder, learner.iteration, learner.kart_steps)
+    journal = Journal(learner.folder, learner.iteration)
     try:
         _run(learner, journal, until)
     finally:

@@ -21,12 +21,11 @@ same command with more ``--iterations`` goes on, and so does the same command af
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,17 +35,14 @@ import numpy.typing as npt
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.errors import ConfigError, StkzooError, check_whole
 from stkzoo.tracks import SPLITS
-from stkzoo.whole_file import whole_file
 
-from .command import add_arguments, values_of
+from .command import add_arguments, keep_arguments, values_of
+from .journal import Journal
 from .rllib_races import MAIN, PackSender, Pool, ensure_assets, make_race
 
 __all__ = ["Arguments", "build_config", "main", "parse", "sb3_names", "train"]
 
-_ARGUMENTS, _LOG, _CHECKPOINT, _POLICY = (
-    *("arguments.json", "log.jsonl"),
-    *("checkpoint", "policy.safetensors"),
-)
+_CHECKPOINT, _POLICY = "checkpoint", "policy.safetensors"
 #: What may be other when a run goes on.
 _FREE = ("iterations", "address", "env_runners", "checkpoint_every", "pack", "cpus_per_runner")
 #: Layers in RLlib's module and in a policy of Stable-Baselines3.
@@ -223,8 +219,7 @@ def train(arguments: Arguments, folder: Path, on_line: Any = print) -> dict[str,
         AssetError: the game's data is missing here.
     """
     ray = _ray()
-    folder.mkdir(parents=True, exist_ok=True)
-    _keep(arguments, folder)
+    keep_arguments(folder, arguments, _FREE)
     ensure_assets(arguments.pack)
     ray.init(
         address=arguments.address or None,
@@ -256,25 +251,6 @@ def _ray() -> Any:
     return ray
 
 
-def _keep(arguments: Arguments, folder: Path) -> None:
-    """Notes the arguments of a new run, or checks that they are those of the one that is there."""
-    file = folder / _ARGUMENTS
-    now = {k: v for k, v in json.loads(json.dumps(asdict(arguments))).items() if k not in _FREE}
-    if file.exists():
-        then = json.loads(file.read_text())
-        changed = [
-            f"{k} is {now[k]!r} and was {then.get(k)!r}" for k in now if now[k] != then.get(k)
-        ]
-        if changed:
-            raise ConfigError(
-                f"{folder} has a run with other arguments: {'; '.join(changed)}. Give another "
-                "--output, or those"
-            )
-        return
-    with whole_file(file) as part:
-        part.write_text(json.dumps(now, indent=1) + "\n")
-
-
 def _algorithm(arguments: Arguments, folder: Path) -> Any:
     algorithm = build_config(arguments).build_algo()
     checkpoint = folder / _CHECKPOINT
@@ -294,19 +270,20 @@ def _remind(algorithm: Any, last: Mapping[str, Any]) -> None:
 
 
 def _iterations(algorithm: Any, arguments: Arguments, folder: Path, on_line: Any) -> dict[str, Any]:
-    log = _Log(folder / _LOG, algorithm.iteration)
-    line: dict[str, Any] = log.last
+    journal = Journal(folder, algorithm.iteration)
+    line = journal.last
     if line:
         _remind(algorithm, line)
     while algorithm.iteration < arguments.iterations:
         begun = time.monotonic()
         result = algorithm.train()
         line = _figures(algorithm, result, time.monotonic() - begun)
-        log.add(line)
+        journal.write(line)
         on_line(_in_words(line, arguments.iterations))
         done = algorithm.iteration
         if done % arguments.checkpoint_every == 0 or done == arguments.iterations:
             _save(algorithm, folder)
+    journal.close()
     return line
 
 
@@ -345,22 +322,6 @@ def _in_words(line: Mapping[str, Any], iterations: int) -> str:
         f"{line['promotions']} snapshots, {line['env_runners']} env runners "
         f"({line['restarted']} restarted), {line['seconds']:.1f} s"
     )
-
-
-class _Log:
-    """The log of a run that may go on from a checkpoint; what came after that is taken out."""
-
-    def __init__(self, file: Path, iteration: int) -> None:
-        self._file = file
-        old = [json.loads(text) for text in file.read_text().splitlines()] if file.exists() else []
-        kept = [line for line in old if line["iteration"] <= iteration]
-        with whole_file(file) as part:
-            part.write_text("".join(json.dumps(line) + "\n" for line in kept))
-        self.last: dict[str, Any] = kept[-1] if kept else {}
-
-    def add(self, line: Mapping[str, Any]) -> None:
-        with self._file.open("a") as log:
-            log.write(json.dumps(dict(line)) + "\n")
 
 
 def _save(algorithm: Any, folder: Path) -> None:

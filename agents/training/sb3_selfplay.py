@@ -47,14 +47,15 @@ from stkzoo.race.tournament.ratings import rating_library
 from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.racing import CHOICES, RESCUE
 
-from .command import RunBar, add_arguments, changes, values_of
+from .command import ARGUMENTS, RunBar, add_arguments, changes, values_of
 from .journal import Journal
 from .pool import Pool
 from .sb3_curriculum import EASY_TO_HARD, Curriculum
+from .sb3_policy import save_driver, start_weights, write_agent
 
 __all__ = ["Arguments", "Run", "main"]
 
-_CHECKPOINT, _ARGUMENTS, _AGENT = "checkpoint.pt", "arguments.json", "agent"
+_CHECKPOINT, _AGENT = "checkpoint.pt", "agent"
 #: What a policy that knows nothing leans towards, by the place among the view's choices: to go
 #: rather than to brake, and to drift or call for the rescue now and then only. Without it
 #: every kart stands for most of its first races.
@@ -141,7 +142,6 @@ class Run:
         self._torch = _library("torch")
         _library("stable_baselines3")
         rating_library()
-        self._policies = importlib.import_module("stkzoo.agents.training.sb3_policy")
         evaluation = importlib.import_module("stkzoo.agents.training.sb3_evaluation")
         self.folder, self.arguments = Path(folder), arguments
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -160,11 +160,11 @@ class Run:
             self._restore()
         else:
             if arguments.start:
-                self._load(self._policies.start_weights(arguments.start, self._model.policy))
+                self._load(start_weights(arguments.start, self._model.policy))
             self._keep(is_rival=False)
             self._evaluate_if_due(-1)
             self.save_checkpoint()
-        with whole_file(self.folder / _ARGUMENTS) as part:
+        with whole_file(self.folder / ARGUMENTS) as part:
             part.write_text(json.dumps(asdict(arguments), indent=1) + "\n")
 
     def play_round(self, tell: Callable[[dict[str, float]], None]) -> None:
@@ -210,10 +210,7 @@ class Run:
     def save_agent(self) -> Path:
         """Writes the policy as an agent to race; its folder."""
         name = f"self-play {self.kart_steps:,}"
-        agent: Path = self._policies.write_agent(
-            self.folder / _AGENT, self._model.policy, name, self._held
-        )
-        return agent
+        return write_agent(self.folder / _AGENT, self._model.policy, name, self._held)
 
     def close(self) -> None:
         """Ends all races."""
@@ -345,7 +342,7 @@ class Run:
         """Writes the policy as it is now, and makes it one of the rivals."""
         name = self._policy_name()
         file = self.folder / f"{name}.safetensors"
-        self._policies.save_driver(file, self._model.policy, self._held)
+        save_driver(file, self._model.policy, self._held)
         if is_rival and not self.arguments.supersuit:
             self._snapshots.add(name)
             self._make_ready(name)
@@ -452,7 +449,7 @@ def main(words: list[str] | None = None) -> int:
     except StkzooError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    journal = Journal(run.folder, run.iteration, run.kart_steps)
+    journal = Journal(run.folder, run.iteration)
     bar = RunBar(until, run.kart_steps)
     try:
         _play(run, journal, bar, until, minutes)
