@@ -16,6 +16,7 @@ from pettingzoo import ParallelEnv
 
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import Assets, find_assets
+from stkzoo.engine.ground import Ground, ground_of
 from stkzoo.engine.process import can_fork, start_mother
 from stkzoo.engine.session import LocalSession, Session, WorkerSession
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
@@ -363,6 +364,17 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
     def track_map(self) -> TrackMap | None:
         """The present race's track; ``None`` before the first reset."""
         return self._episode.track_map if self._episode else None
+
+    @property
+    def ground(self) -> Ground | None:
+        """What karts drive on and run into there; ``None`` before the first reset.
+
+        Read from the track's own meshes, which takes 1 to 7 s the first time in a program.
+        """
+        if self._episode is None:
+            return None
+        race = self._episode.race
+        return ground_of(self._episode.track_map, race.track, reverse=race.reverse)
 
     @property
     def snapshot(self) -> Snapshot | None:

@@ -1,0 +1,271 @@
+"""The ground near the driving lines, column by column."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine.ground.scenery import Faces
+
+__all__ = ["GROUND", "SLOWED", "VOID", "WALL", "ZIPPER", "Ground", "Spots"]
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.intp]
+BoolArray = npt.NDArray[np.bool_]
+
+#: What a spot can be: nothing to drive on, or what puts karts back; road; road that slows; what
+#: throws karts ahead; what they run into.
+VOID, GROUND, SLOWED, ZIPPER, WALL = range(5)
+
+#: Width of a column [m], and how many levels one above the other it can have.
+_CELL, _LEVELS = 0.5, 4
+#: Columns this near to a driving line are kept, from so far below it to so far above [m].
+_REACH, _BELOW, _ABOVE = 14.0, 10.0, 6.0
+#: Of two levels less far apart than this [m] the wheels touch the upper one.
+_APART = 0.5
+#: Faces flatter than this are driven on; steeper than the other one can be run into [vertical share
+#: of the normal].
+_FLAT, _STEEP = 0.35, 0.8
+#: A kart runs into what is so high above its ground [m].
+_HEIGHTS = (0.45, 0.8)
+#: Walls are looked for from each column's middle this way, that way and across.
+_ACROSS = np.array([[1.0, 0.0], [0.0, 1.0], [0.5**0.5, 0.5**0.5], [0.5**0.5, -(0.5**0.5)]])
+#: So many pairs of a face and a column are looked at together.
+_CHUNK = 400_000
+
+
+@dataclass(frozen=True, slots=True)
+class Spots:
+    """What is at places in the world, ``(...)`` each.
+
+    Attributes:
+        kind: uint8: :data:`VOID`, :data:`GROUND`, :data:`SLOWED`, :data:`ZIPPER`, :data:`WALL`.
+        height: float32 [m], world frame; NaN for nothing.
+        speed: float32: the share of their greatest speed that karts keep there.
+    """
+
+    kind: npt.NDArray[np.uint8]
+    height: npt.NDArray[np.float32]
+    speed: npt.NDArray[np.float32]
+
+
+class Ground:
+    """What is near a track's driving lines.
+
+    Args:
+        faces: all that is solid.
+        line: ``(N, 3)`` points of the driving lines, not more than a metre apart [m], world frame.
+    """
+
+    def __init__(self, faces: Faces, line: npt.NDArray[np.floating]) -> None:
+        near = _Near(np.asarray(line, np.float64))
+        self._near = near
+        self._heights = np.full((*near.shape, _LEVELS), np.nan, np.float32)
+        self._kinds = np.zeros(self._heights.shape, np.uint8)
+        self._speeds = np.ones(self._heights.shape, np.float32)
+        corners = faces.corners.astype(np.float64)
+        normals = _normals(corners)
+        flatness = np.abs(normals[:, 1])
+        self._lay(faces, corners, np.flatnonzero(flatness > _FLAT))
+        self._raise_walls(corners, normals, np.flatnonzero(flatness < _STEEP))
+
+    def at(self, places: npt.NDArray[np.floating], reach: float = 3.0) -> Spots:
+        """What is at places.
+
+        Args:
+            places: ``(..., 3)`` [m], world frame.
+            reach: ground farther above or below than this is not meant [m].
+        """
+        rows, columns, is_inside = self._near.cells(places)
+        heights = self._heights[rows, columns]
+        apart = np.abs(heights - places[..., 1:2])
+        apart = np.where(np.isnan(apart), np.inf, apart)
+        level = apart.argmin(-1)[..., None]
+        is_there = is_inside & (np.take_along_axis(apart, level, -1)[..., 0] < reach)
+
+        def there(values: npt.NDArray[np.generic], missing: float) -> npt.NDArray[np.generic]:
+            found = np.take_along_axis(values[rows, columns], level, -1)[..., 0]
+            return np.where(is_there, found, values.dtype.type(missing))
+
+        return Spots(
+            there(self._kinds, VOID).astype(np.uint8),
+            there(self._heights, np.nan).astype(np.float32),
+            there(self._speeds, 1.0).astype(np.float32),
+        )
+
+    def _lay(self, faces: Faces, corners: FloatArray, flat: IntArray) -> None:
+        """Puts the faces that can be driven on into the columns."""
+        near, found, at_heights = self._near, [], []
+        for who, rows, columns in near.pairs(corners, flat, 0.0):
+            heights = _heights(corners[who], near.middles(rows, columns))
+            is_kept = near.is_level(rows, columns, heights)
+            found.append(np.stack([who, rows * near.shape[1] + columns])[:, is_kept])
+            at_heights.append(heights[is_kept])
+        (who, cell), height = np.concatenate(found, axis=1), np.concatenate(at_heights)
+        order = np.lexsort((-height, cell))
+        who, cell, height = who[order], cell[order], height[order]
+        is_hidden = np.zeros(len(cell), bool)
+        is_hidden[1:] = (np.diff(cell) == 0) & (height[:-1] - height[1:] < _APART)
+        who, cell, height = who[~is_hidden], cell[~is_hidden], height[~is_hidden]
+        level = np.arange(len(cell)) - np.searchsorted(cell, cell)
+        is_kept = level < _LEVELS
+        who, height = who[is_kept], height[is_kept]
+        at = (*np.divmod(cell[is_kept], near.shape[1]), level[is_kept])
+        self._heights[at] = height
+        self._speeds[at] = faces.speed[who]
+        is_slowed = faces.speed[who] < 1.0
+        kinds = np.select(
+            [faces.is_reset[who], faces.is_zipper[who], is_slowed], [VOID, ZIPPER, SLOWED], GROUND
+        )
+        self._kinds[at] = kinds
+
+    def _raise_walls(self, corners: FloatArray, normals: FloatArray, steep: IntArray) -> None:
+        """Marks the levels on which karts run into a face."""
+        near = self._near
+        low, high = corners[..., 1].min(1), corners[..., 1].max(1)
+        for who, rows, columns in near.pairs(corners, steep, _CELL / 2):
+            for level in range(_LEVELS):
+                heights = self._heights[rows, columns, level]
+                for above in _HEIGHTS:
+                    at = heights + above
+                    hit = np.flatnonzero((at > low[who]) & (at < high[who]))
+                    is_wall = _crosses(
+                        corners[who[hit]],
+                        normals[who[hit]],
+                        near.middles(rows[hit], columns[hit]),
+                        at[hit].astype(np.float64),
+                    )
+                    hit = hit[is_wall]
+                    self._kinds[rows[hit], columns[hit], level] = WALL
+
+
+class _Near:
+    """Which columns are near the driving lines.
+
+    Attributes:
+        shape: how many rows (along x) and columns (along z) there are.
+    """
+
+    def __init__(self, line: FloatArray) -> None:
+        flat = line[:, [0, 2]]
+        self._corner = flat.min(0) - _REACH - _CELL
+        most = flat.max(0) + _REACH + _CELL
+        self.shape = tuple(np.ceil((most - self._corner) / _CELL).astype(int).tolist())
+        self._lowest = np.full(self.shape, np.inf)
+        self._highest = np.full(self.shape, -np.inf)
+        cells = np.arange(-int(_REACH / _CELL), int(_REACH / _CELL) + 1)
+        disc = np.argwhere(cells[:, None] ** 2 + cells**2 <= (_REACH / _CELL) ** 2) + cells[0]
+        own = ((flat - self._corner) / _CELL).astype(np.intp)
+        for spot, height in zip(own, line[:, 1], strict=True):
+            rows, columns = (spot + disc).T
+            self._lowest[rows, columns] = np.minimum(self._lowest[rows, columns], height)
+            self._highest[rows, columns] = np.maximum(self._highest[rows, columns], height)
+        self._count = np.zeros((self.shape[0] + 1, self.shape[1] + 1), np.intp)
+        self._count[1:, 1:] = np.isfinite(self._lowest).cumsum(0).cumsum(1)
+
+    def cells(self, places: npt.NDArray[np.floating]) -> tuple[IntArray, IntArray, BoolArray]:
+        """In which columns places ``(..., 3)`` are, and whether they are in one at all."""
+        cell = np.floor((places[..., [0, 2]] - self._corner) / _CELL).astype(np.intp)
+        is_inside = ((cell >= 0) & (cell < self.shape)).all(-1)
+        cell = np.clip(cell, 0, np.array(self.shape) - 1)
+        return cell[..., 0], cell[..., 1], is_inside
+
+    def middles(self, rows: IntArray, columns: IntArray) -> FloatArray:
+        """Where columns are, ``(P, 2)``: x and z [m]."""
+        middles: FloatArray = self._corner + (np.stack([rows, columns], axis=1) + 0.5) * _CELL
+        return middles
+
+    def is_level(self, rows: IntArray, columns: IntArray, heights: FloatArray) -> BoolArray:
+        """Whether heights are near those of the lines."""
+        is_level: BoolArray = heights > self._lowest[rows, columns] - _BELOW
+        is_level &= heights < self._highest[rows, columns] + _ABOVE
+        return is_level
+
+    def pairs(
+        self, corners: FloatArray, who: IntArray, margin: float
+    ) -> Iterator[tuple[IntArray, IntArray, IntArray]]:
+        """Faces and columns over whose middles they may be, in chunks: face, row, column.
+
+        Args:
+            corners: ``(F, 3, 3)`` of all faces.
+            who: of which ones.
+            margin: columns so far away too [m].
+        """
+        flat = corners[who][:, :, [0, 2]]
+        first = np.ceil((flat.min(1) - margin - self._corner) / _CELL - 0.5).astype(np.intp)
+        last = np.floor((flat.max(1) + margin - self._corner) / _CELL - 0.5).astype(np.intp)
+        first = np.maximum(first, 0)
+        last = np.minimum(last, np.array(self.shape) - 1)
+        sizes = np.maximum(last - first + 1, 0)
+        end = np.maximum(last + 1, first)
+        first, end = (np.clip(part, 0, self.shape) for part in (first, end))
+        near = self._count[end[:, 0], end[:, 1]] - self._count[first[:, 0], end[:, 1]]
+        near += self._count[first[:, 0], first[:, 1]] - self._count[end[:, 0], first[:, 1]]
+        matters = np.flatnonzero((near > 0) & sizes.all(1))
+        who, first, sizes = who[matters], first[matters], sizes[matters]
+        counts = sizes.prod(1)
+        ends = np.cumsum(counts)
+        begin = 0
+        while begin < len(who):
+            done = ends[begin - 1] if begin else 0
+            end_ = max(int(np.searchsorted(ends, done + _CHUNK)), begin + 1)
+            part = slice(begin, end_)
+            face = np.repeat(np.arange(begin, end_), counts[part])
+            place = np.arange(len(face)) - np.repeat(ends[part] - counts[part] - done, counts[part])
+            rows = first[face, 0] + place // sizes[face, 1]
+            columns = first[face, 1] + place % sizes[face, 1]
+            is_near = np.isfinite(self._lowest[rows, columns])
+            yield who[face[is_near]], rows[is_near], columns[is_near]
+            begin = end_
+
+
+def _normals(corners: FloatArray) -> FloatArray:
+    """Of length 1; of faces without an area NaN."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unit: FloatArray = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    return unit
+
+
+def _heights(corners: FloatArray, middles: FloatArray) -> FloatArray:
+    """Of faces ``(P, 3, 3)`` over places ``(P, 2)``, ``(P,)`` [m]; NaN where they are not."""
+    a, b, c = (corners[:, n][:, [0, 2]] for n in range(3))
+    one, other, place = b - a, c - a, middles - a
+    area = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        second = (place[:, 0] * other[:, 1] - place[:, 1] * other[:, 0]) / area
+        third = (one[:, 0] * place[:, 1] - one[:, 1] * place[:, 0]) / area
+    first = 1.0 - second - third
+    heights = first * corners[:, 0, 1] + second * corners[:, 1, 1] + third * corners[:, 2, 1]
+    edge = -1e-6
+    is_over = (first >= edge) & (second >= edge) & (third >= edge)
+    return np.where(is_over, heights, np.nan)
+
+
+def _crosses(
+    corners: FloatArray, normals: FloatArray, middles: FloatArray, heights: FloatArray
+) -> BoolArray:
+    """Which faces ``(P, 3, 3)`` stand in the columns ``(P, 2)`` at heights ``(P,)``."""
+    middle = np.stack([middles[:, 0], heights, middles[:, 1]], axis=1)
+    gap = ((corners[:, 0] - middle) * normals).sum(1)
+    found = np.zeros(len(corners), bool)
+    for x, z in _ACROSS:
+        way = np.array([x, 0.0, z]) * (_CELL / 2)
+        slope = normals @ way
+        who = np.flatnonzero(np.abs(gap) <= np.abs(slope))
+        who = who[slope[who] != 0]
+        meets = middle[who] + (gap[who] / slope[who])[:, None] * way
+        found[who] |= _is_in(corners[who], normals[who], meets)
+    return found
+
+
+def _is_in(corners: FloatArray, normals: FloatArray, spots: FloatArray) -> BoolArray:
+    """Which spots of faces' planes lie in the faces themselves."""
+    is_in = np.ones(len(spots), bool)
+    for n in range(3):
+        edge = corners[:, (n + 1) % 3] - corners[:, n]
+        is_in &= (np.cross(edge, spots - corners[:, n]) * normals).sum(1) >= -1e-6
+    return is_in

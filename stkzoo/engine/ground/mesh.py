@@ -1,0 +1,122 @@
+"""Reading the game's meshes: files ``.spm``.
+
+A file is: ``SP``; a byte with the version (its upper five bits, 1) and the kind (1: with joints);
+a byte of flags (1: normals, 2: colours, 4: tangents); a box, six floats; the materials, two texture
+names each; and the parts. All is little-endian.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.errors import AssetError
+
+__all__ = ["Part", "read_mesh"]
+
+_VERSION, _WITH_JOINTS = 1, 1
+_NORMALS, _COLOURS, _TANGENTS = 1, 2, 4
+_BOX = 24
+#: This byte in front of a colour stands for white; any other one is followed by three.
+_WHITE = 128
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What of a mesh has one material.
+
+    Attributes:
+        texture: file name of the material's first texture; empty if it has none.
+        vertices: ``(N, 3)`` float32 [m].
+        triangles: ``(M, 3)`` indices of vertices.
+    """
+
+    texture: str
+    vertices: npt.NDArray[np.float32]
+    triangles: npt.NDArray[np.intp]
+
+
+class _Reader:
+    """Bytes, and how far they have been read."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data, self.at = data, 0
+
+    def take(self, layout: str) -> tuple[int, ...]:
+        found = struct.unpack_from("<" + layout, self.data, self.at)
+        self.at += struct.calcsize("<" + layout)
+        return found
+
+    def text(self) -> str:
+        (length,) = self.take("B")
+        self.at += length
+        return self.data[self.at - length : self.at].decode("latin-1")
+
+    def array(self, kind: str, count: int) -> npt.NDArray[np.generic]:
+        found = np.frombuffer(self.data, kind, count, self.at)
+        self.at += found.nbytes
+        return found
+
+
+def read_mesh(path: str | Path) -> list[Part]:
+    """Reads a mesh.
+
+    Raises:
+        AssetError: the file is missing or broken, or of another version.
+    """
+    try:
+        return _parts(_Reader(Path(path).read_bytes()))
+    except (OSError, ValueError, struct.error, IndexError) as error:
+        raise AssetError(f"{str(path)!r} is no mesh that can be read: {error}") from error
+
+
+def _parts(file: _Reader) -> list[Part]:
+    magic, version, flags = file.data[:2], *file.data[2:4]
+    if magic != b"SP" or version >> 3 != _VERSION:
+        raise ValueError(f"it begins with {file.data[:3]!r}, expected 'SP' and version {_VERSION}")
+    file.at = 4 + _BOX
+    has_joints = version & 7 == _WITH_JOINTS
+    (count,) = file.take("H")
+    textures = [(file.text(), file.text()) for _ in range(count)]
+    parts: list[Part] = []
+    (sectors,) = file.take("H")
+    for _ in range(sectors):
+        (count,) = file.take("H")
+        parts += [_part(file, textures, flags, has_joints) for _ in range(count)]
+    return parts
+
+
+def _part(file: _Reader, textures: list[tuple[str, str]], flags: int, has_joints: bool) -> Part:
+    vertices, indices, material = file.take("IIH")
+    first, second = textures[material]
+    before = 12 + 4 * bool(flags & _NORMALS)
+    after = bool(first) * (4 + 4 * bool(second) + 4 * bool(flags & _TANGENTS)) + 16 * has_joints
+    starts = _starts(file, vertices, before, after, with_colours=bool(flags & _COLOURS))
+    raw = np.frombuffer(file.data, np.uint8)
+    corners = raw[starts[:, None] + np.arange(12)].copy().view("<f4")
+    triangles = file.array("<u2" if vertices > 255 else "u1", indices)
+    shaped = triangles.astype(np.intp).reshape(-1, 3)
+    if len(shaped) and shaped.max() >= vertices:
+        raise ValueError(f"a triangle has the corner {shaped.max()} of {vertices}")
+    return Part(first, corners.astype(np.float32), shaped)
+
+
+def _starts(
+    file: _Reader, count: int, before: int, after: int, *, with_colours: bool
+) -> npt.NDArray[np.intp]:
+    """Where the vertices begin; those with a colour other than white are longer."""
+    if not with_colours:
+        begin, size = file.at, before + after
+        file.at += count * size
+        return begin + size * np.arange(count)
+    starts = np.empty(count, np.intp)
+    at = file.at
+    for vertex in range(count):
+        starts[vertex] = at
+        at += before + (1 if file.data[at + before] == _WHITE else 4) + after
+    file.at = at
+    return starts

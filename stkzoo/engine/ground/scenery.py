@@ -1,0 +1,213 @@
+"""What of a track is solid: its meshes, where its scene puts them."""
+
+from __future__ import annotations
+
+import functools
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine.assets.tree import parse_xml
+from stkzoo.engine.ground.mesh import Part, read_mesh
+
+__all__ = ["Faces", "read_scenery"]
+
+FloatArray = npt.NDArray[np.float64]
+
+#: What karts drive through or what moves about.
+_NOT_SOLID = ("ghost", "none", "explode")
+_SOLID_OBJECTS = ("static", "physics-only", "physicsonly")
+_YES = "Y"
+
+
+@dataclass(frozen=True, slots=True)
+class Faces:
+    """Triangles, F of them.
+
+    Attributes:
+        corners: ``(F, 3, 3)`` float32 [m], world frame.
+        speed: ``(F,)`` the share of their greatest speed that karts keep on them.
+        is_reset: ``(F,)`` whether who touches them is put back on the road.
+        is_zipper: ``(F,)`` whether they throw karts ahead.
+    """
+
+    corners: npt.NDArray[np.float32]
+    speed: npt.NDArray[np.float32]
+    is_reset: npt.NDArray[np.bool_]
+    is_zipper: npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class _Material:
+    is_solid: bool = True
+    speed: float = 1.0
+    is_reset: bool = False
+    is_zipper: bool = False
+
+
+def read_scenery(data: Path, track: str, *, reverse: bool = False) -> Faces:
+    """The solid faces of a track, as they stand when a race begins.
+
+    Args:
+        data: the game's folder ``data``.
+        track: its name.
+        reverse: some things stand there in one direction only.
+
+    Raises:
+        AssetError: a file is missing or broken.
+    """
+    folder = data / "tracks" / track
+    scene = parse_xml(folder / "scene.xml")
+    reader = _Reader(data, reverse)
+    common = _materials(data / "textures" / "materials.xml")
+    reader.walk(scene, folder, np.eye(4), common | _materials(folder / "materials.xml"), scene)
+    return reader.faces()
+
+
+class _Reader:
+    """Gathers faces from a scene and the libraries that it names."""
+
+    def __init__(self, data: Path, reverse: bool) -> None:
+        self._data, self._reverse = data, reverse
+        self._corners: list[FloatArray] = []
+        self._of: list[_Material] = []
+
+    def walk(
+        self,
+        node: ET.Element,
+        folder: Path,
+        place: FloatArray,
+        materials: Mapping[str, _Material],
+        scene: ET.Element,
+    ) -> None:
+        """Takes in what stands below a node."""
+        for entry in node:
+            if not self._is_there(entry):
+                continue
+            if entry.tag == "library":
+                self._library(entry, place, materials)
+            elif entry.tag in ("track", "static-object", "object") and _is_solid(entry):
+                model = _model(entry, scene)
+                if model:
+                    self._add(read_parts(folder / model), place @ _matrix(entry), materials)
+            if entry.tag == "track":
+                self.walk(entry, folder, place, materials, scene)
+
+    def faces(self) -> Faces:
+        counts = [len(corners) for corners in self._corners]
+
+        def of_each(name: str) -> npt.NDArray[np.generic]:
+            return np.repeat([getattr(material, name) for material in self._of], counts)
+
+        return Faces(
+            np.concatenate(self._corners).astype(np.float32),
+            of_each("speed").astype(np.float32),
+            of_each("is_reset").astype(np.bool_),
+            of_each("is_zipper").astype(np.bool_),
+        )
+
+    def _library(
+        self, entry: ET.Element, place: FloatArray, materials: Mapping[str, _Material]
+    ) -> None:
+        folder = self._data / "library" / entry.get("name", "")
+        if entry.find("curve") is None and (folder / "node.xml").exists():
+            node = parse_xml(folder / "node.xml")
+            own = {**materials, **_materials(folder / "materials.xml")}
+            self.walk(node, folder, place @ _matrix(entry), own, node)
+
+    def _add(
+        self, parts: list[Part], place: FloatArray, materials: Mapping[str, _Material]
+    ) -> None:
+        for part in parts:
+            material = materials.get(part.texture.rpartition("/")[2].lower(), _Material())
+            if material.is_solid:
+                world = part.vertices @ place[:3, :3].T + place[:3, 3]
+                self._corners.append(world[part.triangles])
+                self._of.append(material)
+
+    def _is_there(self, entry: ET.Element) -> bool:
+        """Whether its condition, one of the game's functions, holds in a race here."""
+        condition = entry.get("if", "")
+        if condition.endswith("EasterEgg"):
+            return False
+        if condition.endswith("Reverse"):
+            return ("Not" not in condition) == self._reverse
+        return True
+
+
+@functools.lru_cache(maxsize=512)
+def read_parts(path: Path) -> list[Part]:
+    """A mesh; the same one stands in many places."""
+    return read_mesh(path)
+
+
+def _is_solid(entry: ET.Element) -> bool:
+    interaction = entry.get("interaction")
+    if entry.tag == "object":
+        return (
+            entry.get("type") == "animation"
+            and interaction in _SOLID_OBJECTS
+            and entry.find("curve") is None
+        )
+    return interaction not in _NOT_SOLID
+
+
+def _model(entry: ET.Element, scene: ET.Element) -> str:
+    """The file of what stands there; empty for none that is solid."""
+    if entry.get("lod_instance") == "true":
+        name = entry.get("lod_group")
+        for group in scene.iter("group"):
+            if group.get("name") == name and len(group) and _is_solid(group[0]):
+                return group[0].get("model", "")
+        return ""
+    model = entry.get("model", "")
+    return model if model.endswith(".spm") else ""
+
+
+def _matrix(entry: ET.Element) -> FloatArray:
+    """Where something stands: turned about x, then y, then z by ``hpr`` [degrees], ``(4, 4)``."""
+    turns = [_turn(axis, angle) for axis, angle in enumerate(np.radians(_three(entry, "hpr", 0)))]
+    matrix = np.eye(4)
+    matrix[:3, :3] = turns[2] @ turns[1] @ turns[0] @ np.diag(_three(entry, "scale", 1))
+    matrix[:3, 3] = _three(entry, "xyz", 0)
+    return matrix
+
+
+def _three(entry: ET.Element, name: str, missing: float) -> list[float]:
+    if entry.get(name):
+        return [float(word) for word in entry.get(name, "").split()]
+    single = list(name) if name != "scale" else []
+    return [float(entry.get(letter, missing)) for letter in single] or [missing] * 3
+
+
+def _turn(axis: int, angle: float) -> FloatArray:
+    one, other = (axis + 1) % 3, (axis + 2) % 3
+    turn = np.eye(3)
+    turn[one, one] = turn[other, other] = np.cos(angle)
+    turn[other, one], turn[one, other] = np.sin(angle), -np.sin(angle)
+    return turn
+
+
+def _materials(path: Path) -> dict[str, _Material]:
+    """By the texture's name in lower case."""
+    if not path.exists():
+        return {}
+    return dict(_each_material(parse_xml(path)))
+
+
+def _each_material(root: ET.Element) -> Iterator[tuple[str, _Material]]:
+    for entry in root.iter("material"):
+        is_solid = _YES not in (entry.get("ignore"), entry.get("surface"))
+        yield (
+            entry.get("name", "").lower(),
+            _Material(
+                is_solid,
+                float(entry.get("max-speed", 1.0)) or 1.0,
+                entry.get("reset") == _YES,
+                entry.find("zipper") is not None,
+            ),
+        )
