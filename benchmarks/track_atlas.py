@@ -1,4 +1,4 @@
-"""Writes ``docs/tracks.md``: every track with its numbers, the AI's times and a map.
+"""Writes ``docs/tracks.md``: every track with its numbers, the AI's times and two maps.
 
 ``python -m benchmarks.track_atlas`` draws and writes; with ``--measure FOLDER`` it first races the
 game's AI on all tracks (840 races, kept in the folder, gone on with after an interruption) and
@@ -12,9 +12,12 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
 
 from stkzoo import race_v0
+from stkzoo.engine.ground import GROUND, SLOWED, VOID, WALL, ZIPPER, Ground
+from stkzoo.engine.track import TrackMap
 from stkzoo.race.batch import BatchProgress, write_whole
 from stkzoo.race.benchmark import AiTimes, load_ai_times, measure_ai_times
 from stkzoo.tracks import SPLITS, TEST_TRACKS
@@ -58,6 +61,34 @@ better: at 3 all karts, an agent's too, have stronger engines than at 2.
 
 """
 
+_GROUND = """\
+
+## Ground
+
+What is really there, as `env.ground` has it: read from the game's own meshes, which the driving
+line with its width (between the black lines) only tells roughly. Grey can be driven on, sand
+slows, green throws ahead, red are walls, blue is nothing, or puts back who falls there. Things
+that move are not in it.
+
+```python
+places = env.snapshot.karts["location"]  # (K, 3) [m], world frame
+env.ground.at(places).kind  # (K,): VOID, GROUND, SLOWED, ZIPPER or WALL of stkzoo.engine.ground
+```
+
+"""
+
+#: Colours of the kinds of ground, and of the edges of the driving line.
+_PAINT = {
+    VOID: (60, 90, 200),
+    GROUND: (185, 185, 185),
+    SLOWED: (225, 200, 120),
+    ZIPPER: (0, 160, 60),
+    WALL: (200, 30, 30),
+}
+_EDGE, _PAPER = (0, 0, 0), (255, 255, 255)
+#: Beside the driving line the ground is shown so far [m], and looked at so often [m].
+_BESIDE, _SPACING = 12.0, 0.3
+
 
 @dataclass(frozen=True, slots=True)
 class Facts:
@@ -86,10 +117,38 @@ def survey(track: str) -> Facts:
             raise RuntimeError(f"no race on {track}")
         forks = sum(len(nodes) > 1 for nodes in road.successors)
         picture = Image.fromarray(env.render())
-        picture.quantize(_COLOURS).save(PICTURES / f"{track}.png", optimize=True)
+        _save(picture, track)
+        if env.ground is not None:
+            _save(ground_picture(road, env.ground), f"{track}-ground")
         return Facts(road.length, road.num_nodes, forks, len(snapshot.items))
     finally:
         env.close()
+
+
+def _save(picture: Image.Image, name: str) -> None:
+    picture.quantize(_COLOURS).save(PICTURES / f"{name}.png", optimize=True)
+
+
+def ground_picture(road: TrackMap, ground: Ground) -> Image.Image:
+    """The ground beside the driving line from above, north up."""
+    starts, ends = road.path_nodes[:, 0], road.path_nodes[:, 1]
+    low = road.path_nodes[..., [0, 2]].min((0, 1)) - _BESIDE
+    high = road.path_nodes[..., [0, 2]].max((0, 1)) + _BESIDE
+    scale = (np.array(_SIZE) / (high - low)).min()
+    picture = np.full((_SIZE[1], _SIZE[0], 3), _PAPER, np.uint8)
+    paints = np.array([_PAINT[kind] for kind in sorted(_PAINT)], np.uint8)
+    aside = np.arange(-_BESIDE, _BESIDE, _SPACING)
+    for start, end, width in zip(starts, ends, road.path_width[:, 0], strict=True):
+        along = end - start
+        length = max(float(np.hypot(along[0], along[2])), 0.1)
+        right = np.array([along[2], 0.0, -along[0]]) / length
+        shares = np.linspace(0.0, 1.0, int(length / _SPACING) + 2)
+        spots = start + shares[:, None, None] * along + aside[:, None] * right
+        colours = paints[ground.at(spots).kind]
+        colours[:, np.abs(np.abs(aside) - width / 2) < _SPACING] = _EDGE
+        x, z = np.moveaxis((spots[..., [0, 2]] - low) * scale, -1, 0).astype(int)
+        picture[np.clip(_SIZE[1] - 1 - z, 0, None), np.clip(x, 0, _SIZE[0] - 1)] = colours
+    return Image.fromarray(picture)
 
 
 def page(facts: dict[str, Facts], times: AiTimes) -> str:
@@ -104,7 +163,9 @@ def page(facts: dict[str, Facts], times: AiTimes) -> str:
             f"\n{_unfinished(times)} Measured with {versions}.\n\n## Maps\n\n",
             "The kart stands at the start and looks ahead. Squares are gift boxes, discs are\n",
             "bananas, nitro and other items. Brighter road is higher.\n\n",
-            _maps(list(facts)),
+            _maps(list(facts), ""),
+            _GROUND,
+            _maps(list(facts), "-ground"),
         )
     )
 
@@ -142,10 +203,13 @@ def _unfinished(times: AiTimes) -> str:
     return f"{sum(lost.values())} of {karts} karts did not finish: {', '.join(places)}."
 
 
-def _maps(tracks: list[str]) -> str:
+def _maps(tracks: list[str], which: str) -> str:
     blank = "| " + " | ".join([" "] * _COLUMNS) + " |\n| " + " | ".join([":-:"] * _COLUMNS) + " |\n"
     rows = [tracks[first : first + _COLUMNS] for first in range(0, len(tracks), _COLUMNS)]
-    cells = [[f"![{track}](images/tracks/{track}.png)<br>{track}" for track in row] for row in rows]
+    cells = [
+        [f"![{track}](images/tracks/{track}{which}.png)<br>{track}" for track in row]
+        for row in rows
+    ]
     return blank + "".join(f"| {' | '.join(row)} |\n" for row in cells)
 
 
