@@ -71,8 +71,13 @@ slows, green throws ahead, red are walls, blue is nothing, or puts back who fall
 that move are not in it.
 
 ```python
+from stkzoo import race_v0
+
+env = race_v0.parallel_env(track="minigolf")
+env.reset(seed=0)
 places = env.snapshot.karts["location"]  # (K, 3) [m], world frame
 env.ground.at(places).kind  # (K,): VOID, GROUND, SLOWED, ZIPPER or WALL of stkzoo.engine.ground
+env.close()
 ```
 
 """
