@@ -403,3 +403,11 @@ def test_a_random_start_that_is_refused_is_drawn_again():
         beside = RandomStart(share=(0.3, 0.3), offset=(18.0, 20.0))
         with pytest.raises(ConfigError, match="beside the centre line"):
             env.reset(seed=1, options={"start": beside})
+
+
+def test_a_random_start_is_found_where_one_draw_in_twelve_fits():
+    wish = RandomStart(offset=(-60.0, 0.0))
+    with race() as env:
+        env.reset(seed=2, options={"start": wish})
+        (start,) = env._episode.setup.starts
+        assert start.offset > -6.0
