@@ -18,7 +18,7 @@ from stkzoo.engine.ground import (
     read_mesh,
     read_scenery,
 )
-from stkzoo.errors import AssetError
+from stkzoo.errors import AssetError, ConfigError
 
 # ------------------------------------------------------------------ meshes
 
@@ -289,6 +289,16 @@ def test_kinds_of_ground():
 def test_places_may_have_any_shape():
     spots = ground_with(FLOOR).at(np.zeros((2, 5, 3)))
     assert spots.kind.shape == spots.height.shape == spots.speed.shape == (2, 5)
+
+
+@pytest.mark.parametrize("places", [np.zeros(2), 0.0, [[0, np.nan, 0]], [0, np.inf, 0]])
+def test_places_that_cannot_be_are_refused(places):
+    with pytest.raises(ConfigError, match=r"expected finite numbers \(\.\.\., 3\)"):
+        ground_with(FLOOR).at(places)
+
+
+def test_places_far_away_have_no_ground():
+    assert kinds(ground_with(FLOOR), (1e300, 0, 0), (0, 0, -1e20)) == [VOID, VOID]
 
 
 # ------------------------------------------------------------------ the game's own tracks

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.ground.scenery import Faces
+from stkzoo.errors import ConfigError
 
 __all__ = ["GROUND", "SLOWED", "VOID", "WALL", "ZIPPER", "Ground", "Spots"]
 
@@ -78,10 +79,19 @@ class Ground:
         Args:
             places: ``(..., 3)`` [m], world frame.
             reach: ground farther above or below than this is not meant [m].
+
+        Raises:
+            ConfigError: the places are not such.
         """
-        rows, columns, is_inside = self._near.cells(places)
+        spots: FloatArray = np.asarray(places, np.float64)
+        if spots.shape[-1:] != (3,) or not np.isfinite(spots).all():
+            raise ConfigError(
+                f"places have the shape {spots.shape}, expected finite numbers (..., 3): x, y and "
+                "z in the world [m]"
+            )
+        rows, columns, is_inside = self._near.cells(spots)
         heights = self._heights[rows, columns]
-        apart = np.abs(heights - places[..., 1:2])
+        apart = np.abs(heights - spots[..., 1:2])
         apart = np.where(np.isnan(apart), np.inf, apart)
         level = apart.argmin(-1)[..., None]
         is_there = is_inside & (np.take_along_axis(apart, level, -1)[..., 0] < reach)
@@ -166,11 +176,11 @@ class _Near:
         self._count = np.zeros((self.shape[0] + 1, self.shape[1] + 1), np.intp)
         self._count[1:, 1:] = np.isfinite(self._lowest).cumsum(0).cumsum(1)
 
-    def cells(self, places: npt.NDArray[np.floating]) -> tuple[IntArray, IntArray, BoolArray]:
+    def cells(self, places: FloatArray) -> tuple[IntArray, IntArray, BoolArray]:
         """In which columns places ``(..., 3)`` are, and whether they are in one at all."""
-        cell = np.floor((places[..., [0, 2]] - self._corner) / _CELL).astype(np.intp)
-        is_inside = ((cell >= 0) & (cell < self.shape)).all(-1)
-        cell = np.clip(cell, 0, np.array(self.shape) - 1)
+        exact = np.floor((places[..., [0, 2]] - self._corner) / _CELL)
+        cell = np.clip(exact, 0, np.array(self.shape) - 1).astype(np.intp)
+        is_inside = (cell == exact).all(-1)
         return cell[..., 0], cell[..., 1], is_inside
 
     def middles(self, rows: IntArray, columns: IntArray) -> FloatArray:
