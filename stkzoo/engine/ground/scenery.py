@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -73,6 +72,7 @@ class _Reader:
 
     def __init__(self, data: Path, reverse: bool) -> None:
         self._data, self._reverse = data, reverse
+        self._meshes: dict[Path, list[Part]] = {}  # the same one stands in many places
         self._corners: list[FloatArray] = []
         self._of: list[_Material] = []
 
@@ -93,7 +93,7 @@ class _Reader:
             elif entry.tag in ("track", "static-object", "object") and _is_solid(entry):
                 model = _model(entry, scene)
                 if model:
-                    self._add(read_parts(folder / model), place @ _matrix(entry), materials)
+                    self._add(folder / model, place @ _matrix(entry), materials)
             if entry.tag == "track":
                 self.walk(entry, folder, place, materials, scene)
 
@@ -119,10 +119,10 @@ class _Reader:
             own = {**materials, **_materials(folder / "materials.xml")}
             self.walk(node, folder, place @ _matrix(entry), own, node)
 
-    def _add(
-        self, parts: list[Part], place: FloatArray, materials: Mapping[str, _Material]
-    ) -> None:
-        for part in parts:
+    def _add(self, file: Path, place: FloatArray, materials: Mapping[str, _Material]) -> None:
+        if file not in self._meshes:
+            self._meshes[file] = read_mesh(file)
+        for part in self._meshes[file]:
             material = materials.get(part.texture.rpartition("/")[2].lower(), _Material())
             if material.is_solid:
                 world = part.vertices @ place[:3, :3].T + place[:3, 3]
@@ -137,12 +137,6 @@ class _Reader:
         if condition.endswith("Reverse"):
             return ("Not" not in condition) == self._reverse
         return True
-
-
-@functools.lru_cache(maxsize=512)
-def read_parts(path: Path) -> list[Part]:
-    """A mesh; the same one stands in many places."""
-    return read_mesh(path)
 
 
 def _is_solid(entry: ET.Element) -> bool:
