@@ -274,16 +274,18 @@ def _iterations(algorithm: Any, arguments: Arguments, folder: Path, on_line: Any
     line = journal.last
     if line:
         _remind(algorithm, line)
-    while algorithm.iteration < arguments.iterations:
-        begun = time.monotonic()
-        result = algorithm.train()
-        line = _figures(algorithm, result, time.monotonic() - begun)
-        journal.write(line)
-        on_line(_in_words(line, arguments.iterations))
-        done = algorithm.iteration
-        if done % arguments.checkpoint_every == 0 or done == arguments.iterations:
-            _save(algorithm, folder)
-    journal.close()
+    try:
+        while algorithm.iteration < arguments.iterations:
+            begun = time.monotonic()
+            result = algorithm.train()
+            line = _figures(algorithm, result, time.monotonic() - begun)
+            journal.write(line)
+            on_line(_in_words(line, arguments.iterations))
+            done = algorithm.iteration
+            if done % arguments.checkpoint_every == 0 or done == arguments.iterations:
+                _save(algorithm, folder)
+    finally:
+        journal.close()
     return line
 
 

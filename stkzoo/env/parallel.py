@@ -373,8 +373,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         """
         if self._episode is None:
             return None
-        race = self._episode.race
-        return ground_of(self._episode.track_map, race.track, reverse=race.reverse)
+        track_map, race = self._episode.track_map, self._episode.race
+        return ground_of(track_map, race.track, self._assets.root, reverse=race.reverse)
 
     @property
     def snapshot(self) -> Snapshot | None:

@@ -205,13 +205,11 @@ class _Near:
             margin: columns so far away too [m].
         """
         flat = corners[who][:, :, [0, 2]]
-        first = np.ceil((flat.min(1) - margin - self._corner) / _CELL - 0.5).astype(np.intp)
-        last = np.floor((flat.max(1) + margin - self._corner) / _CELL - 0.5).astype(np.intp)
-        first = np.maximum(first, 0)
-        last = np.minimum(last, np.array(self.shape) - 1)
-        sizes = np.maximum(last - first + 1, 0)
-        end = np.maximum(last + 1, first)
-        first, end = (np.clip(part, 0, self.shape) for part in (first, end))
+        low, high = ((part - self._corner) / _CELL for part in (flat.min(1), flat.max(1)))
+        reach = margin / _CELL
+        first = np.clip(np.ceil(low - reach - 0.5).astype(np.intp), 0, self.shape)
+        end = np.clip(np.floor(high + reach + 0.5).astype(np.intp), first, self.shape)
+        sizes = end - first
         near = self._count[end[:, 0], end[:, 1]] - self._count[first[:, 0], end[:, 1]]
         near += self._count[first[:, 0], first[:, 1]] - self._count[end[:, 0], first[:, 1]]
         matters = np.flatnonzero((near > 0) & sizes.all(1))

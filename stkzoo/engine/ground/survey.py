@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.engine.assets import find_assets
 from stkzoo.engine.ground.columns import Ground
 from stkzoo.engine.ground.scenery import read_scenery
 from stkzoo.engine.track import TrackMap
@@ -19,24 +18,20 @@ __all__ = ["ground_of"]
 _SPACING = 1.0
 
 
-def ground_of(track: TrackMap, name: str, *, reverse: bool = False) -> Ground:
+@lru_cache(maxsize=64)
+def ground_of(track: TrackMap, name: str, root: Path, *, reverse: bool = False) -> Ground:
     """What is near a track's driving lines; takes 1 to 7 s the first time in a program.
 
     Args:
         track: its segments.
         name: its name.
+        root: of the game's data, :attr:`~stkzoo.engine.assets.Assets.root`.
         reverse: whether they lead the other way round.
 
     Raises:
-        AssetError: the game's data is missing or broken.
+        AssetError: a file is missing or broken.
     """
-    return _ground(track, name, reverse, find_assets().root)
-
-
-@lru_cache(maxsize=64)
-def _ground(track: TrackMap, name: str, reverse: bool, root: Path) -> Ground:
-    faces = read_scenery(root / "data", name, reverse=reverse)
-    return Ground(faces, _line(track))
+    return Ground(read_scenery(root / "data", name, reverse=reverse), _line(track))
 
 
 def _line(track: TrackMap) -> npt.NDArray[np.float64]:
