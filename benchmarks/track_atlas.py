@@ -76,7 +76,7 @@ from stkzoo import race_v0
 env = race_v0.parallel_env(track="minigolf")
 env.reset(seed=0)
 places = env.snapshot.karts["location"]  # (K, 3) [m], world frame
-env.ground.at(places).kind  # (K,): VOID, GROUND, SLOWED, ZIPPER or WALL of stkzoo.engine.ground
+env.ground.at(places).kind  # (K,): numbers of stkzoo.GroundKind
 env.close()
 ```
 

@@ -34,7 +34,7 @@ from stkzoo.errors import (
     RemoteError,
     StkzooError,
 )
-from stkzoo.names import AttachmentType, CameraMode, ItemType, Phase, PowerupType
+from stkzoo.names import AttachmentType, CameraMode, GroundKind, ItemType, Phase, PowerupType
 from stkzoo.wrappers import (
     ActionObservationWrapper,
     ConstantSizedObservations,
@@ -78,6 +78,7 @@ __all__ = [
     "EngineTimeout",
     "FlattenMultiDiscreteActions",
     "FlattenerWrapper",
+    "GroundKind",
     "ItemType",
     "MonoAgentWrapperAdapter",
     "OnlyContinuousActionsWrapper",

@@ -1,4 +1,4 @@
-"""The game's numbered kinds by name, with the engine's own numbers.
+"""Numbered kinds by name; those of the game have the engine's own numbers.
 
 The engine is not loaded for this; when a race starts, the numbers are checked
 against the engine that runs it (:mod:`stkzoo.engine.race`).
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-__all__ = ["AttachmentType", "CameraMode", "ItemType", "Phase", "PowerupType"]
+__all__ = ["AttachmentType", "CameraMode", "GroundKind", "ItemType", "Phase", "PowerupType"]
 
 
 class Phase(IntEnum):
@@ -64,3 +64,13 @@ class CameraMode(IntEnum):
     AUTO = 0
     ON = 1
     OFF = 2
+
+
+class GroundKind(IntEnum):
+    """What karts drive on and run into (``ground_kind``): numbers of stkzoo, not the game's."""
+
+    VOID = 0  # nothing to drive on, or what puts karts back
+    GROUND = 1
+    SLOWED = 2  # keeps only a share of a kart's greatest speed
+    ZIPPER = 3  # throws karts ahead
+    WALL = 4

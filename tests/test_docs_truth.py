@@ -34,14 +34,14 @@ def keys(text):
 
 def test_all_observations_are_told_with_their_shapes():
     text = section("Observation space")
-    space = kart_observation_space(use_ai=True)
+    space = kart_observation_space(use_ai=True, sees_ground=True)
     table = {row[0].strip("`"): row for row in rows(text.split("(flattened-order)")[0])}
     assert set(space.spaces) <= set(table)
     for key, part in space.spaces.items():
         shape = table[key][1]
         entry = part.feature_space if isinstance(part, spaces.Sequence) else part
         if isinstance(entry, spaces.Box):
-            assert f"`({entry.shape[0]},)` float32" in shape, key
+            assert f"`{entry.shape}` {entry.dtype}" in shape, key
         elif isinstance(entry, spaces.Discrete):
             assert shape.endswith("int"), key
             assert table[key][2] in (f"0 to {entry.n - 1}", "0, 1"), key
@@ -57,6 +57,7 @@ def test_all_names_of_numbers_are_told():
         stkzoo.PowerupType,
         stkzoo.AttachmentType,
         stkzoo.ItemType,
+        stkzoo.GroundKind,
     ):
         for member in kind:
             assert f"{member.value} `{member.name}`" in re.sub(r"\s+", " ", PAGE), member

@@ -13,6 +13,7 @@ from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo.errors import ActionError, ConfigError
 from stkzoo.kernel import kernel
+from stkzoo.mdp.spaces import shows_ground
 from stkzoo.wrappers.actions import read_actions
 from stkzoo.wrappers.agent_chain import AgentChain, WrapperFactory, agent_failures
 from stkzoo.wrappers.batch import split, take
@@ -83,6 +84,7 @@ class AgentChains:
         observation_spaces: each agent's observation space, after its wrappers.
         action_spaces: each agent's action space, before its wrappers.
         paths_used: how many track segments the chains look at; ``None`` is all.
+        sees_ground: whether an agent's base observations tell of the ground.
 
     Args:
         observation_spaces: each agent's base observation space.
@@ -124,6 +126,7 @@ class AgentChains:
             for agent, chain in self._chains.items()
         }
         self.paths_used = _most([chain.paths_used() for chain in self._chains.values()])
+        self.sees_ground = any(map(shows_ground, observation_spaces.values()))
         self._ignored = frozenset(ignored)
         self._plan_key: tuple[str, ...] | None = None
         self._plan: list[_Group] = []

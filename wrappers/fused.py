@@ -16,6 +16,7 @@ import numpy as np
 from gymnasium import spaces
 
 from stkzoo.kernel import kernel
+from stkzoo.mdp.spaces import shows_ground
 from stkzoo.wrappers.constant_size import ConstantSizedObservations
 from stkzoo.wrappers.continuous_actions import OnlyContinuousActionsWrapper
 from stkzoo.wrappers.discrete_actions import DiscreteActionsWrapper
@@ -23,6 +24,7 @@ from stkzoo.wrappers.flatten_multidiscrete import FlattenMultiDiscreteActions
 from stkzoo.wrappers.flattener import FlattenerWrapper
 from stkzoo.wrappers.polar import PolarObservations
 from stkzoo.wrappers.racing.crowd import RacingSight
+from stkzoo.wrappers.racing.ground import GroundSight
 from stkzoo.wrappers.racing.wrapper import RacingActions, RacingObservations
 
 __all__ = ["fused_controls", "fused_view"]
@@ -39,8 +41,8 @@ def fused_view(wrappers: Sequence[Any], base: Any) -> Any:
         base: the base observation space.
 
     Returns:
-        A ``kernel.View``, a :class:`RacingSight`, or ``None`` if neither can do what the wrappers
-        do.
+        A ``kernel.View``, a :class:`RacingSight`, a :class:`GroundSight`, or ``None`` if none can
+        do what the wrappers do.
     """
     if not isinstance(base, spaces.Dict) or "action" in base.spaces:
         return None
@@ -48,6 +50,9 @@ def fused_view(wrappers: Sequence[Any], base: Any) -> Any:
         return RacingSight()
     if kernel is None:
         return None
+    if not wrappers and shows_ground(base):
+        plain = {key: part for key, part in base.spaces.items() if not key.startswith("ground_")}
+        return GroundSight(fused_view((), spaces.Dict(plain)))
     space: Any = base
     sizes: dict[str, int] = {}
     is_polar = is_flat = False

@@ -5,11 +5,14 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.engine.assets import find_assets
+from stkzoo.engine.ground import Ground, ground_of
 from stkzoo.engine.race import RaceStart
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import Snapshot
@@ -23,7 +26,7 @@ from stkzoo.mdp.observations import KartObserver, ai_actions
 from stkzoo.mdp.rewards import Reward
 from stkzoo.mdp.state import race_state
 from stkzoo.wrappers.chain import AgentChains, StepParts
-from stkzoo.wrappers.racing import RacingSight
+from stkzoo.wrappers.racing import GroundSight, RacingSight, ground_table
 
 __all__ = ["Episode"]
 
@@ -128,7 +131,7 @@ class Episode:
             self.record.score_own_terms(before, snapshot)
             outcome = self._outcome_for(agents, chains)
             parts = outcome.step(before.data, snapshot.data, is_over, self._num_steps)
-        return chains.step(agents, self.sight(agents, chains.paths_used), parts)
+        return chains.step(agents, self.sight(agents, chains), parts)
 
     def _outcome_for(self, agents: Sequence[str], chains: AgentChains) -> Any:
         whom = chains, tuple(agents)
@@ -145,27 +148,40 @@ class Episode:
         truncations = {agent: is_over and not ended for agent, ended in terminations.items()}
         return dict.fromkeys(agents), rewards, terminations, truncations, self.infos(agents)
 
-    def observe(self, agents: Sequence[str], paths_used: int | None = None) -> dict[str, Any]:
+    def observe(
+        self, agents: Sequence[str], paths_used: int | None = None, sees_ground: bool = False
+    ) -> dict[str, Any]:
         """What some agents see now in the ``full`` view, in batch form.
 
         Args:
             agents: the agents.
             paths_used: make no more track segments than this.
+            sees_ground: add what is beside the road ahead.
         """
         karts = self._karts(agents)
         batch = self._observer.observe(self.snapshot, karts, paths_used)
         if self._reports_control:
             batch["action"] = ai_actions(self.snapshot, karts)
+        if sees_ground:
+            batch |= self._ground_ahead(karts)
         return batch
 
-    def sight(self, agents: Sequence[str], paths_used: int | None) -> Sight:
-        """What some agents see now, to be made in the form that is asked for."""
-        return Sight(self, self._karts(agents), agents, paths_used)
+    @cached_property
+    def ground(self) -> Ground:
+        """What karts drive on and run into on the track."""
+        race, root = self.race, find_assets().root
+        return ground_of(self.track_map, race.track, root, reverse=race.reverse)
+
+    def sight(self, agents: Sequence[str], chains: AgentChains) -> Sight:
+        """What some agents see now, to be made in the form that their chains ask for."""
+        return Sight(self, self._karts(agents), agents, chains)
 
     def through(self, view: Any, karts: IntArray) -> list[Any] | None:
         """What some karts see now in a view that needs no batch (``wrappers/fused.py``)."""
         if isinstance(view, RacingSight):
             return view.observe(self.track_map, self.snapshot, karts, self._observer.max_paths)
+        if isinstance(view, GroundSight):
+            return view.added(self.through(view.rest, karts), self._ground_ahead(karts))
         return self._observer.through(view, self.snapshot, karts)
 
     def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -178,6 +194,13 @@ class Episode:
         bots = [kart for kart in range(len(self.snapshot.karts)) if kart not in agents]
         order = np.array([*agents, *bots], np.intp)
         return race_state(self.snapshot, order, self.track_map.length, self.race.laps)
+
+    def _ground_ahead(self, karts: IntArray) -> dict[str, Any]:
+        records = self.snapshot.karts[karts]
+        ahead = ground_table(self.track_map, self.ground).ahead(
+            records["node"], records["location"]
+        )
+        return {"ground_kind": ahead.kind, "ground_speed": ahead.speed}
 
     def _start(self, options: RaceOptions, rewards: Mapping[str, Reward]) -> None:
         """Starts all counts at zero."""
@@ -209,16 +232,18 @@ class Sight:
         episode: Episode,
         karts: IntArray,
         agents: Sequence[str],
-        paths_used: int | None,
+        chains: AgentChains,
     ) -> None:
         self._episode, self._karts = episode, karts
-        self._agents, self._paths_used = agents, paths_used
+        self._agents, self._chains = agents, chains
         self._batch: dict[str, Any] | None = None
 
     def batch(self) -> dict[str, Any]:
         """The ``full`` view of all the agents, in batch form."""
         if self._batch is None:
-            self._batch = self._episode.observe(self._agents, self._paths_used)
+            self._batch = self._episode.observe(
+                self._agents, self._chains.paths_used, self._chains.sees_ground
+            )
         return self._batch
 
     def through(self, view: Any, rows: IntArray) -> list[Any] | None:

@@ -15,7 +15,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.wrappers.utils import create_zero_array
 
-from stkzoo.env.views import View
+from stkzoo.env.views import View, sees_ground
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.wrappers.agent_chain import AgentChain
@@ -88,7 +88,8 @@ def keys_to_action(view: View, name: str) -> dict[Any, Any]:
     Raises:
         ConfigError: the view's wrappers do not say how an action of the game looks there.
     """
-    chain = AgentChain("kart_0", kart_observation_space(True), kart_action_space(), _blind(view))
+    seen = kart_observation_space(use_ai=True, sees_ground=sees_ground(view))
+    chain = AgentChain("kart_0", seen, kart_action_space(), _blind(view))
     blank: dict[str, Any] = create_zero_array(chain.base_observation_space)
     codes = sorted(key.code for key in KEYS)
     chosen: dict[Any, Any] = {}

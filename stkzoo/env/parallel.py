@@ -16,7 +16,7 @@ from pettingzoo import ParallelEnv
 
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import Assets, find_assets
-from stkzoo.engine.ground import Ground, ground_of
+from stkzoo.engine.ground import Ground
 from stkzoo.engine.process import can_fork, start_mother
 from stkzoo.engine.session import LocalSession, Session, WorkerSession
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
@@ -37,7 +37,7 @@ from stkzoo.env.options import (
 from stkzoo.env.rendering import Rendering, scene_of
 from stkzoo.env.scenario import read_scenario
 from stkzoo.env.starts import MAX_START_DRAWS, is_random
-from stkzoo.env.views import views_of_agents
+from stkzoo.env.views import sees_ground, views_of_agents
 from stkzoo.errors import ApiOrderError, ConfigError, unknown_name
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.mdp.state import state_space
@@ -149,13 +149,14 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         self._rewards = rewards_of_agents(reward, self.possible_agents)
         this = weakref.ref(self)  # cameras do not keep the environment alive
         self.cameras = RaceCameras(self.possible_agents, lambda: getattr(this(), "_episode", None))
+        views = views_of_agents(view, self.possible_agents)
         self._chains = AgentChains(
             {
-                agent: kart_observation_space(agent in self._ai_agents)
-                for agent in self.possible_agents
+                agent: kart_observation_space(agent in self._ai_agents, sees_ground(own))
+                for agent, own in views.items()
             },
             {agent: kart_action_space() for agent in self.possible_agents},
-            self.cameras.connected(views_of_agents(view, self.possible_agents)),
+            self.cameras.connected(views),
             ignored=self._ai_agents,
             columns=CONTROLS,
         )
@@ -213,7 +214,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         self.agents, self._asked = [], None  # in case a wrapper fails
         result = self._chains.reset(
             agents,
-            self._episode.sight(agents, self._chains.paths_used),
+            self._episode.sight(agents, self._chains),
             self._episode.infos(agents),
             seed=seed,
             options=dict(options),
@@ -371,10 +372,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
 
         Read from the track's own meshes, which takes 1 to 7 s the first time in a program.
         """
-        if self._episode is None:
-            return None
-        track_map, race = self._episode.track_map, self._episode.race
-        return ground_of(track_map, race.track, self._assets.root, reverse=race.reverse)
+        return self._episode.ground if self._episode else None
 
     @property
     def snapshot(self) -> Snapshot | None:

@@ -12,6 +12,7 @@ from typing import Any
 import gymnasium as gym
 
 from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.mdp.spaces import shows_ground
 from stkzoo.wrappers import (
     CameraObservations,
     ConstantSizedObservations,
@@ -27,7 +28,7 @@ from stkzoo.wrappers.control import ControlView
 from stkzoo.wrappers.marl import ActionMasks
 from stkzoo.wrappers.racing import RacingActions, RacingObservations
 
-__all__ = ["CAMERA_VIEWS", "VIEWS", "View", "views_of_agents"]
+__all__ = ["CAMERA_VIEWS", "VIEWS", "View", "sees_ground", "views_of_agents"]
 
 View = Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]]
 
@@ -35,6 +36,24 @@ View = Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]]
 def full(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
     """Everything a kart sees, in lists of varying length; the game's own actions."""
     return env
+
+
+def ground(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """``full``, and what is beside the road ahead: walls, drops, what slows, zippers.
+
+    Raises:
+        ConfigError: the environment does not show that.
+    """
+    if not shows_ground(env.observation_space):
+        raise ConfigError(
+            "the ground view goes around an environment that shows the ground, but found "
+            f"{env.observation_space!r}; choose view='ground', and write in an agent's module "
+            "env_name = 'supertuxkart/ground-v0' as it stands here"
+        )
+    return env
+
+
+ground.sees_ground = True  # type: ignore[attr-defined]
 
 
 def simple(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
@@ -102,6 +121,7 @@ VIEWS: dict[str, View] = {
     view.__name__: view
     for view in (
         full,
+        ground,
         simple,
         flattened,
         flattened_continuous_actions,
@@ -118,6 +138,14 @@ VIEWS: dict[str, View] = {
 
 #: Views that need an environment which can draw: those of this package, but no agent's alone.
 CAMERA_VIEWS: dict[str, View] = {"camera": camera}
+
+
+def sees_ground(view: View) -> bool:
+    """Whether a view is around observations that tell of the ground.
+
+    It says so by an attribute ``sees_ground`` that is true.
+    """
+    return bool(getattr(view, "sees_ground", False))
 
 
 def views_of_agents(choice: object, agents: Sequence[str]) -> dict[str, View]:

@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 import string
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
-from stkzoo.names import AttachmentType, ItemType, Phase, PowerupType
+from stkzoo.names import AttachmentType, GroundKind, ItemType, Phase, PowerupType
 
-__all__ = ["POWERUP_COUNT_LIMIT", "kart_action_space", "kart_observation_space"]
+__all__ = [
+    "GROUND_LANES",
+    "GROUND_MARKS",
+    "POWERUP_COUNT_LIMIT",
+    "kart_action_space",
+    "kart_observation_space",
+    "shows_ground",
+]
 
 #: Observed power-up counts stop here; the game itself has shown up to 6.
 POWERUP_COUNT_LIMIT = 9
+
+#: The ground is seen at these marks along the line of the road, from beside the kart on [m] ...
+GROUND_MARKS = np.arange(0.0, 108.0, 3.0, dtype=np.float32)
+#: ... and in these lanes: how far to the right of the line [m].
+GROUND_LANES = np.arange(-9.0, 9.1, 0.75, dtype=np.float32)
 
 _KART_NAME_CHARACTERS = string.ascii_letters + string.digits + "_-"
 
@@ -37,12 +50,14 @@ def kart_action_space() -> spaces.Dict:
     )
 
 
-def kart_observation_space(use_ai: bool = False) -> spaces.Dict:
+def kart_observation_space(use_ai: bool = False, sees_ground: bool = False) -> spaces.Dict:
     """A fresh observation space of one kart in the ``full`` view.
 
     Args:
         use_ai: add ``action``, the game AI's own choice, in the space of
             :func:`kart_action_space`.
+        sees_ground: add ``ground_kind`` and ``ground_speed``, what is beside the road ahead at
+            :data:`GROUND_MARKS` and :data:`GROUND_LANES`.
     """
     inf = float("inf")
 
@@ -77,6 +92,15 @@ def kart_observation_space(use_ai: bool = False) -> spaces.Dict:
             "paths_end": spaces.Sequence(box(3)),
         }
     )
+    if sees_ground:
+        cells = len(GROUND_MARKS), len(GROUND_LANES)
+        space["ground_kind"] = spaces.Box(0, max(GroundKind), cells, np.uint8)
+        space["ground_speed"] = spaces.Box(0.0, 1.0, cells, np.float32)
     if use_ai:
         space["action"] = kart_action_space()
     return space
+
+
+def shows_ground(space: spaces.Space[Any]) -> bool:
+    """Whether a space is of observations that tell of the ground beside the road."""
+    return isinstance(space, spaces.Dict) and "ground_kind" in space.spaces

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.spaces import Space
 
 import stkzoo
-from stkzoo.env.views import VIEWS
+from stkzoo.env.views import VIEWS, sees_ground
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race import RaceListener, RaceProgress, RaceResult
@@ -45,7 +45,8 @@ class DatasetWriter(RaceListener):
         if not self._path.absolute().parent.is_dir():
             raise ConfigError(f"the dataset is {path!r}, but there is no such folder; make it")
         self._view = view
-        self._chain = AgentChain(_AGENT, kart_observation_space(), kart_action_space(), VIEWS[view])
+        seen = kart_observation_space(sees_ground=sees_ground(VIEWS[view]))
+        self._chain = AgentChain(_AGENT, seen, kart_action_space(), VIEWS[view])
         if not self._chain.is_batched or not self._chain.observation_space.is_np_flattenable:
             raise ConfigError(
                 f"observations in view {view!r} differ in size from step to step, or need their "

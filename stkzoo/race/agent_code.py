@@ -15,12 +15,12 @@ import gymnasium as gym
 from gymnasium import spaces
 from gymnasium.envs.registration import load_env_creator
 
-from stkzoo.env.views import VIEWS, View
+from stkzoo.env.views import VIEWS, View, sees_ground
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.race.files import AgentPlace
 from stkzoo.race.modules import ModuleScope
 
-__all__ = ["Actor", "ActorMaker", "AgentCode", "load_agent", "read_module"]
+__all__ = ["Actor", "ActorMaker", "AgentCode", "env_sees_ground", "load_agent", "read_module"]
 
 #: Picks an action for an observation.
 Actor = Callable[[Any], Any]
@@ -129,7 +129,7 @@ def _view_of(env_name: object) -> View:
     """The view of an environment's id: one of ours, or the wrappers of a registered one."""
     if not isinstance(env_name, str):
         raise ConfigError(f"env_name is {env_name!r}, expected a text such as {_DEFAULT_ENV!r}")
-    name = env_name.removeprefix("supertuxkart/").rsplit("-v", 1)[0]
+    name = _view_name(env_name)
     if name in VIEWS:
         return VIEWS[name]
     spec = gym.registry.get(env_name)
@@ -141,6 +141,16 @@ def _view_of(env_name: object) -> View:
         for wrapper in spec.additional_wrappers
     ]
     return partial(_wrap, VIEWS["full"], wrappers)
+
+
+def env_sees_ground(env_name: str) -> bool:
+    """Whether an environment's id is of a view with the ground beside the road."""
+    view = VIEWS.get(_view_name(env_name))
+    return view is not None and sees_ground(view)
+
+
+def _view_name(env_name: str) -> str:
+    return env_name.removeprefix("supertuxkart/").rsplit("-v", 1)[0]
 
 
 def _load_adapter(path: Path) -> ModuleType:

@@ -91,7 +91,7 @@ def _start(connection: socket.socket, order: dict[str, Any]) -> AgentRunner | No
         place = AgentPlace(**order["place"])
         code = load_agent(place, order["adapter"])
         code.scope.__enter__()  # for good: nobody else's modules are here
-        spaces = kart_observation_space(), kart_action_space()
+        spaces = kart_observation_space(sees_ground=order["sees_ground"]), kart_action_space()
         runner = AgentRunner(code, order["agent"], *spaces, seed)
     except Exception as error:  # noqa: BLE001 - it is the race that must hear of it
         send(connection, {"error": _describe(error)})

@@ -12,8 +12,8 @@ from typing import Any
 from gymnasium import spaces
 
 from stkzoo.errors import AgentError, ConfigError, unknown_name
-from stkzoo.race.agent_code import Actor, ActorMaker, AgentCode, read_module
-from stkzoo.race.files import find_files
+from stkzoo.race.agent_code import Actor, ActorMaker, AgentCode, env_sees_ground, read_module
+from stkzoo.race.files import declared_env, find_files
 from stkzoo.race.inline import ActorOpener, InlineFilesOpener, InlineSeat
 from stkzoo.race.isolation import IsolatedOpener
 from stkzoo.race.seats import Seat, SeatOpener, SeatRequest
@@ -39,12 +39,14 @@ class Driver:
         open_seat: opens its seat in one race; ``None`` for the game's AI.
         source: where it comes from, as the user wrote it.
         difficulty: that of the race, if it says so: the game's AI of one race has one level.
+        sees_ground: whether its observations tell of the ground beside the road.
     """
 
     name: str
     open_seat: SeatOpener | None
     source: str = ""
     difficulty: int | None = None
+    sees_ground: bool = False
 
     @property
     def is_game_ai(self) -> bool:
@@ -61,7 +63,7 @@ class Driver:
                 action space and a seed.
             view: name of the view in which it sees and acts.
         """
-        return cls(name, ActorOpener(make_actor, view), name)
+        return cls(name, ActorOpener(make_actor, view), name, sees_ground=env_sees_ground(view))
 
 
 def driver_names() -> list[str]:
@@ -109,7 +111,8 @@ def _find(source: str, inline: bool, adapter: str | None) -> Driver:
     if source == "random":
         return Driver.of_actor(source, _random_actor)
     if source in driver_names():
-        return Driver(source, _ShippedOpener(f"{_AGENTS}.{source.replace(':', '.')}"))
+        module = f"{_AGENTS}.{source.replace(':', '.')}"
+        return Driver(source, _ShippedOpener(module), sees_ground=_sees_ground(module))
     if source.startswith(f"{_PRETRAINED}:"):
         raise unknown_name("driver", source, driver_names())
     if adapter is not None and not Path(adapter).is_file():
@@ -118,7 +121,12 @@ def _find(source: str, inline: bool, adapter: str | None) -> Driver:
     if files is None:
         raise _nobody(source)
     opener = InlineFilesOpener(files, adapter) if inline else IsolatedOpener(files, adapter)
-    return Driver("", opener)
+    return Driver("", opener, sees_ground=env_sees_ground(declared_env(files)))
+
+
+def _sees_ground(module: str) -> bool:
+    files = find_files(module)
+    return files is not None and env_sees_ground(declared_env(files))
 
 
 def _level(source: str) -> int:

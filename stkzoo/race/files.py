@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import re
+import sys
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,11 +13,15 @@ from stkzoo.errors import ConfigError
 from stkzoo.race.unpacking import members_of, unpack
 from stkzoo.scratch import ScratchFolder
 
-__all__ = ["ACTOR_MODULE", "AgentFiles", "AgentPlace", "find_files"]
+__all__ = ["ACTOR_MODULE", "AgentFiles", "AgentPlace", "declared_env", "find_files"]
 
 #: The module that an agent consists of.
 ACTOR_MODULE = "pystk_actor"
 _PACKAGE = "stk_actor"
+#: How a module names its environment in so many words.
+_ENV_NAME = re.compile(r"""^env_name\s*(?::\s*\w+\s*)?=\s*["']([^"'\n]+)["']""", re.MULTILINE)
+#: Nothing is looked for beyond so many characters of a module.
+_LONGEST = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +75,31 @@ class AgentFiles:
         home = folder.path / self.path.stem
         unpack(self.path, home)
         return _place_in(_only_folder(home), self.source)
+
+
+def declared_env(files: AgentFiles) -> str:
+    """The environment's id that an agent's module names; empty if it does not in so many words.
+
+    Nothing of the module is run: ``env_name = "..."`` has to begin a line of it.
+    """
+    try:
+        with ExitStack() as life, _module_file(files.place(life)).open(errors="replace") as module:
+            found = _ENV_NAME.search(module.read(_LONGEST))
+    except (ConfigError, OSError):
+        return ""  # told when the agent is loaded
+    return found[1] if found else ""
+
+
+def _module_file(place: AgentPlace) -> Path:
+    """Where an agent's module is, as Python would find it."""
+    folders = [Path(folder) for folder in (place.first, *sys.path, place.last) if folder]
+    for name in place.modules:
+        parts = Path(*name.split("."))
+        for folder in folders:
+            for file in (folder / parts / "__init__.py", (folder / parts).with_suffix(".py")):
+                if file.is_file():
+                    return file
+    raise FileNotFoundError(place.modules)
 
 
 def find_files(source: str) -> AgentFiles | None:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError
+from stkzoo.mdp.spaces import shows_ground
 from stkzoo.race.agent_process import receive, send
 from stkzoo.race.codec import Encoded
 from stkzoo.race.files import AgentFiles
@@ -94,6 +95,7 @@ class IsolatedSeat:
             "place": dataclasses.asdict(place),
             "adapter": adapter,
             "seed": request.seed,
+            "sees_ground": shows_ground(request.observation_space),
         }
         try:
             self._send(order, "start")

@@ -175,6 +175,7 @@ def _env(
         reverse=settings.reverse,
         max_paths=settings.max_paths,
         max_cycles=None,
+        view={f"kart_{n}": "ground" for n, driver in enumerate(crew) if driver.sees_ground},
         **options,
     )
 

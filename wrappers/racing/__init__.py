@@ -7,6 +7,7 @@ from stkzoo.wrappers.racing.features import (
     Surroundings,
     racing_features,
 )
+from stkzoo.wrappers.racing.ground import GroundAhead, GroundSight, GroundTable, ground_table
 from stkzoo.wrappers.racing.layout import MIRROR, PARTS, PLACES, SIZE
 from stkzoo.wrappers.racing.road import RoadTable, road_line
 from stkzoo.wrappers.racing.wrapper import (
@@ -33,6 +34,9 @@ __all__ = [
     "SIZE",
     "STEERS",
     "CrowdView",
+    "GroundAhead",
+    "GroundSight",
+    "GroundTable",
     "KartColumns",
     "RacingActions",
     "RacingObservations",
@@ -41,6 +45,7 @@ __all__ = [
     "Surroundings",
     "choices_of_action",
     "controls_of_choices",
+    "ground_table",
     "racing_features",
     "road_line",
     "surroundings_of",

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from stkzoo.engine.ground.scenery import Faces
 from stkzoo.errors import ConfigError
+from stkzoo.names import GroundKind
 
 __all__ = ["GROUND", "SLOWED", "VOID", "WALL", "ZIPPER", "Ground", "Spots"]
 
@@ -17,9 +18,8 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
 
-#: What a spot can be: nothing to drive on, or what puts karts back; road; road that slows; what
-#: throws karts ahead; what they run into.
-VOID, GROUND, SLOWED, ZIPPER, WALL = range(5)
+#: What a spot can be.
+VOID, GROUND, SLOWED, ZIPPER, WALL = GroundKind
 
 #: Width of a column [m], and how many levels one above the other it can have.
 _CELL, _LEVELS = 0.5, 4
@@ -43,7 +43,7 @@ class Spots:
     """What is at places in the world, ``(...)`` each.
 
     Attributes:
-        kind: uint8: :data:`VOID`, :data:`GROUND`, :data:`SLOWED`, :data:`ZIPPER`, :data:`WALL`.
+        kind: uint8, numbers of :class:`~stkzoo.names.GroundKind`.
         height: float32 [m], world frame; NaN for nothing.
         speed: float32: the share of their greatest speed that karts keep there.
     """

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.snapshot import CONTROLS
-from stkzoo.env.views import VIEWS
+from stkzoo.env.views import VIEWS, sees_ground
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race.demos.columns import Columns, columns_of
@@ -44,8 +44,14 @@ class DemoView:
     def __init__(self, name: str) -> None:
         if name not in VIEWS:
             raise unknown_name("view", name, VIEWS)
-        own = kart_observation_space(), kart_action_space()
-        self._seeing = AgentChain("kart_0", *own, VIEWS[name])
+        if sees_ground(VIEWS[name]):
+            raise ConfigError(
+                f"view {name!r} tells of the ground, with which no races are recorded; record in "
+                "racing, simple, or a flattened view"
+            )
+        full = kart_observation_space()
+        self._keys = tuple(full.spaces)
+        self._seeing = AgentChain("kart_0", full, kart_action_space(), VIEWS[name])
         if not self._seeing.is_batched or not self._seeing.observation_space.is_np_flattenable:
             raise ConfigError(
                 f"observations in view {name!r} differ in size from step to step, or need their "
@@ -58,8 +64,7 @@ class DemoView:
 
     def observe(self, observation: Mapping[str, Any]) -> Any:
         """What the view shows of a ``full`` observation."""
-        own = {key: value for key, value in observation.items() if key != "action"}
-        return self._seeing.observe(own)
+        return self._seeing.observe({key: observation[key] for key in self._keys})
 
     def action(self, observation: Mapping[str, Any], controls: Controls) -> Any:
         """The view's action nearest to some controls ``(7,)``; the observation is any."""

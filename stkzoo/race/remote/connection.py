@@ -272,8 +272,11 @@ class Connection:
     def _take_welcome(self, fields: dict[str, Any]) -> None:
         take_version(fields)
         for agent in take(fields, "agents", list):
-            if type(agent) is not list or [*map(type, agent)] != [str, str]:
-                raise ProtocolError(f"an agent {agent!r:.100}, expected its name and source")
+            if type(agent) is not list or [*map(type, agent)] != [str, str, bool]:
+                raise ProtocolError(
+                    f"an agent {agent!r:.100}, expected its name, its source and whether it sees "
+                    "the ground"
+                )
         if not fields["agents"]:
             raise ProtocolError("no agents")
         self.welcome = fields

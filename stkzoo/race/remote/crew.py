@@ -128,10 +128,11 @@ class RemoteCrew:
         for server in dict.fromkeys(self._servers):
             connection = self.connection(server)
             welcome = connection.wait_welcome(deadline)
-            for number, (name, source) in enumerate(welcome["agents"]):
-                opener = RemoteOpener(self, server, number, name, source)
+            for number, agent in enumerate(welcome["agents"]):
+                name, source, sees_ground = agent
+                opener = RemoteOpener(self, server, number, agent)
                 where = f"{server.address} {printable(source, 100)}".strip()
-                drivers.append(Driver(printable(name, 100), opener, where))
+                drivers.append(Driver(printable(name, 100), opener, where, sees_ground=sees_ground))
             connection.close()
         return drivers
 
@@ -144,15 +145,14 @@ class RemoteOpener:
         crew: the agents of all servers.
         server: where the agent is.
         number: which of the server's agents it is.
-        name: what the server called it before the race; empty if it did not know.
-        source: what the server said where it comes from.
+        agent: what the server said of it before the race: its name, empty if it did not know,
+            where it comes from, and whether it sees the ground.
     """
 
     crew: RemoteCrew
     server: Server
     number: int
-    name: str
-    source: str
+    agent: list[Any]
 
     def __call__(self, request: SeatRequest) -> Seat:
         """Opens a seat."""
@@ -243,10 +243,10 @@ class RemoteSeat:
         limit = self._limits.action_timeout
         return _TIMEOUT if limit is None else limit + _MARGIN
 
-    def _check_same(self, agents: list[list[str]]) -> None:
+    def _check_same(self, agents: list[list[Any]]) -> None:
         """Other agents may be there since the server was asked who they are."""
         opener = self._opener
-        if agents[opener.number : opener.number + 1] != [[opener.name, opener.source]]:
+        if agents[opener.number : opener.number + 1] != [opener.agent]:
             raise ProtocolError(f"{opener.server.address} has other agents than before")
 
     def _lost(self, error: RemoteError) -> NoReturn:

@@ -206,7 +206,7 @@ class RaceServer:
         except ProtocolError as error:
             self._refuse(identity, str(error))
             return
-        agents = [[driver.name, driver.source] for driver in self._drivers]
+        agents = [[own.name, own.source, own.sees_ground] for own in self._drivers]
         limit = self._limits.action_timeout
         body = pack(protocol=VERSION, stkzoo=version("stkzoo"), agents=agents, action_timeout=limit)
         self._send(identity, WELCOME, body)
