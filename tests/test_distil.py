@@ -2,13 +2,15 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.reflexes import INPUT_SIZE
 from stkzoo.agents.pretrained.weights import load_weights
-from stkzoo.agents.training import distil
+from stkzoo.agents.training import distil, evaluate_policy
+from stkzoo.agents.training.evaluate_policy import Entrant, evaluate
 from stkzoo.agents.training.ppo_races import Fleet, RaceForm
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
@@ -70,6 +72,17 @@ def test_a_run_drives_by_plans_then_by_the_network(run):
     assert [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()] == log
     driver = load_driver(folder / "policy.safetensors")
     assert (driver.inputs, driver.hold) == (INPUT_SIZE, 1)
+
+
+def test_its_network_is_compared_with_the_plans_in_the_same_races(run, monkeypatch):
+    folder, log = run
+    monkeypatch.setattr(evaluate_policy, "_FIRST_NUMBER", 0)  # the races of the log's last figures
+    entrants = [Entrant.of(str(folder / "policy.safetensors")), Entrant.of("prior")]
+    network, plans = evaluate(entrants, SMALL.tracks, RaceForm(1, 0), 1)
+    ratios = [min(outcome.ratio, distil._UNFINISHED) for outcome in network]
+    assert np.mean(ratios) == pytest.approx(log[-1]["time_ratio_alone"], abs=1e-4)
+    assert sum(outcome.unfinished for outcome in network) == log[-1]["unfinished"]
+    assert np.mean([outcome.ratio for outcome in plans]) < 1.0
 
 
 def test_a_killed_run_goes_on_with_its_round(run, tmp_path, monkeypatch):

@@ -17,7 +17,7 @@ from stkzoo.wrappers.racing import CHOICES, SIZE
 from .reflexes import INPUT_SIZE, Reflexes
 from .weights import load_weights
 
-__all__ = ["HOLD", "MlpDriver", "Seat", "load_driver"]
+__all__ = ["HOLD", "MlpDriver", "Seat", "is_network", "load_driver"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
@@ -99,6 +99,11 @@ class MlpDriver:
         noisy = logits + random.gumbel(size=logits.shape).astype(np.float32)
         parts = np.split(noisy, _SPLITS, axis=1)
         return np.stack([part.argmax(axis=1) for part in parts], axis=1)
+
+
+def is_network(weights: Mapping[str, FloatArray]) -> bool:
+    """Whether a file's arrays are such a policy's, and not one's that chooses among plans."""
+    return _LAST.format("weight") in weights
 
 
 def _layer(

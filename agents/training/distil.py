@@ -29,15 +29,16 @@ from stkzoo.agents.pretrained.drivers import START_STEER, View
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.plans import BRAKE as BRAKE_PLAN
 from stkzoo.agents.pretrained.policy import RacingPolicy
-from stkzoo.agents.pretrained.reflexes import INPUT_SIZE, Reflexes
+from stkzoo.agents.pretrained.reflexes import INPUT_SIZE
 from stkzoo.errors import StkzooError, check_whole
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
-from stkzoo.wrappers.racing import BRAKE, SIZE, STEERS, controls_of_choices
+from stkzoo.wrappers.racing import BRAKE, STEERS
 
 from .command import RunBar, add_arguments, keep_arguments, training_torch, values_of
 from .imitate_network import fit, make_network, take_over
 from .journal import read_log, write_log
+from .network_races import NetworkKarts, seen_by_networks
 from .ppo_races import Finish, Fleet, RaceForm
 from .sb3_policy import save_driver, write_agent
 
@@ -102,12 +103,12 @@ class Class:
     def __init__(self, fleet: Fleet, view: View) -> None:
         self.fleet, self.view = fleet, view
         self._plans = RacingPolicy.of_plans_alone()
-        self._reflexes = Reflexes(fleet.num_slots, _HOLD, fleet.drivers.memory)
+        self._karts = NetworkKarts(fleet, _HOLD)
 
     @property
     def seen(self) -> Numbers:
         """What the pupils see, ``(S, 177)``."""
-        return self.view.inputs[:, :INPUT_SIZE]
+        return seen_by_networks(self.view)
 
     def answers(self) -> IntArray:
         """What the plans would do, as the pupils' choices ``(S, 5)``."""
@@ -125,8 +126,7 @@ class Class:
 
     def step(self, choices: IntArray) -> list[Finish]:
         """Drives on by choices ``(S, 5)``; whose race ended."""
-        self._reflexes.see(self.view.inputs[:, :SIZE])
-        self.fleet.control(controls_of_choices(self._reflexes.apply(choices)))
+        self._karts.send(self.view, choices)
         self.view, outcome = self.fleet.receive()
         return outcome.finishes
 

@@ -3,9 +3,10 @@
     python -m stkzoo.agents.training.evaluate_policy prior runs/first/policy-*.safetensors
 
 Each policy drives, by its likeliest choices, one race for each track, direction and number, from
-the same beginning, its plans by the numbers of its run. ``prior`` is what a run starts from: the
-plans without anything learned; ``prior:by-hand`` with the numbers of that name. The first one named
-is what the others are compared with.
+the same beginning: one that chooses among plans, by the numbers of its run, or a network that
+answers at once, of ``sb3_selfplay`` or ``distil``. ``prior`` is what runs over plans start from:
+the plans without anything learned; ``prior:by-hand`` with the numbers of that name. The first one
+named is what the others are compared with.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.driver import check_shapes
 from stkzoo.agents.pretrained.drivers import View
+from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
@@ -30,6 +31,7 @@ from stkzoo.race.benchmark import RaceForm as Form
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
 from .command import keep_to_one_thread
+from .network_races import NetworkKarts, seen_by_networks
 from .plan_numbers import numbers_of_run, plan_numbers
 from .ppo_races import Beginning, Finish, Fleet, RaceForm
 
@@ -75,16 +77,16 @@ class Entrant:
     """Who is evaluated.
 
     Attributes:
-        choose: its choices.
+        take_over: at the beginning of races, gives what asks for each step of them by what is seen.
         rules: the numbers that its plans go by.
     """
 
-    choose: Callable[[View], npt.NDArray[np.intp]]
+    take_over: Callable[[Fleet], Callable[[View], object]]
     rules: DriverParameters
 
     @classmethod
     def of(cls, source: str) -> Entrant:
-        """The likeliest choices of a policy: a file of a run, ``"prior"`` or ``"prior:NUMBERS"``.
+        """The likeliest choices of a policy: a run's file, ``"prior"`` or ``"prior:NUMBERS"``.
 
         Raises:
             ConfigError: the file is no policy's, or there are no numbers of that name.
@@ -92,10 +94,24 @@ class Entrant:
         prior, _, name = source.partition(":")
         if prior == PRIOR:
             rules = plan_numbers(name) if name else DriverParameters()
-            return cls(RacingPolicy.of_plans_alone().best, rules)
+            return cls(_by_plans(RacingPolicy.of_plans_alone()), rules)
         weights = load_weights(source)
+        if is_network(weights):
+            return cls(_by_network(MlpDriver(weights, repr(source))), DriverParameters())
         check_shapes(weights, source)
-        return cls(RacingPolicy(weights).best, numbers_of_run(Path(source).parent))
+        return cls(_by_plans(RacingPolicy(weights)), numbers_of_run(Path(source).parent))
+
+
+def _by_plans(policy: RacingPolicy) -> Callable[[Fleet], Callable[[View], object]]:
+    return lambda fleet: lambda view: fleet.send(policy.best(view))
+
+
+def _by_network(driver: MlpDriver) -> Callable[[Fleet], Callable[[View], object]]:
+    def take_over(fleet: Fleet) -> Callable[[View], object]:
+        karts = NetworkKarts(fleet, driver.hold)
+        return lambda view: karts.send(view, driver.best(seen_by_networks(view)))
+
+    return take_over
 
 
 def evaluate(
@@ -127,10 +143,11 @@ def _drive(fleet: Fleet, beginnings: Sequence[Beginning], entrant: Entrant) -> l
     """One race at each beginning, all side by side."""
     fleet.set_rules(entrant.rules)
     view = fleet.begin_at(beginnings)
+    send = entrant.take_over(fleet)
     finishes: list[list[Finish]] = [[] for _ in beginnings]
     learners = fleet.num_slots // len(beginnings)
     while fleet.active.any():
-        fleet.send(entrant.choose(view))
+        send(view)
         view, outcome = fleet.receive()
         for slot, finish in zip(np.flatnonzero(outcome.ended), outcome.finishes, strict=True):
             finishes[slot // learners].append(finish)

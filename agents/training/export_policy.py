@@ -22,7 +22,7 @@ from typing import Any
 
 import stkzoo
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, check_shapes
-from stkzoo.agents.pretrained.mlp import MlpDriver
+from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
 from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
 from stkzoo.errors import ConfigError
 from stkzoo.whole_file import whole_file
@@ -112,8 +112,8 @@ def export_policy(weights: str | Path, name: str, folder: str | Path) -> Path:
         raise ConfigError(f"the name {name!r} cannot be; expected letters, digits and _")
     source, target = Path(weights), Path(folder)
     arrays = load_weights(source)
-    is_network = any(name.startswith("action_net") for name in arrays)
-    if is_network:
+    answers_at_once = is_network(arrays)
+    if answers_at_once:
         MlpDriver(arrays, str(source))
         arrays = {name: array for name, array in arrays.items() if _VALUES not in name}
     else:
@@ -122,10 +122,10 @@ def export_policy(weights: str | Path, name: str, folder: str | Path) -> Path:
         raise ConfigError(f"{str(target)!r} is no agent's folder; give another --output")
     target.mkdir(parents=True, exist_ok=True)
     save_weights(target / WEIGHTS, arrays)
-    rules = {} if is_network else {"rules": asdict(numbers_of_run(source.parent))}
+    rules = {} if answers_at_once else {"rules": asdict(numbers_of_run(source.parent))}
     facts = _facts(source, target / WEIGHTS, name) | rules
     _write(target / "__init__.py", _PACKAGE)
-    gaps = _OF_NETWORKS if is_network else _OF_PLANS
+    gaps = _OF_NETWORKS if answers_at_once else _OF_PLANS
     _write(target / "pystk_actor.py", _MODULE.format(name=name, **gaps))
     _write(target / CARD, json.dumps(facts, indent=1) + "\n")
     if not (target / "CARD.md").exists():
