@@ -1,7 +1,9 @@
 """The ground beside the road ahead, as karts see it."""
 
 import shutil
+import sys
 import zipfile
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -239,6 +241,21 @@ def test_agents_on_servers_are_shown_it_too(mole):
 def test_what_a_module_says_is_read_without_running_it(tmp_path, line, env_name):
     (tmp_path / "pystk_actor.py").write_text(f"raise SystemExit\n{line}\n")
     assert declared_env(find_files(str(tmp_path))) == env_name
+
+
+def test_shipped_drivers_say_it_wherever_the_program_is_started(tmp_path, monkeypatch):
+    home = Path(stkzoo.__file__).parent.parent
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if Path(p).resolve() != home])
+    for name in ("heuristic", "pretrained.scout"):
+        files = find_files(f"stkzoo.agents.{name}")
+        assert declared_env(files) == "supertuxkart/full-v0"
+
+
+def test_a_package_may_have_a_folder_with_dots(mole):
+    (mole / "__init__.py").touch()
+    folder = mole.rename(mole.parent / "mole-1.0")
+    assert find_driver(str(folder)).sees_ground
 
 
 def test_who_does_not_say_so_plainly_is_told(mole):

@@ -5,13 +5,12 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.engine.assets import find_assets
 from stkzoo.engine.ground import Ground, ground_of
 from stkzoo.engine.race import RaceStart
 from stkzoo.engine.setup import RaceSetup
@@ -42,6 +41,7 @@ class Episode:
         race: what was drawn; its kart types are filled in from ``start``.
         start: what the engine answered.
         rewards: every agent's reward, in agent order.
+        root: of the game's data.
 
     Attributes:
         setup: what the engine was told.
@@ -58,8 +58,9 @@ class Episode:
         race: RaceInfo,
         start: RaceStart,
         rewards: Mapping[str, Reward],
+        root: Path,
     ) -> None:
-        self.setup = setup
+        self.setup, self._root = setup, root
         self.race = replace(race, kart_types=start.kart_types)
         self.track_map = decode_track(start.track)
         self.snapshot = start.snapshot
@@ -166,11 +167,11 @@ class Episode:
             batch |= self._ground_ahead(karts)
         return batch
 
-    @cached_property
+    @property
     def ground(self) -> Ground:
         """What karts drive on and run into on the track."""
-        race, root = self.race, find_assets().root
-        return ground_of(self.track_map, race.track, root, reverse=race.reverse)
+        race = self.race
+        return ground_of(self.track_map, race.track, self._root, reverse=race.reverse)
 
     def sight(self, agents: Sequence[str], chains: AgentChains) -> Sight:
         """What some agents see now, to be made in the form that their chains ask for."""
@@ -181,7 +182,8 @@ class Episode:
         if isinstance(view, RacingSight):
             return view.observe(self.track_map, self.snapshot, karts, self._observer.max_paths)
         if isinstance(view, GroundSight):
-            return view.added(self.through(view.rest, karts), self._ground_ahead(karts))
+            seen = self._observer.through(view.rest, self.snapshot, karts)
+            return view.added(seen, self._ground_ahead(karts))
         return self._observer.through(view, self.snapshot, karts)
 
     def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:

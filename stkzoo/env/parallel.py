@@ -434,7 +434,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
             except ConfigError:  # a place where no kart can stand
                 if not draws_left or not is_random(options.start):
                     raise
-        return Episode(options, setup, race, begun, self._rewards)
+        return Episode(options, setup, race, begun, self._rewards, self._assets.root)
 
     def _reach(
         self, value: object, options: Mapping[str, Any], options_now: RaceOptions
@@ -447,7 +447,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         )
         self.agents, self._episode, self._asked = [], None, None  # in case the start fails
         begun = scenario.reach(self._session)
-        episode = Episode(options_now, scenario.setup, scenario.race_info(), begun, self._rewards)
+        race, root = scenario.race_info(), self._assets.root
+        episode = Episode(options_now, scenario.setup, race, begun, self._rewards, root)
         for row in scenario.controls:
             episode.remember(row)
         return [agent for agent in self.possible_agents if agent in scenario.agents], episode

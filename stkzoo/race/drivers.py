@@ -13,7 +13,7 @@ from gymnasium import spaces
 
 from stkzoo.errors import AgentError, ConfigError, unknown_name
 from stkzoo.race.agent_code import Actor, ActorMaker, AgentCode, env_sees_ground, read_module
-from stkzoo.race.files import declared_env, find_files
+from stkzoo.race.files import AgentFiles, declared_env, find_files
 from stkzoo.race.inline import ActorOpener, InlineFilesOpener, InlineSeat
 from stkzoo.race.isolation import IsolatedOpener
 from stkzoo.race.seats import Seat, SeatOpener, SeatRequest
@@ -112,7 +112,8 @@ def _find(source: str, inline: bool, adapter: str | None) -> Driver:
         return Driver.of_actor(source, _random_actor)
     if source in driver_names():
         module = f"{_AGENTS}.{source.replace(':', '.')}"
-        return Driver(source, _ShippedOpener(module), sees_ground=_sees_ground(module))
+        env_name = declared_env(AgentFiles(module, None))
+        return Driver(source, _ShippedOpener(module), sees_ground=env_sees_ground(env_name))
     if source.startswith(f"{_PRETRAINED}:"):
         raise unknown_name("driver", source, driver_names())
     if adapter is not None and not Path(adapter).is_file():
@@ -122,11 +123,6 @@ def _find(source: str, inline: bool, adapter: str | None) -> Driver:
         raise _nobody(source)
     opener = InlineFilesOpener(files, adapter) if inline else IsolatedOpener(files, adapter)
     return Driver("", opener, sees_ground=env_sees_ground(declared_env(files)))
-
-
-def _sees_ground(module: str) -> bool:
-    files = find_files(module)
-    return files is not None and env_sees_ground(declared_env(files))
 
 
 def _level(source: str) -> int:

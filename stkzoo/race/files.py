@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import importlib.util
 import re
-import sys
 from contextlib import ExitStack
 from dataclasses import dataclass
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 
 from stkzoo.errors import ConfigError
@@ -91,15 +91,38 @@ def declared_env(files: AgentFiles) -> str:
 
 
 def _module_file(place: AgentPlace) -> Path:
-    """Where an agent's module is, as Python would find it."""
-    folders = [Path(folder) for folder in (place.first, *sys.path, place.last) if folder]
+    """Where an agent's module is, as Python would find it.
+
+    Raises:
+        FileNotFoundError: nowhere.
+    """
     for name in place.modules:
-        parts = Path(*name.split("."))
-        for folder in folders:
-            for file in (folder / parts / "__init__.py", (folder / parts).with_suffix(".py")):
+        top, *rest = name.split(".")
+        for home in _homes(top, place):
+            module = home.joinpath(*rest)
+            for file in (module / "__init__.py", module.with_name(f"{module.name}.py")):
                 if file.is_file():
                     return file
     raise FileNotFoundError(place.modules)
+
+
+def _homes(top: str, place: AgentPlace) -> list[Path]:
+    """Where a package may be, or a module but for its ending."""
+    if place.package:
+        return [Path(place.package)]
+    first, last = ([Path(folder) / top] if folder else [] for folder in (place.first, place.last))
+    spec = _installed(top)
+    folders = list(spec.submodule_search_locations or []) if spec else []
+    alone = [Path(spec.origin).with_suffix("")] if spec and spec.origin and not folders else []
+    return [*first, *map(Path, folders), *alone, *last]
+
+
+def _installed(top: str) -> ModuleSpec | None:
+    """What Python has under a name without dots; nothing of it is run."""
+    try:
+        return importlib.util.find_spec(top)
+    except (ImportError, ValueError):
+        return None
 
 
 def find_files(source: str) -> AgentFiles | None:
@@ -132,11 +155,11 @@ def _is_module(name: str) -> bool:
     parts = name.split(".")
     if not all(part.isidentifier() for part in parts):
         return False
-    try:
-        found = importlib.util.find_spec(parts[0])
-    except (ImportError, ValueError):
-        found = None
-    return found is not None or Path(parts[0]).is_dir() or Path(f"{parts[0]}.py").is_file()
+    return (
+        _installed(parts[0]) is not None
+        or Path(parts[0]).is_dir()
+        or Path(f"{parts[0]}.py").is_file()
+    )
 
 
 def _place_in(folder: Path, source: str) -> AgentPlace:

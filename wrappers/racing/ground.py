@@ -88,25 +88,21 @@ def ground_table(track: TrackMap, ground: Ground) -> GroundTable:
 
 @dataclass(frozen=True, slots=True)
 class GroundSight:
-    """A view with the ground beside the road ahead.
+    """A view of the compiled kernel with the ground beside the road ahead.
 
     Attributes:
-        rest: what shows all else, see :func:`stkzoo.wrappers.fused.fused_view`.
+        rest: the ``kernel.View`` of all else.
     """
 
     rest: Any
 
     @staticmethod
-    def added(
-        observations: list[Any] | None, ahead: Mapping[str, npt.NDArray[Any]]
-    ) -> list[Any] | None:
-        """Observations with what is ahead of each kart; ``None`` stays so."""
-        if observations is None:
-            return None
-        rows = (
-            {key: values[row] for key, values in ahead.items()} for row in range(len(observations))
-        )
-        return [seen | row for seen, row in zip(observations, rows, strict=True)]
+    def added(observations: list[Any], ahead: Mapping[str, npt.NDArray[Any]]) -> list[Any]:
+        """Observations, each with what is ahead of its kart."""
+        return [
+            seen | {key: values[row] for key, values in ahead.items()}
+            for row, seen in enumerate(observations)
+        ]
 
 
 def _look(points: FloatArray, ground: Ground) -> tuple[ByteArray, FloatArray]:
