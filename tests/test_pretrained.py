@@ -11,6 +11,7 @@ from stkzoo import race_v0
 from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained import reflexes
 from stkzoo.agents.pretrained.driver import (
+    Policy,
     check_shapes,
     make_actor,
     new_seat,
@@ -19,7 +20,6 @@ from stkzoo.agents.pretrained.driver import (
     read_policy,
 )
 from stkzoo.agents.pretrained.drivers import ALL_LOOKS, CHOICES, INPUT_SIZE
-from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
 from stkzoo.agents.training.export_policy import export_policy, main
 from stkzoo.errors import ConfigError
@@ -69,7 +69,9 @@ def quick_agent(tmp_path):
 
 def test_a_network_without_plans_becomes_an_agent_too(quick_agent):
     card = json.loads((quick_agent / "card.json").read_text())
-    assert card["history"] == [{"from": 0, "arguments": {"seed": 7, "tracks": ["lighthouse"]}}]
+    assert card["runs"][0]["history"] == [
+        {"from": 0, "arguments": {"seed": 7, "tracks": ["lighthouse"]}}
+    ]
     assert "rules" not in card
     assert "value_net.bias" not in load_weights(quick_agent / "weights.safetensors")
     driver = read_network(quick_agent)
@@ -183,7 +185,8 @@ def test_exporting_tells_where_the_agent_comes_from(tmp_path, capsys):
     )
     assert main([str(file), "--name=tiny", f"--output={tmp_path / 'agent'}"]) == 0
     card = json.loads((tmp_path / "agent" / "card.json").read_text())
-    assert (card["kart_steps"], card["history"][0]["arguments"]["seed"]) == (123, 5)
+    (run,) = card["runs"]
+    assert (run["kart_steps"], run["history"][0]["arguments"]["seed"]) == (123, 5)
     assert card["rules"] == asdict(DriverParameters(margin=2.0))
     text = (tmp_path / "agent" / "CARD.md").read_text()
     assert "mines" in text
@@ -231,7 +234,7 @@ def test_a_shipped_driver_is_small_and_has_a_card(name):
     folder = Path(module.__file__).parent
     assert (folder / "weights.safetensors").stat().st_size < 2_000_000
     assert "TO BE WRITTEN" not in (folder / "CARD.md").read_text()
-    assert isinstance(read_policy(folder), RacingPolicy)
+    assert isinstance(read_policy(folder), Policy)
 
 
 def test_before_go_it_waits_with_full_throttle_and_then_it_drives(agent):

@@ -1,4 +1,4 @@
-"""Learned drivers in a race: policies over plans, and networks that answer at once."""
+"""Learned drivers in a race: policies over plans, advised or not, and networks without plans."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import surroundings_of
 
+from .advice import AdvisedPolicy, networks_of
 from .drivers import ALL_LOOKS, CHOICES, INPUT_SIZE, Drivers
 from .mlp import MlpDriver, Seat
 from .policy import RacingPolicy
@@ -23,17 +24,22 @@ from .weights import load_weights
 __all__ = [
     "CARD",
     "WEIGHTS",
+    "Policy",
     "check_shapes",
     "make_actor",
     "make_network_actor",
     "new_seat",
     "new_state",
     "read_network",
+    "read_numbers",
     "read_policy",
 ]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
+
+#: What chooses among plans.
+Policy = RacingPolicy | AdvisedPolicy
 
 #: An agent's files.
 CARD, WEIGHTS = "card.json", "weights.safetensors"
@@ -44,14 +50,17 @@ _GO_PHASE = 2
 _COLUMNS = ("acceleration", "steer", "brake", "drift", "fire", "nitro", "rescue")
 
 
-def read_policy(folder: str | Path) -> RacingPolicy:
-    """The policy of an agent's folder, checked against its card.
+def read_policy(folder: str | Path) -> Policy:
+    """The policy over plans of an agent's folder, checked against its card.
 
     Raises:
         ConfigError: a file is missing or broken, or the weights are of another network.
     """
-    weights = load_weights(Path(folder) / WEIGHTS, str(_on_card(folder, "sha256")))
-    check_shapes(weights, str(Path(folder) / WEIGHTS))
+    file = Path(folder) / WEIGHTS
+    weights = load_weights(file, str(_on_card(folder, "sha256")))
+    if networks := networks_of(weights, repr(str(file))):
+        return AdvisedPolicy(networks, float(_on_card(folder, "trust")))
+    check_shapes(weights, str(file))
     return RacingPolicy(weights)
 
 
@@ -108,14 +117,21 @@ def check_shapes(weights: Mapping[str, FloatArray], name: str) -> None:
 def new_state(folder: str | Path) -> Drivers:
     """What the driver of an agent's folder remembers in one race.
 
-    Its plans go by the numbers on its card, with which it has learned.
+    Raises:
+        ConfigError: as :func:`read_numbers`.
+    """
+    return Drivers(1, read_numbers(folder))
+
+
+def read_numbers(folder: str | Path) -> DriverParameters:
+    """The numbers on an agent's card, which its plans go by; with them it has learned.
 
     Raises:
         ConfigError: the card is missing or broken.
     """
     rules = _on_card(folder, "rules")
     try:
-        return Drivers(1, DriverParameters(**rules))
+        return DriverParameters(**rules)
     except TypeError as error:
         raise ConfigError(
             f"the rules on {str(Path(folder) / CARD)!r} are not those of this version: {error}"

@@ -27,7 +27,7 @@ from stkzoo.wrappers.racing import (
     racing_features,
 )
 
-from .memory import MEMORY_MIRROR, DriverMemory
+from .memory import MEMORY_MIRROR, MEMORY_NAMES, DriverMemory
 from .planner import Options, Scene, has_powerup, weigh
 from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, FREE, MANOEUVRES
 from .rivals import RIVALS_MIRROR, RivalTracker
@@ -39,12 +39,15 @@ __all__ = [
     "CHOICE_NAMES",
     "HEADS",
     "INPUT_SIZE",
+    "OFFSETS",
     "START_STEER",
     "Drivers",
     "View",
+    "is_drifting",
     "mirrored_choices",
     "mirrored_inputs",
     "mirrored_prior",
+    "plan_turns",
     "steer_of_turn",
 ]
 
@@ -53,11 +56,11 @@ IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
 
 #: How much to turn beside what the plan wants [share of full lock].
-_OFFSETS = np.array([-0.45, -0.2, -0.08, 0.0, 0.08, 0.2, 0.45], np.float32)
+OFFSETS = np.array([-0.45, -0.2, -0.08, 0.0, 0.08, 0.2, 0.45], np.float32)
 
 #: What is chosen, between how many; and where their logits stand.
 CHOICE_NAMES = ("begin", "turn", "nitro", "fire")
-CHOICES = (MANOEUVRES, len(_OFFSETS), 2, 2)
+CHOICES = (MANOEUVRES, len(OFFSETS), 2, 2)
 _ENDS = np.cumsum(CHOICES)
 HEADS = tuple(slice(int(e) - n, int(e)) for e, n in zip(_ENDS, CHOICES, strict=True))
 
@@ -76,6 +79,8 @@ START_STEER = 0.3
 _OPTION_SIGNS = np.array([1, 1, -1, 1], np.float32)
 _ROAD_SIGNS = np.array([-1, -1, 1], np.float32)
 _OPTIONS_AT = SIZE + len(MEMORY_MIRROR)
+_PLAN_TURNS = _OPTIONS_AT + 4 * np.arange(MANOEUVRES) + 2
+_DRIFT_TIME = SIZE + MEMORY_NAMES.index("drift time [3 s]")
 INPUT_SIZE = _OPTIONS_AT + 4 * MANOEUVRES + 3 + len(RIVALS_MIRROR)
 
 
@@ -94,8 +99,8 @@ _SWAPPED = np.array([FREE, BRAKE, DRIFT_RIGHT, DRIFT_LEFT])
 _PRIOR_ORDER = np.concatenate(
     [
         _SWAPPED,
-        MANOEUVRES + np.arange(len(_OFFSETS))[::-1],
-        np.arange(MANOEUVRES + len(_OFFSETS), int(_ENDS[-1])),
+        MANOEUVRES + np.arange(len(OFFSETS))[::-1],
+        np.arange(MANOEUVRES + len(OFFSETS), int(_ENDS[-1])),
     ]
 )
 
@@ -115,8 +120,19 @@ def mirrored_choices(choices: IntArray) -> IntArray:
     """The choices ``(..., 4)`` that do in the mirrored race what these do."""
     mirrored: IntArray = choices.copy()
     mirrored[..., 0] = _SWAPPED[choices[..., 0]]
-    mirrored[..., 1] = len(_OFFSETS) - 1 - choices[..., 1]
+    mirrored[..., 1] = len(OFFSETS) - 1 - choices[..., 1]
     return mirrored
+
+
+def plan_turns(inputs: FloatArray) -> FloatArray:
+    """How much the best plan of each manoeuvre turns by now, ``(A, 4)``: shares of full lock."""
+    turns: FloatArray = inputs[:, _PLAN_TURNS]
+    return turns
+
+
+def is_drifting(inputs: FloatArray) -> BoolArray:
+    """Who is in a drift, ``(A,)``."""
+    return np.asarray(inputs[:, _DRIFT_TIME] > 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +224,7 @@ class Drivers:
         """What choices ``(A, 4)`` mean: to which side to drift, and which share of full lock."""
         begin, offset = choices[:, 0], choices[:, 1]
         side = (begin == DRIFT_RIGHT).astype(np.intp) - (begin == DRIFT_LEFT)
-        turn = self.options.turn[np.arange(len(choices)), begin] + _OFFSETS[offset]
+        turn = self.options.turn[np.arange(len(choices)), begin] + OFFSETS[offset]
         return side, np.clip(turn, -1.0, 1.0)
 
     def act(self, choices: IntArray) -> tuple[FloatArray, BoolArray]:

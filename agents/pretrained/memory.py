@@ -20,7 +20,7 @@ from stkzoo.agents.heuristic.kart import (
 
 from .planner import Situation
 
-__all__ = ["MEMORY_MIRROR", "MEMORY_SIZE", "DriverMemory"]
+__all__ = ["MEMORY_MIRROR", "MEMORY_NAMES", "MEMORY_SIZE", "DriverMemory"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
@@ -46,6 +46,7 @@ _SIGNS = {
     "gain of speed [5 m/s]": 1,
     "time since the last shot": 1,
 }
+MEMORY_NAMES = tuple(_SIGNS)
 MEMORY_SIZE = len(_SIGNS)
 MEMORY_MIRROR = np.array(list(_SIGNS.values()), np.float32)
 

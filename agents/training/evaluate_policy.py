@@ -3,10 +3,10 @@
     python -m stkzoo.agents.training.evaluate_policy prior runs/first/policy-*.safetensors
 
 Each policy drives, by its likeliest choices, one race for each track, direction and number, from
-the same beginning: one that chooses among plans, by the numbers of its run, or a network that
-answers at once, of ``sb3_selfplay`` or ``distil``. ``prior`` is what runs over plans start from:
-the plans without anything learned; ``prior:by-hand`` with the numbers of that name. The first one
-named is what the others are compared with.
+the same beginning: one that chooses among plans, by the numbers of its run, a network that answers
+at once, of ``sb3_selfplay`` or ``distil``, or an agent that ``export_policy`` made, by its folder.
+``prior`` is what runs over plans start from: the plans without anything learned; ``prior:by-hand``
+with the numbers of that name. The first one named is what the others are compared with.
 """
 
 from __future__ import annotations
@@ -21,7 +21,14 @@ from pathlib import Path
 import numpy as np
 
 from stkzoo.agents.heuristic import DriverParameters
-from stkzoo.agents.pretrained.driver import check_shapes
+from stkzoo.agents.pretrained.driver import (
+    WEIGHTS,
+    Policy,
+    check_shapes,
+    read_network,
+    read_numbers,
+    read_policy,
+)
 from stkzoo.agents.pretrained.drivers import View
 from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
@@ -86,23 +93,34 @@ class Entrant:
 
     @classmethod
     def of(cls, source: str) -> Entrant:
-        """The likeliest choices of a policy: a run's file, ``"prior"`` or ``"prior:NUMBERS"``.
+        """The likeliest choices of a policy.
+
+        Args:
+            source: a run's file, an agent's folder, ``"prior"`` or ``"prior:NUMBERS"``.
 
         Raises:
-            ConfigError: the file is no policy's, or there are no numbers of that name.
+            ConfigError: it is no policy's, or there are no numbers of that name.
         """
         prior, _, name = source.partition(":")
         if prior == PRIOR:
             rules = plan_numbers(name) if name else DriverParameters()
             return cls(_by_plans(RacingPolicy.of_plans_alone()), rules)
+        if (folder := Path(source)).is_dir():
+            return cls._of_agent(folder)
         weights = load_weights(source)
         if is_network(weights):
             return cls(_by_network(MlpDriver(weights, repr(source))), DriverParameters())
         check_shapes(weights, source)
-        return cls(_by_plans(RacingPolicy(weights)), numbers_of_run(Path(source).parent))
+        return cls(_by_plans(RacingPolicy(weights)), numbers_of_run(folder.parent))
+
+    @classmethod
+    def _of_agent(cls, folder: Path) -> Entrant:
+        if is_network(load_weights(folder / WEIGHTS)):
+            return cls(_by_network(read_network(folder)), DriverParameters())
+        return cls(_by_plans(read_policy(folder)), read_numbers(folder))
 
 
-def _by_plans(policy: RacingPolicy) -> Callable[[Fleet], Callable[[View], object]]:
+def _by_plans(policy: Policy) -> Callable[[Fleet], Callable[[View], object]]:
     return lambda fleet: lambda view: fleet.send(policy.best(view))
 
 
@@ -176,7 +194,9 @@ def main(words: list[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("policies", nargs="+", help="files of runs, prior, or prior:by-hand")
+    parser.add_argument(
+        "policies", nargs="+", help="files of runs, folders of agents, prior, or prior:by-hand"
+    )
     parser.add_argument("--form", default="PAAAA", help="who drives (default: PAAAA)")
     parser.add_argument("--numbers", type=int, default=2, help="races of each kind (default: 2)")
     parser.add_argument("--tracks", nargs="+", default=list(TRAIN_TRACKS), help="or train")

@@ -3,10 +3,13 @@ r"""Makes an agent of learned weights: a folder to race, to ship and to send aro
     python -m stkzoo.agents.training.export_policy runs/first/policy-002000000.safetensors \
         --name swift --output agents/pretrained/swift
 
-The run is of ``ppo_selfplay``, ``sb3_selfplay`` or ``distil``. The folder has the weights,
-``card.json`` with their digest, how they were learned (from the run's ``arguments.json`` beside
-them, if it is there) and, if they choose among plans, the numbers that these go by, ``CARD.md``
-for people, whose gaps are to be filled by hand, and the words of an agent.
+The run is of ``ppo_selfplay``, ``sb3_selfplay`` or ``distil``. With ``--trust 1`` networks of the
+latter two, one or several, become advisers: they do not drive, but plans are chosen by both, what
+they are worth and what the networks would do, which count as much as ``--trust`` says.
+
+The folder has the weights, ``card.json`` with their digest, how they were learned (from the runs'
+``arguments.json`` beside them, if it is there) and, if they choose among plans, the numbers that
+these go by, ``CARD.md`` for people, whose gaps are to be filled by hand, and the words of an agent.
 ``stkzoo race agents/pretrained/swift`` races it from wherever it is, and ``pretrained:swift`` if it
 is among stkzoo's own.
 """
@@ -16,11 +19,17 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 import stkzoo
+from stkzoo.agents.heuristic import DriverParameters
+from stkzoo.agents.pretrained.advice import join_networks
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, check_shapes
 from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
 from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
@@ -86,21 +95,29 @@ _CARD = """\
 A learned driver of stkzoo. `stkzoo race pretrained:{name} ai ai ai ai --difficulty 3`
 
 - **Network:** {parameters:,} numbers (`{weights}`, {size:,} bytes, SHA-256 `{digest}`).
-- **Learned from:** {kart_steps} kart-steps of self-play; tracks {tracks}.
-- **Seed:** {seed}.
+{runs}
 - **Command:** TO BE WRITTEN
 - **Results:** TO BE WRITTEN
 - **Limits:** TO BE WRITTEN
 """
+_RUN = "- **Learned from:** {kart_steps} kart-steps of self-play; seed {seed}; tracks {tracks}."
+
+Arrays = dict[str, npt.NDArray[np.float32]]
 
 
-def export_policy(weights: str | Path, name: str, folder: str | Path) -> Path:
+def export_policy(
+    weights: str | Path | Sequence[str | Path],
+    name: str,
+    folder: str | Path,
+    trust: float | None = None,
+) -> Path:
     """Makes the folder of an agent; one that is there must be an agent's, and is made anew.
 
     Args:
-        weights: a policy of a run.
+        weights: a policy of a run; with ``trust`` one or more networks, the advisers.
         name: what the agent is called: a Python name.
         folder: where it goes.
+        trust: how much advisers count beside the worth of plans.
 
     Returns:
         The folder.
@@ -110,22 +127,23 @@ def export_policy(weights: str | Path, name: str, folder: str | Path) -> Path:
     """
     if not name.isidentifier():
         raise ConfigError(f"the name {name!r} cannot be; expected letters, digits and _")
-    source, target = Path(weights), Path(folder)
-    arrays = load_weights(source)
-    answers_at_once = is_network(arrays)
-    if answers_at_once:
-        MlpDriver(arrays, str(source))
-        arrays = {name: array for name, array in arrays.items() if _VALUES not in name}
-    else:
-        check_shapes(arrays, str(source))
+    sources = [Path(weights)] if isinstance(weights, (str, Path)) else [Path(w) for w in weights]
+    target = Path(folder)
+    arrays, gaps, rules = _agent_of(sources, trust)
     if target.exists() and any(target.iterdir()) and not (target / CARD).exists():
         raise ConfigError(f"{str(target)!r} is no agent's folder; give another --output")
     target.mkdir(parents=True, exist_ok=True)
     save_weights(target / WEIGHTS, arrays)
-    rules = {} if answers_at_once else {"rules": asdict(numbers_of_run(source.parent))}
-    facts = _facts(source, target / WEIGHTS, name) | rules
+    facts = {
+        "name": name,
+        "sha256": digest_of(target / WEIGHTS),
+        "size": (target / WEIGHTS).stat().st_size,
+        "parameters": sum(array.size for array in arrays.values()),
+        "runs": [_run_of(source) for source in sources],
+        "stkzoo": stkzoo.__version__,
+        **rules,
+    }
     _write(target / "__init__.py", _PACKAGE)
-    gaps = _OF_NETWORKS if answers_at_once else _OF_PLANS
     _write(target / "pystk_actor.py", _MODULE.format(name=name, **gaps))
     _write(target / CARD, json.dumps(facts, indent=1) + "\n")
     if not (target / "CARD.md").exists():
@@ -133,32 +151,59 @@ def export_policy(weights: str | Path, name: str, folder: str | Path) -> Path:
     return target
 
 
-def _facts(source: Path, file: Path, name: str) -> dict[str, Any]:
-    run = source.with_name(ARGUMENTS)
+def _agent_of(
+    sources: Sequence[Path], trust: float | None
+) -> tuple[Arrays, dict[str, str], dict[str, Any]]:
+    """An agent's arrays, what fills the gaps of its module, and what its plans go by."""
+    if trust is not None:
+        if not (np.isfinite(trust) and trust >= 0):
+            raise ConfigError(f"trust is {trust}, expected 0 or more; 1 is usual")
+        joined = join_networks([_network(source) for source in sources])
+        return joined, _OF_PLANS, {"trust": trust, "rules": asdict(DriverParameters())}
+    if len(sources) > 1:
+        raise ConfigError(
+            f"there are {len(sources)} files of weights, expected one; several networks can "
+            "advise plans together, with --trust 1"
+        )
+    arrays = load_weights(sources[0])
+    if is_network(arrays):
+        return _network(sources[0]), _OF_NETWORKS, {}
+    check_shapes(arrays, str(sources[0]))
+    return arrays, _OF_PLANS, {"rules": asdict(numbers_of_run(sources[0].parent))}
+
+
+def _network(source: Path) -> Arrays:
+    """What a network needs to drive."""
+    arrays = load_weights(source)
+    MlpDriver(arrays, repr(str(source)))
+    return {name: array for name, array in arrays.items() if _VALUES not in name}
+
+
+def _run_of(source: Path) -> dict[str, Any]:
+    """How weights were learned."""
+    arguments = source.with_name(ARGUMENTS)
     digits = source.stem.rpartition("-")[2]
-    history = json.loads(run.read_text()) if run.exists() else []
+    history = json.loads(arguments.read_text()) if arguments.exists() else []
     if isinstance(history, dict):  # a run whose arguments never change
         history = [{"from": 0, "arguments": history}]
-    return {
-        "name": name,
-        "sha256": digest_of(file),
-        "size": file.stat().st_size,
-        "parameters": sum(array.size for array in load_weights(file).values()),
-        "kart_steps": int(digits) if digits.isdigit() else None,
-        "history": history,
-        "stkzoo": stkzoo.__version__,
-    }
+    return {"kart_steps": int(digits) if digits.isdigit() else None, "history": history}
 
 
 def _human(facts: dict[str, Any]) -> str:
-    arguments = facts["history"][-1]["arguments"] if facts["history"] else {}
     return _CARD.format(
         name=facts["name"],
         parameters=facts["parameters"],
         weights=WEIGHTS,
         size=facts["size"],
         digest=facts["sha256"],
-        kart_steps=f"{facts['kart_steps']:,}" if facts["kart_steps"] else "unknown",
+        runs="\n".join(_told(run) for run in facts["runs"]),
+    )
+
+
+def _told(run: dict[str, Any]) -> str:
+    arguments = run["history"][-1]["arguments"] if run["history"] else {}
+    return _RUN.format(
+        kart_steps=f"{run['kart_steps']:,}" if run["kart_steps"] else "unknown",
         tracks=", ".join(arguments.get("tracks", ["unknown"])),
         seed=arguments.get("seed", "unknown"),
     )
@@ -176,12 +221,15 @@ def main(words: list[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("weights", help="policy-STEPS.safetensors of a run")
+    parser.add_argument("weights", nargs="+", help="policy-STEPS.safetensors of a run")
     parser.add_argument("--name", required=True, help="what the agent is called")
     parser.add_argument("--output", required=True, help="its folder")
+    parser.add_argument(
+        "--trust", type=float, help="let networks advise plans, and count so much; 1 is usual"
+    )
     options = parser.parse_args(words)
     try:
-        folder = export_policy(options.weights, options.name, options.output)
+        folder = export_policy(options.weights, options.name, options.output, options.trust)
     except ConfigError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -1,0 +1,121 @@
+"""Plans and networks together: what plans are worth, and what networks would do.
+
+Networks that have learned by self-play know what comes of racing; plans know where the road goes.
+Both say how likely a choice is, and the product decides (a product of experts: Hinton, 2002).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.wrappers.racing import BRAKE, CHOICES, STEERS
+
+from .drivers import HEADS, OFFSETS, START_STEER, View, is_drifting, plan_turns
+from .mlp import MlpDriver
+from .plans import BRAKE as BRAKE_PLAN
+from .plans import DRIFT_LEFT, DRIFT_RIGHT, MANOEUVRES
+from .reflexes import INPUT_SIZE
+
+__all__ = ["AdvisedPolicy", "join_networks", "networks_of"]
+
+FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.intp]
+
+#: Which pedal a manoeuvre needs, whether it drifts, and to which side.
+_PEDALS = np.array([BRAKE if m == BRAKE_PLAN else 0 for m in range(MANOEUVRES)])
+_SIDES = np.array([(m == DRIFT_RIGHT) - (m == DRIFT_LEFT) for m in range(MANOEUVRES)], np.float32)
+_DRIFTS = np.abs(_SIDES).astype(np.intp)
+#: What lies between two choices of steering belongs to the nearer one.
+_BETWEEN = (STEERS[1:] + STEERS[:-1]) / 2
+_ENDS = np.cumsum(CHOICES)[:-1].tolist()
+#: What a file calls the arrays of its networks.
+_IN_FILE = "adviser{}."
+
+
+class AdvisedPolicy:
+    """Chooses among plans by their worth and by what networks would do.
+
+    The logit of a manoeuvre with a turn is the prior's, of what the plan is worth, and ``trust``
+    times the mean logarithm of the networks' probabilities of what it comes to: steering, pedal,
+    drift. Likewise for nitro and fire.
+
+    Args:
+        networks: on the view ``racing``, one or more.
+        trust: how much they count; 0 is the plans alone.
+    """
+
+    def __init__(self, networks: Sequence[MlpDriver], trust: float) -> None:
+        self.networks, self.trust = tuple(networks), trust
+
+    def best(self, view: View) -> IntArray:
+        """The likeliest choices ``(A, 4)``, as those of a policy over plans."""
+        steer, pedal, drift, nitro, fire = self._advice(view.inputs[:, :INPUT_SIZE])
+        begin, turn, *buttons = (view.prior[:, head] for head in HEADS)
+        rows = np.arange(len(begin))[:, None, None]
+        liked = (
+            steer[rows, _steering(view.inputs)] + (pedal[:, _PEDALS] + drift[:, _DRIFTS])[..., None]
+        )
+        moves = begin[..., None] + turn[:, None] + np.float32(self.trust) * liked
+        best = moves.reshape(len(begin), -1).argmax(axis=1)
+        presses = [
+            (prior + np.float32(self.trust) * own).argmax(axis=1)
+            for prior, own in zip(buttons, (nitro, fire), strict=True)
+        ]
+        return np.stack([*np.divmod(best, len(OFFSETS)), *presses], axis=1)
+
+    def _advice(self, seen: FloatArray) -> list[FloatArray]:
+        """The networks' mean logarithms of probabilities, an array for each choice."""
+        logits = np.stack([network.logits(seen) for network in self.networks])
+        parts = np.split(logits, _ENDS, axis=2)
+        return [(part - _log_sum(part)).mean(axis=0) for part in parts]
+
+
+def _steering(inputs: FloatArray) -> IntArray:
+    """Which choice of steering each manoeuvre comes to with each turn, ``(A, 4, 7)``."""
+    turn = np.clip(plan_turns(inputs)[..., None] + OFFSETS, -1.0, 1.0)
+    sides = _SIDES[:, None]
+    begins = (sides != 0) & ~is_drifting(inputs)[:, None, None]
+    turn = np.where(begins, sides * np.maximum(turn * sides, START_STEER), turn)
+    return np.asarray(np.searchsorted(_BETWEEN, turn))
+
+
+def _log_sum(logits: FloatArray) -> FloatArray:
+    top = logits.max(axis=-1, keepdims=True)
+    total: FloatArray = np.log(np.exp(logits - top).sum(axis=-1, keepdims=True)) + top
+    return total
+
+
+def join_networks(networks: Sequence[Mapping[str, FloatArray]]) -> dict[str, FloatArray]:
+    """The arrays of several networks as those of one file."""
+    return {
+        _IN_FILE.format(number) + name: array
+        for number, weights in enumerate(networks)
+        for name, array in weights.items()
+    }
+
+
+def networks_of(weights: Mapping[str, FloatArray], name: str) -> list[MlpDriver]:
+    """The networks that :func:`join_networks` joined; none, if it did not.
+
+    Args:
+        weights: a file's arrays.
+        name: what errors call it.
+
+    Raises:
+        ConfigError: one is no network on the view ``racing``.
+    """
+    networks: list[MlpDriver] = []
+    while own := _own(weights, _IN_FILE.format(len(networks))):
+        networks.append(MlpDriver(own, f"network {len(networks)} of {name}"))
+    return networks
+
+
+def _own(weights: Mapping[str, FloatArray], prefix: str) -> dict[str, FloatArray]:
+    return {
+        name.removeprefix(prefix): array
+        for name, array in weights.items()
+        if name.startswith(prefix)
+    }
