@@ -8,9 +8,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from stkzoo.errors import ConfigError
 from stkzoo.whole_file import whole_file
 
-__all__ = ["LOG", "Journal", "read_log", "write_log"]
+__all__ = ["LOG", "Journal", "log_of_run", "read_log", "write_log"]
 
 #: The log's file in a run's folder.
 LOG = "log.jsonl"
@@ -20,6 +21,17 @@ def read_log(folder: Path) -> list[dict[str, Any]]:
     """The lines of a run's log; none if there is no log yet."""
     file = folder / LOG
     return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+
+
+def log_of_run(folder: str | Path) -> list[dict[str, Any]]:
+    """The lines of the log of a run that there must be.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if not (Path(folder) / LOG).is_file():
+        raise ConfigError(f"{str(folder)!r} is no run's folder: it has no {LOG}")
+    return read_log(Path(folder))
 
 
 def write_log(folder: Path, log: Sequence[Mapping[str, Any]]) -> None:

@@ -6,7 +6,6 @@ python -m stkzoo.agents.training.plot_run runs/first runs/second --output curves
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,6 +15,8 @@ import numpy as np
 
 from stkzoo.errors import ConfigError
 from stkzoo.race.batch.figure import plot_library, save_figure
+
+from .journal import log_of_run
 
 __all__ = ["main", "plot_runs"]
 
@@ -55,7 +56,7 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
     figure = plot_library("benchmark", "").Figure(figsize=(10, 6), layout="constrained")
     axes = figure.subplots(2, 2)
     for folder in folders:
-        lines = _log(Path(folder))
+        lines = log_of_run(folder)
         for axis, (title, entries) in zip(axes.flat, _PANELS, strict=True):
             axis.set_title(title, fontsize=10)
             for entry, label in entries.items():
@@ -70,13 +71,6 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
             if axis.lines:
                 axis.legend(fontsize=7)
     save_figure(figure, output)
-
-
-def _log(folder: Path) -> list[dict[str, float]]:
-    try:
-        return [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
-    except OSError as error:
-        raise ConfigError(f"{str(folder)!r} is no run's folder: {error}") from error
 
 
 def _smooth(values: np.ndarray[Any, np.dtype[np.float64]], width: int = 9) -> Any:

@@ -16,7 +16,7 @@ import numpy as np
 from stkzoo.errors import ConfigError
 from stkzoo.race.batch.figure import BLUE, GREY, INK, plot_library, save_figure, without_frame
 
-from .journal import LOG
+from .journal import log_of_run
 
 __all__ = ["main", "plot_run"]
 
@@ -36,10 +36,7 @@ def plot_run(run: str | Path, output: str | Path) -> None:
         ConfigError: there is no such run, or matplotlib is missing.
     """
     folder = Path(run)
-    try:
-        lines = [json.loads(line) for line in (folder / LOG).read_text().splitlines()]
-    except OSError as error:
-        raise ConfigError(f"{str(run)!r} is no run's folder: {error}") from error
+    lines = log_of_run(folder)
     ratings: dict[str, Any] = {"policies": [], "others": {}}
     if (folder / "ratings.json").exists():
         ratings = json.loads((folder / "ratings.json").read_text())
