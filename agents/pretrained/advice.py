@@ -11,13 +11,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.wrappers.racing import BRAKE, CHOICES, STEERS
+from stkzoo.wrappers.racing import BRAKE, CHOICES
 
-from .drivers import HEADS, OFFSETS, START_STEER, View, is_drifting, plan_turns
+from .drivers import HEADS, OFFSETS, View, is_drifting, plan_turns
 from .mlp import MlpDriver
 from .plans import BRAKE as BRAKE_PLAN
 from .plans import DRIFT_LEFT, DRIFT_RIGHT, MANOEUVRES
-from .reflexes import INPUT_SIZE
+from .reflexes import INPUT_SIZE, steering
 
 __all__ = ["AdvisedPolicy", "join_networks", "networks_of"]
 
@@ -28,8 +28,6 @@ IntArray = npt.NDArray[np.intp]
 _PEDALS = np.array([BRAKE if m == BRAKE_PLAN else 0 for m in range(MANOEUVRES)])
 _SIDES = np.array([(m == DRIFT_RIGHT) - (m == DRIFT_LEFT) for m in range(MANOEUVRES)], np.float32)
 _DRIFTS = np.abs(_SIDES).astype(np.intp)
-#: What lies between two choices of steering belongs to the nearer one.
-_BETWEEN = (STEERS[1:] + STEERS[:-1]) / 2
 _ENDS = np.cumsum(CHOICES)[:-1].tolist()
 #: What a file calls the arrays of its networks.
 _IN_FILE = "adviser{}."
@@ -78,8 +76,7 @@ def _steering(inputs: FloatArray) -> IntArray:
     turn = np.clip(plan_turns(inputs)[..., None] + OFFSETS, -1.0, 1.0)
     sides = _SIDES[:, None]
     begins = (sides != 0) & ~is_drifting(inputs)[:, None, None]
-    turn = np.where(begins, sides * np.maximum(turn * sides, START_STEER), turn)
-    return np.asarray(np.searchsorted(_BETWEEN, turn))
+    return steering(sides, turn, begins)
 
 
 def _log_sum(logits: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from .drivers import START_STEER, steer_of_turn
 from .memory import MEMORY_MIRROR, MEMORY_SIZE, DriverMemory
 from .planner import Situation
 
-__all__ = ["INPUT_MIRROR", "INPUT_SIZE", "Reflexes"]
+__all__ = ["INPUT_MIRROR", "INPUT_SIZE", "Reflexes", "steering"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
@@ -36,6 +36,8 @@ _SKEED, _ENERGY, _LINE, _ROOM, _HEADING = (
 #: A drift begins to the side to which the kart steers, if so much and at such a speed [20 m/s];
 #: who steers so much to the other one lets go of it.
 _DRIFT_SPEED, _OTHER_SIDE = 10.0 / 20.0, 0.3
+#: What lies between two choices of steering belongs to the nearer one.
+_BETWEEN = (STEERS[1:] + STEERS[:-1]) / 2
 #: Who has been so fast has left its place on the grid [20 m/s].
 _MOVES = 3.0 / 20.0
 
@@ -96,8 +98,7 @@ class Reflexes:
             begins = (side != 0) & (now.drift_side == 0)
             turn = np.where(side == 0, turn, side * np.clip(turn * side, *DRIFT_TURN))
             steer = steer_of_turn(side, turn, begins)
-            in_drift = np.abs(STEERS - steer[:, None]).argmin(axis=1)
-            done[:, _STEER] = np.where(side == 0, done[:, _STEER], in_drift)
+            done[:, _STEER] = np.where(side == 0, done[:, _STEER], _nearest(steer))
             done[:, _DRIFT] = side != 0
         is_left = self._views[:, _LINE] + self._views[:, _HEADING] > 0  # of the road, or its way
         away = np.where(is_left, 0, CHOICES[_STEER] - 1)  # backwards a kart turns the other way
@@ -122,3 +123,18 @@ class Reflexes:
         goes_on &= turn * now.drift_side > -_OTHER_SIDE
         kept = np.where(goes_on, now.drift_side, 0)
         return np.where(now.drift_side == 0, np.where(begins, np.sign(turn), 0), kept)
+
+
+def steering(side: npt.NDArray[Any], turn: FloatArray, begins: npt.NDArray[np.bool_]) -> IntArray:
+    """Which choices of steering make karts turn as they should, arrays of one shape or alike.
+
+    Args:
+        side: to which they drift: 1 to the right, -1 to the left, 0 not at all.
+        turn: share of full lock, positive to the right.
+        begins: whose drift begins: they steer far enough to that side.
+    """
+    return _nearest(np.where(begins, side * np.maximum(turn * side, START_STEER), turn))
+
+
+def _nearest(turn: FloatArray) -> IntArray:
+    return np.asarray(np.searchsorted(_BETWEEN, turn))

@@ -25,15 +25,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.pretrained.drivers import START_STEER, View
+from stkzoo.agents.pretrained.drivers import View
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.plans import BRAKE as BRAKE_PLAN
 from stkzoo.agents.pretrained.policy import RacingPolicy
-from stkzoo.agents.pretrained.reflexes import INPUT_SIZE
+from stkzoo.agents.pretrained.reflexes import INPUT_SIZE, steering
 from stkzoo.errors import StkzooError, check_whole
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
-from stkzoo.wrappers.racing import BRAKE, STEERS
+from stkzoo.wrappers.racing import BRAKE
 
 from .command import RunBar, add_arguments, keep_arguments, training_torch, values_of
 from .imitate_network import fit, make_network, take_over
@@ -115,9 +115,8 @@ class Class:
         drivers, choices = self.fleet.drivers, self._plans.best(self.view)
         side, turn = drivers.moves(choices)
         begins = (side != 0) & (drivers.memory.situation().drift_side == 0)
-        turn = np.where(begins, side * np.maximum(turn * side, START_STEER), turn)
         columns = (
-            np.abs(STEERS - turn[:, None]).argmin(axis=1),
+            steering(side, turn, begins),
             np.where(choices[:, 0] == BRAKE_PLAN, BRAKE, 0),
             side != 0,
             *choices[:, 2:].T,
