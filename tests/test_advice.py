@@ -20,31 +20,13 @@ from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import BRAKE as BRAKE_PEDAL
 from stkzoo.wrappers.racing import CHOICES, STEERS
+from tests.networks import small_network
 
 STEER, PEDAL, DRIFT, NITRO, FIRE = np.cumsum((0, *CHOICES[:-1]))
 
 
-def network(likes=(), seed=0, *, steers=0):
-    """A network that likes some choices by 50, and what it sees decides a little.
-
-    With ``steers`` -1 or 1 it likes each choice of steering more, the farther to that side it is.
-    """
-    chance = np.random.default_rng(seed)
-    sizes = (reflexes.INPUT_SIZE, 8, 8)
-    weights = {"drift_hold": np.ones(1, np.float32), "value_net.bias": np.zeros(1, np.float32)}
-    for layer, name in enumerate(["policy_net.0", "policy_net.2"]):
-        shape = sizes[layer + 1], sizes[layer]
-        weights[f"mlp_extractor.{name}.weight"] = chance.normal(0, 0.1, shape).astype(np.float32)
-        weights[f"mlp_extractor.{name}.bias"] = np.zeros(shape[0], np.float32)
-    weights["action_net.weight"] = chance.normal(0, 0.3, (sum(CHOICES), 8)).astype(np.float32)
-    weights["action_net.bias"] = np.zeros(sum(CHOICES), np.float32)
-    weights["action_net.bias"][: len(STEERS)] = steers * 10.0 * np.arange(len(STEERS))
-    weights["action_net.bias"][list(likes)] = 50.0
-    return weights
-
-
 def advised(trust, *networks):
-    return AdvisedPolicy([MlpDriver(weights) for weights in networks or [network()]], trust)
+    return AdvisedPolicy([MlpDriver(weights) for weights in networks or [small_network()]], trust)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +67,7 @@ def _nearest(turns):
 @pytest.mark.parametrize("side", [-1, 1])
 def test_it_steers_as_far_as_its_plans_let_it_where_networks_would(views, side):
     for view in views:
-        begin, turn, *_ = advised(1e3, network(steers=side)).best(view).T
+        begin, turn, *_ = advised(1e3, small_network(steers=side)).best(view).T
         planned = plan_turns(view.inputs)[range(4), begin]
         chosen, reach = (np.clip(planned + more, -1, 1) for more in (OFFSETS[turn], side * 0.45))
         assert _nearest(chosen) == _nearest(reach)
@@ -96,20 +78,20 @@ def test_networks_decide_on_drifts_brakes_nitro_and_fire(views):
         DRIFT + 1: (DRIFT_LEFT, DRIFT_RIGHT),
         PEDAL + BRAKE_PEDAL: (BRAKE,),
     }.items():
-        begins = [advised(1e3, network([likes])).best(view)[:, 0] for view in views]
+        begins = [advised(1e3, small_network([likes])).best(view)[:, 0] for view in views]
         possible = [view.prior[:, list(wanted)].max(axis=1) > -29 for view in views]
         assert all(np.isin(b[can], wanted).all() for b, can in zip(begins, possible, strict=True))
         assert np.concatenate(possible).any()
     for choice, place in ((2, NITRO), (3, FIRE)):
         for pressed in (0, 1):
-            policy = advised(1e3, network([place + pressed]))
+            policy = advised(1e3, small_network([place + pressed]))
             assert all((policy.best(view)[:, choice] == pressed).all() for view in views)
 
 
 def test_who_begins_a_drift_steers_far_enough_to_its_side(views):
     """The same advice counts for a turn of 0.1 and one of 0.3: both are steered as 0.3."""
     nearest = np.abs(STEERS - START_STEER).argmin()
-    policy = advised(1e3, network([DRIFT + 1, STEER + nearest]))
+    policy = advised(1e3, small_network([DRIFT + 1, STEER + nearest]))
     count = 0
     for view in views:
         begin, turn, *_ = policy.best(view).T
@@ -122,22 +104,22 @@ def test_who_begins_a_drift_steers_far_enough_to_its_side(views):
 
 
 def test_several_networks_advise_by_their_mean(views):
-    one, other = network(seed=1), network(seed=2)
+    one, other = small_network(seed=1), small_network(seed=2)
     view = views[20]
     both, swapped = advised(2.0, one, other), advised(2.0, other, one)
     assert (both.best(view) == swapped.best(view)).all()
     assert (advised(2.0, one, one).best(view) == advised(2.0, one).best(view)).all()
-    drifts, brakes = network([DRIFT + 1]), network([DRIFT])
+    drifts, brakes = small_network([DRIFT + 1]), small_network([DRIFT])
     undecided = [advised(1e3, drifts, brakes).best(view) for view in views]
     assert len({int(begin) for best in undecided for begin in best[:, 0]}) > 1
 
 
 def test_networks_come_back_from_one_file():
-    found = networks_of(join_networks([network(seed=1), network(seed=2)]), "both")
+    found = networks_of(join_networks([small_network(seed=1), small_network(seed=2)]), "both")
     seen = np.random.default_rng(0).normal(size=(3, reflexes.INPUT_SIZE)).astype(np.float32)
     for driver, seed in zip(found, (1, 2), strict=True):
-        assert (driver.logits(seen) == MlpDriver(network(seed=seed)).logits(seen)).all()
-    assert networks_of(network(), "one that drives") == []
+        assert (driver.logits(seen) == MlpDriver(small_network(seed=seed)).logits(seen)).all()
+    assert networks_of(small_network(), "one that drives") == []
 
 
 @pytest.fixture
@@ -147,7 +129,7 @@ def files(tmp_path):
     for seed in (0, 1):
         run = tmp_path / f"run{seed}"
         run.mkdir()
-        save_weights(run / "policy-000000123.safetensors", network(seed=seed))
+        save_weights(run / "policy-000000123.safetensors", small_network(seed=seed))
         (run / "arguments.json").write_text(json.dumps({"seed": seed, "tracks": ["mines"]}))
         paths.append(str(run / "policy-000000123.safetensors"))
     return paths

@@ -24,8 +24,8 @@ from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weigh
 from stkzoo.agents.training.export_policy import export_policy, main
 from stkzoo.errors import ConfigError
 from stkzoo.race import driver_names, find_driver, run_race
-from stkzoo.wrappers import racing
 from stkzoo.wrappers.racing import surroundings_of
+from tests.networks import small_network
 
 LEARNED = [name for name in driver_names() if name.startswith("pretrained:")]
 INPUTS, OUTPUTS = INPUT_SIZE, sum(CHOICES)
@@ -51,18 +51,9 @@ def agent(tmp_path):
 @pytest.fixture
 def quick_agent(tmp_path):
     """Of a network without plans."""
-    chance = np.random.default_rng(0)
-    sizes = (reflexes.INPUT_SIZE, 8, 8)
-    weights = {"drift_hold": np.ones(1, np.float32), "value_net.bias": np.zeros(1, np.float32)}
-    for layer, name in enumerate(["policy_net.0", "policy_net.2"]):
-        shape = sizes[layer + 1], sizes[layer]
-        weights[f"mlp_extractor.{name}.weight"] = chance.normal(0, 0.1, shape).astype(np.float32)
-        weights[f"mlp_extractor.{name}.bias"] = np.zeros(shape[0], np.float32)
-    weights["action_net.weight"] = chance.normal(0, 0.1, (sum(racing.CHOICES), 8)).astype("f4")
-    weights["action_net.bias"] = np.zeros(sum(racing.CHOICES), np.float32)
     run = tmp_path / "run"
     run.mkdir()
-    save_weights(run / "policy-000000123.safetensors", weights)
+    save_weights(run / "policy-000000123.safetensors", small_network())
     (run / "arguments.json").write_text(json.dumps({"seed": 7, "tracks": ["lighthouse"]}))
     return export_policy(run / "policy-000000123.safetensors", "quick", tmp_path / "quick")
 

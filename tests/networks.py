@@ -1,0 +1,27 @@
+"""Small networks on the view ``racing``, as self-play makes them, for tests."""
+
+import numpy as np
+
+from stkzoo.agents.pretrained import reflexes
+from stkzoo.wrappers.racing import CHOICES, STEERS
+
+__all__ = ["small_network"]
+
+
+def small_network(likes=(), seed=0, *, steers=0):
+    """A network that likes some choices by 50, and what it sees decides a little.
+
+    With ``steers`` -1 or 1 it likes each choice of steering more, the farther to that side it is.
+    """
+    chance = np.random.default_rng(seed)
+    sizes = (reflexes.INPUT_SIZE, 8, 8)
+    weights = {"drift_hold": np.ones(1, np.float32), "value_net.bias": np.zeros(1, np.float32)}
+    for layer, name in enumerate(["policy_net.0", "policy_net.2"]):
+        shape = sizes[layer + 1], sizes[layer]
+        weights[f"mlp_extractor.{name}.weight"] = chance.normal(0, 0.1, shape).astype(np.float32)
+        weights[f"mlp_extractor.{name}.bias"] = np.zeros(shape[0], np.float32)
+    weights["action_net.weight"] = chance.normal(0, 0.3, (sum(CHOICES), 8)).astype(np.float32)
+    weights["action_net.bias"] = np.zeros(sum(CHOICES), np.float32)
+    weights["action_net.bias"][: len(STEERS)] = steers * 10.0 * np.arange(len(STEERS))
+    weights["action_net.bias"][list(likes)] = 50.0
+    return weights
