@@ -11,7 +11,6 @@ from stkzoo import race_v0
 from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained import reflexes
 from stkzoo.agents.pretrained.driver import (
-    Policy,
     check_shapes,
     make_actor,
     new_seat,
@@ -20,6 +19,7 @@ from stkzoo.agents.pretrained.driver import (
     read_policy,
 )
 from stkzoo.agents.pretrained.drivers import ALL_LOOKS, CHOICES, INPUT_SIZE
+from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
 from stkzoo.agents.training.export_policy import export_policy, main
 from stkzoo.errors import ConfigError
@@ -225,7 +225,7 @@ def test_a_shipped_driver_is_small_and_has_a_card(name):
     folder = Path(module.__file__).parent
     assert (folder / "weights.safetensors").stat().st_size < 2_000_000
     assert "TO BE WRITTEN" not in (folder / "CARD.md").read_text()
-    assert isinstance(read_policy(folder), Policy)
+    assert isinstance(read_policy(folder), RacingPolicy)
 
 
 def test_before_go_it_waits_with_full_throttle_and_then_it_drives(agent):

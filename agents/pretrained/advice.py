@@ -11,10 +11,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.wrappers.racing import BRAKE, CHOICES
+from stkzoo.wrappers.racing import BRAKE
 
 from .drivers import HEADS, OFFSETS, View, is_drifting, plan_turns
-from .mlp import MlpDriver
+from .mlp import SPLITS, MlpDriver
 from .plans import BRAKE as BRAKE_PLAN
 from .plans import DRIFT_LEFT, DRIFT_RIGHT, MANOEUVRES
 from .reflexes import INPUT_SIZE, steering
@@ -28,7 +28,6 @@ IntArray = npt.NDArray[np.intp]
 _PEDALS = np.array([BRAKE if m == BRAKE_PLAN else 0 for m in range(MANOEUVRES)])
 _SIDES = np.array([(m == DRIFT_RIGHT) - (m == DRIFT_LEFT) for m in range(MANOEUVRES)], np.float32)
 _DRIFTS = np.abs(_SIDES).astype(np.intp)
-_ENDS = np.cumsum(CHOICES)[:-1].tolist()
 #: What a file calls the arrays of its networks.
 _IN_FILE = "adviser{}."
 
@@ -67,7 +66,7 @@ class AdvisedPolicy:
     def _advice(self, seen: FloatArray) -> list[FloatArray]:
         """The networks' mean logarithms of probabilities, an array for each choice."""
         logits = np.stack([network.logits(seen) for network in self.networks])
-        parts = np.split(logits, _ENDS, axis=2)
+        parts = np.split(logits, SPLITS, axis=2)
         return [(part - _log_sum(part)).mean(axis=0) for part in parts]
 
 

@@ -17,14 +17,15 @@ from stkzoo.wrappers.racing import CHOICES, SIZE
 from .reflexes import INPUT_SIZE, Reflexes
 from .weights import load_weights
 
-__all__ = ["HOLD", "MlpDriver", "Seat", "is_network", "load_driver"]
+__all__ = ["HOLD", "SPLITS", "MlpDriver", "Seat", "is_network", "load_driver"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 
 _LAYER = "mlp_extractor.policy_net.{}.{}"
 _LAST = "action_net.{}"
-_SPLITS = np.cumsum(CHOICES)[:-1].tolist()
+#: Where the logits of one choice end and those of the next begin.
+SPLITS = np.cumsum(CHOICES)[:-1].tolist()
 #: Under this name a file says for how many steps a drift is held.
 HOLD = "drift_hold"
 
@@ -85,7 +86,7 @@ class MlpDriver:
 
     def best(self, observations: FloatArray) -> IntArray:
         """The likeliest choices, ``(A, 5)``."""
-        parts = np.split(self.logits(observations), _SPLITS, axis=1)
+        parts = np.split(self.logits(observations), SPLITS, axis=1)
         return np.stack([part.argmax(axis=1) for part in parts], axis=1)
 
     def seat(self) -> Seat:
@@ -97,7 +98,7 @@ class MlpDriver:
         """Choices drawn by their probabilities, ``(A, 5)``."""
         logits = self.logits(observations)
         noisy = logits + random.gumbel(size=logits.shape).astype(np.float32)
-        parts = np.split(noisy, _SPLITS, axis=1)
+        parts = np.split(noisy, SPLITS, axis=1)
         return np.stack([part.argmax(axis=1) for part in parts], axis=1)
 
 
