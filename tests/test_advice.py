@@ -174,6 +174,14 @@ def test_advisers_that_cannot_be_are_refused(files, tmp_path, trust, told):
     assert not (tmp_path / "wise").exists()
 
 
+def test_a_card_whose_trust_is_no_number_is_refused(files, tmp_path):
+    folder = export_policy(files, "wise", tmp_path / "wise", trust=1.0)
+    card = json.loads((folder / "card.json").read_text())
+    (folder / "card.json").write_text(json.dumps({**card, "trust": "much"}))
+    with pytest.raises(ConfigError, match="trust is 'much', expected a number"):
+        read_policy(folder)
+
+
 def test_a_policy_over_plans_is_no_adviser(tmp_path):
     file = tmp_path / "plans.safetensors"
     save_weights(file, RacingPolicy.of_plans_alone().weights)

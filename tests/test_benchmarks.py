@@ -24,6 +24,7 @@ from benchmarks.bench_driver import (
 )
 from benchmarks.bench_memory import children, processes
 from benchmarks.bench_steps import GROUPS, heats
+from benchmarks.learned_drivers import NAMES, PARTS, cost
 from tests.generic_env import kart_env, wrap
 
 ROOT = Path(benchmarks.__file__).parents[1]
@@ -303,3 +304,10 @@ def test_the_reference_is_left_out_where_it_fails():
         if any(spec.kind == "reference" for spec in heat.specs.values())
     }
     assert rivals == {("multi", "full"), ("single", "full")}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_part_of_a_learned_drivers_decision_is_timed(name):
+    parts = cost(name, karts=2, track="lighthouse", steps=3)
+    assert tuple(parts) == PARTS
+    assert all(time > 0 for time in parts.values())

@@ -10,6 +10,7 @@ import pytest
 from stkzoo import race_v0
 from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained import reflexes
+from stkzoo.agents.pretrained.advice import AdvisedPolicy
 from stkzoo.agents.pretrained.driver import (
     check_shapes,
     make_actor,
@@ -225,7 +226,8 @@ def test_a_shipped_driver_is_small_and_has_a_card(name):
     folder = Path(module.__file__).parent
     assert (folder / "weights.safetensors").stat().st_size < 2_000_000
     assert "TO BE WRITTEN" not in (folder / "CARD.md").read_text()
-    assert isinstance(read_policy(folder), RacingPolicy)
+    kinds = {"pretrained:ace": AdvisedPolicy, "pretrained:scout": RacingPolicy}
+    assert isinstance(read_policy(folder), kinds[name])
 
 
 def test_before_go_it_waits_with_full_throttle_and_then_it_drives(agent):

@@ -10,6 +10,7 @@ import pytest
 from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
+from stkzoo.agents.training.league_matches import Match
 from stkzoo.agents.training.plan_numbers import NUMBERS
 from stkzoo.agents.training.rate_policies import (
     START,
@@ -18,6 +19,7 @@ from stkzoo.agents.training.rate_policies import (
     kept_policies,
     main,
     players_of,
+    progress_of,
 )
 from stkzoo.agents.training.sb3_heats import WORST, Heat, drive
 from stkzoo.errors import ConfigError
@@ -78,8 +80,22 @@ def test_the_better_ones_are_rated_higher_and_more_races_are_added(run, tmp_path
     assert {*value} == {START, "ai", "first 0.00", "first 1.00", "first 2.00"}
     assert value[START] > value["first 2.00"]
     assert value["first 0.00"] > value["first 1.00"]
+    assert kept["learned_longer"]["ahead"] < 0.5
     assert (tmp_path / "out" / "ratings.png").read_bytes().startswith(b"\x89PNG")
     assert "3 of 3 races" in capsys.readouterr().out
+
+
+def test_how_often_who_learned_for_longer_is_ahead():
+    def races(*orders):
+        return [Match(0, "mines", False, list(order)) for order in orders]
+
+    best_first = ("b 2.00", "ai", "a 1.00", "start")
+    always = progress_of(races(*[best_first] * 10))
+    assert (always.duels, always.ahead, always.low, always.high) == (30, 1.0, 1.0, 1.0)
+    mixed = progress_of(races(*[best_first] * 10, *[best_first[::-1]] * 30))
+    assert (mixed.duels, mixed.ahead) == (120, 0.25)
+    assert 0.05 < mixed.low < 0.2 < 0.3 < mixed.high < 0.45
+    assert progress_of(races(("a 1.00", "b 1.00", "start"))).duels == 2
 
 
 def test_too_few_policies_are_refused(run, tmp_path, capsys):

@@ -11,12 +11,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import BRAKE
 
 from .drivers import HEADS, OFFSETS, View, is_drifting, plan_turns
 from .mlp import SPLITS, MlpDriver
 from .plans import BRAKE as BRAKE_PLAN
 from .plans import DRIFT_LEFT, DRIFT_RIGHT, MANOEUVRES
+from .policy import log_sum
 from .reflexes import INPUT_SIZE, steering
 
 __all__ = ["AdvisedPolicy", "join_networks", "networks_of"]
@@ -42,9 +44,14 @@ class AdvisedPolicy:
     Args:
         networks: on the view ``racing``, one or more.
         trust: how much they count; 0 is the plans alone.
+
+    Raises:
+        ConfigError: ``trust`` is not such a number.
     """
 
     def __init__(self, networks: Sequence[MlpDriver], trust: float) -> None:
+        if not (isinstance(trust, (int, float)) and 0 <= trust < np.inf):
+            raise ConfigError(f"trust is {trust!r}, expected a number of 0 or more; 1 is usual")
         self.networks, self.trust = tuple(networks), trust
 
     def best(self, view: View) -> IntArray:
@@ -67,7 +74,7 @@ class AdvisedPolicy:
         """The networks' mean logarithms of probabilities, an array for each choice."""
         logits = np.stack([network.logits(seen) for network in self.networks])
         parts = np.split(logits, SPLITS, axis=2)
-        return [(part - _log_sum(part)).mean(axis=0) for part in parts]
+        return [(part - log_sum(part)).mean(axis=0) for part in parts]
 
 
 def _steering(inputs: FloatArray) -> IntArray:
@@ -76,12 +83,6 @@ def _steering(inputs: FloatArray) -> IntArray:
     sides = _SIDES[:, None]
     begins = (sides != 0) & ~is_drifting(inputs)[:, None, None]
     return steering(sides, turn, begins)
-
-
-def _log_sum(logits: FloatArray) -> FloatArray:
-    top = logits.max(axis=-1, keepdims=True)
-    total: FloatArray = np.log(np.exp(logits - top).sum(axis=-1, keepdims=True)) + top
-    return total
 
 
 def join_networks(networks: Sequence[Mapping[str, FloatArray]]) -> dict[str, FloatArray]:

@@ -59,7 +59,7 @@ def read_policy(folder: str | Path) -> Policy:
     file = Path(folder) / WEIGHTS
     weights = load_weights(file, str(_on_card(folder, "sha256")))
     if networks := networks_of(weights, repr(str(file))):
-        return AdvisedPolicy(networks, float(_on_card(folder, "trust")))
+        return AdvisedPolicy(networks, _on_card(folder, "trust"))
     check_shapes(weights, str(file))
     return RacingPolicy(weights)
 

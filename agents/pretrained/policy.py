@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from .drivers import CHOICES, HEADS, INPUT_SIZE, View
 
-__all__ = ["INPUT_CLIP", "RacingPolicy", "network"]
+__all__ = ["INPUT_CLIP", "RacingPolicy", "log_sum", "network"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
@@ -32,6 +32,13 @@ def network(weights: Mapping[str, FloatArray], inputs: FloatArray) -> FloatArray
     x = np.maximum(x @ weights["w1"] + weights["b1"], 0)
     outputs: FloatArray = x @ weights["w2"] + weights["b2"]
     return outputs
+
+
+def log_sum(logits: FloatArray) -> FloatArray:
+    """The logarithm of the sum of exponentials along the last axis, which stays, of size 1."""
+    top = logits.max(axis=-1, keepdims=True)
+    total: FloatArray = np.log(np.exp(logits - top).sum(axis=-1, keepdims=True)) + top
+    return total
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +92,5 @@ class RacingPolicy:
                 continue
             choice = (own + noise[:, head]).argmax(axis=1)
             drawn[:, column] = choice
-            top = own.max(axis=1)
-            total = np.log(np.exp(own - top[:, None]).sum(axis=1)) + top
-            log_probability += own[rows, choice] - total
+            log_probability += own[rows, choice] - log_sum(own)[:, 0]
         return drawn, log_probability

@@ -29,7 +29,7 @@ import numpy.typing as npt
 
 import stkzoo
 from stkzoo.agents.heuristic import DriverParameters
-from stkzoo.agents.pretrained.advice import join_networks
+from stkzoo.agents.pretrained.advice import AdvisedPolicy, join_networks, networks_of
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, check_shapes
 from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
 from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
@@ -156,9 +156,8 @@ def _agent_of(
 ) -> tuple[Arrays, dict[str, str], dict[str, Any]]:
     """An agent's arrays, what fills the gaps of its module, and what its plans go by."""
     if trust is not None:
-        if not (np.isfinite(trust) and trust >= 0):
-            raise ConfigError(f"trust is {trust}, expected 0 or more; 1 is usual")
         joined = join_networks([_network(source) for source in sources])
+        AdvisedPolicy(networks_of(joined, "the advisers"), trust)  # which says what cannot be
         return joined, _OF_PLANS, {"trust": trust, "rules": asdict(DriverParameters())}
     if len(sources) > 1:
         raise ConfigError(

@@ -6,8 +6,9 @@ The runs are of ``ppo_selfplay`` or of ``sb3_selfplay``. Races of four policies 
 game's AI at its hardest, on training tracks; who meets whom and where is drawn evenly. Each race
 is a line of ``matches.jsonl``: the same command with a higher ``--matches`` goes on, and so does it
 after a kill. From all orders together come ratings with intervals (``ratings.json``) and the
-picture of them over kart-steps (``ratings.png``). ``start`` is what runs start from: the plans
-alone, or the first run's policy that has learned nothing.
+picture of them over kart-steps (``ratings.png``); and of any two that met, how often the one with
+more kart-steps was ahead. ``start`` is what runs start from: the plans alone, or the first run's
+policy that has learned nothing.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ import json
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +30,7 @@ from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
 from stkzoo.race.batch.figure import plot_library, save_figure
-from stkzoo.race.tournament.ratings import Rating
+from stkzoo.race.tournament.ratings import CONFIDENCE, Rating
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
 
@@ -37,7 +39,7 @@ from .league_matches import AI, SEATS, Match, Pairing, play, ratings_of
 from .plan_numbers import numbers_of_run
 from .sb3_heats import Heat, bots_of, drive
 
-__all__ = ["START", "draw_pairing", "kept_policies", "main"]
+__all__ = ["START", "Progress", "draw_pairing", "kept_policies", "main", "progress_of"]
 
 #: What all runs start from.
 START = "start"
@@ -45,9 +47,51 @@ _MATCHES, _RATINGS, _PICTURE = "matches.jsonl", "ratings.json", "ratings.png"
 _KEPT = "policy-*.safetensors"
 #: So many are raced before they are written down.
 _AT_ONCE = 16
+#: Sets of races drawn for an interval.
+_DRAWS = 2000
 #: Plays matches.
 Player = Callable[[Sequence[Pairing]], list[Match]]
 _TRACKS = tuple(track for track in TRAIN_TRACKS if track != "black_forest")
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How much there is in having learned for longer.
+
+    Attributes:
+        duels: pairs of policies with unlike kart-steps, of all races.
+        ahead: the share of these in which the one with more kart-steps came in before the other.
+        low: lower end of its interval: a bootstrap over races.
+        high: upper end.
+    """
+
+    duels: int
+    ahead: float
+    low: float
+    high: float
+
+
+def progress_of(matches: Sequence[Match]) -> Progress:
+    """What matches of kept policies tell about learning."""
+    counts = np.array([_duels(match.order) for match in matches])
+    rows = np.random.default_rng(0).integers(len(counts), size=(_DRAWS, len(counts)))
+    ahead, duels = counts[rows].sum(axis=1).T
+    tail = 50 * (1 - CONFIDENCE)
+    low, high = np.percentile(ahead / duels, (tail, 100 - tail))
+    won, total = counts.sum(axis=0)
+    return Progress(int(total), float(won / total), float(low), float(high))
+
+
+def _duels(order: Sequence[str]) -> tuple[int, int]:
+    """Of two policies in a race, how often the one that learned for longer is ahead; how many."""
+    steps = [_millions(name) for name in order if name != AI]
+    unlike = [(first, second) for first, second in combinations(steps, 2) if first != second]
+    return sum(first > second for first, second in unlike), len(unlike)
+
+
+def _millions(name: str) -> float:
+    """A policy's kart-steps, of its name."""
+    return 0.0 if name == START else float(name.rpartition(" ")[2])
 
 
 def kept_policies(runs: Sequence[Path], every: int) -> dict[str, Path]:
@@ -145,8 +189,10 @@ def _write(ratings: Mapping[str, Rating], matches: Sequence[Match], folder: Path
         {"name": name, **asdict(rating), "matches": sum(name in m.order for m in matches)}
         for name, rating in sorted(ratings.items())
     ]
+    progress = asdict(progress_of(matches))
+    report = {"matches": len(matches), "learned_longer": progress, "ratings": rows}
     with whole_file(folder / _RATINGS) as part:
-        part.write_text(json.dumps({"matches": len(matches), "ratings": rows}, indent=1) + "\n")
+        part.write_text(json.dumps(report, indent=1) + "\n")
     _draw(ratings, len(matches), folder / _PICTURE)
 
 
@@ -156,7 +202,7 @@ def _draw(ratings: Mapping[str, Rating], count: int, file: Path) -> None:
     runs = sorted({name.rsplit(" ", 1)[0] for name in ratings if " " in name})
     for run in runs:
         own = sorted(
-            (float(name.rsplit(" ", 1)[1]), rating)
+            (_millions(name), rating)
             for name, rating in ratings.items()
             if name.startswith(f"{run} ")
         )
@@ -246,6 +292,11 @@ def _race(names: Sequence[str], player: Player, folder: Path, wanted: int) -> No
     _write(ratings, matches, folder)
     for name, rating in sorted(ratings.items(), key=lambda item: -item[1].value):
         print(f"{rating.value:6.2f} ({rating.low:.2f}..{rating.high:.2f})  {name}")
+    progress = progress_of(matches)
+    print(
+        f"who has learned for longer is ahead in {progress.ahead:.1%} "
+        f"({progress.low:.1%}..{progress.high:.1%}) of {progress.duels} duels"
+    )
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ _ABOUT = """\
 Records what a driver sees and what it does then, in the view of your choice, as one file to
 learn from: behaviour cloning, offline learning, a start for reinforcement learning.
 
-The driver is the game's AI (ai), one that comes with stkzoo (heuristic, pretrained:scout), or an
+The driver is the game's AI (ai), one that comes with stkzoo (heuristic, pretrained:ace), or an
 agent of yours (a folder, a zip, a module), whatever view it sees itself. All its karts are
 recorded. Each race is kept as soon as it is over; after an interruption the same command goes on.
 

@@ -1,0 +1,149 @@
+"""What the learned drivers that come with stkzoo cost: µs a kart and decision.
+
+All karts of some races are driven as one batch, as training and evaluation do it. The moments of
+such races are then decided again, turn by turn, without the game; the quickest of several turns
+counts. Four parts are timed apart: to *see* (the karts' surroundings, of snapshots), to *plan*
+(weigh the plans, gather what the policy is given), to *choose* (the policy's network, or its
+advisers) and to *act* (the controls).
+
+    python -m benchmarks.learned_drivers
+    python -m benchmarks.learned_drivers --karts 32 --track black_forest
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from stkzoo import race_v0
+from stkzoo.agents.pretrained.driver import read_numbers, read_policy
+from stkzoo.agents.pretrained.drivers import ALL_LOOKS, Drivers
+from stkzoo.race.drivers import driver_names
+from stkzoo.tracks import SPLITS
+from stkzoo.wrappers.racing import CrowdView, RoadTable
+
+RESULTS = Path(__file__).parent / "results" / "learned_drivers.json"
+#: Karts of one race.
+TOGETHER = 8
+TURNS = 5
+PARTS = ("see", "plan", "choose", "act")
+NAMES = [name for name in driver_names() if name.startswith("pretrained:")]
+
+
+@dataclass
+class Batch:
+    """A learned driver of all karts of some races, and a clock.
+
+    Attributes:
+        folder: the driver's.
+        sizes: how many karts each race has.
+        crowd: sees for them.
+        marks: when each part of each decision began and ended [s].
+    """
+
+    folder: Path
+    sizes: Sequence[int]
+    crowd: CrowdView
+    marks: list[list[float]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._policy = read_policy(self.folder)
+        self._drivers = Drivers(sum(self.sizes), read_numbers(self.folder))
+        self._who = [np.arange(size) for size in self.sizes]
+
+    def decide(self, snapshots: Sequence[Any]) -> npt.NDArray[np.float32]:
+        """The controls of all karts."""
+        marks = [time.perf_counter()]
+        seen = self.crowd.surroundings(snapshots, [0] * len(snapshots), self._who, ALL_LOOKS)
+        marks.append(time.perf_counter())
+        view = self._drivers.look(*seen)
+        marks.append(time.perf_counter())
+        choices = self._policy.best(view)
+        marks.append(time.perf_counter())
+        controls, _ = self._drivers.act(choices)
+        marks.append(time.perf_counter())
+        self.marks.append(marks)
+        return controls
+
+
+def cost(name: str, karts: int, track: str, steps: int) -> dict[str, float]:
+    """Each part's µs a kart.
+
+    Args:
+        name: the driver's.
+        karts: in one batch.
+        track: that they race on.
+        steps: how many moments.
+    """
+    module: Any = importlib.import_module(f"stkzoo.agents.{name.replace(':', '.')}")
+    folder = Path(module.__file__).parent
+    sizes = [min(TOGETHER, karts - first) for first in range(0, karts, TOGETHER)]
+    moments = []
+    with ExitStack() as stack:
+        envs = [stack.enter_context(race_v0.parallel_env(num_kart=n, track=track)) for n in sizes]
+        for seed, env in enumerate(envs):
+            env.reset(seed=seed)
+        assert envs[0].track_map is not None  # noqa: S101 - since reset
+        crowd = CrowdView([RoadTable(envs[0].track_map)])
+        batch = Batch(folder, sizes, crowd)
+        for _ in range(steps):
+            moments.append([env.snapshot for env in envs])
+            controls = np.split(batch.decide(moments[-1]), np.cumsum(sizes)[:-1])
+            for env, own in zip(envs, controls, strict=True):
+                env.send(own)
+            for env in envs:
+                env.step_wait()
+    turns = []
+    for _ in range(TURNS):
+        batch = Batch(folder, sizes, crowd)
+        for snapshots in moments:
+            batch.decide(snapshots)
+        turns.append(np.diff(batch.marks).mean(axis=0) / karts * 1e6)
+    best = min(turns, key=np.sum)
+    return dict(zip(PARTS, best.round(1).tolist(), strict=True))
+
+
+def main() -> None:
+    """Runs the command."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--karts", type=int, nargs="+", default=[1, 32, 128], help="in one batch (1 32 128)"
+    )
+    parser.add_argument("--track", choices=SPLITS["all"], default="lighthouse", metavar="NAME")
+    parser.add_argument("--steps", type=int, default=100, help="how many moments (100)")
+    parser.add_argument("--output", type=Path, default=RESULTS, help="where the JSON goes")
+    options = parser.parse_args()
+    found = {
+        name: {karts: cost(name, karts, options.track, options.steps) for karts in options.karts}
+        for name in NAMES
+    }
+    table = Table(title="A decision [µs a kart]", box=box.SIMPLE)
+    for column in ("driver", "karts", *PARTS, "all"):
+        table.add_column(column, justify="left" if column == "driver" else "right")
+    for name, rows in found.items():
+        for karts, parts in rows.items():
+            numbers = (*parts.values(), sum(parts.values()))
+            table.add_row(name, str(karts), *(f"{number:.0f}" for number in numbers))
+    Console().print(table)
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    report = {"track": options.track, "steps": options.steps, "us": found}
+    options.output.write_text(json.dumps(report, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()
