@@ -82,7 +82,7 @@ def get_actor(module_dir: Path, observation_space: Any, action_space: Any) -> Ca
 _OF_PLANS = {"make": "make_actor", "state": "new_state", "view": "full"}
 _OF_NETWORKS = {"make": "make_network_actor", "state": "new_seat", "view": "racing"}
 
-_PACKAGE = '''"""A learned driver; see ``CARD.md``."""
+_PACKAGE = '''"""The learned driver {name}; see ``CARD.md``."""
 
 from .pystk_actor import create_state, env_name, get_actor, player_name
 
@@ -143,7 +143,7 @@ def export_policy(
         "stkzoo": stkzoo.__version__,
         **rules,
     }
-    _write(target / "__init__.py", _PACKAGE)
+    _write(target / "__init__.py", _PACKAGE.format(name=name))
     _write(target / "pystk_actor.py", _MODULE.format(name=name, **gaps))
     _write(target / CARD, json.dumps(facts, indent=1) + "\n")
     if not (target / "CARD.md").exists():
