@@ -21,7 +21,7 @@ from .plans import DRIFT_LEFT, DRIFT_RIGHT, MANOEUVRES
 from .policy import log_sum
 from .reflexes import INPUT_SIZE, steering
 
-__all__ = ["AdvisedPolicy", "join_networks", "networks_of"]
+__all__ = ["AdvisedPolicy", "check_trust", "join_networks", "networks_of"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
@@ -32,6 +32,16 @@ _SIDES = np.array([(m == DRIFT_RIGHT) - (m == DRIFT_LEFT) for m in range(MANOEUV
 _DRIFTS = np.abs(_SIDES).astype(np.intp)
 #: What a file calls the arrays of its networks.
 _IN_FILE = "adviser{}."
+
+
+def check_trust(trust: object) -> None:
+    """Checks how much advisers count.
+
+    Raises:
+        ConfigError: it is no number of 0 or more.
+    """
+    if not (isinstance(trust, (int, float)) and 0 <= trust < np.inf):
+        raise ConfigError(f"trust is {trust!r}, expected a number of 0 or more; 1 is usual")
 
 
 class AdvisedPolicy:
@@ -46,12 +56,11 @@ class AdvisedPolicy:
         trust: how much they count; 0 is the plans alone.
 
     Raises:
-        ConfigError: ``trust`` is not such a number.
+        ConfigError: as :func:`check_trust`.
     """
 
     def __init__(self, networks: Sequence[MlpDriver], trust: float) -> None:
-        if not (isinstance(trust, (int, float)) and 0 <= trust < np.inf):
-            raise ConfigError(f"trust is {trust!r}, expected a number of 0 or more; 1 is usual")
+        check_trust(trust)
         self.networks, self.trust = tuple(networks), trust
 
     def best(self, view: View) -> IntArray:

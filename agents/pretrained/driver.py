@@ -84,13 +84,21 @@ def new_seat(folder: str | Path) -> Seat:
     return read_network(folder).seat()
 
 
-def make_network_actor(folder: str | Path) -> Callable[[Seat, FloatArray], IntArray]:
+def make_network_actor(
+    module_dir: str | Path, observation_space: Any = None, action_space: Any = None
+) -> Callable[[Seat, FloatArray], IntArray]:
     """The actor of an agent's folder that has no plans, for the view ``racing``.
+
+    Args:
+        module_dir: the folder.
+        observation_space: not needed; an agent's ``get_actor`` is given it.
+        action_space: likewise.
 
     Raises:
         ConfigError: as :func:`read_policy`.
     """
-    read_network(folder)
+    del observation_space, action_space
+    read_network(module_dir)
     return lambda seat, observation: seat(observation[None])[0]
 
 
@@ -146,13 +154,21 @@ def _on_card(folder: str | Path, name: str) -> Any:
         raise ConfigError(f"{str(file)!r} is no card of a learned agent: {error!r}") from error
 
 
-def make_actor(folder: str | Path) -> Callable[[Drivers, Mapping[str, Any]], dict[str, Any]]:
+def make_actor(
+    module_dir: str | Path, observation_space: Any = None, action_space: Any = None
+) -> Callable[[Drivers, Mapping[str, Any]], dict[str, Any]]:
     """The actor of an agent's folder, for the ``full`` view.
+
+    Args:
+        module_dir: the folder.
+        observation_space: not needed; an agent's ``get_actor`` is given it.
+        action_space: likewise.
 
     Raises:
         ConfigError: as :func:`read_policy`.
     """
-    policy = read_policy(folder)
+    del observation_space, action_space
+    policy = read_policy(module_dir)
 
     def actor(state: Drivers, observation: Mapping[str, Any]) -> dict[str, Any]:
         if observation["phase"] < _GO_PHASE:

@@ -29,7 +29,7 @@ import numpy.typing as npt
 
 import stkzoo
 from stkzoo.agents.heuristic import DriverParameters
-from stkzoo.agents.pretrained.advice import AdvisedPolicy, join_networks, networks_of
+from stkzoo.agents.pretrained.advice import check_trust, join_networks
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, check_shapes
 from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
 from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
@@ -48,12 +48,11 @@ _MODULE = '''"""A learned driver; see ``CARD.md``."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-from stkzoo.agents.pretrained.driver import {make}, {state}
+from stkzoo.agents.pretrained.driver import {make} as get_actor
+from stkzoo.agents.pretrained.driver import {state}
 
 __all__ = ["create_state", "env_name", "get_actor", "player_name"]
 
@@ -64,18 +63,6 @@ env_name = "supertuxkart/{view}-v0"
 player_name = "{name}"
 
 create_state = partial({state}, Path(__file__).parent)
-
-
-def get_actor(module_dir: Path, observation_space: Any, action_space: Any) -> Callable[..., Any]:
-    """The driver.
-
-    Args:
-        module_dir: this folder, where the weights are.
-        observation_space: not needed.
-        action_space: not needed.
-    """
-    del observation_space, action_space
-    return {make}(module_dir)
 '''
 
 #: What its gaps are filled with for policies over plans, and for networks that answer at once.
@@ -156,8 +143,8 @@ def _agent_of(
 ) -> tuple[Arrays, dict[str, str], dict[str, Any]]:
     """An agent's arrays, what fills the gaps of its module, and what its plans go by."""
     if trust is not None:
+        check_trust(trust)
         joined = join_networks([_network(source) for source in sources])
-        AdvisedPolicy(networks_of(joined, "the advisers"), trust)  # which says what cannot be
         return joined, _OF_PLANS, {"trust": trust, "rules": asdict(DriverParameters())}
     if len(sources) > 1:
         raise ConfigError(

@@ -184,13 +184,14 @@ def _read(file: Path) -> list[Match]:
     return [Match(**json.loads(line)) for line in file.read_text().splitlines()]
 
 
-def _write(ratings: Mapping[str, Rating], matches: Sequence[Match], folder: Path) -> None:
+def _write(
+    ratings: Mapping[str, Rating], progress: Progress, matches: Sequence[Match], folder: Path
+) -> None:
     rows = [
         {"name": name, **asdict(rating), "matches": sum(name in m.order for m in matches)}
         for name, rating in sorted(ratings.items())
     ]
-    progress = asdict(progress_of(matches))
-    report = {"matches": len(matches), "learned_longer": progress, "ratings": rows}
+    report = {"matches": len(matches), "learned_longer": asdict(progress), "ratings": rows}
     with whole_file(folder / _RATINGS) as part:
         part.write_text(json.dumps(report, indent=1) + "\n")
     _draw(ratings, len(matches), folder / _PICTURE)
@@ -288,11 +289,10 @@ def _race(names: Sequence[str], player: Player, folder: Path, wanted: int) -> No
             out.writelines(json.dumps(asdict(match)) + "\n" for match in played)
         matches += played
         print(f"{len(matches)} of {wanted} races", flush=True)
-    ratings = ratings_of(matches)
-    _write(ratings, matches, folder)
+    ratings, progress = ratings_of(matches), progress_of(matches)
+    _write(ratings, progress, matches, folder)
     for name, rating in sorted(ratings.items(), key=lambda item: -item[1].value):
         print(f"{rating.value:6.2f} ({rating.low:.2f}..{rating.high:.2f})  {name}")
-    progress = progress_of(matches)
     print(
         f"who has learned for longer is ahead in {progress.ahead:.1%} "
         f"({progress.low:.1%}..{progress.high:.1%}) of {progress.duels} duels"
