@@ -16,7 +16,7 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from stkzoo.race.batch import write_whole
+from stkzoo.evaluation.batch import write_whole
 
 ROOT = Path(__file__).parent.parent
 EXAMPLES = ROOT / "examples" / "ecosystem"

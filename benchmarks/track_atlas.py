@@ -18,13 +18,13 @@ from PIL import Image
 from stkzoo import race_v0
 from stkzoo.engine.ground import GROUND, SLOWED, VOID, WALL, ZIPPER, Ground
 from stkzoo.engine.track import TrackMap
-from stkzoo.race.batch import BatchProgress, write_whole
-from stkzoo.race.benchmark import AiTimes, load_ai_times, measure_ai_times
+from stkzoo.evaluation.batch import BatchProgress, write_whole
+from stkzoo.evaluation.benchmark import AiTimes, load_ai_times, measure_ai_times
 from stkzoo.tracks import SPLITS, TEST_TRACKS
 
 ROOT = Path(__file__).parent.parent
 PAGE, PICTURES = ROOT / "docs" / "tracks.md", ROOT / "docs" / "images" / "tracks"
-AI_TIMES = Path(str(files("stkzoo.race.benchmark") / "ai_times.json"))
+AI_TIMES = Path(str(files("stkzoo.evaluation.benchmark") / "ai_times.json"))
 _SIZE, _COLOURS, _COLUMNS = (300, 220), 32, 3
 _DIFFICULTIES = (0, 1, 2, 3)
 
@@ -54,7 +54,7 @@ _ABOUT = """\
 which it parts; *items* lie there at the start. *AI times* are medians [s] of {karts} karts
 in races of five, all driven by the game, forwards and reversed, by difficulty 0 to 3; those at
 one's own difficulty are what [`stkzoo benchmark`](benchmark-protocol.md) divides by. With best
-and worst they are in `stkzoo/race/benchmark/ai_times.json`.
+and worst they are in `stkzoo/evaluation/benchmark/ai_times.json`.
 
 Higher difficulties are faster because the game gives its AI more, not only because it drives
 better: at 3 all karts, an agent's too, have stronger engines than at 2.

@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from stkzoo.race.batch import write_whole
+from stkzoo.evaluation.batch import write_whole
 
 ROOT = Path(__file__).parent.parent
 SOURCES = ROOT / "examples" / "tutorials"

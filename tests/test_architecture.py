@@ -33,6 +33,7 @@ LAYERS = [
     ("env", ["stkzoo.env", "stkzoo.race_v0"]),
     ("front", ["stkzoo", "stkzoo.compat", "stkzoo.checks"]),
     ("race", ["stkzoo.race", "stkzoo.play"]),
+    ("evaluation", ["stkzoo.evaluation"]),
     ("cli", ["stkzoo.cli", "stkzoo.__main__"]),
 ]
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from stkzoo.errors import ConfigError
-from stkzoo.race import RaceResult
-from stkzoo.race.benchmark import (
+from stkzoo.evaluation.benchmark import (
     BenchmarkResult,
     KartOutcome,
     RaceForm,
@@ -22,6 +21,7 @@ from stkzoo.race.benchmark import (
     race_seed,
     save_plot,
 )
+from stkzoo.race import RaceResult
 from stkzoo.race.result import AgentResult
 from stkzoo.tracks import TEST_TRACKS
 

@@ -15,8 +15,7 @@ from stkzoo import race_v0
 from stkzoo.cli import main
 from stkzoo.engine.snapshot import KART_DTYPE
 from stkzoo.errors import ConfigError
-from stkzoo.race import Driver, RaceResult, run_race
-from stkzoo.race.benchmark import (
+from stkzoo.evaluation.benchmark import (
     AiTimes,
     compare,
     load_ai_times,
@@ -25,6 +24,7 @@ from stkzoo.race.benchmark import (
     run_benchmark,
     save_plot,
 )
+from stkzoo.race import Driver, RaceResult, run_race
 from stkzoo.race.rescues import RescueCounter
 from stkzoo.tracks import SPLITS
 from tests.processes import wait_until

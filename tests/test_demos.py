@@ -16,9 +16,9 @@ from stkzoo.cli.main import main
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.env.views import VIEWS
 from stkzoo.errors import ConfigError
+from stkzoo.evaluation.demonstrations import check, load, plan_demos, record, save, to_minari
+from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
 from stkzoo.race import run_race
-from stkzoo.race.demos import check, load, plan_demos, record, save, to_minari
-from stkzoo.race.demos.recorder import DemoRecorder, DemoView
 from stkzoo.wrappers.racing import SIZE, controls_of_choices
 
 SHORT = {"tracks": "lighthouse", "karts": 2, "max_steps": 60, "jobs": 1}

@@ -14,9 +14,9 @@ from stkzoo import race_v0
 from stkzoo.engine.ground import GROUND, SLOWED, VOID, WALL, ZIPPER
 from stkzoo.engine.track import TrackMap
 from stkzoo.errors import AgentError, ConfigError
+from stkzoo.evaluation.demonstrations.recorder import DemoView
 from stkzoo.mdp.spaces import GROUND_LANES, GROUND_MARKS
 from stkzoo.race import find_driver, run_race
-from stkzoo.race.demos.recorder import DemoView
 from stkzoo.race.files import declared_env, find_files
 from stkzoo.race.remote import RemoteCrew
 from stkzoo.wrappers.racing import (

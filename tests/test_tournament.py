@@ -14,10 +14,9 @@ import pytest
 
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
-from stkzoo.race import RaceResult
-from stkzoo.race.batch.fingerprint import fingerprint
-from stkzoo.race.batch.pool import run_in_parallel
-from stkzoo.race.tournament import (
+from stkzoo.evaluation.batch.fingerprint import fingerprint
+from stkzoo.evaluation.batch.pool import run_in_parallel
+from stkzoo.evaluation.tournament import (
     TournamentError,
     load_tournament,
     plan_tournament,
@@ -25,7 +24,8 @@ from stkzoo.race.tournament import (
     run_tournament,
     save_plot,
 )
-from stkzoo.race.tournament.ratings import rate
+from stkzoo.evaluation.tournament.ratings import rate
+from stkzoo.race import RaceResult
 from tests.processes import children_of, process_exists, run_program, wait_until
 
 AGENTS = Path(__file__).parent / "agents"
@@ -165,7 +165,7 @@ def test_a_missing_library_is_told_before_the_first_race(tmp_path):
         import sys
         sys.modules[{library!r}] = None
         from stkzoo.errors import ConfigError
-        from stkzoo.race.tournament import run_tournament
+        from stkzoo.evaluation.tournament import run_tournament
         try:
             run_tournament(["ai", "random"], output={folder!r}, races=1)
         except ConfigError as error:

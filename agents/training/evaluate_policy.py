@@ -34,7 +34,7 @@ from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
-from stkzoo.race.benchmark import RaceForm as Form
+from stkzoo.evaluation.benchmark import RaceForm as Form
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
 from .command import keep_to_one_thread

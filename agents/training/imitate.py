@@ -35,8 +35,8 @@ import numpy as np
 
 from stkzoo.cores import usable_cores
 from stkzoo.errors import ConfigError, StkzooError, check_whole
+from stkzoo.evaluation.demonstrations import Demonstrations, load, record
 from stkzoo.race import find_driver
-from stkzoo.race.demos import Demonstrations, load, record
 from stkzoo.tracks import SPLITS
 from stkzoo.whole_file import whole_file
 
@@ -298,7 +298,14 @@ def plot_log(log: Sequence[dict[str, Any]], output: Path) -> None:
     Raises:
         ConfigError: matplotlib is missing.
     """
-    from stkzoo.race.batch.figure import BLUE, GREY, INK, plot_library, save_figure, without_frame
+    from stkzoo.evaluation.batch.figure import (
+        BLUE,
+        GREY,
+        INK,
+        plot_library,
+        save_figure,
+        without_frame,
+    )
 
     figure = plot_library("benchmark", "").Figure(figsize=(8, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))

@@ -18,10 +18,10 @@ from gymnasium import spaces
 
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.errors import ConfigError
+from stkzoo.evaluation.benchmark import load_ai_times
+from stkzoo.evaluation.demonstrations.recorder import DemoView
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race import Driver, find_driver, run_race
-from stkzoo.race.benchmark import load_ai_times
-from stkzoo.race.demos.recorder import DemoView
 from stkzoo.race.replay.record import action_of, controls_of
 from stkzoo.race.seats import Seat, SeatRequest
 from stkzoo.whole_file import whole_file

@@ -35,7 +35,7 @@ from stkzoo.agents.pretrained.driver import check_shapes
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError, StkzooError
-from stkzoo.race.tournament.ratings import rating_library
+from stkzoo.evaluation.tournament.ratings import rating_library
 from stkzoo.whole_file import whole_file
 
 from .command import RunBar, add_arguments, changes, values_of

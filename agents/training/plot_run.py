@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from stkzoo.errors import ConfigError
-from stkzoo.race.batch.figure import plot_library, save_figure
+from stkzoo.evaluation.batch.figure import plot_library, save_figure
 
 from .journal import log_of_run
 

@@ -29,8 +29,8 @@ from stkzoo.engine.session import WorkerSession
 from stkzoo.engine.setup import KartSetup, RaceSetup
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.engine.track import TrackMap, decode_track
+from stkzoo.evaluation.benchmark import load_ai_times
 from stkzoo.names import Phase
-from stkzoo.race.benchmark import load_ai_times
 from stkzoo.wrappers.racing import CrowdView, RoadTable
 
 __all__ = ["Beginning", "Finish", "Fleet", "RaceForm", "StepOutcome"]

@@ -29,8 +29,8 @@ from stkzoo.agents.pretrained.mlp import MlpDriver, Seat, load_driver
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
-from stkzoo.race.batch.figure import plot_library, save_figure
-from stkzoo.race.tournament.ratings import CONFIDENCE, Rating
+from stkzoo.evaluation.batch.figure import plot_library, save_figure
+from stkzoo.evaluation.tournament.ratings import CONFIDENCE, Rating
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from stkzoo.errors import ConfigError
-from stkzoo.race.batch.figure import BLUE, GREY, INK, plot_library, save_figure, without_frame
+from stkzoo.evaluation.batch.figure import BLUE, GREY, INK, plot_library, save_figure, without_frame
 
 from .journal import log_of_run
 

@@ -43,7 +43,7 @@ import numpy as np
 
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.errors import ConfigError, StkzooError
-from stkzoo.race.tournament.ratings import rating_library
+from stkzoo.evaluation.tournament.ratings import rating_library
 from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.racing import CHOICES, RESCUE
 

@@ -13,7 +13,7 @@ from stkzoo.cli.batch_bar import BatchBar
 from stkzoo.cli.flags import add_flags, flags_given
 
 if TYPE_CHECKING:
-    from stkzoo.race.benchmark import BenchmarkPlan, BenchmarkResult
+    from stkzoo.evaluation.benchmark import BenchmarkPlan, BenchmarkResult
 
 __all__ = ["add_parser"]
 
@@ -97,13 +97,13 @@ def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
 
 
 def _decided() -> tuple[str, ...]:
-    from stkzoo.race.benchmark.races import DECIDED
+    from stkzoo.evaluation.benchmark.races import DECIDED
 
     return DECIDED
 
 
 def _add_races(parser: argparse.ArgumentParser) -> None:
-    from stkzoo.race.benchmark.races import FORMS
+    from stkzoo.evaluation.benchmark.races import FORMS
 
     parser.add_argument(
         "--split",
@@ -162,8 +162,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _benchmark(arguments: argparse.Namespace) -> int:
-    from stkzoo.race.batch import BatchRunner
-    from stkzoo.race.benchmark.run import BenchmarkError, run_plan
+    from stkzoo.evaluation.batch import BatchRunner
+    from stkzoo.evaluation.benchmark.run import BenchmarkError, run_plan
 
     plan = _plan(arguments)
     folder = Path(arguments.output or Path("benchmark", plan.agent.label.replace("/", "_")))
@@ -189,7 +189,7 @@ def _benchmark(arguments: argparse.Namespace) -> int:
 
 def _plan(arguments: argparse.Namespace) -> BenchmarkPlan:
     from stkzoo.errors import ConfigError
-    from stkzoo.race.benchmark import plan_benchmark
+    from stkzoo.evaluation.benchmark import plan_benchmark
     from stkzoo.race.settings import RaceSettings
 
     if not arguments.agent:
@@ -221,8 +221,8 @@ def _interrupted(bar: BatchBar, how: str) -> int:
 
 def _baseline(arguments: argparse.Namespace) -> int:
     from stkzoo.errors import ConfigError
-    from stkzoo.race.benchmark import measure_ai_times
-    from stkzoo.race.benchmark.baseline import AI_TIMES_FILE
+    from stkzoo.evaluation.benchmark import measure_ai_times
+    from stkzoo.evaluation.benchmark.baseline import AI_TIMES_FILE
 
     if arguments.agent:
         raise ConfigError("--baseline measures the game's AI; leave the agent out")
@@ -251,7 +251,7 @@ def _baseline(arguments: argparse.Namespace) -> int:
 
 def _compare(arguments: argparse.Namespace) -> int:
     from stkzoo.errors import ConfigError
-    from stkzoo.race.benchmark import compare, load_benchmark, save_plot
+    from stkzoo.evaluation.benchmark import compare, load_benchmark, save_plot
 
     if arguments.agent:
         raise ConfigError("--compare knows its agents; leave the agent out")

@@ -11,7 +11,7 @@ from stkzoo.cli.batch_bar import BatchBar
 from stkzoo.cli.flags import add_flags, flags_given
 
 if TYPE_CHECKING:
-    from stkzoo.race.demos import Demonstrations, DemoPlan
+    from stkzoo.evaluation.demonstrations import Demonstrations, DemoPlan
 
 __all__ = ["add_parser"]
 
@@ -23,7 +23,7 @@ The driver is the game's AI (ai), one that comes with stkzoo (heuristic, pretrai
 agent of yours (a folder, a zip, a module), whatever view it sees itself. All its karts are
 recorded. Each race is kept as soon as it is over; after an interruption the same command goes on.
 
-Read the file with stkzoo.race.demos.load(path), or with numpy.load: it has no pickles.
+Read the file with stkzoo.evaluation.demonstrations.load(path), or with numpy.load (no pickles).
 """
 
 _EXAMPLES = """\
@@ -45,7 +45,7 @@ _DIRECTIONS = {"forward": False, "reversed": True}
 
 def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
     """Adds the command."""
-    from stkzoo.race.demos.plan import DECIDED
+    from stkzoo.evaluation.demonstrations.plan import DECIDED
     from stkzoo.race.settings import RaceSettings
 
     parser = subparsers.add_parser(
@@ -138,8 +138,8 @@ def _add_races(parser: argparse.ArgumentParser) -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     from stkzoo.errors import ConfigError
-    from stkzoo.race.demos import DemosError
-    from stkzoo.race.demos.minari import check_minari
+    from stkzoo.evaluation.demonstrations import DemosError
+    from stkzoo.evaluation.demonstrations.minari import check_minari
 
     with BatchBar() as bar:
         try:
@@ -168,9 +168,9 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _plan(arguments: argparse.Namespace) -> DemoPlan:
     from stkzoo.errors import ConfigError, check_whole
+    from stkzoo.evaluation.demonstrations import plan_demos
+    from stkzoo.evaluation.demonstrations.plan import DECIDED
     from stkzoo.race import find_driver
-    from stkzoo.race.demos import plan_demos
-    from stkzoo.race.demos.plan import DECIDED
     from stkzoo.race.settings import RaceSettings
 
     check_whole("seeds", arguments.seeds, 1)
@@ -204,7 +204,7 @@ def _file(arguments: argparse.Namespace, plan: DemoPlan) -> Path:
 def _record(
     arguments: argparse.Namespace, plan: DemoPlan, file: Path, bar: BatchBar
 ) -> Demonstrations:
-    from stkzoo.race.demos.run import record_plan
+    from stkzoo.evaluation.demonstrations.run import record_plan
 
     return record_plan(
         plan, file, jobs=arguments.jobs, race_timeout=arguments.race_timeout, on_race=bar.tell
@@ -212,9 +212,9 @@ def _record(
 
 
 def _finish(arguments: argparse.Namespace, demos: Demonstrations, file: Path) -> int:
-    from stkzoo.race.demos import check, to_minari
+    from stkzoo.evaluation.demonstrations import check, to_minari
 
-    where, how = str(file), f"stkzoo.race.demos.load({str(file)!r})"
+    where, how = str(file), f"stkzoo.evaluation.demonstrations.load({str(file)!r})"
     if arguments.format == "minari":
         to_minari(demos, arguments.output)
         file.unlink()

@@ -12,7 +12,7 @@ from stkzoo.cli.batch_bar import BatchBar
 from stkzoo.cli.flags import add_flags, flags_given
 
 if TYPE_CHECKING:
-    from stkzoo.race.tournament import TournamentResult
+    from stkzoo.evaluation.tournament import TournamentResult
 
 __all__ = ["add_parser"]
 
@@ -93,7 +93,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     from stkzoo.errors import ConfigError
-    from stkzoo.race.tournament import TournamentError
+    from stkzoo.evaluation.tournament import TournamentError
 
     folder = Path(arguments.resume or arguments.output)
     code = 0
@@ -123,8 +123,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _result(arguments: argparse.Namespace, folder: Path, bar: BatchBar) -> TournamentResult:
     from stkzoo.errors import ConfigError
+    from stkzoo.evaluation.tournament import resume_tournament, run_tournament
     from stkzoo.race.settings import RaceSettings
-    from stkzoo.race.tournament import resume_tournament, run_tournament
 
     how: dict[str, Any] = {
         "jobs": arguments.jobs,

@@ -14,7 +14,7 @@ _KINDS = (
     ("stkzoo.engine.worker", "race"),
     ("stkzoo.engine.shadow", "drawing"),
     ("stkzoo.race.agent_process", "agent"),
-    ("stkzoo.race.batch.worker", "worker"),
+    ("stkzoo.evaluation.batch.worker", "worker"),
     ("ffmpeg", "encoder"),
 )
 

@@ -26,13 +26,13 @@ from stkzoo.engine.assets.archive import SUMS, read_archive
 from stkzoo.engine.assets.progress import Progress
 from stkzoo.env.scenario import Scenario
 from stkzoo.errors import AssetError, ConfigError, ProtocolError
+from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, plan_benchmark
+from stkzoo.evaluation.benchmark.result import BenchmarkResult, benchmark_result
+from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament
 from stkzoo.race import RaceResult, run_race
-from stkzoo.race.benchmark.plan import BenchmarkPlan, plan_benchmark
-from stkzoo.race.benchmark.result import BenchmarkResult, benchmark_result
 from stkzoo.race.codec import Limits, decode, encode
 from stkzoo.race.replay import ReplayError, ReplayWriter, load_replay, save_replay
 from stkzoo.race.space_codec import space_from_data, space_to_data
-from stkzoo.race.tournament.plan import TournamentPlan, plan_tournament
 from stkzoo.race.unpacking import members_of, unpack
 
 __all__ = ["TARGETS", "Target"]

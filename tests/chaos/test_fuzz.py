@@ -22,10 +22,10 @@ from stkzoo.engine.assets.archive import read_archive
 from stkzoo.engine.assets.progress import Progress
 from stkzoo.env.scenario import Scenario
 from stkzoo.errors import AssetError, ConfigError
+from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, plan_benchmark
+from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament
 from stkzoo.race import RaceResult
-from stkzoo.race.benchmark.plan import BenchmarkPlan, plan_benchmark
 from stkzoo.race.replay import ReplayError, load_replay
-from stkzoo.race.tournament.plan import TournamentPlan, plan_tournament
 from stkzoo.race.unpacking import unpack
 from tests.chaos.mutation import mutated
 from tests.chaos.targets import TARGETS

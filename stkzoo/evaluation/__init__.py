@@ -1,0 +1,1 @@
+"""Many races: batches, benchmarks, tournaments, ratings and demonstrations."""

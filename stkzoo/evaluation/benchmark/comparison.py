@@ -1,0 +1,125 @@
+"""Two agents compared, race by race."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+from stkzoo.errors import ConfigError
+from stkzoo.evaluation.benchmark.figures import CONFIDENCE, Estimate, estimate
+from stkzoo.evaluation.benchmark.outcome import RaceOutcome
+from stkzoo.evaluation.benchmark.result import FIGURES, BenchmarkResult, groups_of
+
+__all__ = ["Comparison", "Difference", "compare"]
+
+Pair = tuple[RaceOutcome, RaceOutcome]
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """By how much two agents differ in some races.
+
+    Attributes:
+        by: what the races have in common, as in :class:`~stkzoo.evaluation.benchmark.Group`.
+        name: which of these.
+        races: how many.
+        figures: the first agent's figure minus the second's, by name; ``None`` for a figure
+            that no race has.
+    """
+
+    by: str
+    name: str
+    races: int
+    figures: Mapping[str, Estimate | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """By how much two agents differ.
+
+    Attributes:
+        first: what the first is called.
+        second: what the second is called.
+        differences: over all races and over parts of them.
+    """
+
+    first: str
+    second: str
+    differences: tuple[Difference, ...]
+
+    def difference(self, by: str = "all", name: str = "") -> Difference:
+        """The differences in some races.
+
+        Raises:
+            KeyError: there are no such races.
+        """
+        for difference in self.differences:
+            if (difference.by, difference.name) == (by, name):
+                return difference
+        raise KeyError((by, name))
+
+    def to_json(self) -> str:
+        """The comparison as JSON."""
+        form = {
+            "type": "benchmark-comparison",
+            "schema_version": 1,
+            "interval": {"kind": "bootstrap over pairs of races", "confidence": CONFIDENCE},
+            **asdict(self),
+        }
+        return json.dumps(form, indent=2, allow_nan=False)
+
+
+def compare(first: BenchmarkResult, second: BenchmarkResult) -> Comparison:
+    """By how much two agents differ in the races that both have driven.
+
+    A race of one agent is compared with the other's of the same track, direction, form, end
+    of the grid and seed. So what the conditions of a race do to both falls out.
+
+    Raises:
+        ConfigError: they raced under different conditions, or have no race in common.
+    """
+    differing = first.plan.differing_conditions(second.plan)
+    if differing:
+        raise ConfigError(
+            f"{first.label} and {second.label} raced under different conditions: "
+            f"{'; '.join(differing)}. Run the benchmark again for one of them"
+        )
+    others = {_key(outcome): outcome for outcome in second.outcomes}
+    mine = [outcome for outcome in first.outcomes if _key(outcome) in others]
+    if not mine:
+        raise ConfigError(
+            f"{first.label} and {second.label} have no race in common; give both the same tracks, "
+            "directions and forms"
+        )
+    return Comparison(
+        first.label,
+        second.label,
+        tuple(
+            Difference(
+                by,
+                name,
+                len(members),
+                _figures([(outcome, others[_key(outcome)]) for outcome in members]),
+            )
+            for (by, name), members in groups_of(mine).items()
+        ),
+    )
+
+
+def _key(outcome: RaceOutcome) -> tuple[object, ...]:
+    return (*outcome.race.kind, outcome.race.index)
+
+
+def _figures(pairs: Sequence[Pair]) -> dict[str, Estimate | None]:
+    figures: dict[str, Estimate | None] = {}
+    for kind in FIGURES:
+        values, strata = [], []
+        for mine, other in pairs:
+            one, two = kind.of(mine), kind.of(other)
+            if one is not None and two is not None:
+                values.append(one - two)
+                strata.append(mine.race.kind)
+        bounds = None if kind.bounds is None else (-kind.bounds[1], kind.bounds[1])
+        figures[kind.name] = estimate(values, strata, bounds) if values else None
+    return figures

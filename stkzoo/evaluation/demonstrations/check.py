@@ -1,0 +1,119 @@
+"""Drives demonstrations again: the same controls must lead to the same observations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from stkzoo.errors import ConfigError
+from stkzoo.evaluation.demonstrations.columns import columns_of
+from stkzoo.evaluation.demonstrations.dataset import Demonstrations
+from stkzoo.evaluation.demonstrations.plan import DemoPlan
+from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
+from stkzoo.race.drivers import Driver, find_driver
+from stkzoo.race.replay.record import action_of
+from stkzoo.race.runner import run_race
+
+__all__ = ["Check", "check"]
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What came of driving a race of a data set again.
+
+    Attributes:
+        race: its number.
+        steps: steps compared, of all karts.
+        first_difference: the first step of any kart after which something is seen otherwise, 0
+            on the grid; ``None`` if all is the same to the last bit.
+    """
+
+    race: int
+    steps: int
+    first_difference: int | None
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether all was the same."""
+        return self.first_difference is None
+
+
+def check(demos: Demonstrations, race: int = 0) -> Check:
+    """Drives the recorded controls of one race on the engine, and compares what is seen.
+
+    Args:
+        demos: the data set.
+        race: number of the race in it.
+
+    Raises:
+        ConfigError: there is no such race, or the game's AI drove it: it decides twelve times
+            in a step, gets boosts that agents do not, and so cannot be driven again.
+    """
+    plan = DemoPlan.from_form(demos.plan)
+    numbers = [number for number, facts in enumerate(demos.facts) if facts.race == race]
+    orders = [order for order in plan.orders() if order.number == race]
+    if not numbers or not orders:
+        raise ConfigError(f"there is no race {race} in the data set, it has {len(plan.orders())}")
+    if find_driver(plan.agent.source, inline=plan.settings.inline).is_game_ai:
+        raise ConfigError(
+            "the game's AI was recorded, whose races cannot be driven again by its actions; "
+            "check demonstrations of another driver"
+        )
+    view = DemoView(plan.view)
+    recorder = DemoRecorder(plan.karts, view, race=race)
+    drivers = [_again(demos[number].controls) for number in numbers]
+    settings = replace(orders[0].settings, inline=True)
+    run_race(
+        [*drivers, *plan.rivals],
+        listeners=[recorder],
+        wait_for=range(plan.karts),
+        settings=settings,
+    )
+    again = recorder.episodes(demos.plan)
+    firsts = [
+        _first_difference(view, demos[number].observations, again[place].observations)
+        if again is not None and place < len(again)
+        else 0
+        for place, number in enumerate(numbers)
+    ]
+    found = [first for first in firsts if first is not None]
+    steps = sum(len(demos[number]) for number in numbers)
+    return Check(race, steps, min(found) if found else None)
+
+
+def _again(controls: npt.NDArray[np.float32]) -> Driver:
+    def make_actor(_: spaces.Space[Any], __: spaces.Space[Any], ___: int) -> Callable[..., Any]:
+        rows = iter(controls)
+        return lambda _: action_of(next(rows))
+
+    return Driver.of_actor("recorded", make_actor)
+
+
+def _first_difference(view: DemoView, one: Any, two: Any) -> int | None:
+    """The first moment in which two drives differ."""
+    mine = columns_of("", view.observation_space, _rows(one))
+    theirs = columns_of("", view.observation_space, _rows(two))
+    count = min(len(next(iter(mine.values()))), len(next(iter(theirs.values()))))
+    differs = np.zeros(count, np.bool_)
+    for name, column in mine.items():
+        other = theirs[name]
+        same = (column[:count] == other[:count]).reshape(count, -1).all(axis=1)
+        differs |= ~same
+    if differs.any():
+        return int(differs.argmax())
+    lengths = {len(column) for columns in (mine, theirs) for column in columns.values()}
+    return None if len(lengths) == 1 else count
+
+
+def _rows(tree: Any) -> list[Any]:
+    """Arrays with time in front as a list of moments."""
+    if not isinstance(tree, dict):
+        return list(tree)
+    parts = {key: _rows(part) for key, part in tree.items()}
+    count = len(next(iter(parts.values())))
+    return [{key: part[number] for key, part in parts.items()} for number in range(count)]

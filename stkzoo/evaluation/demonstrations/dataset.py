@@ -1,0 +1,257 @@
+"""A data set of demonstrations, and its file.
+
+The file is a plain ``.npz`` without pickles. For ``E`` episodes (one kart in one race) of ``N``
+steps in all it has
+
+- ``observations`` ``(N + E, ...)``: of every moment, the last one included;
+- ``actions`` ``(N, ...)``: what was done after the observation of the same number, in the view;
+- ``controls`` ``(N, 7)`` float32: the same as the game was told it;
+- ``rewards`` ``(N,)`` float64, of what came of it;
+- ``lengths`` ``(E,)``: steps of each episode;
+- ``about``: a text of JSON: agent, view, tracks, seeds, versions, and facts of each episode.
+
+Observations and actions that are dicts are an array for each entry, ``observations/continuous``.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine.snapshot import CONTROLS
+from stkzoo.errors import ConfigError
+from stkzoo.evaluation.demonstrations.columns import Columns, tree_of
+from stkzoo.whole_file import whole_file
+
+__all__ = ["Demonstrations", "Episode", "EpisodeFacts", "join", "load", "save"]
+
+_KIND, _VERSION = "demonstrations", 1
+#: What reading a file of arrays that is none can raise.
+_DAMAGES = (
+    *(OSError, ValueError, KeyError, TypeError, AttributeError, EOFError),
+    *(NotImplementedError, zipfile.BadZipFile, zlib.error),
+)
+#: Arrays with a row for each step; observations have one more for each episode.
+_BY_STEP = ("actions", "controls", "rewards")
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeFacts:
+    """Whose drive an episode is, and how it ended.
+
+    Attributes:
+        race: number of the race in the data set.
+        agent: id of the kart in it.
+        track: where it drove.
+        reverse: whether the other way round.
+        seed: of the race.
+        start_position: its place on the grid, 1 is in front.
+        finish_time: since the start [s]; ``None`` if it did not finish.
+        rank: its place at the end.
+    """
+
+    race: int
+    agent: str
+    track: str
+    reverse: bool
+    seed: int
+    start_position: int
+    finish_time: float | None
+    rank: int
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """One kart's drive of ``T`` steps; arrays, or dicts of arrays, with time in front.
+
+    Attributes:
+        facts: whose drive it is.
+        observations: ``(T + 1, ...)``.
+        actions: ``(T, ...)``, in the view: number ``t`` was done after observation ``t``.
+        controls: ``(T, 7)`` float32: acceleration, steer, brake, drift, fire, nitro, rescue.
+        rewards: ``(T,)`` float64.
+    """
+
+    facts: EpisodeFacts
+    observations: Any
+    actions: Any
+    controls: npt.NDArray[np.float32]
+    rewards: npt.NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.rewards)
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the kart finished: then the episode was terminated, else cut off."""
+        return self.facts.finish_time is not None
+
+
+@dataclass(frozen=True, slots=True)
+class Demonstrations:
+    """Episodes, and how they were made.
+
+    Attributes:
+        plan: how they were recorded: ``agent``, ``view``, ``tracks``, ``directions``,
+            ``seeds``, ``settings``, ``versions`` and more.
+        facts: of every episode.
+        lengths: steps of every episode, ``(E,)``.
+        columns: the file's other arrays by name.
+    """
+
+    plan: Mapping[str, Any]
+    facts: tuple[EpisodeFacts, ...]
+    lengths: npt.NDArray[np.int64]
+    columns: Columns
+
+    def __len__(self) -> int:
+        return len(self.facts)
+
+    def __iter__(self) -> Iterator[Episode]:
+        return (self[number] for number in range(len(self)))
+
+    def __getitem__(self, number: int) -> Episode:
+        if not 0 <= number < len(self):
+            raise IndexError(f"episode {number} of {len(self)}")
+        begin = int(self.lengths[:number].sum())
+        end = begin + int(self.lengths[number])
+        part = {
+            name: column[begin:end]
+            if _is_by_step(name)
+            else column[begin + number : end + number + 1]
+            for name, column in self.columns.items()
+        }
+        return Episode(
+            self.facts[number],
+            tree_of("observations", part),
+            tree_of("actions", part),
+            part["controls"],
+            part["rewards"],
+        )
+
+    @property
+    def view(self) -> str:
+        """The view's name."""
+        return str(self.plan["view"])
+
+    @property
+    def num_steps(self) -> int:
+        """Steps of all episodes together."""
+        return int(self.lengths.sum())
+
+    def pairs(self) -> tuple[Any, Any]:
+        """What was seen and what was done then: ``(N, ...)`` each, for all episodes."""
+        last = np.cumsum(self.lengths + 1) - 1
+        seen = {
+            name: np.delete(column, last, axis=0)
+            for name, column in self.columns.items()
+            if not _is_by_step(name)
+        }
+        return tree_of("observations", seen), tree_of("actions", self.columns)
+
+    def to_form(self) -> dict[str, Any]:
+        """The text part, as what JSON can hold."""
+        head = {"type": _KIND, "schema_version": _VERSION}
+        return {**head, **self.plan, "episodes": [asdict(facts) for facts in self.facts]}
+
+
+def join(parts: Sequence[Demonstrations]) -> Demonstrations:
+    """One data set of several with the same plan, in their order."""
+    names = list(parts[0].columns)
+    return Demonstrations(
+        parts[0].plan,
+        tuple(facts for part in parts for facts in part.facts),
+        np.concatenate([part.lengths for part in parts]),
+        {name: np.concatenate([part.columns[name] for part in parts]) for name in names},
+    )
+
+
+def save(demos: Demonstrations, path: str | os.PathLike[str]) -> None:
+    """Writes a data set, whole or not at all.
+
+    Raises:
+        ConfigError: it cannot be written.
+    """
+    arrays: dict[str, Any] = {
+        **demos.columns,
+        "lengths": demos.lengths,
+        "about": np.array(json.dumps(demos.to_form())),
+    }
+    try:
+        with whole_file(path) as part, part.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+    except OSError as error:
+        raise ConfigError(f"the demonstrations {path} cannot be written: {error}") from error
+
+
+def load(path: str | os.PathLike[str]) -> Demonstrations:
+    """Reads a data set.
+
+    Args:
+        path: a file that ``stkzoo demos`` wrote, or :func:`save`.
+
+    Raises:
+        ConfigError: there is none, it is damaged, or it is something else.
+    """
+    if not Path(path).is_file():
+        raise ConfigError(
+            f"there are no demonstrations {str(path)!r}; record some: "
+            f"stkzoo demos heuristic --output {path}"
+        )
+    try:
+        with Path(path).open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            arrays: Columns = {name: file[name] for name in file.files}
+        return _read(arrays)
+    except _DAMAGES as error:
+        raise ConfigError(
+            f"{str(path)!r} cannot be read as demonstrations ({type(error).__name__}: {error}); "
+            "expected a file of stkzoo demos"
+        ) from error
+
+
+def _read(arrays: Columns) -> Demonstrations:
+    about: dict[str, Any] = json.loads(str(arrays.pop("about")))
+    found = about.pop("type"), about.pop("schema_version")
+    if found != (_KIND, _VERSION):
+        raise ValueError(f"it is {found[0]} of version {found[1]}")
+    known = [entry.name for entry in fields(EpisodeFacts)]
+    facts = tuple(
+        EpisodeFacts(**{name: form[name] for name in known}) for form in about.pop("episodes")
+    )
+    lengths = arrays.pop("lengths").astype(np.int64)
+    demos = Demonstrations(about, facts, lengths, arrays)
+    _check(demos)
+    return demos
+
+
+def _check(demos: Demonstrations) -> None:
+    """Whether all arrays are as long as they must be.
+
+    Raises:
+        ValueError: one is not.
+        KeyError: one is missing.
+    """
+    if demos.lengths.shape != (len(demos),) or (demos.lengths < 1).any():
+        raise ValueError(f"lengths is {demos.lengths}, with {len(demos)} episodes")
+    for name in ("observations", *_BY_STEP):
+        tree_of(name, demos.columns)
+    for name, column in demos.columns.items():
+        rows = demos.num_steps + (0 if _is_by_step(name) else len(demos))
+        if len(column) != rows:
+            raise ValueError(f"{name} has {len(column)} rows, expected {rows}")
+    if demos.columns["controls"].shape[1:] != (len(CONTROLS),):
+        raise ValueError(f"controls has the shape {demos.columns['controls'].shape}")
+    str(demos.plan["view"])
+
+
+def _is_by_step(name: str) -> bool:
+    return name.partition("/")[0] in _BY_STEP

@@ -1,0 +1,96 @@
+"""Demonstrations as a data set of Minari's, for the libraries that read these."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import warnings
+from typing import Any
+
+import numpy as np
+
+from stkzoo.errors import ConfigError
+from stkzoo.evaluation.demonstrations.dataset import Demonstrations, Episode
+from stkzoo.evaluation.demonstrations.recorder import DemoView
+
+__all__ = ["check_minari", "to_minari"]
+
+_HOME = "https://supertuxkart.net"
+
+
+def check_minari() -> Any:
+    """The library.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    try:
+        return importlib.import_module("minari")
+    except ImportError as error:
+        raise ConfigError(
+            f"this format needs the library minari ({error}); pip install 'stkzoo[demos]', or "
+            "write npz"
+        ) from error
+
+
+def to_minari(demos: Demonstrations, dataset_id: str) -> Any:
+    """Writes demonstrations among Minari's local data sets.
+
+    Args:
+        demos: the data set.
+        dataset_id: such as ``"supertuxkart/heuristic-v0"``. Where Minari keeps its data sets is
+            said by ``MINARI_DATASETS_PATH``.
+
+    Returns:
+        The ``minari.MinariDataset``. Of each episode its metadata has the facts, such as
+        ``track`` and ``finish_time``.
+
+    Raises:
+        ConfigError: Minari is not installed, or refuses the name, which may be taken.
+    """
+    minari = check_minari()
+    view = DemoView(demos.view)
+    buffers = [_buffer(minari, number, demos[number]) for number in range(len(demos))]
+    agent = demos.plan["agent"]["label"]
+    about = {
+        "algorithm_name": agent,
+        "author": "stkzoo",
+        "author_email": "nobody@example.org",
+        "code_permalink": _HOME,
+        "description": (
+            f"What {agent} saw and did in SuperTuxKart, in stkzoo's view {demos.view}, on "
+            f"{', '.join(demos.plan['tracks'])}."
+        ),
+    }
+    spaces = {"observation_space": view.observation_space, "action_space": view.action_space}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # that no environment is named
+            dataset = minari.create_dataset_from_buffers(dataset_id, buffers, **spaces, **about)
+    except (ValueError, AttributeError, AssertionError) as error:
+        raise ConfigError(
+            f"Minari does not take the data set {dataset_id!r}: {error}; expected a name such as "
+            "supertuxkart/heuristic-v0 that is free"
+        ) from error
+    dataset.storage.update_metadata({"stkzoo": json.dumps(dict(demos.plan))})
+    dataset.storage.update_episode_metadata(
+        [
+            {name: value for name, value in episode.items() if value is not None}
+            for episode in demos.to_form()["episodes"]
+        ]
+    )
+    return dataset
+
+
+def _buffer(minari: Any, number: int, episode: Episode) -> Any:
+    steps = len(episode)
+    last = np.arange(steps) == steps - 1
+    return minari.data_collector.EpisodeBuffer(
+        id=number,
+        seed=episode.facts.seed,
+        observations=episode.observations,
+        actions=episode.actions,
+        rewards=list(episode.rewards),
+        terminations=list(last & episode.is_finished),
+        truncations=list(last & (not episode.is_finished)),
+    )
