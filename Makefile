@@ -40,8 +40,7 @@ bench: $(VENV)/.dev
 
 docs: site $(VENV)/.dev
 	$(BIN)/stkzoo assets install
-	$(BIN)/python -m pytest --doctest-modules stkzoo tests/test_docs.py tests/test_docs_truth.py \
-		tests/test_agent_docs.py tests/test_tutorials.py $(ARGS)
+	$(BIN)/python -m pytest --doctest-modules stkzoo tests/docs $(ARGS)
 
 # The documentation as pages, in the folder site; every warning and every dead link fails.
 site: $(VENV)/.docs

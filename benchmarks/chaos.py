@@ -35,7 +35,7 @@ from tests.chaos.forms import FORMS
 from tests.chaos.plan import fault_of
 from tests.chaos.programs import ProgramTrials
 from tests.chaos.trial import Outcome, Trials
-from tests.processes import wait_until
+from tests.support.processes import wait_until
 
 OUTPUT = RESULTS / "robustness" / "faults.jsonl"
 _BATCH = 100

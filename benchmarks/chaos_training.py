@@ -31,7 +31,7 @@ import numpy as np
 from benchmarks.bench_common import RESULTS, host_facts, progress_bar
 from stkzoo.whole_file import whole_file
 from tests.chaos.family import family
-from tests.processes import wait_until
+from tests.support.processes import wait_until
 
 OUTPUT = RESULTS / "robustness" / "training.json"
 _RACES, _KARTS = 2, 4

@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
+from tests.support.paths import ROOT
+
 __all__ = ["CuttingServer", "can_mount", "on_disk"]
 
 _OWN_MOUNTS = ("unshare", "--user", "--map-root-user", "--mount")
@@ -56,7 +58,7 @@ def on_disk(
         text=True,
         timeout=120,
         check=False,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), **variables},
+        env={**os.environ, "PYTHONPATH": str(ROOT), **variables},
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import stkzoo
 from stkzoo import AgentSpec, race_v0
 from stkzoo.engine import process
+from tests.support.paths import AGENTS
 
 __all__ = ["FORMS", "Form", "digest"]
 
@@ -277,7 +278,7 @@ class RunnerForm(Form):
         from stkzoo.race import run_race
         from stkzoo.race.replay import ReplayWriter, load_replay
 
-        agent = Path(__file__).parents[1] / "agents" / "plain"
+        agent = AGENTS / "plain"
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "race.stkz"
             try:

@@ -20,11 +20,12 @@ from pathlib import Path
 from tests.chaos.family import family, marked
 from tests.chaos.faults import Fault, Strike
 from tests.chaos.trial import Outcome
-from tests.processes import wait_until
+from tests.support.paths import AGENTS
+from tests.support.processes import wait_until
 
 __all__ = ["PROGRAMS", "Program", "ProgramTrials"]
 
-_AGENT = Path(__file__).parents[1] / "agents" / "plain"
+_AGENT = AGENTS / "plain"
 #: Seconds in which a program that was hit has ended.
 _LIMIT = 90.0
 _SETTLE = 15.0  # [s]

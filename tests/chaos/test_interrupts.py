@@ -18,7 +18,7 @@ from stkzoo.race import RaceResult
 from stkzoo.race.replay import load_replay
 from tests.chaos.family import family
 from tests.chaos.forms import digest
-from tests.processes import children_of, wait_until
+from tests.support.processes import children_of, wait_until
 
 OPTIONS = {"num_kart": 2, "track": "olivermath", "view": "flattened_discrete"}
 

@@ -19,7 +19,8 @@ import stkzoo
 from stkzoo import EngineCrashed, EngineError, StkzooError, race_v0
 from stkzoo.engine import process
 from tests.chaos.forms import digest
-from tests.processes import children_of, process_exists, run_program, wait_until
+from tests.support.paths import AGENTS, ROOT
+from tests.support.processes import children_of, process_exists, run_program, wait_until
 
 OPTIONS = {"num_kart": 2, "track": "olivermath", "view": "flattened_discrete"}
 
@@ -131,7 +132,7 @@ def test_a_mother_without_memory_is_told_and_works_when_there_is_some():
 
 # ---------------------------------------------------------------------- clocks
 
-ROOT = Path(stkzoo.__file__).parent
+PACKAGE = Path(stkzoo.__file__).parent
 #: Where the time of day is looked at: how old a folder is that was left behind.
 KNOWN = {"engine/assets/staging.py"}
 WALL = {"time.time", "time.time_ns", "datetime.now", "datetime.utcnow", "datetime.datetime.now"}
@@ -139,10 +140,10 @@ WALL = {"time.time", "time.time_ns", "datetime.now", "datetime.utcnow", "datetim
 
 def test_no_time_limit_looks_at_the_time_of_day():
     users = set()
-    for file in ROOT.rglob("*.py"):
+    for file in PACKAGE.rglob("*.py"):
         calls = (node for node in ast.walk(ast.parse(file.read_text())) if is_call(node))
         if WALL & {ast.unparse(node.func) for node in calls}:
-            users.add(str(file.relative_to(ROOT)))
+            users.add(str(file.relative_to(PACKAGE)))
     assert users == KNOWN
 
 
@@ -232,11 +233,11 @@ def test_a_clock_that_jumps_changes_nothing(jumping_clock):
             for step in range(20):
                 jump(step)
                 parts.append(env.step(dict.fromkeys(env.agents, 700)))
-        agent = {str(Path(__file__).parents[1] / "agents" / "plain")!r}
+        agent = {str(AGENTS / "plain")!r}
         result = run_race([agent, "ai"], track="olivermath", max_steps=40, listeners=[Jumping()])
         print(sorted(jumps), result.steps, result.has_errors, digest(parts))
     """
-    path = str(Path(__file__).parents[2])
+    path = str(ROOT)
     done = run_program(code, env={**os.environ, **jumping_clock, "PYTHONPATH": path})
     with make() as env:
         expected = trace(env)
@@ -283,7 +284,7 @@ if __name__ == "__main__":
 def test_daemonic_workers_of_every_kind_race_as_their_program_does(tmp_path, method):
     file = tmp_path / "workers.py"
     file.write_text(WORKERS)
-    variables = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    variables = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, str(file), method]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=variables)
     assert done.stdout.strip() == "[True, True] True", done.stderr

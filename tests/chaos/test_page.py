@@ -1,11 +1,9 @@
 """The page of robustness says what the results say."""
 
 import re
-from pathlib import Path
 
 from benchmarks import chaos_table
-
-ROOT = Path(__file__).parents[2]
+from tests.support.paths import ROOT
 
 
 def test_the_table_is_that_of_the_results():

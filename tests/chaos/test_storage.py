@@ -13,9 +13,9 @@ from stkzoo.engine.assets import find_assets, install, pack, places
 from stkzoo.errors import AssetError
 from stkzoo.race import run_race
 from stkzoo.race.replay import ReplayError, ReplayWriter, load_replay
-from tests import test_assets as assets
 from tests.chaos.disks import CuttingServer, can_mount, on_disk
-from tests.processes import run_program
+from tests.engine import test_assets as assets
+from tests.support.processes import run_program
 
 mounts = pytest.mark.skipif(not can_mount(), reason="this user may not mount a disk of its own")
 

@@ -8,7 +8,7 @@ import uuid
 import pytest
 
 from tests.chaos.family import family, marked
-from tests.processes import wait_until
+from tests.support.processes import wait_until
 
 SMALL = ["--tracks=olivermath", "--epochs=1", "--hidden", "16", "16"]
 TRAINERS = {

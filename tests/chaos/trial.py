@@ -21,7 +21,7 @@ from stkzoo.errors import EngineError, StkzooError
 from tests.chaos.family import family
 from tests.chaos.faults import Fault, Strike
 from tests.chaos.forms import ENGINE_TIMEOUT, FORMS, TRACK, Form, digest
-from tests.processes import wait_until
+from tests.support.processes import wait_until
 
 __all__ = ["Outcome", "Trials"]
 

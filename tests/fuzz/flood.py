@@ -9,7 +9,7 @@ import time
 from stkzoo.race import run_race
 from stkzoo.race.remote import RemoteCrew
 from tests.fuzz.messages import bad_messages, flood, resident_memory
-from tests.remote_race import raw_client, server_process
+from tests.support.remote_race import raw_client, server_process
 
 #: Messages from one connection.
 _AT_ONCE = 1000

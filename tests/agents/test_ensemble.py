@@ -1,0 +1,189 @@
+"""Plans chosen by what they are worth and by what networks would do."""
+
+import json
+
+import numpy as np
+import pytest
+
+from stkzoo.agents.pretrained import reflexes
+from stkzoo.agents.pretrained.advice import AdvisedPolicy, join_networks, networks_of
+from stkzoo.agents.pretrained.driver import read_policy
+from stkzoo.agents.pretrained.drivers import OFFSETS, START_STEER, is_drifting, plan_turns
+from stkzoo.agents.pretrained.mlp import MlpDriver
+from stkzoo.agents.pretrained.plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT
+from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo.agents.pretrained.weights import load_weights, save_weights
+from stkzoo.agents.training.evaluate_policy import Entrant, evaluate
+from stkzoo.agents.training.export_policy import export_policy, main
+from stkzoo.agents.training.ppo_races import Fleet, RaceForm
+from stkzoo.errors import ConfigError
+from stkzoo.race import run_race
+from stkzoo.wrappers.racing import BRAKE as BRAKE_PEDAL
+from stkzoo.wrappers.racing import CHOICES, STEERS
+from tests.support.networks import small_network
+
+STEER, PEDAL, DRIFT, NITRO, FIRE = np.cumsum((0, *CHOICES[:-1]))
+
+
+def advised(trust, *networks):
+    return AdvisedPolicy([MlpDriver(weights) for weights in networks or [small_network()]], trust)
+
+
+@pytest.fixture(scope="module")
+def views():
+    """What four karts see in a race that the plans drive, 50 moments of it."""
+    fleet = Fleet([RaceForm(4, 0)], ["snowmountain"], 0, goes_on=False, mirrors=False)
+    plans, seen = RacingPolicy.of_plans_alone(), []
+    try:
+        view = fleet.begin_at([("snowmountain", False, 0)])
+        for step in range(200):
+            if step % 4 == 0:
+                seen.append(view)
+            fleet.send(plans.best(view))
+            view, _ = fleet.receive()
+    finally:
+        fleet.close()
+    assert any(is_drifting(view.inputs).any() for view in seen)
+    return seen
+
+
+def test_without_trust_it_is_the_plans_alone(views):
+    plans = RacingPolicy.of_plans_alone()
+    assert all((advised(0.0).best(view) == plans.best(view)).all() for view in views)
+
+
+def test_a_little_trust_changes_some_choices_and_much_trust_more(views):
+    def changed(trust):
+        policy, plans = advised(trust), RacingPolicy.of_plans_alone()
+        return np.mean([policy.best(view) != plans.best(view) for view in views])
+
+    assert 0 < changed(0.5) < changed(50.0)
+
+
+def _nearest(turns):
+    return np.abs(STEERS - turns[:, None]).argmin(axis=1).tolist()
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_it_steers_as_far_as_its_plans_let_it_where_networks_would(views, side):
+    for view in views:
+        begin, turn, *_ = advised(1e3, small_network(steers=side)).best(view).T
+        planned = plan_turns(view.inputs)[range(4), begin]
+        chosen, reach = (np.clip(planned + more, -1, 1) for more in (OFFSETS[turn], side * 0.45))
+        assert _nearest(chosen) == _nearest(reach)
+
+
+def test_networks_decide_on_drifts_brakes_nitro_and_fire(views):
+    for likes, wanted in {
+        DRIFT + 1: (DRIFT_LEFT, DRIFT_RIGHT),
+        PEDAL + BRAKE_PEDAL: (BRAKE,),
+    }.items():
+        begins = [advised(1e3, small_network([likes])).best(view)[:, 0] for view in views]
+        possible = [view.prior[:, list(wanted)].max(axis=1) > -29 for view in views]
+        assert all(np.isin(b[can], wanted).all() for b, can in zip(begins, possible, strict=True))
+        assert np.concatenate(possible).any()
+    for choice, place in ((2, NITRO), (3, FIRE)):
+        for pressed in (0, 1):
+            policy = advised(1e3, small_network([place + pressed]))
+            assert all((policy.best(view)[:, choice] == pressed).all() for view in views)
+
+
+def test_who_begins_a_drift_steers_far_enough_to_its_side(views):
+    """The same advice counts for a turn of 0.1 and one of 0.3: both are steered as 0.3."""
+    nearest = np.abs(STEERS - START_STEER).argmin()
+    policy = advised(1e3, small_network([DRIFT + 1, STEER + nearest]))
+    count = 0
+    for view in views:
+        begin, turn, *_ = policy.best(view).T
+        begins = (begin == DRIFT_RIGHT) & ~is_drifting(view.inputs)
+        planned = plan_turns(view.inputs)[:, DRIFT_RIGHT]
+        as_planned = planned < 0.2  # so that it needs no more turn than the plan has
+        assert (OFFSETS[turn[begins & as_planned]] <= 0.08).all()
+        count += (begins & as_planned).sum()
+    assert count > 0
+
+
+def test_several_networks_advise_by_their_mean(views):
+    one, other = small_network(seed=1), small_network(seed=2)
+    view = views[20]
+    both, swapped = advised(2.0, one, other), advised(2.0, other, one)
+    assert (both.best(view) == swapped.best(view)).all()
+    assert (advised(2.0, one, one).best(view) == advised(2.0, one).best(view)).all()
+    drifts, brakes = small_network([DRIFT + 1]), small_network([DRIFT])
+    undecided = [advised(1e3, drifts, brakes).best(view) for view in views]
+    assert len({int(begin) for best in undecided for begin in best[:, 0]}) > 1
+
+
+def test_networks_come_back_from_one_file():
+    found = networks_of(join_networks([small_network(seed=1), small_network(seed=2)]), "both")
+    seen = np.random.default_rng(0).normal(size=(3, reflexes.INPUT_SIZE)).astype(np.float32)
+    for driver, seed in zip(found, (1, 2), strict=True):
+        assert (driver.logits(seen) == MlpDriver(small_network(seed=seed)).logits(seen)).all()
+    assert networks_of(small_network(), "one that drives") == []
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Two networks of runs."""
+    paths = []
+    for seed in (0, 1):
+        run = tmp_path / f"run{seed}"
+        run.mkdir()
+        save_weights(run / "policy-000000123.safetensors", small_network(seed=seed))
+        (run / "arguments.json").write_text(json.dumps({"seed": seed, "tracks": ["mines"]}))
+        paths.append(str(run / "policy-000000123.safetensors"))
+    return paths
+
+
+def test_advisers_become_an_agent(files, tmp_path, capsys):
+    folder = tmp_path / "wise"
+    assert main([*files, "--name=wise", f"--output={folder}", "--trust=0.5"]) == 0
+    capsys.readouterr()
+    card = json.loads((folder / "card.json").read_text())
+    assert [run["history"][0]["arguments"]["seed"] for run in card["runs"]] == [0, 1]
+    assert card["parameters"] == sum(
+        a.size for a in load_weights(folder / "weights.safetensors").values()
+    )
+    text = (folder / "CARD.md").read_text()
+    assert "seed 0" in text
+    assert "seed 1" in text
+    policy = read_policy(folder)
+    assert isinstance(policy, AdvisedPolicy)
+    assert (len(policy.networks), policy.trust) == (2, 0.5)
+    result = run_race([str(folder), "ai"], track="olivermath", seed=1, max_steps=60)
+    mine = next(row for row in result.agents if row.agent == "kart_0")
+    assert (mine.driver, mine.errors) == ("wise", ())
+
+
+def test_agents_are_compared_with_policies(files, tmp_path):
+    one = export_policy(files[:1], "one", tmp_path / "one", trust=0.0)
+    quick = export_policy(files[0], "quick", tmp_path / "quick")
+    entrants = [Entrant.of(source) for source in ("prior", str(one), files[0], str(quick))]
+    prior, own, network, agent = evaluate(entrants, ["olivermath"], RaceForm(1, 0), 1)
+    assert prior == own
+    assert network == agent
+    assert prior[0].ratio < 1
+
+
+@pytest.mark.parametrize(
+    ("trust", "told"), [(None, "several networks"), (-1.0, "trust is -1"), (np.nan, "trust is nan")]
+)
+def test_advisers_that_cannot_be_are_refused(files, tmp_path, trust, told):
+    with pytest.raises(ConfigError, match=told):
+        export_policy(files, "wise", tmp_path / "wise", trust)
+    assert not (tmp_path / "wise").exists()
+
+
+def test_a_card_whose_trust_is_no_number_is_refused(files, tmp_path):
+    folder = export_policy(files, "wise", tmp_path / "wise", trust=1.0)
+    card = json.loads((folder / "card.json").read_text())
+    (folder / "card.json").write_text(json.dumps({**card, "trust": "much"}))
+    with pytest.raises(ConfigError, match="trust is 'much', expected a number"):
+        read_policy(folder)
+
+
+def test_a_policy_over_plans_is_no_adviser(tmp_path):
+    file = tmp_path / "plans.safetensors"
+    save_weights(file, RacingPolicy.of_plans_alone().weights)
+    with pytest.raises(ConfigError, match="MlpPolicy"):
+        export_policy([file], "wise", tmp_path / "wise", trust=1.0)

@@ -1,0 +1,257 @@
+"""Learned drivers: their files are checked, and they race."""
+
+import json
+import struct
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from stkzoo import race_v0
+from stkzoo.agents.heuristic import DriverParameters
+from stkzoo.agents.pretrained import reflexes
+from stkzoo.agents.pretrained.advice import AdvisedPolicy
+from stkzoo.agents.pretrained.driver import (
+    check_shapes,
+    make_actor,
+    new_seat,
+    new_state,
+    read_network,
+    read_policy,
+)
+from stkzoo.agents.pretrained.drivers import ALL_LOOKS, CHOICES, INPUT_SIZE
+from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
+from stkzoo.agents.training.export_policy import export_policy, main
+from stkzoo.errors import ConfigError
+from stkzoo.race import driver_names, find_driver, run_race
+from stkzoo.wrappers.racing import surroundings_of
+from tests.support.networks import small_network
+
+LEARNED = [name for name in driver_names() if name.startswith("pretrained:")]
+INPUTS, OUTPUTS = INPUT_SIZE, sum(CHOICES)
+
+
+def network(hidden=8, seed=0):
+    chance = np.random.default_rng(seed)
+    weights = {"mean": np.zeros(INPUTS, np.float32), "scale": np.ones(INPUTS, np.float32)}
+    sizes = (INPUTS, hidden, hidden, OUTPUTS)
+    for layer in range(3):
+        shape = sizes[layer], sizes[layer + 1]
+        weights[f"w{layer}"] = chance.normal(0, 0.1, shape).astype(np.float32)
+        weights[f"b{layer}"] = np.zeros(sizes[layer + 1], np.float32)
+    return weights
+
+
+@pytest.fixture
+def agent(tmp_path):
+    save_weights(tmp_path / "policy-000000123.safetensors", network())
+    return export_policy(tmp_path / "policy-000000123.safetensors", "tiny", tmp_path / "tiny")
+
+
+@pytest.fixture
+def quick_agent(tmp_path):
+    """Of a network without plans."""
+    run = tmp_path / "run"
+    run.mkdir()
+    save_weights(run / "policy-000000123.safetensors", small_network())
+    (run / "arguments.json").write_text(json.dumps({"seed": 7, "tracks": ["lighthouse"]}))
+    return export_policy(run / "policy-000000123.safetensors", "quick", tmp_path / "quick")
+
+
+def test_a_network_without_plans_becomes_an_agent_too(quick_agent):
+    card = json.loads((quick_agent / "card.json").read_text())
+    assert card["runs"][0]["history"] == [
+        {"from": 0, "arguments": {"seed": 7, "tracks": ["lighthouse"]}}
+    ]
+    assert "rules" not in card
+    assert "value_net.bias" not in load_weights(quick_agent / "weights.safetensors")
+    driver = read_network(quick_agent)
+    assert (driver.hold, driver.inputs) == (1, reflexes.INPUT_SIZE)
+    result = run_race([str(quick_agent)], track="olivermath", max_steps=25)
+    assert result.agents[0].num_errors == 0
+
+
+def test_a_network_that_is_not_the_cards_is_refused(quick_agent):
+    file = quick_agent / "weights.safetensors"
+    save_weights(file, {n: a + 1 for n, a in load_weights(file).items()})
+    read_network.cache_clear()
+    with pytest.raises(ConfigError, match="not those of the card"):
+        new_seat(quick_agent)
+
+
+def test_weights_come_back_as_they_were(tmp_path):
+    save_weights(tmp_path / "w.safetensors", network())
+    found = load_weights(tmp_path / "w.safetensors", digest_of(tmp_path / "w.safetensors"))
+    assert {name: array.tolist() for name, array in found.items()} == {
+        name: array.tolist() for name, array in network().items()
+    }
+
+
+def test_the_file_is_laid_out_as_safetensors_says(tmp_path):
+    save_weights(tmp_path / "w.safetensors", {"a": np.arange(6, dtype=np.float32).reshape(2, 3)})
+    data = (tmp_path / "w.safetensors").read_bytes()
+    (size,) = struct.unpack_from("<Q", data)
+    header = json.loads(data[8 : 8 + size])
+    assert header == {"a": {"dtype": "F32", "shape": [2, 3], "data_offsets": [0, 24]}}
+    assert size % 8 == 0
+    assert np.frombuffer(data[8 + size :], "<f4").tolist() == [0, 1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda data: data[:-4],
+        lambda data: data[:5],
+        lambda data: struct.pack("<Q", 1 << 60) + data[8:],
+        lambda data: data[:8] + b"[" + data[9:],
+        lambda data: data.replace(b'"F32"', b'"F64"'),
+        lambda data: data.replace(b'"shape":[8]', b'"shape":[9]'),
+    ],
+    ids=["cut", "empty", "huge header", "no object", "other type", "other shape"],
+)
+def test_broken_weights_are_refused(tmp_path, spoil):
+    file = tmp_path / "w.safetensors"
+    save_weights(file, network())
+    file.write_bytes(spoil(file.read_bytes()))
+    with pytest.raises(ConfigError, match="no safetensors file"):
+        load_weights(file)
+
+
+def test_missing_weights_are_refused(tmp_path):
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_weights(tmp_path / "none.safetensors")
+
+
+def test_exchanged_weights_are_refused(agent):
+    save_weights(agent / "weights.safetensors", network(seed=1))
+    with pytest.raises(ConfigError, match=r"not those of the card.*SHA-256"):
+        read_policy(agent)
+
+
+def test_a_missing_card_is_refused(agent):
+    (agent / "card.json").unlink()
+    with pytest.raises(ConfigError, match="no card of a learned agent"):
+        read_policy(agent)
+
+
+@pytest.mark.parametrize("rules", [{"wheel": 1.0}, "many", None])
+def test_a_card_of_other_plans_is_refused(agent, rules):
+    change_card(agent, rules=rules)
+    with pytest.raises(ConfigError, match="not those of this version"):
+        new_state(agent)
+
+
+def test_plans_go_by_the_numbers_on_the_card(agent):
+    with race_v0.parallel_env(num_kart=1, track="olivermath") as env:
+        observation = env.reset(seed=1)[0]["kart_0"]
+    around = surroundings_of(observation, ALL_LOOKS)
+    usual = new_state(agent).view(*around).inputs
+    change_card(agent, rules=asdict(DriverParameters(late_cost=40.0, margin=3.0)))
+    assert (new_state(agent).view(*around).inputs != usual).any()
+
+
+def change_card(folder, **facts):
+    file = folder / "card.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), **facts}))
+
+
+def test_another_networks_weights_are_refused():
+    weights = network()
+    weights["w0"] = weights["w0"][:-1]
+    with pytest.raises(ConfigError, match="of another version"):
+        check_shapes(weights, "w")
+    weights = network()
+    weights["b2"][3] = np.nan
+    with pytest.raises(ConfigError, match="finite"):
+        check_shapes(weights, "w")
+
+
+def test_exporting_tells_where_the_agent_comes_from(tmp_path, capsys):
+    file = tmp_path / "policy-000000123.safetensors"
+    save_weights(file, network())
+    (tmp_path / "arguments.json").write_text(
+        json.dumps(
+            [{"from": 0, "arguments": {"seed": 5, "tracks": ["mines"]}, "rules": {"margin": 2.0}}]
+        )
+    )
+    assert main([str(file), "--name=tiny", f"--output={tmp_path / 'agent'}"]) == 0
+    card = json.loads((tmp_path / "agent" / "card.json").read_text())
+    (run,) = card["runs"]
+    assert (run["kart_steps"], run["history"][0]["arguments"]["seed"]) == (123, 5)
+    assert card["rules"] == asdict(DriverParameters(margin=2.0))
+    text = (tmp_path / "agent" / "CARD.md").read_text()
+    assert "mines" in text
+    assert card["sha256"] in text
+    assert "stkzoo race" in capsys.readouterr().out
+
+
+def test_exporting_spares_other_folders(tmp_path, capsys):
+    file = tmp_path / "w.safetensors"
+    save_weights(file, network())
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").write_text("dear")
+    assert main([str(file), "--name=tiny", f"--output={tmp_path / 'mine'}"]) == 1
+    assert "no agent's folder" in capsys.readouterr().err
+    with pytest.raises(ConfigError, match="expected letters"):
+        export_policy(file, "a b", tmp_path / "other")
+
+
+def test_an_exported_folder_races_as_any_agent(agent):
+    result = run_race([str(agent), "ai"], track="olivermath", seed=1, max_steps=60)
+    mine = next(row for row in result.agents if row.agent == "kart_0")
+    assert mine.driver == "tiny"
+    assert mine.errors == ()
+
+
+def test_an_unknown_learned_driver_is_told_of_those_there_are():
+    with pytest.raises(ConfigError, match="unknown driver 'pretrained:nobody'") as error:
+        find_driver("pretrained:nobody")
+    assert all(name in str(error.value) for name in LEARNED)
+
+
+@pytest.mark.parametrize("name", LEARNED)
+def test_a_shipped_driver_reaches_the_finish(name):
+    result = run_race([name], track="lighthouse", seed=3, difficulty=3)
+    assert result.is_finished
+    assert result.agents[0].errors == ()
+
+
+@pytest.mark.parametrize("name", LEARNED)
+def test_a_shipped_driver_is_small_and_has_a_card(name):
+    import importlib
+    from pathlib import Path
+
+    module = importlib.import_module(f"stkzoo.agents.{name.replace(':', '.')}")
+    folder = Path(module.__file__).parent
+    assert (folder / "weights.safetensors").stat().st_size < 2_000_000
+    assert "TO BE WRITTEN" not in (folder / "CARD.md").read_text()
+    kinds = {"pretrained:ace": AdvisedPolicy, "pretrained:scout": RacingPolicy}
+    assert isinstance(read_policy(folder), kinds[name])
+
+
+def test_before_go_it_waits_with_full_throttle_and_then_it_drives(agent):
+    actor, state = make_actor(agent), new_state(agent)
+    with race_v0.parallel_env(num_kart=1, track="lighthouse") as env:
+        observations, _ = env.reset(seed=1)
+        for step in range(40):
+            action = actor(state, observations["kart_0"])
+            assert env.action_space("kart_0").contains(action)
+            if step < 10:
+                assert (action["acceleration"][0], action["brake"], action["drift"]) == (1.0, 0, 0)
+            observations, *_ = env.step({"kart_0": action})
+        assert env.snapshot.karts[0]["speed"] > 5
+
+
+def test_a_learned_driver_races_the_heuristic_and_the_hardest_ai():
+    drivers = [LEARNED[0], "heuristic", "ai:3"]
+    result = run_race(drivers, track="olivermath", seed=1, max_steps=40)
+    assert result.difficulty == 3
+    assert [row.errors for row in result.agents] == [(), (), ()]
+
+
+def test_levels_of_the_ai_that_cannot_be_are_refused():
+    with pytest.raises(ConfigError, match="expected ai:0"):
+        find_driver("ai:4")
+    with pytest.raises(ConfigError, match="one level"):
+        run_race(["ai:1", "ai:2"], track="olivermath")

@@ -1,0 +1,311 @@
+"""The benchmark commands run and save what they measured; how fast anything is, is not asked."""
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import bench_tables
+from benchmarks.bench_all import BENCHMARKS
+from benchmarks.bench_common import VIEWS, Table, figures, quantiles
+from benchmarks.bench_controls import RandomControls, RecordedControls, on_grid, to_action
+from benchmarks.bench_driver import (
+    Contender,
+    Spec,
+    contenders,
+    race_together,
+    record_controls,
+)
+from benchmarks.bench_memory import children, processes
+from benchmarks.bench_steps import GROUPS, heats
+from benchmarks.learned_drivers import NAMES, PARTS, cost
+from tests.support.generic_env import kart_env, wrap
+from tests.support.paths import ROOT
+
+
+def run(name, *arguments):
+    command = [sys.executable, "-m", f"benchmarks.bench_{name}", *map(str, arguments)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+
+
+def processes_below(pid):
+    below = children(pid)
+    return [pid, *below, *(grandchild for child in below for grandchild in children(child))]
+
+
+def wait_until_gone(pids):
+    """The ids that are still there after a while; zombies have gone."""
+    for _ in range(200):
+        living = [pid for pid in pids if is_alive(pid)]
+        if not living:
+            return []
+        time.sleep(0.05)
+    return living
+
+
+def is_alive(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.fixture(scope="module")
+def trial(tmp_path_factory):
+    """The folder with the results of a trial of all benchmarks, and how they ended."""
+    folder = tmp_path_factory.mktemp("trial")
+    return folder, run("all", "--quick", "--output", folder)
+
+
+def test_a_trial_of_all_benchmarks_succeeds(trial):
+    _, ended = trial
+    assert (ended.returncode, ended.stderr[-2000:] if ended.returncode else "") == (0, "")
+
+
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_a_result_tells_command_host_and_settings(trial, name):
+    report = json.loads((trial[0] / f"{name}.json").read_text())
+    assert report["command"].startswith(f"python -m benchmarks.bench_{name} --steps ")
+    assert report["host"]["packages"]["PySuperTuxKart2"]
+    assert report["settings"]["karts"]
+    assert len(report["results"]) > 0
+
+
+def test_a_command_that_was_saved_can_be_run_again(trial, tmp_path):
+    command = json.loads((trial[0] / "resets.json").read_text())["command"].split()
+    again = run("resets", *command[3:], "--output", tmp_path / "again.json")
+    assert again.returncode == 0
+    report = json.loads((tmp_path / "again.json").read_text())
+    assert report["command"].split() == command
+
+
+def test_results_name_neither_the_machine_nor_its_folders(trial):
+    for path in trial[0].glob("*.json"):
+        report = json.loads(path.read_text())
+        text = report["command"] + json.dumps(report["host"]) + json.dumps(report["settings"])
+        assert "/" not in text
+
+
+@pytest.mark.parametrize("name", ["steps", "transport", "scaling"])
+def test_all_contenders_drove_the_same_race(trial, name):
+    results = json.loads((trial[0] / f"{name}.json").read_text())["results"]
+    assert [result["same_race"] for result in results] == [True] * len(results)
+
+
+def test_all_five_contenders_are_compared(trial):
+    results = json.loads((trial[0] / "steps.json").read_text())["results"]
+    by_group = {result["group"]: set(result["contenders"]) for result in results}
+    ours = {"engine", "stkzoo, in process", "stkzoo, worker"}
+    theirs = {"reference, in process", "reference, subprocess"}
+    assert by_group == {"parallel": ours, "multi": ours | theirs, "single": ours | theirs}
+
+
+def test_every_contender_tells_the_time_inside_the_engine(trial):
+    results = json.loads((trial[0] / "steps.json").read_text())["results"]
+    for result in results:
+        for found in result["contenders"].values():
+            assert 0 < found["engine"]["median"] < found["step"]["p90"]
+
+
+def test_a_profile_lists_functions_and_is_saved_as_text(trial):
+    text = (trial[0] / "profile.txt").read_text()
+    assert "tottime" in text
+    assert "== flattened, 2 karts, in process" in text
+    assert "== flattened, 2 karts, worker" in text
+
+
+def test_the_page_is_written_from_the_results(trial, tmp_path):
+    page = tmp_path / "page.md"
+    assert bench_tables.main(["--results", str(trial[0]), "--output", str(page)]) == 0
+    text = page.read_text()
+    assert "python -m benchmarks.bench_steps --steps 10" in text
+    assert text.count("| --: |") > 5
+    assert "stkzoo, worker" in text
+
+
+def test_the_page_needs_results(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        bench_tables.main(["--results", str(tmp_path)])
+    assert "run make bench" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["all", "tables", *BENCHMARKS])
+def test_every_command_has_help(name):
+    shown = run(name, "--help")
+    assert shown.returncode == 0
+    assert f"python -m benchmarks.bench_{name}" in shown.stdout
+
+
+@pytest.mark.parametrize("arguments", [["--steps", "0"], ["--karts", "-1"], ["--cores", "-1"]])
+def test_sizes_that_cannot_be_are_refused(arguments):
+    refused = run("steps", *arguments)
+    assert refused.returncode == 2
+    assert "is less than" in refused.stderr
+
+
+def test_the_reference_runs_the_race_of_the_engine_to_the_last_bit():
+    specs = {
+        "engine": Spec("bare", num_kart=2, num_agents=2),
+        "stkzoo": Spec("stkzoo", "multi", num_kart=2, num_agents=2),
+        "reference": Spec("reference", "multi", num_kart=2, num_agents=2, subprocess=True),
+    }
+    with contenders(specs) as started:
+        times, is_same = race_together(started, track="olivermath", steps=30, block=7)
+    assert is_same
+    assert [len(times[name]["total"]) for name in specs] == [30, 30, 30]
+
+
+def test_another_race_is_noticed():
+    specs = {
+        "one": Spec("bare", num_kart=2, num_agents=2),
+        "other": Spec("bare", num_kart=3, num_agents=2),
+    }
+    with contenders(specs) as started:
+        _, is_same = race_together(started, track="olivermath", steps=30, driving="random")
+    assert not is_same
+
+
+def test_a_contender_that_fails_says_why():
+    with (
+        Contender(Spec("bare")) as contender,
+        pytest.raises(RuntimeError, match=r"failed at 'race'(.|\n)*Traceback"),
+    ):
+        contender.ask("race")
+
+
+@pytest.mark.parametrize("kind", ["stkzoo", "reference"])
+def test_no_process_outlives_a_contender(kind):
+    spec = Spec(kind, "multi", num_kart=1, num_agents=1, subprocess=True)
+    with Contender(spec) as contender:
+        contender.ask("load")
+        contender.ask("make")
+        contender.ask("reset", track="olivermath", seed=1)
+        living = processes_below(contender.pid)
+    assert len(living) > 1
+    assert wait_until_gone(living) == []
+
+
+def test_no_process_outlives_a_driver_that_is_killed():
+    code = (
+        "import os, signal\n"
+        "from benchmarks.bench_driver import Contender, Spec\n"
+        "c = Contender(Spec('reference', 'multi', num_kart=1, num_agents=1, subprocess=True))\n"
+        "c.ask('load'), c.ask('make'), c.ask('reset', track='olivermath', seed=1)\n"
+        "print(c.pid, flush=True)\n"
+        "input()\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as driver:
+        contender = int(driver.stdout.readline())
+        living = processes_below(contender)
+        driver.kill()
+    assert len(living) > 1
+    assert wait_until_gone(living) == []
+
+
+def test_memory_is_told_of_program_mother_and_race():
+    spec = Spec("stkzoo", num_kart=1, num_agents=1, subprocess=True)
+    with Contender(spec) as contender:
+        contender.ask("load")
+        contender.ask("make")
+        contender.ask("reset", track="olivermath", seed=1)
+        found = processes(contender.pid)
+    assert list(found) == ["program", "mother or game", "race"]
+    for sizes in found.values():
+        assert 0 < sizes["own"] <= sizes["share"] <= sizes["resident"]
+
+
+CONTROLS = [[4, 3, 0, 0, 0, 0, 0], [0, 6, 1, 0, 1, 0, 1], [2, 0, 0, 1, 0, 1, 0]]
+
+
+def in_the_games_form(view, action):
+    env = wrap(kart_env(), view)
+    while env is not env.unwrapped:
+        action = env.action(action) if hasattr(env, "action") else action
+        env = env.env
+    return action
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("control", CONTROLS)
+def test_views_take_the_same_control_in_their_own_form(view, control):
+    taken = in_the_games_form(view, to_action(view, control))
+    expected = to_action("full", control)
+    assert set(taken) == set(expected)
+    for key, value in expected.items():
+        np.testing.assert_array_equal(np.ravel(taken[key]), np.ravel(value))
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_an_action_on_the_grid_stays_where_it_is(control):
+    assert on_grid(to_action("full", control)) == control
+
+
+def test_random_controls_repeat_with_their_seed():
+    one, same, other = RandomControls(3, 1), RandomControls(3, 1), RandomControls(3, 2)
+    rows = [[stream.next().tolist() for _ in range(9)] for stream in (one, same, other)]
+    assert rows[0] == rows[1]
+    assert rows[0] != rows[2]
+
+
+def test_recorded_controls_start_again_at_their_end():
+    controls = RecordedControls([[CONTROLS[0]], [CONTROLS[1]]])
+    taken = [controls.next().tolist() for _ in range(3)]
+    assert taken == [[CONTROLS[0]], [CONTROLS[1]], [CONTROLS[0]]]
+
+
+def test_recorded_karts_drive():
+    rows = np.array(record_controls("olivermath", 2, 2, 1, 30))
+    assert rows.shape == (30, 2, 7)
+    assert np.median(rows[..., 0]) > 0
+
+
+def test_quantiles_are_those_of_numpy():
+    values = np.random.default_rng(0).random(50)
+    found = quantiles(values)
+    assert list(found.values()) == pytest.approx(np.quantile(values, [0.5, 0.1, 0.9]).tolist())
+
+
+def test_quantiles_of_nothing_are_refused():
+    with pytest.raises(ValueError, match="no values"):
+        quantiles([])
+
+
+def test_ratios_are_taken_step_by_step():
+    times = {"total": [3e-6, 8e-6, 5e-6], "engine": [1e-6, 2e-6, 5e-6]}
+    found = figures(times)
+    assert found["ratio"]["median"] == pytest.approx(3.0)
+    assert found["overhead"]["median"] == pytest.approx(2.0)
+
+
+def test_a_contender_without_the_engines_time_has_no_ratio():
+    times = {"total": [1e-6, 2e-6], "engine": [None, None]}
+    assert set(figures(times)) == {"step"}
+
+
+def test_a_table_becomes_markdown():
+    table = Table("title", ("", "x"), [("row", "1")], "note")
+    assert table.to_markdown() == "**title**\n\n|  | x |\n| :-- | --: |\n| row | 1 |\n\nnote\n"
+
+
+def test_the_reference_is_left_out_where_it_fails():
+    options = argparse.Namespace(karts=[1], single_karts=[1], group=GROUPS, view=VIEWS, cores=1)
+    rivals = {
+        (heat.group, heat.view)
+        for heat in heats(options)
+        if any(spec.kind == "reference" for spec in heat.specs.values())
+    }
+    assert rivals == {("multi", "full"), ("single", "full")}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_part_of_a_learned_drivers_decision_is_timed(name):
+    parts = cost(name, karts=2, track="lighthouse", steps=3)
+    assert tuple(parts) == PARTS
+    assert all(time > 0 for time in parts.values())

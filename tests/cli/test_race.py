@@ -1,0 +1,152 @@
+"""The command ``stkzoo race``."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import jsonschema
+import pytest
+
+from stkzoo.cli import main
+from stkzoo.race import RaceResult
+from tests.support.paths import AGENTS, SCHEMAS
+from tests.support.processes import wait_until
+
+SCHEMA = SCHEMAS / "race-result.schema.json"
+
+
+def test_an_agent_that_fails_exits_with_3(capsys, tmp_path):
+    """D27: the reference exits with 0."""
+    file = tmp_path / "result.json"
+    words = ["race", "ai", str(AGENTS / "hostile" / "exits.py"), "--track", "olivermath"]
+    assert main([*words, "--max-steps", "5", "--output", str(file)]) == 3
+    assert "exits (kart_1) failed at step 0: its process ended" in capsys.readouterr().out
+    assert RaceResult.from_json(file.read_text()).has_errors
+
+
+def test_raise_shows_the_agents_traceback_and_exits_with_3(capsys):
+    words = ["race", "ai", str(AGENTS / "hostile" / "once.py"), "--track", "olivermath"]
+    assert main([*words, "--error-handling", "raise"]) == 3
+    shown = capsys.readouterr().err
+    assert 'raise ZeroDivisionError("the third")' in shown
+
+
+def test_several_races_are_summed_up(capsys, tmp_path):
+    file = tmp_path / "results.json"
+    words = ["race", "heuristic", "ai", "--track", "olivermath", "--seed", "5", "--races", "2"]
+    assert main([*words, "--max-steps", "20", "--output", str(file)]) == 0
+    assert "2 races, seeds 5 to 6: olivermath" in capsys.readouterr().out
+    written = json.loads(file.read_text())
+    jsonschema.validate(written, json.loads(SCHEMA.read_text()))
+    assert [race["seed"] for race in written["races"]] == [5, 6]
+
+
+def test_an_interrupt_ends_the_race_with_what_there_is(tmp_path):
+    file, log = tmp_path / "result.json", tmp_path / "log"
+    agent = tmp_path / "pystk_actor.py"
+    agent.write_text(
+        "import pathlib\n"
+        "def get_actor(folder, _, space):\n"
+        "    def act(state, observation):\n"
+        "        (folder / 'driving').touch()\n"
+        "        return space.sample()\n"
+        "    return act\n"
+    )
+    words = ["race", str(tmp_path), "--max-steps", "1000000", "--output", str(file)]
+    with log.open("w") as output:
+        program = subprocess.Popen(
+            [sys.executable, "-m", "stkzoo", *words], stdout=output, stderr=output
+        )
+    assert wait_until(lambda: (tmp_path / "driving").exists(), 60)
+    os.kill(program.pid, signal.SIGINT)
+    assert program.wait(30) == 130
+    assert "interrupted" in log.read_text()
+    assert RaceResult.from_json(file.read_text()).status == "interrupted"
+
+
+def test_no_part_of_a_result_is_left_when_it_cannot_be_written(tmp_path, capsys):
+    assert (
+        main(["race", "ai", "--track", "olivermath", "--max-steps", "2", "--output", str(tmp_path)])
+        == 1
+    )
+    assert "could not be written" in capsys.readouterr().err
+    assert list(tmp_path.parent.glob(".*.part")) == []
+
+
+def test_the_references_own_words_are_understood(tmp_path, capsys):
+    adapter = tmp_path / "adapter.py"
+    adapter.write_text("def create_actor(get_actor, *rest): return get_actor(*rest)")
+    words = (
+        f"race {AGENTS / 'plain'} --num-karts 2 --max-paths 5 --track lighthouse --laps 1 "
+        f"--output {tmp_path / 'r.json'} --error-handling catch --action-timeout 5 --hide "
+        f"--max-steps 5 --max-steps-after-first 2 --karts-finished 1 --adapter {adapter}"
+    )
+    assert main(words.split()) == 0
+    assert "Plain" in capsys.readouterr().out
+
+
+def test_command_shows_the_race(capsys):
+    assert main(["race", "heuristic", "ai", "--track", "olivermath", "--seed", "1"]) == 0
+    shown = capsys.readouterr().out
+    assert "olivermath: 1 lap" in shown
+    assert [line.split()[0] for line in shown.splitlines()[2:4]] == ["1", "2"]
+
+
+def test_demo_says_where_to_go_next(capsys):
+    assert main(["race", "--demo", "--track", "olivermath"]) == 0
+    assert "Where to go next" in capsys.readouterr().out
+
+
+def test_command_writes_json(tmp_path):
+    file = tmp_path / "result.json"
+    assert main(["race", "ai", "--track", "olivermath", "--json", str(file)]) == 0
+    assert RaceResult.from_json(file.read_text()).agents[0].driver == "ai"
+
+
+def test_command_writes_only_json_to_stdout_on_request(capsys):
+    assert main(["race", "ai", "--track", "olivermath", "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out)["track"] == "olivermath"
+
+
+def test_command_fills_the_race_up(capsys):
+    words = ["race", "heuristic", "--num-karts", "3", "--track", "olivermath", "--json", "-"]
+    assert main(words) == 0
+    drivers = [row["driver"] for row in json.loads(capsys.readouterr().out)["agents"]]
+    assert sorted(drivers) == ["ai", "ai", "heuristic"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        [],
+        ["nobody"],
+        ["--demo", "ai"],
+        ["ai", "ai", "--num-karts", "1"],
+        ["ai", "--track", "nowhere"],
+        ["ai", "--difficulty", "7"],
+        ["ai", "--laps", "0"],
+        ["ai", "--seed", "-1"],
+        ["ai", "--laps", "two"],
+        ["ai", "--races", "0"],
+        ["ai", "--error-handling", "pray"],
+        ["ai", "--action-timeout", "-1"],
+        ["no/such/agent.zip"],
+    ],
+)
+def test_bad_usage_exits_with_2(words, capsys):
+    assert main(["race", *words]) == 2
+    assert "stkzoo race: error:" in capsys.readouterr().err
+
+
+def test_command_without_the_games_data_exits_with_1(monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv("SUPERTUXKART_DATADIR", str(tmp_path))
+    assert main(["race", "ai"]) == 1
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_result_that_cannot_be_written_exits_with_1(tmp_path, capsys):
+    file = tmp_path / "missing" / "result.json"
+    assert main(["race", "ai", "--track", "olivermath", "--json", str(file)]) == 1
+    assert "could not be written" in capsys.readouterr().err

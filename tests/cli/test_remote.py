@@ -1,0 +1,78 @@
+"""``stkzoo race-server`` and ``stkzoo race-client``, as people call them."""
+
+import json
+import signal
+import subprocess
+import time
+
+import pytest
+
+from stkzoo.cli import main
+from stkzoo.race.remote import new_key_files
+from tests.support.remote_race import server_process, write_agent
+
+RACE = ["--track", "lighthouse", "--seed", "3", "--max-steps", "12"]
+
+
+def test_a_race_with_keys_of_remote_and_local_drivers(tmp_path, capsys):
+    agent = write_agent(tmp_path, "ada")
+    (server, server_public), (course, course_public) = (
+        new_key_files(name, tmp_path) for name in ("server", "course")
+    )
+    keys = ("--secret", str(server), "--allow", str(course_public))
+    with server_process(agent, *keys, address="*:*") as (_, address):
+        where = address.replace("0.0.0.0", "127.0.0.1")
+        client = ["race-client", "--server", where, "--server-key", str(server_public)]
+        output = ["--output", str(tmp_path / "result.json"), "--num-karts", "3"]
+        assert main([*client, "--secret", str(course), "heuristic", *RACE, *output]) == 0
+        assert main([*client, "--connect-timeout", "3", *RACE]) == 1
+    assert "does not let us in" in capsys.readouterr().err
+    agents = json.loads((tmp_path / "result.json").read_text())["agents"]
+    names = {row["agent"]: row["driver"] for row in agents}
+    assert names == {"kart_0": "ada", "kart_1": "heuristic", "kart_2": "ai"}
+
+
+def test_an_agent_that_fails_on_its_server_shows_in_the_exit_code(tmp_path, capsys):
+    agent = write_agent(tmp_path, "bad", act="raise KeyError('oops')")
+    with server_process(agent) as (_, address):
+        assert main(["race-client", "--server", address, "ai", *RACE]) == 3
+    assert "oops" in capsys.readouterr().out
+
+
+def test_no_server_is_a_failure_in_words(capsys):
+    client = ["race-client", "--server", "127.0.0.1:9", "--connect-timeout", "0.5"]
+    assert main(client) == 1
+    assert "did not connect in time" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["race-server", "heuristic", "--address", "*:5998"], "give the server a key of its own"),
+        (["race-server", "no_such_agent"], "no_such_agent"),
+        (["race-server", "ai"], "drives where the game runs"),
+        (["race-server", "heuristic", "--threads", "0"], "expected 1 or more"),
+        (["race-server", "heuristic", "--action-timeout", "-1"], "action_timeout is -1"),
+        (["race-server"], "AGENT"),
+        (["race-client"], "--server"),
+        (["race-client", "--server", "no port:x"], "expected one such as"),
+        (["race-client", "--server", "a", "--timeout", "-1"], "timeout is -1"),
+        (["race-client", "--server", "a", "--secret", "nowhere"], "nowhere cannot be read"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_bad_usage_is_told(words, text, capsys):
+    assert main(words) == 2
+    assert text in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_a_server_ends_when_it_is_asked_to(tmp_path, how):
+    agent = write_agent(tmp_path, "ada")
+    with server_process(agent) as (process, address):
+        time.sleep(0.2)
+        process.send_signal(how)
+        try:
+            assert process.wait(20) == 0
+        except subprocess.TimeoutExpired:
+            pytest.fail(f"the server at {address} did not end")

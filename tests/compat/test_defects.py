@@ -1,0 +1,934 @@
+"""What pystk2-gymnasium 0.10.0 gets wrong and stkzoo gets right, on the real game."""
+
+import re
+import subprocess
+import sys
+from itertools import pairwise
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import stkzoo
+from stkzoo import AgentSpec, ConfigError, MonoAgentWrapperAdapter, race_v0
+from stkzoo.engine.snapshot import HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
+from stkzoo.engine.track import TrackMap
+from stkzoo.env.infos import EpisodeRecord
+from stkzoo.errors import ActionError
+from stkzoo.mdp.observations import KartObserver
+from stkzoo.mdp.rewards import as_reward
+from stkzoo.mdp.spaces import kart_observation_space
+from stkzoo.wrappers import ConstantSizedObservations, Discretizer, PolarObservations
+from tests.support.paths import ROOT
+
+SINGLE_IDS = [f"supertuxkart/{view}-v0" for view in stkzoo.env.views.VIEWS]
+MULTI_ID = "supertuxkart/multi-full-v0"
+SHORT_TRACK = "lighthouse"
+#: Steps until karts move, and some.
+UNTIL_MOVING = 45
+
+
+def action(throttle=0.0, steer=0.0):
+    return {
+        "acceleration": np.array([throttle], np.float32),
+        "steer": np.array([steer], np.float32),
+        "brake": 0,
+        "drift": 0,
+        "fire": 0,
+        "nitro": 0,
+        "rescue": 0,
+    }
+
+
+def idle(env):
+    """Actions with which nobody does anything."""
+    return {agent: action() for agent in env.agents}
+
+
+def specs(kinds):
+    """One agent a letter: ``a`` is driven by the game's AI, ``p`` by its actions."""
+    return [AgentSpec(use_ai=kind == "a") for kind in kinds]
+
+
+def leaves(value):
+    """The arrays and numbers in nested dicts and tuples."""
+    if isinstance(value, dict):
+        return [leaf for part in value.values() for leaf in leaves(part)]
+    return [np.asarray(value)]
+
+
+def same(a, b):
+    return all(np.array_equal(x, y) for x, y in zip(leaves(a), leaves(b), strict=True))
+
+
+@pytest.fixture(scope="module")
+def finished_race():
+    """Every step of a race of three AI agents in the dict-of-agents form, to the end."""
+    env = gym.make(MULTI_ID, agents=specs("aaa"), num_kart=3, track=SHORT_TRACK)
+    env.reset(seed=0)
+    steps = [env.step({})]
+    while not (steps[-1][2] or steps[-1][3]):
+        steps.append(env.step({}))
+    positions = env.unwrapped.core.snapshot.karts["position"]
+    indices = env.unwrapped.kart_indices
+    env.close()
+    return steps, [int(positions[kart]) for kart in indices]
+
+
+# ------------------------------------------------------------------------------------ D01
+
+
+@pytest.mark.parametrize("kinds", ["pp", "ppp", "app", "pap", "ppa", "papa", "aappp"])
+def test_d01_actions_reach_the_kart_of_their_agent(kinds):
+    players = [f"kart_{i}" for i, kind in enumerate(kinds) if kind == "p"]
+    with race_v0.parallel_env(agents=specs(kinds), num_kart=5, track=SHORT_TRACK) as env:
+        for seed in range(4):
+            env.reset(seed=seed)
+            start = env.snapshot.karts["location"].copy()
+            driver = players[seed % len(players)]
+            for _ in range(UNTIL_MOVING):
+                env.step(idle(env) | {driver: action(throttle=1.0)})
+            driven = np.linalg.norm(env.snapshot.karts["location"] - start, axis=1)
+            by_agent = dict(
+                zip(env.possible_agents, driven[list(env.race.kart_indices)], strict=True)
+            )
+            assert max(players, key=by_agent.get) == driver
+            assert by_agent[driver] > 10
+
+
+@pytest.mark.parametrize("steer", [-1.0, 1.0])
+def test_d01_steering_reaches_the_kart_of_its_agent(steer):
+    with race_v0.parallel_env(agents=specs("app"), num_kart=4, track=SHORT_TRACK) as env:
+        for seed in range(4):
+            env.reset(seed=seed)
+            turned = {}
+            for _ in range(UNTIL_MOVING):
+                env.step({"kart_1": action(1.0, steer), "kart_2": action(1.0, -steer)})
+                for agent in ("kart_1", "kart_2"):
+                    kart = env.snapshot.karts[env.race.kart_indices[int(agent[-1])]]
+                    turned.setdefault(agent, float(kart["angular_velocity"][1]))
+                    if abs(kart["angular_velocity"][1]) > abs(turned[agent]):
+                        turned[agent] = float(kart["angular_velocity"][1])
+            assert np.sign(turned["kart_1"]) == -np.sign(turned["kart_2"]) == np.sign(steer)
+
+
+def test_d01_actions_reach_the_right_kart_when_agents_have_different_views():
+    view = {"kart_0": "flattened_discrete", "kart_2": "flattened_continuous_actions"}
+    with race_v0.parallel_env(num_kart=3, track=SHORT_TRACK, view=view) as env:
+        for seed in range(3):
+            env.reset(seed=seed)
+            start = env.snapshot.karts["location"].copy()
+            still = np.array([0.0, 0.0], np.float32)
+            for _ in range(UNTIL_MOVING):
+                straight = 3 * 5 * 2**5  # the middle of 7 steering angles
+                env.step({"kart_0": straight, "kart_1": action(1.0), "kart_2": still})
+            driven = np.linalg.norm(env.snapshot.karts["location"] - start, axis=1)
+            assert np.argmax(driven) == env.race.kart_indices[1]
+
+
+# ----------------------------------------------------------------------------- D02 and D03
+
+
+@pytest.mark.parametrize("places", [(0, 1, 2), (2, 0, 1), (3, None, 0), (None, None, 1)])
+def test_d02_agents_start_where_they_ask_to(places):
+    agents = [AgentSpec(rank_start=place) for place in places]
+    with race_v0.parallel_env(agents=agents, num_kart=4, track=SHORT_TRACK) as env:
+        for seed in range(3):
+            env.reset(seed=seed)
+            taken = env.race.kart_indices
+            assert all(place in (None, kart) for place, kart in zip(places, taken, strict=True))
+            assert len(set(taken)) == len(taken)
+
+
+def test_d02_a_lower_place_stands_further_ahead():
+    agents = [AgentSpec(rank_start=3), AgentSpec(rank_start=0)]
+    with race_v0.parallel_env(agents=agents, num_kart=4, track=SHORT_TRACK) as env:
+        observations, _ = env.reset(seed=0)
+        assert max(p[2] for p in observations["kart_1"]["karts_position"]) < 0
+        assert min(p[2] for p in observations["kart_0"]["karts_position"]) > 0
+
+
+def test_d03_a_seed_gives_the_same_places_whatever_came_before():
+    with race_v0.parallel_env(agents=3, num_kart=5, track=SHORT_TRACK) as env:
+        drawn = set()
+        for unseeded in range(4):
+            env.reset(seed=7)
+            drawn.add(env.race)
+            for _ in range(unseeded):
+                env.reset()
+        assert len(drawn) == 1
+
+
+# ------------------------------------------------------------------------------------ D04
+
+
+@pytest.mark.parametrize("env_id", ["supertuxkart/full-v0", MULTI_ID])
+def test_d04_resets_without_a_seed_go_on_with_the_stream(env_id):
+    env = gym.make(env_id, num_kart=2)
+
+    def races():
+        drawn = []
+        for seed in (1, None, None):
+            env.reset(seed=seed)
+            drawn.append(env.unwrapped.core.race)
+        return drawn
+
+    first, second = races(), races()
+    env.close()
+    assert first == second
+    assert len({race.seed for race in first}) == 3
+
+
+# ---------------------------------------------------------------------------- D05 and D06
+
+
+def test_d05_a_finished_agent_is_paid_once(finished_race):
+    steps, _ = finished_race
+    for agent in "012":
+        rewards = [info["reward"][agent] for *_, info in steps]
+        finish = [info["terminated"][agent] for *_, info in steps].index(True)
+        assert rewards[finish] >= 9.9
+        assert not any(rewards[finish + 1 :])
+
+
+def test_d05_a_finished_agent_leaves_and_the_race_goes_on():
+    with race_v0.parallel_env(agents=specs("aaa"), track=SHORT_TRACK) as env:
+        env.reset(seed=0)
+        left_with = []
+        while env.agents:
+            before = list(env.agents)
+            _, rewards, terminations, _, _ = env.step({})
+            assert list(rewards) == before
+            left_with += [env.agents for agent in before if terminations[agent]]
+        assert [len(rest) for rest in left_with] == [2, 1, 0]
+
+
+def test_d06_each_agents_reward_end_and_info_can_be_read(finished_race):
+    steps, _ = finished_race
+    for _, reward, terminated, _, info in steps:
+        assert reward == pytest.approx(sum(info["reward"].values()))
+        assert set(info["reward"]) == set(info["done"]) == set(info["infos"]) == set("012")
+        assert terminated == all(info["done"].values())
+
+
+@st.composite
+def race_histories(draw):
+    """Distances of K karts over T steps; who finishes where; -1 is never."""
+    num_kart = draw(st.integers(1, 6))
+    num_steps = draw(st.integers(1, 12))
+    finishing = st.one_of(st.none(), st.integers(0, num_steps - 1))
+    finish_steps = draw(st.lists(finishing, min_size=num_kart, max_size=num_kart))
+    metres = st.floats(-300, 150, allow_nan=False, width=32)
+    row = st.lists(metres, min_size=num_kart, max_size=num_kart)
+    distances = draw(st.lists(row, min_size=num_steps, max_size=num_steps))
+    return np.array(distances, np.float32), finish_steps
+
+
+def snapshots_of(distances, finish_steps, lap_length):
+    """The moments of such a race, ranked as the game ranks: finishers by time, then by distance."""
+    num_kart = len(finish_steps)
+    order = []
+    for step in range(-1, len(distances)):
+        row = np.full(num_kart, -lap_length) if step < 0 else distances[step]
+        now = [k for k in range(num_kart) if finish_steps[k] == step and step >= 0]
+        order += now
+        others = sorted((k for k in range(num_kart) if k not in order), key=lambda k: -row[k])
+        karts = np.zeros(num_kart, KART_DTYPE)
+        karts["overall_distance"] = np.minimum(row, lap_length)
+        karts["overall_distance"][order] = lap_length
+        karts["has_finished_race"][order] = 1
+        for rank, kart in enumerate([*order, *others], start=1):
+            karts["position"][kart] = rank
+        header = np.zeros(1, HEADER_DTYPE)
+        header["num_kart"] = num_kart
+        yield Snapshot.of(header[0], karts, np.zeros(0, ITEM_DTYPE))
+
+
+@settings(max_examples=300, deadline=None)
+@given(race_histories())
+def test_d06_a_better_finish_never_earns_less_under_the_placement_reward(history):
+    distances, finish_steps = history
+    lap_length = 100.0
+    agents = [f"kart_{k}" for k in range(len(finish_steps))]
+    reward = as_reward("placement")
+    record = EpisodeRecord(dict.fromkeys(agents, reward), range(len(agents)), lap_length)
+    before, *moments = snapshots_of(distances, finish_steps, lap_length)
+    racing = agents
+    earned = dict.fromkeys(agents, 0.0)
+    for after in moments:
+        for agent, amount in record.step(before, after, racing).items():
+            earned[agent] += amount
+        racing = [a for k, a in enumerate(agents) if not after.karts["has_finished_race"][k]]
+        before = after
+    by_rank = [earned[agents[kart]] for kart in np.argsort(after.karts["position"])]
+    assert all(better >= worse - 1e-9 for better, worse in pairwise(by_rank))
+
+
+def test_d06_the_placement_reward_pays_a_real_race_in_the_order_of_its_finish():
+    agents = specs("aaaa")
+    with race_v0.parallel_env(
+        agents=agents, num_kart=4, track=SHORT_TRACK, reward="placement"
+    ) as env:
+        for seed in range(2):
+            env.reset(seed=seed)
+            returns = dict.fromkeys(env.possible_agents, 0.0)
+            times = {}
+            while env.agents:
+                _, rewards, terminations, _, infos = env.step({})
+                for agent, reward in rewards.items():
+                    returns[agent] += reward
+                    if terminations[agent]:
+                        times[agent] = infos[agent]["finish_time"]
+            order = sorted(times, key=times.get)
+            assert [round(returns[agent], 6) for agent in order] == pytest.approx(
+                [2, 1 + 2 / 3, 1 + 1 / 3, 1], abs=1e-3
+            )
+
+
+# ------------------------------------------------------------------------------------ D07
+
+
+@pytest.mark.parametrize("values", [2, 5, 7, 10])
+def test_d07_every_step_comes_back_from_its_number(values):
+    steps = Discretizer(gym.spaces.Box(-1, 1, (1,)), values)
+    back = [steps.discretize(np.float32(steps.continuous(k))) for k in range(values)]
+    assert back == list(range(values))
+
+
+def test_d07_labels_of_the_games_ai_are_the_nearest_steps():
+    env = gym.make(
+        "supertuxkart/flattened_multidiscrete-v0", agent=AgentSpec(use_ai=True), track=SHORT_TRACK
+    )
+    env.reset(seed=3)
+    core = env.unwrapped.core
+    errors = []
+    for _ in range(150):
+        observation, *_ = env.step(env.action_space.sample())
+        steer = core.observe_batch(core.possible_agents)["action"]["steer"].item()
+        errors.append(observation["action"][-1] / 3 - 1 - steer)
+    env.close()
+    assert np.abs(errors).max() <= 1 / 6 + 1e-6
+    assert len(set(np.round(errors, 3))) > 5
+
+
+# ------------------------------------------------------------------------------------ D08
+
+
+@pytest.mark.parametrize("view", [v for v in stkzoo.env.views.VIEWS if v.startswith("flattened")])
+def test_d08_flattened_views_have_exactly_two_keys(view):
+    env = gym.make(f"supertuxkart/{view}-v0", track=SHORT_TRACK)
+    observation, _ = env.reset(seed=0)
+    env.close()
+    assert set(env.observation_space) == set(observation) == {"continuous", "discrete"}
+
+
+@pytest.mark.parametrize(
+    "view", ["flattened_continuous_actions", "flattened_multidiscrete", "flattened_discrete"]
+)
+def test_d08_sb3_acts_on_flattened_views(view):
+    from stable_baselines3 import PPO
+
+    env = gym.make(f"supertuxkart/{view}-v0", track=SHORT_TRACK)
+    model = PPO("MultiInputPolicy", env, n_steps=8, batch_size=8, device="cpu")
+    observation, _ = env.reset(seed=0)
+    for _ in range(3):
+        chosen, _ = model.predict(observation)
+        observation, *_ = env.step(chosen)
+    env.close()
+    assert env.action_space.contains(chosen)
+
+
+# ------------------------------------------------------------------------------------ D09
+
+
+@pytest.mark.parametrize("env_id", SINGLE_IDS)
+def test_d09_observations_of_ai_agents_are_in_their_space(env_id):
+    env = gym.make(env_id, agent=AgentSpec(use_ai=True), track=SHORT_TRACK)
+    observation, _ = env.reset(seed=1)
+    for _ in range(80):
+        assert env.observation_space.contains(observation)
+        assert env.action_space.contains(observation["action"])
+        observation, *_ = env.step(env.action_space.sample())
+    env.close()
+
+
+def test_d09_observations_of_mixed_agents_are_in_their_spaces():
+    env = gym.make(MULTI_ID, agents=specs("ap"), track=SHORT_TRACK)
+    observation, _ = env.reset(seed=1)
+    assert env.observation_space.contains(observation)
+    assert "action" in observation["0"]
+    assert "action" not in observation["1"]
+    env.close()
+
+
+# ------------------------------------------------------------------------------------ D10
+
+
+def test_d10_a_seed_gives_the_same_race_to_the_finish_with_bots():
+    def trajectory(env):
+        env.reset(seed=3)
+        moments = [env.snapshot.data]
+        while env.agents:
+            env.step({})
+            moments.append(env.snapshot.data)
+        return moments
+
+    with race_v0.parallel_env(agents=specs("aa"), num_kart=4, track=SHORT_TRACK) as env:
+        first, second, third = (trajectory(env) for _ in range(3))
+    assert len(first) > 200
+    assert first == second == third
+
+
+def test_d10_another_seed_gives_another_race():
+    with race_v0.parallel_env(agents=specs("aa"), num_kart=4, track=SHORT_TRACK) as env:
+        ends = []
+        for seed in (3, 4):
+            env.reset(seed=seed)
+            for _ in range(100):
+                env.step({})
+            ends.append(env.snapshot.data)
+        assert ends[0] != ends[1]
+
+
+# ------------------------------------------------------------------------------------ D12
+
+
+@pytest.mark.parametrize("env_id", [*SINGLE_IDS, MULTI_ID])
+def test_d12_a_track_given_at_reset_is_taken_for_that_episode(env_id):
+    env = gym.make(env_id, num_kart=2, track=SHORT_TRACK)
+    env.reset(seed=0, options={"track": "olivermath"})
+    chosen = env.unwrapped.current_track
+    env.reset()
+    after = env.unwrapped.current_track
+    env.close()
+    assert (chosen, after) == ("olivermath", SHORT_TRACK)
+
+
+@pytest.mark.parametrize(
+    ("options", "read", "expected"),
+    [
+        ({"laps": 2}, lambda env: env.race.laps, 2),
+        ({"difficulty": 0}, lambda env: env.race.difficulty, 0),
+        ({"reverse": True}, lambda env: env.race.reverse, True),
+        ({"track": ["zengarden"]}, lambda env: env.race.track, "zengarden"),
+        ({"max_paths": 4}, lambda env: env.observe_batch(["kart_0"])["paths_width"].shape[1], 4),
+    ],
+)
+def test_d12_options_of_an_episode_are_honoured(options, read, expected):
+    with race_v0.parallel_env(num_kart=2, track=SHORT_TRACK) as env:
+        env.reset(seed=0, options=options)
+        assert read(env) == expected
+
+
+def test_d12_an_episode_may_be_cut_shorter():
+    with race_v0.parallel_env(num_kart=2, track=SHORT_TRACK) as env:
+        env.reset(seed=0, options={"max_cycles": 2})
+        env.step(idle(env))
+        *_, truncations, _ = env.step(idle(env))
+        assert truncations == {"kart_0": True, "kart_1": True}
+        assert env.agents == []
+
+
+def test_d12_the_dict_of_agents_needs_no_arguments():
+    env = stkzoo.STKRaceMultiEnv(track=SHORT_TRACK)
+    assert list(env.reset(seed=0)[0]) == ["0", "1", "2"]
+    env.close()
+
+
+# ------------------------------------------------------------------------------------ D13
+
+
+def test_d13_originals_are_not_changed_by_wrappers():
+    env = MonoAgentWrapperAdapter(
+        gym.make(MULTI_ID, agents=2, num_kart=2, track=SHORT_TRACK),
+        keep_original=True,
+        wrapper_factories={"0": PolarObservations, "1": PolarObservations},
+    )
+    plain = gym.make(MULTI_ID, agents=2, num_kart=2, track=SHORT_TRACK)
+    observation, _ = env.reset(seed=5)
+    expected, _ = plain.reset(seed=5)
+    for _ in range(5):
+        for agent in "01":
+            assert same(observation[f"original/{agent}"], expected[agent])
+            assert not same(observation[agent], expected[agent])
+        actions = {agent: action(1.0) for agent in "01"}
+        observation, expected = env.step(actions)[0], plain.step(actions)[0]
+    env.close()
+    plain.close()
+
+
+@pytest.mark.parametrize("wrapper", [ConstantSizedObservations, PolarObservations])
+def test_d13_observing_twice_gives_the_same(wrapper):
+    env = gym.make("supertuxkart/full-v0", track=SHORT_TRACK)
+    wrapped = wrapper(env)
+    observation, _ = env.reset(seed=5)
+    first, second = wrapped.observation(observation), wrapped.observation(observation)
+    env.close()
+    assert same(first, second)
+
+
+# ------------------------------------------------------------------------------------ D14
+
+
+class CountedSteps(gym.ObservationWrapper):
+    """Counts the observations since the last reset."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        self.observation_space = gym.spaces.Discrete(1000)
+        self.count = 0
+
+    def reset(self, **kwargs):
+        self.count = 0
+        return super().reset(**kwargs)
+
+    def observation(self, _):
+        self.count += 1
+        return self.count
+
+
+class TenfoldReward(gym.RewardWrapper):
+    """Ten times the reward."""
+
+    def reward(self, reward):
+        return 10 * reward
+
+
+def parallel_race():
+    return race_v0.parallel_env(num_kart=2, track=SHORT_TRACK)
+
+
+def dict_race():
+    return gym.make(MULTI_ID, num_kart=2, track=SHORT_TRACK)
+
+
+@pytest.mark.parametrize("make", [parallel_race, dict_race])
+def test_d14_stateful_wrappers_start_anew_with_the_race(make):
+    env = MonoAgentWrapperAdapter(make(), wrapper_factories={"0": CountedSteps})
+    agents = list(env.reset(seed=0)[0])
+    for _ in range(3):
+        observations, *_ = env.step({agent: action() for agent in agents})
+    assert observations[agents[0]] == 4
+    assert env.reset(seed=0)[0][agents[0]] == 1
+    env.close()
+
+
+@pytest.mark.parametrize("make", [parallel_race, dict_race])
+def test_d14_reward_wrappers_change_the_reward_of_their_agent(make):
+    def rewards(env):
+        agents = list(env.reset(seed=0)[0])
+        _, reward, _, _, info = env.step({agent: action() for agent in agents})
+        env.close()
+        return list(info.get("reward", reward).values())
+
+    plain = rewards(make())
+    wrapped = rewards(MonoAgentWrapperAdapter(make(), wrapper_factories={"1": TenfoldReward}))
+    assert wrapped == pytest.approx([plain[0], 10 * plain[1]])
+    assert plain[1] != 0
+
+
+# ------------------------------------------------------------------------------------ D15
+
+
+@pytest.mark.parametrize("kart", ["sara_the_racer", "sara_the_wizard", "gnu"])
+def test_d15_every_kart_name_is_in_the_space(kart):
+    env = gym.make("supertuxkart/full-v0", agent=AgentSpec(kart=kart), track=SHORT_TRACK)
+    observation, _ = env.reset(seed=0)
+    env.close()
+    assert observation["kart_type"] == kart
+    assert env.observation_space.contains(observation)
+
+
+@pytest.mark.parametrize(("held", "seen"), [(6, 6), (9, 9), (12, 9)])
+def test_d15_many_power_ups_are_in_the_space(held, seen):
+    with race_v0.parallel_env(num_kart=1, track=SHORT_TRACK) as env:
+        env.reset(seed=0)
+        karts = env.snapshot.karts.copy()
+        karts["powerup_num"] = held
+        snapshot = Snapshot.of(env.snapshot.header, karts, env.snapshot.items)
+        observer = KartObserver(env.track_map, env.race.kart_types, None)
+        count = observer.observe(snapshot, np.array([0]))["powerup_count"][0]
+    assert count == seen
+    assert kart_observation_space()["powerup_count"].contains(count)
+
+
+@pytest.mark.parametrize("use_ai", [False, True])
+@pytest.mark.parametrize("env_id", SINGLE_IDS)
+def test_d15_a_kart_may_race_alone(env_id, use_ai):
+    env = gym.make(env_id, num_kart=1, agent=AgentSpec(use_ai=use_ai), track=SHORT_TRACK)
+    observation, _ = env.reset(seed=0)
+    for _ in range(5):
+        assert env.observation_space.contains(observation)
+        observation, *_ = env.step(env.action_space.sample())
+    env.close()
+
+
+# ------------------------------------------------------------------------------------ D16
+
+
+def driving_distances(track):
+    """``(N, N)`` metres from each segment's start to each other's, by Floyd and Warshall."""
+    count = len(track.successors)
+    metres = np.full((count, count), np.inf)
+    np.fill_diagonal(metres, 0)
+    begin = track.path_distance[:, 0].astype(float)
+    for node, successors in enumerate(track.successors):
+        for following in successors:
+            metres[node, following] = (begin[following] - begin[node]) % track.length
+    for middle in range(count):
+        np.minimum(metres, metres[:, middle, None] + metres[middle], out=metres)
+    return metres
+
+
+@pytest.mark.parametrize("name", ["cocoa_temple", "stk_enterprise", "hacienda", "lighthouse"])
+def test_d16_segments_come_nearest_first_along_the_track(name):
+    with race_v0.parallel_env(num_kart=1, track=name) as env:
+        env.reset(seed=0)
+        track = env.track_map
+    nodes = np.arange(track.num_nodes)
+    order = track.nodes_ahead(nodes)
+    ahead = np.take_along_axis(driving_distances(track), order, axis=1)
+    reachable = np.where(np.isinf(ahead), np.nanmax(ahead[np.isfinite(ahead)]), ahead)
+    assert (order[:, 0] == nodes).all()
+    assert (np.sort(order, axis=1) == nodes).all()
+    assert np.diff(reachable, axis=1).min() > -1e-2
+
+
+@pytest.mark.parametrize("name", ["cocoa_temple", "stk_enterprise"])
+def test_d16_the_five_segments_of_the_simple_view_are_the_nearest(name):
+    env = gym.make("supertuxkart/simple-v0", agent=AgentSpec(use_ai=True), num_kart=1, track=name)
+    observation, _ = env.reset(seed=0)
+    core = env.unwrapped.core
+    metres = driving_distances(core.track_map)
+    for _ in range(400):
+        nearest = np.sort(metres[core.snapshot.karts["node"][0]])[:5]
+        begin = observation["paths_distance"][:, 0]
+        length = core.track_map.length
+        gaps = (begin - begin[0] + 1) % length - 1  # segments of two branches may begin together
+        assert gaps == pytest.approx(nearest, abs=1e-2)
+        observation, *_ = env.step(env.action_space.sample())
+    env.close()
+
+
+def test_d16_observations_can_be_changed_without_harm_to_later_ones():
+    env = gym.make("supertuxkart/full-v0", track=SHORT_TRACK)
+    observation, _ = env.reset(seed=0)
+    kept = [row.copy() for row in observation["paths_distance"]]
+    for row in observation["paths_distance"]:
+        row /= 1000
+    again, _ = env.reset(seed=0)
+    env.close()
+    assert same(tuple(kept), again["paths_distance"])
+
+
+@pytest.mark.parametrize("name", ["path_nodes", "path_width", "path_distance"])
+def test_d16_the_track_itself_is_read_only(name):
+    env = gym.make("supertuxkart/full-v0", track=SHORT_TRACK)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="read-only"):
+        getattr(env.unwrapped.track, name)[0] = 0
+    env.close()
+
+
+def seen_line(start, end):
+    """What a kart at the world's origin, heading along z, sees of a straight line."""
+    ends = np.array([[start, end]], np.float32)
+    track = TrackMap(
+        length=100.0,
+        path_nodes=ends,
+        path_width=np.ones((1, 1), np.float32),
+        path_distance=np.array([[0, 100]], np.float32),
+        successors=[[0]],
+    )
+    karts = np.zeros(1, KART_DTYPE)
+    karts["rotation"][:, 0] = 1
+    header = np.zeros(1, HEADER_DTYPE)
+    snapshot = Snapshot.of(header[0], karts, np.zeros(0, ITEM_DTYPE))
+    seen = KartObserver(track, ["tux"], None).observe(snapshot, np.array([0]))
+    return seen["center_path"][0].tolist(), seen["center_path_distance"][0, 0]
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "vector", "distance"),
+    [
+        ((3, 0, -5), (3, 0, 5), [-3, 0, 0], -3),
+        ((-3, 0, -5), (-3, 0, 5), [3, 0, 0], 3),
+        ((-5, 0, 9), (5, 0, 9), [0, 0, -9], 9),
+    ],
+    ids=["right", "left", "straight ahead"],
+)
+def test_the_centre_line_is_seen_where_it_is(start, end, vector, distance):
+    assert seen_line(start, end) == (vector, distance)
+
+
+# ------------------------------------------------------------------------------------ D17
+
+
+def test_d17_no_compiler_is_loaded_for_a_race():
+    code = (
+        "import sys, gymnasium, stkzoo\n"
+        "env = gymnasium.make('supertuxkart/simple-v0', track='lighthouse')\n"
+        "env.reset(seed=0); env.step(env.action_space.sample()); env.close()\n"
+        "print([name for name in ('numba', 'llvmlite', 'torch', 'pystk2') if name in sys.modules])"
+    )
+    assert run_python(code) == "[]"
+
+
+def run_python(code):
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    return done.stdout.strip()
+
+
+# ------------------------------------------------------------------------------------ D18
+
+
+def test_d18_two_environments_step_in_turn_as_each_does_alone():
+    def race(env, seed):
+        env.reset(seed=seed)
+        while True:
+            yield env.snapshot.data
+            env.step(idle(env))
+
+    with parallel_race() as one, parallel_race() as two:
+        alone = [next(moments) for moments in [race(one, 1)] for _ in range(60)]
+        pairs = zip(race(one, 1), race(two, 2), range(60), strict=False)
+        in_turn = [moment for moment, _, _ in pairs]
+    assert in_turn == alone
+
+
+@pytest.mark.parametrize("make", [parallel_race, dict_race])
+def test_d18_a_closed_environment_can_be_reset(make):
+    env = make()
+    env.reset(seed=0)
+    env.close()
+    env.close()
+    observations, _ = env.reset(seed=0)
+    env.close()
+    assert len(observations) == 2
+
+
+def test_d18_seeding_one_space_leaves_the_others_alone():
+    env = gym.make(MULTI_ID, num_kart=2)
+    other = gym.make(MULTI_ID, num_kart=2)
+    for space in (env.action_space["1"], other.action_space["0"]):
+        space.seed(5)
+    expected = [space.sample() for space in (env.action_space["1"], other.action_space["0"])]
+    for space in (env.action_space["1"], other.action_space["0"]):
+        space.seed(5)
+    env.action_space["0"].seed(9)
+    drawn = [space.sample() for space in (env.action_space["1"], other.action_space["0"])]
+    assert same(dict(enumerate(drawn)), dict(enumerate(expected)))
+
+
+@pytest.mark.parametrize("env_id", SINGLE_IDS)
+def test_d18_no_space_is_shared_between_environments(env_id):
+    one, two = gym.make(env_id), gym.make(env_id)
+    assert one.observation_space == two.observation_space
+    assert one.observation_space is not two.observation_space
+    if isinstance(one.observation_space, gym.spaces.Dict):
+        one.observation_space.spaces["mine"] = gym.spaces.Discrete(2)
+        assert "mine" not in two.observation_space.spaces
+        assert "mine" not in gym.make(env_id).observation_space.spaces
+
+
+@pytest.mark.parametrize("steer", [5.0, -1.5, np.nan, np.inf, "left", None])
+def test_d18_an_action_that_cannot_be_is_refused_and_the_race_stands_still(steer):
+    env = gym.make("supertuxkart/full-v0", track=SHORT_TRACK)
+    env.reset(seed=0)
+    before = env.unwrapped.core.snapshot
+    with pytest.raises(ActionError, match="steer"):
+        env.step({**action(), "steer": steer})
+    assert env.unwrapped.core.snapshot is before
+    env.step(action())
+    env.close()
+
+
+# ------------------------------------------------------------------- arguments that cannot be
+
+BAD_ARGUMENTS = [
+    ({"track": "lighthous"}, "Did you mean 'lighthouse'"),
+    ({"track": ""}, "unknown track ''"),
+    ({"track": "battleisland"}, "unknown track 'battleisland'"),
+    ({"track": ["lighthouse", "nowhere"]}, "'nowhere'"),
+    ({"track": []}, "empty list"),
+    ({"track": 5}, "track is 5"),
+    ({"track": {"lighthouse": 1}}, "track is"),
+    ({"num_kart": 0}, "num_kart is 0, expected a whole number from 1"),
+    ({"num_kart": -1}, "num_kart is -1"),
+    ({"num_kart": 10**6}, "num_kart is 1000000"),
+    ({"num_kart": 2.5}, "num_kart is 2.5"),
+    ({"num_kart": "3"}, "num_kart is '3'"),
+    ({"num_kart": True}, "num_kart is True"),
+    ({"num_kart": None}, "num_kart is None"),
+    ({"difficulty": 9}, "difficulty is 9, expected a whole number from 0 to 3"),
+    ({"difficulty": -1}, "difficulty is -1"),
+    ({"difficulty": 1.5}, "difficulty is 1.5"),
+    ({"difficulty": True}, "difficulty is True"),
+    ({"difficulty": "hard"}, "difficulty is 'hard'"),
+    ({"laps": 0}, "laps is 0"),
+    ({"laps": -1}, "laps is -1"),
+    ({"laps": 1.5}, "laps is 1.5"),
+    ({"laps": 10**9}, "laps is 1000000000"),
+    ({"step_size": 0}, "step_size is 0"),
+    ({"step_size": -1}, "step_size is -1"),
+    ({"step_size": float("nan")}, "step_size is nan"),
+    ({"step_size": float("inf")}, "step_size is inf"),
+    ({"step_size": "fast"}, "step_size is 'fast'"),
+    ({"max_cycles": 0}, "max_cycles is 0"),
+    ({"max_cycles": -5}, "max_cycles is -5"),
+    ({"max_cycles": 10.5}, "max_cycles is 10.5"),
+    ({"max_paths": 0}, "max_paths is 0"),
+    ({"max_paths": "all"}, "max_paths is 'all'"),
+    ({"reverse": "yes"}, "reverse is 'yes'"),
+    ({"num_cameras": 9}, "num_cameras is 9"),
+    ({"num_cameras": -1}, "num_cameras is -1"),
+    ({"render_mode": "rgb_arrays"}, "render_mode is 'rgb_arrays'"),
+    ({"graphics_config": "ultra"}, "unknown graphics_config 'ultra'"),
+    ({"engine_timeout": 0}, "engine_timeout is 0"),
+    ({"engine_timeout": float("nan")}, "engine_timeout is nan"),
+    ({"engine_timeout": "long"}, "engine_timeout is 'long'"),
+    ({"view": "flatened"}, "Did you mean 'flattened'"),
+    ({"view": 5}, "view is 5"),
+    ({"view": {"kart_9": "full"}}, "kart_9"),
+    ({"view": {"kart_0": "nothing"}}, "unknown view 'nothing'"),
+    ({"reward": "placment"}, "Did you mean 'placement'"),
+    ({"reward": 5}, "reward is 5"),
+    ({"reward": {"drift": 1.0}}, "unknown reward term 'drift'"),
+    ({"reward": {"time": float("nan")}}, "'time' is nan"),
+    ({"reward": {"time": "much"}}, "'time' is 'much'"),
+    ({"agents": 0}, "0 agents for 3 karts"),
+    ({"agents": 4}, "4 agents for 3 karts"),
+    ({"agents": []}, "0 agents for 3 karts"),
+    ({"agents": 1.5}, "agents is 1.5"),
+    ({"agents": True}, "agents is True"),
+    ({"agents": "kart_0"}, "agents is 'kart_0'"),
+    ({"agents": ["kart_0"]}, "agent 0 is 'kart_0', expected an AgentSpec"),
+    ({"agents": [AgentSpec()] * 4}, "4 agents for 3 karts"),
+    ({"agents": [AgentSpec(rank_start=3)]}, "rank_start of agent 0 is 3"),
+    ({"agents": [AgentSpec(rank_start=-1)]}, "rank_start of agent 0 is -1"),
+    ({"agents": [AgentSpec(rank_start=0.5)]}, "rank_start of agent 0 is 0.5"),
+    ({"agents": [AgentSpec(rank_start=1), AgentSpec(rank_start=1)]}, "rank_start=1"),
+    ({"agents": [AgentSpec(kart="gnuu")]}, "Did you mean 'gnu'"),
+    ({"agents": [AgentSpec(kart=5)]}, "unknown kart 5"),
+    ({"agents": [AgentSpec(color=1.5)]}, "color of agent 0 is 1.5"),
+    ({"agents": [AgentSpec(color=float("nan"))]}, "color of agent 0 is nan"),
+    ({"agents": [AgentSpec(name=5)]}, "name of agent 0 is 5"),
+    ({"agents": [AgentSpec(camera_mode="ON")]}, "camera_mode is 'ON'"),
+]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"), BAD_ARGUMENTS, ids=lambda value: repr(value)[:60]
+)
+def test_an_argument_that_cannot_be_is_refused(arguments, message):
+    with pytest.raises(ConfigError, match=message):
+        race_v0.parallel_env(**arguments)
+
+
+def test_an_agent_of_the_single_view_that_cannot_be_is_refused():
+    with pytest.raises(ConfigError, match="agent is 'me', expected an AgentSpec"):
+        stkzoo.STKRaceEnv(agent="me")
+
+
+def test_the_engine_is_not_started_for_arguments_that_cannot_be():
+    code = (
+        "import pathlib\n"
+        "from stkzoo import ConfigError, race_v0\n"
+        "for bad in ({'track': 'nowhere'}, {'laps': 0}, {'view': 'x'}, {'reward': 'x'}):\n"
+        "    try: race_v0.parallel_env(**bad)\n"
+        "    except ConfigError: print('refused')\n"
+        "print(repr(pathlib.Path('/proc/self/task').joinpath(\n"
+        "    str(__import__('os').getpid()), 'children').read_text()))\n"
+    )
+    assert run_python(code).split() == ["refused"] * 4 + ["''"]
+
+
+BAD_OPTIONS = [
+    ({"track": "nowhere"}, "unknown track 'nowhere'"),
+    ({"track": "battleisland"}, "unknown track"),
+    ({"track": 5}, "track is 5"),
+    ({"track": []}, "empty list"),
+    ({"laps": 0}, "laps is 0"),
+    ({"laps": "2"}, "laps is '2'"),
+    ({"difficulty": 9}, "difficulty is 9"),
+    ({"difficulty": None}, "difficulty is None"),
+    ({"step_size": float("nan")}, "step_size is nan"),
+    ({"max_cycles": 0}, "max_cycles is 0"),
+    ({"max_paths": -1}, "max_paths is -1"),
+    ({"reverse": 1}, "reverse is 1"),
+    ({"num_kart": 4}, "make another environment"),
+    ("lighthouse", "options"),
+    (["track"], "options"),
+    (5, "options"),
+]
+
+
+@pytest.fixture(scope="module")
+def running_race():
+    with race_v0.parallel_env(num_kart=2, track=SHORT_TRACK) as env:
+        env.reset(seed=0)
+        yield env
+
+
+@pytest.mark.parametrize(("options", "message"), BAD_OPTIONS, ids=repr)
+def test_options_that_cannot_be_are_refused_and_the_race_goes_on(running_race, options, message):
+    ticks = running_race.snapshot.header["aux_ticks"]
+    with pytest.raises(ConfigError, match=message):
+        running_race.reset(options=options)
+    running_race.step(idle(running_race))
+    assert running_race.snapshot.header["aux_ticks"] > ticks
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "1", True])
+def test_a_seed_that_cannot_be_is_refused(running_race, seed):
+    with pytest.raises(ConfigError, match=f"seed is {seed!r}"):
+        running_race.reset(seed=seed)
+
+
+def test_specs_changed_after_construction_are_checked_at_reset():
+    env = stkzoo.STKRaceMultiEnv(agents=2, num_kart=3, track=SHORT_TRACK)
+    env.reset(seed=0)
+    env.agents[0].rank_start = 7
+    with pytest.raises(ConfigError, match="rank_start of agent 0 is 7"):
+        env.reset()
+    env.agents[0].rank_start = 2
+    env.reset()
+    assert env.kart_indices[0] == 2
+    env.close()
+
+
+def test_whole_numbers_of_numpy_are_numbers():
+    with race_v0.parallel_env(
+        num_kart=np.int64(2), laps=np.int32(1), agents=np.int64(1), track=SHORT_TRACK
+    ) as env:
+        assert list(env.reset(seed=np.int64(3))[0]) == ["kart_0"]
+
+
+def test_d28_x_points_to_the_right():
+    with race_v0.parallel_env(num_kart=1, track=SHORT_TRACK, view="full") as env:
+        env.reset(seed=1)
+        for _ in range(UNTIL_MOVING):
+            before = env.step({"kart_0": action(1.0)})[0]["kart_0"]
+        for _ in range(8):
+            after = env.step({"kart_0": action(1.0, 1.0)})[0]["kart_0"]
+        ahead = max(range(5), key=lambda number: before["paths_end"][number][2])
+        gone = before["paths_distance"][ahead], [row[0] for row in after["paths_distance"]]
+        same_node = gone[1].index(gone[0][0])
+        # Who has turned to the right sees on the left what was ahead.
+        assert after["paths_end"][same_node][0] < before["paths_end"][ahead][0] - 1.0
+
+
+def test_every_test_that_the_page_of_differences_names_exists():
+    page = (ROOT / "docs" / "differences.md").read_text()
+    code = "".join(file.read_text() for file in (ROOT / "tests").rglob("test_*.py"))
+    named = set(re.findall(r"`(test_\w+)`", page))
+    assert len(named) > 40
+    assert {name for name in named if f"def {name}(" not in code} == set()

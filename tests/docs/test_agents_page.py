@@ -1,0 +1,51 @@
+"""What docs/agents.md shows works as it stands there."""
+
+import re
+
+import pytest
+
+from stkzoo.race import RaceSettings, run_race
+from stkzoo.race.settings import ERROR_HANDLING
+from tests.support.paths import ROOT
+
+PAGE = (ROOT / "docs" / "agents.md").read_text()
+BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+
+
+def write(name, folder):
+    """Writes an agent of the page into a folder."""
+    mark = f"# {name}/pystk_actor.py\n"
+    (code,) = [block for block in BLOCKS if block.startswith(mark)]
+    (folder / name).mkdir()
+    (folder / name / "pystk_actor.py").write_text(code)
+    return str(folder / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "player"), [("my_agent", "Beginner"), ("stuck_agent", "Stubborn")]
+)
+def test_the_agents_of_the_page_finish(name, player, tmp_path):
+    result = run_race([write(name, tmp_path), "ai"], track="lighthouse", seed=1)
+    assert result.is_finished
+    assert player in {row.driver for row in result.agents}
+
+
+def test_the_python_of_the_page_runs(tmp_path, monkeypatch, capsys):
+    write("my_agent", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    (code,) = [block for block in BLOCKS if "class Leader" in block]
+    exec(compile(code, "docs/agents.md", "exec"), {})
+    shown = capsys.readouterr().out
+    assert "Beginner" in shown
+    assert "10.0 s" in shown
+
+
+def test_the_page_names_the_defaults():
+    settings = RaceSettings()
+    for name, unit in (("action_timeout", " s"), ("start_timeout", " s"), ("agent_memory", " MB")):
+        flag = name.replace("_", "-")
+        assert f"--{flag}` ({getattr(settings, name):g}{unit})" in PAGE
+    assert f"--max-restarts` ({settings.max_restarts})" in PAGE
+    for handling in ERROR_HANDLING:
+        assert f"| `{handling}`" in PAGE
+    assert f"`{settings.error_handling}` (default)" in PAGE

@@ -1,0 +1,159 @@
+"""Every example of the documentation: Python is run, commands are understood or run."""
+
+import importlib.util
+import json
+import os
+import re
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from stkzoo.cli.main import build_parser
+from tests.support.docs_blocks import (
+    NOT_RUN,
+    ROOT,
+    SHORTER,
+    blocks,
+    commands,
+    pages,
+    reason_not_to_run,
+    shortened,
+)
+
+PAGES = pages()
+RUNNER = """\
+import json, sys
+names = {"__name__": "__main__"}
+for page, line, code in json.load(open(sys.argv[1])):
+    exec(compile("\\n" * line + code, page, "exec"), names)
+"""
+
+#: Commands that are run as they stand, in a few steps, with options that make them short.
+SHORT = {"race": ["--max-steps", "10"], "replay": [], "tracks": [], "karts": [], "keys": []}
+#: Those that are only parsed here, and where they are run.
+PARSED = {
+    "assets": "it is here already: tests/engine/test_assets.py",
+    "benchmark": "hundreds of races: tests/evaluation/test_benchmark_races.py",
+    "completion": "tests/cli/test_tables.py",
+    "demos": "whole races: tests/evaluation/test_demonstrations.py",
+    "doctor": "tests/cli/test_doctor.py",
+    "play": "opens a window: tests/play/test_play.py",
+    "race-client": "needs a server: tests/cli/test_remote.py",
+    "race-server": "serves until it is stopped: tests/cli/test_remote.py",
+    "tournament": "many races: tests/evaluation/test_tournament.py",
+    "--web": "in real time, for viewers: tests/race/web/test_browser.py",
+    "--demo": "in a terminal: tests/cli/test_race.py",
+    "-h": "",
+}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder with the agents that the pages speak of."""
+    agent = next(b for b in blocks("docs/quickstart.md", "python") if b.file)
+    for name in ("my_agent", "agents/one", "agents/swift"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "pystk_actor.py").write_text(agent.code)
+    with zipfile.ZipFile(tmp_path / "rival.zip", "w") as packed:
+        packed.writestr("pystk_actor.py", agent.code)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")])
+def test_the_python_of_a_page_runs(page, folder):
+    to_run = []
+    for block in blocks(page, "python"):
+        if reason_not_to_run(block) or ">>>" in block.code:
+            continue
+        if block.file:
+            path = folder / block.file
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(block.code)
+        else:
+            to_run.append((page, block.line, shortened(block)))
+    (folder / "blocks.json").write_text(json.dumps(to_run))
+    (folder / "runner.py").write_text(RUNNER)
+    run([sys.executable, "runner.py", "blocks.json"])
+    if any(">>>" in block.code for block in blocks(page, "python")):
+        run([sys.executable, "-m", "doctest", str(ROOT / page)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "sh")])
+def test_the_commands_of_a_page_are_right(page, folder):
+    for block in blocks(page, "sh"):
+        for key in (*folder.glob("*.secret"), *folder.glob("*.public")):
+            key.unlink()  # each block is a place of its own
+        for words in commands(block):
+            try_command(words)
+
+
+def try_command(words):
+    program, *rest = words
+    if program == "stkzoo":
+        try_stkzoo(rest)
+    elif program in ("pip", "apt", "sudo", "python3", ".", "cd", "git", "ray", "tensorboard"):
+        extras = re.search(r"(?:stkzoo|\.)\[([\w,-]+)\]", " ".join(rest))
+        for extra in extras[1].split(",") if extras else ():
+            assert re.search(rf"^{extra} = \[", (ROOT / "pyproject.toml").read_text(), re.M), words
+    elif program == "make":
+        assert re.search(rf"^{rest[0]}:", (ROOT / "Makefile").read_text(), re.M), words
+    elif program == "python" and rest[0] == "-m":
+        assert importlib.util.find_spec(rest[1].split("|")[0]), words
+    elif program == "python":
+        assert (ROOT / rest[0]).exists(), words
+    else:
+        pytest.fail(f"who tries {' '.join(words)}? Say so in tests/docs/test_examples.py")
+
+
+def try_stkzoo(words):
+    if "|" in words or "$(awk" in words:
+        return  # a list of commands, or one with a program's output in it
+    words = words[: words.index(">")] if ">" in words else words
+    assert is_understood(words), f"stkzoo {' '.join(words)}"
+    if words[0] in SHORT and not PARSED.keys() & set(words):
+        run([sys.executable, "-m", "stkzoo", *words, *SHORT[words[0]]])
+
+
+def is_understood(words):
+    try:
+        build_parser().parse_args(words)
+    except SystemExit as end:
+        return end.code == 0
+    return True
+
+
+def run(words):
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(words, capture_output=True, text=True, env=environment, timeout=300)
+    assert done.returncode == 0, f"{words}\n{done.stdout[-2000:]}\n{done.stderr[-4000:]}"
+
+
+@pytest.mark.parametrize(("page", "part", "reason"), NOT_RUN)
+def test_what_is_not_run_is_there_and_tried_elsewhere(page, part, reason):
+    assert any(part in block.code for block in blocks(page, "python"))
+    (place,) = re.findall(r"[\w/]+\.py", reason)
+    assert (ROOT / place).exists()
+
+
+@pytest.mark.parametrize(("page", "old"), [(page, old) for page, old, _ in SHORTER])
+def test_what_is_shortened_is_there(page, old):
+    assert any(old in block.code for block in blocks(page, "python"))
+
+
+def test_places_that_try_commands_are_there():
+    for reason in PARSED.values():
+        for place in re.findall(r"tests/[\w/]+\.py", reason):
+            assert (ROOT / place).exists(), place
+
+
+def test_every_picture_of_the_pages_is_there():
+    for page in PAGES:
+        text = (ROOT / page).read_text("utf-8")
+        for target in re.findall(r"!\[[^\]]*\]\(([^)\s]+)\)", text):
+            assert (ROOT / Path(page).parent / target).exists(), f"{page}: {target}"

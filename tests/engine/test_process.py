@@ -1,0 +1,295 @@
+"""Engine processes: they come quickly, end with the program, and never hang it."""
+
+import ctypes
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stkzoo.engine import process
+from stkzoo.engine.assets import find_assets
+from stkzoo.engine.session import LocalSession, WorkerSession
+from stkzoo.engine.setup import KartSetup, RaceSetup
+from stkzoo.errors import ApiOrderError, EngineCrashed, EngineError, EngineTimeout
+from tests.support.paths import ROOT
+from tests.support.processes import children_of, process_exists, run_program, wait_until
+
+PLAYER = KartSetup(is_bot=False)
+BOT = KartSetup()
+SETUP = RaceSetup("olivermath", (PLAYER, BOT, BOT), seed=5)
+
+
+def full_throttle(rows=1):
+    controls = np.zeros((rows, 7), np.float32)
+    controls[:, 0] = 1
+    return controls
+
+
+def drive_on(session, steps=100):
+    for _ in range(steps):
+        session.step(full_throttle())
+
+
+def trajectory(session, steps=80):
+    session.start(SETUP)
+    return b"".join(session.step(full_throttle()).data for _ in range(steps))
+
+
+@pytest.fixture
+def root():
+    return find_assets().root
+
+
+@pytest.fixture
+def session(root):
+    session = WorkerSession(root)
+    yield session
+    session.close()
+
+
+def test_every_race_of_a_session_is_a_first_race(session):
+    assert trajectory(session) == trajectory(session)
+
+
+def test_forked_spawned_and_local_first_races_are_the_same(root, session, monkeypatch):
+    forked = trajectory(session)
+    monkeypatch.setenv("STKZOO_START_METHOD", "spawn")
+    spawned = WorkerSession(root)
+    assert trajectory(spawned) == forked
+    spawned.close()
+    code = f"""
+        import hashlib, sys
+        from pathlib import Path
+        from stkzoo.engine.session import LocalSession
+        sys.path.insert(0, {str(ROOT)!r})
+        from tests.engine.test_process import trajectory
+        print(hashlib.sha256(trajectory(LocalSession(Path({str(root)!r})))).hexdigest())
+    """
+    assert run_program(code).stdout.strip() == hashlib.sha256(forked).hexdigest()
+
+
+@pytest.mark.parametrize("sign", [signal.SIGKILL, signal.SIGSEGV, signal.SIGTERM])
+def test_a_killed_game_is_an_error_at_once_and_the_next_start_works(session, sign):
+    session.start(SETUP)
+    os.kill(session.pid, sign)
+    began = time.monotonic()
+    with pytest.raises(EngineCrashed, match=f"{sign.name}.*reset"):
+        drive_on(session)
+    assert time.monotonic() - began < 2
+    assert len(trajectory(session)) > 0
+
+
+def test_a_crash_report_carries_the_games_last_lines(session):
+    session.start(SETUP)
+    os.kill(session.pid, signal.SIGSEGV)
+    with pytest.raises(EngineCrashed) as caught:
+        drive_on(session)
+    assert "Segmentation fault" in caught.value.log
+
+
+def test_a_stopped_game_times_out_and_is_ended(root):
+    session = WorkerSession(root, timeout=0.3)
+    session.start(SETUP)
+    pid = session.pid
+    os.kill(pid, signal.SIGSTOP)
+    with pytest.raises(EngineTimeout, match=r"no answer in 0\.3 s"):
+        session.step(full_throttle())
+    assert wait_until(lambda: not process_exists(pid))
+    assert len(trajectory(session)) > 0
+    session.close()
+
+
+def test_a_step_after_the_crash_says_reset(session):
+    session.start(SETUP)
+    os.kill(session.pid, signal.SIGKILL)
+    with pytest.raises(EngineCrashed):
+        session.step(full_throttle())
+    with pytest.raises(ApiOrderError, match="reset"):
+        session.step(full_throttle())
+
+
+def test_others_do_not_notice_a_crash(root, session):
+    other = WorkerSession(root)
+    expected = trajectory(other)
+    session.start(SETUP)
+    other.start(SETUP)
+    parts = []
+    for step in range(80):
+        if step == 40:
+            os.kill(session.pid, signal.SIGKILL)
+        parts.append(other.step(full_throttle()).data)
+    assert b"".join(parts) == expected
+    other.close()
+
+
+def test_a_killed_mother_is_replaced(root, session):
+    expected = trajectory(session)
+    mother = process.start_mother(root)
+    os.kill(mother._process.pid, signal.SIGKILL)
+    mother._process.wait()
+    with pytest.raises(EngineCrashed):
+        drive_on(session)
+    assert trajectory(session) == expected
+    assert process.start_mother(root) is not mother
+
+
+def test_an_engine_error_carries_the_games_own_traceback(session):
+    with pytest.raises(EngineError, match="not_a_track"):
+        session.start(RaceSetup("not_a_track", (PLAYER,)))
+
+
+def test_sessions_in_threads_do_not_disturb_each_other(root, session):
+    expected = trajectory(session)
+    results = []
+
+    def race():
+        own = WorkerSession(root)
+        results.append(trajectory(own))
+        own.close()
+
+    threads = [threading.Thread(target=race) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert results == [expected] * 4
+
+
+def test_an_interrupted_step_does_not_mix_up_answers(session):
+    session.start(SETUP)
+    main_thread = threading.main_thread().ident
+    raise_in = ctypes.pythonapi.PyThreadState_SetAsyncExc
+    timer = threading.Timer(
+        0.05, lambda: raise_in(ctypes.c_ulong(main_thread), ctypes.py_object(KeyboardInterrupt))
+    )
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        drive_on(session, steps=10**6)
+    assert len(trajectory(session)) > 0
+
+
+PROGRAM = """
+    import sys, time, os, signal
+    import numpy as np
+    from pathlib import Path
+    from stkzoo.engine import process
+    from stkzoo.engine.session import WorkerSession
+    from stkzoo.engine.setup import KartSetup, RaceSetup
+    session = WorkerSession(Path({root!r}))
+    session.start(RaceSetup("olivermath", (KartSetup(is_bot=False), KartSetup())))
+    print(session.pid, process.start_mother(Path({root!r}))._process.pid,
+          process.start_mother(Path({root!r}))._home.path, flush=True)
+    {ending}
+"""
+
+
+@pytest.mark.parametrize(
+    "ending",
+    [
+        "pass",
+        "os._exit(3)",
+        "os.kill(os.getpid(), signal.SIGKILL)",
+        "os.kill(session.pid, signal.SIGSTOP); os.kill(os.getpid(), signal.SIGKILL)",
+        "time.sleep(4) if os.fork() == 0 else os.kill(os.getpid(), signal.SIGKILL)",
+    ],
+    ids=["normal", "exit", "killed", "killed-with-stopped-game", "killed-with-forked-child"],
+)
+def test_nothing_outlives_the_program(root, ending):
+    program = textwrap.dedent(PROGRAM).format(root=str(root), ending=textwrap.dedent(ending))
+    child = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    race, mother, home = child.stdout.readline().split()
+    child.stdout.close()
+    child.wait(30)
+    assert wait_until(lambda: not process_exists(race) and not process_exists(mother))
+    assert wait_until(lambda: not Path(home).exists())
+
+
+def test_a_killed_mother_takes_her_races_along(root, session):
+    session.start(SETUP)
+    pid, mother = session.pid, process.start_mother(root)
+    os.kill(pid, signal.SIGSTOP)
+    os.kill(mother._process.pid, signal.SIGKILL)
+    assert wait_until(lambda: not process_exists(pid))
+
+
+def test_a_forked_copy_of_the_program_starts_its_own_race(root):
+    code = f"""
+        import os
+        from pathlib import Path
+        import numpy as np
+        from stkzoo.engine.session import WorkerSession
+        from stkzoo.engine.setup import KartSetup, RaceSetup
+        from stkzoo.errors import ApiOrderError
+        setup = RaceSetup("olivermath", (KartSetup(is_bot=False),), seed=1)
+        controls = np.ones((1, 7), np.float32)
+        session = WorkerSession(Path({str(root)!r}))
+        session.start(setup)
+        child = os.fork()
+        if child == 0:
+            try:
+                session.step(controls)
+            except ApiOrderError as error:
+                print("child:", "forked" in str(error), flush=True)
+            session.start(setup)
+            print("child:", session.step(controls).phase, flush=True)
+            os._exit(0)
+        os.waitpid(child, 0)
+        print("parent:", session.step(controls).phase, flush=True)
+    """
+    assert run_program(code).stdout.split("\n")[:3] == ["child: True", "child: 0", "parent: 0"]
+
+
+def test_the_games_chatter_stays_off_the_terminal(root):
+    code = f"""
+        from pathlib import Path
+        import numpy as np
+        from stkzoo.engine.session import LocalSession, WorkerSession
+        from stkzoo.engine.setup import KartSetup, RaceSetup
+        for kind in (WorkerSession, LocalSession):
+            session = kind(Path({str(root)!r}))
+            session.start(RaceSetup("olivermath", (KartSetup(is_bot=False),)))
+            session.step(np.zeros((1, 7), np.float32))
+            session.close()
+    """
+    program = run_program(code)
+    assert (program.returncode, program.stdout, program.stderr) == (0, "", "")
+
+
+def test_a_second_race_in_this_process_is_refused_while_the_first_lives(root):
+    code = f"""
+        from pathlib import Path
+        from stkzoo.engine.session import LocalSession
+        from stkzoo.engine.setup import KartSetup, RaceSetup
+        setup = RaceSetup("olivermath", (KartSetup(is_bot=False),))
+        first, second = LocalSession(Path({str(root)!r})), LocalSession(Path({str(root)!r}))
+        first.start(setup)
+        try:
+            second.start(setup)
+        except Exception as error:
+            print(type(error).__name__, "use_subprocess" in str(error))
+        first.close()
+        print(second.start(setup).snapshot.phase)
+    """
+    assert run_program(code).stdout.split() == ["ApiOrderError", "True", "0"]
+
+
+def test_quick_restarts_leave_no_process_behind(root, session):
+    for _ in range(30):
+        session.start(RaceSetup("olivermath", (PLAYER,)))
+    mother = process.start_mother(root)
+    assert wait_until(lambda: len(children_of(mother._process.pid)) == 1)
+
+
+def test_a_step_before_the_start_says_reset(root):
+    with pytest.raises(ApiOrderError, match="reset"):
+        LocalSession(root).step(full_throttle())
+    with pytest.raises(ApiOrderError, match="reset"):
+        WorkerSession(root).step(full_throttle())

@@ -1,0 +1,112 @@
+"""Several environments in one program, and what happens when the game dies under one."""
+
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+
+from stkzoo import AgentSpec, ApiOrderError, EngineCrashed, EngineTimeout, race_v0
+from tests.support.paths import ROOT
+
+
+def make_env(**options):
+    agents = [AgentSpec(), AgentSpec(use_ai=True)]
+    defaults = {"num_kart": 3, "track": "olivermath", "view": "flattened_discrete"}
+    return race_v0.parallel_env(agents=agents, **{**defaults, **options})
+
+
+def play(env, seed, steps=60):
+    """What an environment answers to always the same action."""
+    trace = [env.reset(seed=seed)]
+    trace.extend(env.step({"kart_0": 700}) for _ in range(steps))
+    return repr(trace)
+
+
+def pid_of(env):
+    return env._session.pid
+
+
+def test_three_environments_stepped_in_turn_race_as_if_alone():
+    with make_env() as env:
+        alone = [play(env, seed) for seed in (1, 2, 3)]
+    envs = [make_env() for _ in range(3)]
+    traces = [[env.reset(seed=seed)] for env, seed in zip(envs, (1, 2, 3), strict=True)]
+    for _ in range(60):
+        for env, trace in zip(envs, traces, strict=True):
+            trace.append(env.step({"kart_0": 700}))
+    for env in envs:
+        env.close()
+    assert [repr(trace) for trace in traces] == alone
+
+
+def test_a_killed_game_concerns_its_own_environment_only():
+    with make_env() as broken, make_env() as other, make_env() as third:
+        expected = play(third, 2)
+        broken.reset(seed=1)
+        trace = [other.reset(seed=2)]
+        for step in range(60):
+            if step == 20:
+                os.kill(pid_of(broken), signal.SIGKILL)
+                began = time.monotonic()
+                with pytest.raises(EngineCrashed, match="SIGKILL"):
+                    broken.step({"kart_0": 700})
+                assert time.monotonic() - began < 2
+            trace.append(other.step({"kart_0": 700}))
+        assert repr(trace) == expected
+        assert play(broken, 2) == expected
+
+
+def test_a_step_after_a_crash_asks_for_a_reset():
+    with make_env() as env:
+        env.reset(seed=1)
+        os.kill(pid_of(env), signal.SIGKILL)
+        with pytest.raises(EngineCrashed):
+            env.step({"kart_0": 0})
+        with pytest.raises(ApiOrderError, match="reset"):
+            env.step({"kart_0": 0})
+
+
+def test_a_hanging_game_times_out():
+    with make_env(engine_timeout=0.3) as env:
+        env.reset(seed=1)
+        os.kill(pid_of(env), signal.SIGSTOP)
+        with pytest.raises(EngineTimeout):
+            env.step({"kart_0": 0})
+        env.reset(seed=1)
+        assert env.step({"kart_0": 0})[1].keys() == {"kart_0", "kart_1"}
+
+
+def test_calls_in_the_wrong_order_are_named():
+    env = make_env()
+    for call in (lambda: env.step({}), env.state, lambda: env.observe_batch(["kart_0"])):
+        with pytest.raises(ApiOrderError, match="reset"):
+            call()
+    env.reset(seed=1)
+    env.close()
+    with pytest.raises(ApiOrderError, match="reset"):
+        env.step({"kart_0": 0})
+
+
+def test_in_this_process_the_first_race_is_that_of_a_worker():
+    code = """
+        import hashlib, sys
+        sys.path.insert(0, sys.argv[1])
+        from tests.env.test_side_by_side import make_env, play
+        with make_env(use_subprocess=False) as env:
+            print(hashlib.sha256(play(env, 4).encode()).hexdigest())
+    """
+    program = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code), str(ROOT)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    with make_env() as env:
+        expected = hashlib.sha256(play(env, 4).encode()).hexdigest()
+    assert program.stdout.strip() == expected

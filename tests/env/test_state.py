@@ -1,0 +1,685 @@
+"""A race's state as a value: saved, restored and cloned to the bit, and never left behind."""
+
+import gc
+import os
+import pickle
+import resource
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from stkzoo import AgentSpec, race_v0
+from stkzoo.agents import heuristic
+from stkzoo.agents.planner import Planner, PlannerSettings
+from stkzoo.checks.trace import fingerprint
+from stkzoo.engine import process
+from stkzoo.engine.assets import find_assets
+from stkzoo.errors import (
+    AgentException,
+    ApiOrderError,
+    ConfigError,
+    EngineCrashed,
+    EngineError,
+    EngineTimeout,
+)
+from tests.support.processes import children_of, process_exists, run_program, wait_until
+
+SPECS = [AgentSpec(), AgentSpec(use_ai=True), AgentSpec()]
+
+
+def make(track="olivermath", **options):
+    return race_v0.parallel_env(**{"num_kart": 3, "track": track, "max_paths": 5, **options})
+
+
+@pytest.fixture
+def env():
+    with make(agents=2) as env:
+        yield env
+
+
+def actions_at(env, number):
+    """Actions that depend on nothing but the step's number, so that all may repeat them."""
+    random = np.random.default_rng(number)
+    return {
+        agent: {
+            "acceleration": np.ones(1, np.float32),
+            "steer": random.uniform(-0.4, 0.4, 1).astype(np.float32),
+            **{name: int(random.random() < 0.2) for name in ("drift", "fire", "nitro")},
+            "brake": 0,
+            "rescue": 0,
+        }
+        for agent in env.agents
+    }
+
+
+def drive(env, start=30, stop=60):
+    """Steps ``start`` to ``stop``, or to the end, as fingerprints of all that is returned."""
+    prints = []
+    for number in range(start, stop):
+        if not env.agents:
+            break
+        prints.append(fingerprint([env.step(actions_at(env, number)), env.agents, env.state()]))
+    return prints
+
+
+def started(env, steps=30, seed=3):
+    env.reset(seed=seed)
+    drive(env, 0, steps)
+    return env
+
+
+def mother_pid():
+    return process.start_mother(find_assets().root)._process.pid
+
+
+@pytest.mark.parametrize("track", ["olivermath", "zengarden"])
+@pytest.mark.parametrize("agents", [2, SPECS], ids=["bots", "ai-agents"])
+def test_a_restored_race_is_the_original_to_its_end(track, agents):
+    with (
+        make(track, agents=agents, num_kart=4, max_cycles=350) as env,
+        make(track, agents=agents, num_kart=4, max_cycles=350) as other,
+    ):
+        state = started(env, 60).save_state()
+        original = drive(env, 60, 350)
+        other.restore_state(state)
+        assert drive(other, 60, 350) == original
+        env.restore_state(state)
+        assert drive(env, 60, 350) == original
+
+
+def test_saving_changes_nothing_in_the_race_that_goes_on(env):
+    expected = drive(started(env), 30, 90)
+    started(env)
+    saved = []
+    for number in range(30, 90, 10):
+        saved.append(env.save_state())
+        assert drive(env, number, number + 10) == expected[number - 30 : number - 20]
+
+
+def test_a_state_restored_ten_times_goes_on_ten_times_alike(env):
+    state = started(env).save_state()
+    races = []
+    for _ in range(10):
+        env.restore_state(state)
+        races.append(drive(env))
+    assert races == [races[0]] * 10
+
+
+def test_states_of_states_are_the_same(env):
+    first = started(env).save_state()
+    expected = drive(env)
+    for _ in range(3):
+        env.restore_state(first)
+        first = env.save_state()
+    env.restore_state(first)
+    assert drive(env) == expected
+
+
+def test_other_actions_lead_elsewhere_from_the_same_state(env):
+    state = started(env).save_state()
+    expected = drive(env)
+    env.restore_state(state)
+    assert drive(env, 31, 61) != expected
+
+
+def test_restoring_repeats_the_unseeded_resets_that_follow(env):
+    state = started(env).save_state()
+    env.reset()
+    expected = env.race.seed
+    env.restore_state(state)
+    env.reset()
+    assert env.race.seed == expected
+
+
+def test_the_counts_of_the_episode_are_part_of_the_state():
+    with make(max_cycles=40) as env:
+        state = started(env).save_state()
+        drive(env)
+        assert not env.agents
+        env.restore_state(state)
+        assert len(drive(env, 30, 100)) == 10
+
+
+def test_agents_that_have_left_are_gone_in_the_state_too():
+    specs = [AgentSpec(use_ai=True), AgentSpec()]
+    with make("olivermath", agents=specs, num_kart=2) as env:
+        env.reset(seed=1)
+        while len(env.agents) == 2:
+            env.step(actions_at(env, 0))
+        state = env.save_state()
+        env.reset()
+        env.restore_state(state)
+        assert env.agents == list(state.agents) == ["kart_1"]
+
+
+# ---------------------------------------------------------------------- clones
+
+
+def test_a_clone_goes_on_by_itself(env):
+    started(env)
+    with env.clone() as clone:
+        expected = drive(clone)
+        clone.reset()
+        assert drive(env) == expected
+
+
+def test_a_clone_outlives_its_original(env):
+    clone = started(env).clone()
+    expected = drive(env)
+    env.close()
+    assert drive(clone) == expected
+    clone.close()
+
+
+def test_lookahead_leaves_the_environment_where_it_was(env):
+    expected = drive(started(env))
+    started(env)
+    with env.lookahead() as branch:
+        drive(branch, 31, 50)
+        branch.action_space("kart_0").sample()
+        branch.reset()
+    assert drive(env) == expected
+
+
+def test_the_branch_of_a_lookahead_is_closed_at_its_end(env):
+    started(env)
+    with env.lookahead() as branch:
+        pid = branch._session.pid
+    assert wait_until(lambda: not process_exists(pid))
+
+
+# ---------------------------------------------------------------------- resets
+
+
+def test_a_reset_to_a_parked_start_is_the_start(env):
+    first = env.reset(seed=5)
+    state = env.save_state()
+    expected = drive(env)
+    assert fingerprint(env.reset(options={"state": state})) == fingerprint(first)
+    assert drive(env) == expected
+
+
+def test_a_reset_in_the_middle_of_a_race_counts_from_zero(env):
+    state = started(env).save_state()
+    _, infos = env.reset(options={"state": state})
+    assert infos["kart_0"]["episode/length"] == infos["kart_0"]["episode/return"] == 0
+    assert (
+        infos["kart_0"]["distance"]
+        == state.snapshot.karts["overall_distance"].clip(0)[state.race.kart_indices[0]]
+    )
+
+
+def test_a_reset_to_a_state_takes_its_seed_for_the_races_after_it(env):
+    state = started(env).save_state()
+    seeds = []
+    for _ in range(2):
+        env.reset(seed=8, options={"state": state})
+        env.reset()
+        seeds.append(env.race.seed)
+    assert seeds[0] == seeds[1]
+
+
+def test_a_reset_to_a_state_takes_a_new_limit_of_steps(env):
+    state = started(env).save_state()
+    env.reset(options={"state": state, "max_cycles": 5})
+    assert len(drive(env)) == 5
+
+
+def test_a_reset_to_a_state_refuses_another_track(env):
+    state = started(env).save_state()
+    with pytest.raises(ConfigError, match="track"):
+        env.reset(options={"state": state, "track": "zengarden"})
+
+
+def test_a_reset_to_a_race_that_is_over_is_refused():
+    with make(max_cycles=5) as env:
+        state = started(env, 5).save_state()
+        with pytest.raises(ApiOrderError, match="nobody can act"):
+            env.reset(options={"state": state})
+
+
+@pytest.mark.parametrize("state", [7, "state", {}])
+def test_what_is_no_state_is_refused(env, state):
+    with pytest.raises(ConfigError, match="save_state"):
+        env.reset(options={"state": state})
+    with pytest.raises(ConfigError, match="save_state"):
+        env.restore_state(state)
+
+
+# ---------------------------------------------------------------------- Gymnasium
+
+
+@pytest.mark.parametrize("name", ["simple", "flattened_discrete"])
+def test_the_gymnasium_ids_restore_and_clone_to_the_bit(name):
+    env = gym.make(f"supertuxkart/{name}-v0", track="olivermath").unwrapped
+
+    def race(env):
+        env.action_space.seed(0)
+        return [fingerprint(env.step(env.action_space.sample())) for _ in range(30)]
+
+    env.reset(seed=3)
+    race(env)
+    state = env.save_state()
+    clone = env.clone()
+    expected = race(env)
+    env.restore_state(state)
+    with env.lookahead() as branch:
+        assert race(branch) == race(clone) == race(env) == expected
+    clone.close()
+    env.close()
+
+
+def test_the_dict_of_agents_keeps_who_has_finished():
+    agents = [AgentSpec(use_ai=True), AgentSpec()]
+    env = gym.make(
+        "supertuxkart/multi-full-v0", agents=agents, num_kart=2, track="olivermath", max_paths=5
+    ).unwrapped
+    env.reset(seed=1)
+    idle = {key: space.sample() for key, space in env.action_space.items()}
+    info = {"done": {"0": False}}
+    while not info["done"]["0"]:
+        *_, info = env.step(idle)
+    state = env.save_state()
+    expected = fingerprint(env.step(idle))
+    env.restore_state(state)
+    assert fingerprint(env.step(idle)) == expected
+    observations, info = env.reset(options={"state": state})
+    assert set(observations) == {"0", "1"}
+    assert info["done"] == {"0": True, "1": False}
+    env.close()
+
+
+# ---------------------------------------------------------------------- wrappers
+
+
+class Remembering(gym.Wrapper):
+    """Shows how often it was stepped, and noise of its own."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        self.seen = [0]
+
+    def step(self, action):
+        observation, reward, terminated, truncated, info = super().step(action)
+        self.seen.append(self.seen[-1] + 1)
+        noise = float(self.np_random.random())
+        return (
+            observation,
+            reward,
+            terminated,
+            truncated,
+            info | {"seen": len(self.seen), "n": noise},
+        )
+
+
+class Uncopyable(gym.Wrapper):
+    def __init__(self, env):
+        super().__init__(env)
+        self.lock = threading.Lock()
+
+
+def test_what_wrappers_remember_is_part_of_the_state():
+    with make(view=Remembering, agents=2) as env:
+        state = started(env).save_state()
+        with env.clone() as clone:
+            expected = drive(env)
+            assert drive(clone) == expected
+        env.restore_state(state)
+        assert drive(env) == expected
+
+
+def test_a_clone_shares_nothing_that_wrappers_remember():
+    with make(view=Remembering) as env, started(env).clone() as clone:
+        drive(clone)
+        assert env.step(actions_at(env, 30))[4]["kart_0"]["seen"] == 32
+
+
+def test_a_wrapper_that_cannot_be_copied_is_named():
+    with make(view={"kart_1": Uncopyable}) as env:
+        env.reset(seed=1)
+        with pytest.raises(AgentException, match=r"kart_1.*copied"):
+            env.save_state()
+
+
+def test_a_state_of_other_wrappers_is_refused_and_the_race_goes_on(env):
+    with make(view=Remembering, agents=2) as other:
+        state = started(other).save_state()
+        expected = drive(started(env))
+        started(env)
+        with pytest.raises(AgentException, match="take over a saved state"):
+            env.restore_state(state)
+        assert drive(env) == expected
+
+
+def test_stateless_views_may_differ(env):
+    state = started(env).save_state()
+    with make(view="flattened", agents=2) as other:
+        other.restore_state(state)
+        assert other.snapshot.data == env.snapshot.data
+
+
+# ---------------------------------------------------------------------- refusals
+
+
+def test_saving_before_the_first_reset_is_refused(env):
+    with pytest.raises(ApiOrderError, match="reset"):
+        env.save_state()
+    with pytest.raises(ApiOrderError, match="reset"):
+        env.clone()
+
+
+@pytest.mark.parametrize(
+    "options", [{"num_kart": 4}, {"agents": 1}, {"agents": [AgentSpec(), AgentSpec(use_ai=True)]}]
+)
+def test_a_state_of_other_karts_or_agents_is_refused(env, options):
+    state = started(env).save_state()
+    other = make(**{"agents": 2, **options})
+    with pytest.raises(ConfigError, match="karts and 2 agents"):
+        other.restore_state(state)
+
+
+def test_a_race_in_this_process_cannot_be_saved():
+    code = """
+        from stkzoo import race_v0
+        from stkzoo.errors import EngineError
+        env = race_v0.parallel_env(track="olivermath", use_subprocess=False)
+        env.reset(seed=1)
+        for method in (env.save_state, env.clone):
+            try:
+                method()
+            except EngineError as error:
+                print("use_subprocess" in str(error))
+        env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+    """
+    assert run_program(code).stdout.split() == ["True", "True"]
+
+
+def test_a_race_of_a_spawned_process_cannot_be_saved_and_goes_on(env, monkeypatch):
+    monkeypatch.setenv("STKZOO_START_METHOD", "spawn")
+    started(env)
+    with pytest.raises(EngineError, match="STKZOO_START_METHOD"):
+        env.save_state()
+    assert len(drive(env)) == 30
+
+
+def test_a_step_under_way_is_waited_for_before_a_state_is_saved(env):
+    expected = drive(started(env))
+    started(env)
+    env.step_async(actions_at(env, 30))
+    with pytest.raises(ApiOrderError, match="step_wait"):
+        env.save_state()
+    with pytest.raises(ApiOrderError, match="step_wait"):
+        env.clone()
+    result = env.step_wait()
+    assert fingerprint([result, env.agents, env.state()]) == expected[0]
+
+
+def test_restoring_drops_a_step_under_way(env):
+    state = started(env).save_state()
+    expected = drive(env)
+    env.restore_state(state)
+    env.step_async(actions_at(env, 30))
+    env.restore_state(state)
+    assert drive(env) == expected
+
+
+def test_as_many_states_as_allowed_and_no_more():
+    with make(max_snapshots=2) as env:
+        states = [started(env).save_state(), env.save_state()]
+        with pytest.raises(ApiOrderError, match="max_snapshots"):
+            env.save_state()
+        states.pop().close()
+        env.save_state()
+
+
+def test_states_that_nobody_refers_to_do_not_count():
+    with make(max_snapshots=2) as env:
+        started(env)
+        for _ in range(5):
+            env.save_state()
+            gc.collect()
+        assert env.num_snapshots == 0
+
+
+def test_a_closed_state_says_so(env):
+    state = started(env).save_state()
+    with state:
+        pass
+    with pytest.raises(ApiOrderError, match="closed"):
+        env.restore_state(state)
+    assert "closed" in repr(state)
+
+
+def test_a_state_cannot_be_pickled(env):
+    with pytest.raises(TypeError, match="belongs to the program"):
+        pickle.dumps(started(env).save_state())
+
+
+@pytest.mark.parametrize("value", [-1, 1.5, True, None])
+def test_a_limit_that_cannot_be_is_refused(value):
+    with pytest.raises(ConfigError, match="max_snapshots"):
+        make(max_snapshots=value)
+
+
+# ---------------------------------------------------------------------- processes
+
+
+def test_a_state_outlives_its_environment():
+    with make() as env:
+        state = started(env).save_state()
+        expected = drive(env)
+    del env
+    with make() as other:
+        other.restore_state(state)
+        assert drive(other) == expected
+
+
+def test_a_killed_state_is_an_error_that_names_it_and_the_race_goes_on(env):
+    expected = drive(started(env))
+    state = started(env).save_state()
+    os.kill(state.pid, signal.SIGKILL)
+    with pytest.raises(EngineCrashed, match=r"saved state \(olivermath\) .*SIGKILL.*save another"):
+        env.restore_state(state)
+    assert drive(env) == expected
+
+
+def test_a_stopped_state_times_out_and_is_ended():
+    with make(engine_timeout=0.3) as env:
+        state = started(env).save_state()
+        pid = state.pid
+        os.kill(pid, signal.SIGSTOP)
+        with pytest.raises(EngineTimeout, match="saved state"):
+            env.restore_state(state)
+        assert wait_until(lambda: not process_exists(pid))
+
+
+def test_a_killed_race_does_not_harm_its_states(env):
+    state = started(env).save_state()
+    expected = drive(env)
+    os.kill(env._session.pid, signal.SIGKILL)
+    with pytest.raises(EngineCrashed):
+        drive(env)
+    env.restore_state(state)
+    assert drive(env) == expected
+
+
+def test_states_are_lost_with_a_killed_mother_and_say_so(env):
+    state = started(env).save_state()
+    pid = state.pid
+    os.kill(mother_pid(), signal.SIGKILL)
+    assert wait_until(lambda: not process_exists(pid))
+    with pytest.raises(EngineCrashed, match="saved state"):
+        env.restore_state(state)
+    assert len(drive(started(env))) == 30
+
+
+def test_many_states_leave_no_process_and_no_open_file_behind(env):
+    started(env).save_state().close()
+    before = children_of(mother_pid())
+    files = len(os.listdir("/proc/self/fd"))
+    for _ in range(100):
+        with env.save_state() as state:
+            env.restore_state(state)
+            env.step(actions_at(env, 30))
+    assert wait_until(lambda: len(children_of(mother_pid())) == 1), before
+    assert len(os.listdir("/proc/self/fd")) == files
+
+
+def test_a_long_line_of_copies_gathers_no_open_files(env):
+    started(env)
+    files = []
+    for _ in range(5):
+        with env.save_state() as state:
+            env.restore_state(state)
+        files.append(len(os.listdir(f"/proc/{env._session.pid}/fd")))
+    assert files == [files[0]] * 5
+
+
+def test_forgotten_states_and_clones_end(env):
+    started(env)
+    state, clone = env.save_state(), env.clone()
+    pids = [state.pid, clone._session.pid]
+    del state, clone
+    gc.collect()
+    assert wait_until(lambda: not any(map(process_exists, pids)))
+
+
+def test_a_process_out_of_open_files_refuses_a_copy_and_races_on(env):
+    expected = drive(started(env))
+    started(env)
+    resource.prlimit(env._session.pid, resource.RLIMIT_NOFILE, (5, 5))
+    with pytest.raises(EngineError, match="are too many open"):
+        env.save_state()
+    assert drive(env) == expected
+
+
+def test_a_program_out_of_open_files_keeps_its_race():
+    code = """
+        import resource
+        from stkzoo import race_v0
+        from stkzoo.errors import EngineError
+        env = race_v0.parallel_env(track="olivermath")
+        env.reset(seed=1)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (30, 30))
+        states = []
+        try:
+            while True:
+                states.append(env.save_state())
+        except EngineError as error:
+            print(len(states) > 3, "close() some" in str(error))
+        states.pop().close()
+        states.append(env.save_state())
+        env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+        print("done")
+    """
+    assert run_program(code).stdout.split() == ["True", "True", "done"]
+
+
+PROGRAM = """
+    import os, signal, sys, time
+    from stkzoo import race_v0
+    from stkzoo.engine import process
+    env = race_v0.parallel_env(track="olivermath")
+    env.reset(seed=1)
+    states = [env.save_state() for _ in range(3)]
+    clone = env.clone()
+    (mother,) = process._mothers.values()
+    print(mother._process.pid, env._session.pid, clone._session.pid,
+          *(state.pid for state in states), flush=True)
+    {ending}
+"""
+
+
+@pytest.mark.parametrize(
+    "ending",
+    [
+        "pass",
+        "os._exit(3)",
+        "os.kill(os.getpid(), signal.SIGKILL)",
+        "[os.kill(s.pid, signal.SIGSTOP) for s in states]; os.kill(os.getpid(), signal.SIGKILL)",
+        "os.kill(states[0].pid, signal.SIGSTOP); os.kill(mother._process.pid, signal.SIGKILL)",
+        "env.close(); os.kill(os.getpid(), signal.SIGKILL)",
+        "time.sleep(4) if os.fork() == 0 else os.kill(os.getpid(), signal.SIGKILL)",
+    ],
+    ids=["normal", "exit", "killed", "stopped", "mother-killed", "race-over", "forked"],
+)
+def test_no_state_outlives_the_program(ending):
+    program = textwrap.dedent(PROGRAM).format(ending=ending)
+    child = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    pids = child.stdout.readline().split()
+    child.stdout.close()
+    child.wait(30)
+    assert len(pids) == 6
+    assert wait_until(lambda: not any(map(process_exists, pids)))
+
+
+def test_a_forked_copy_of_the_program_leaves_states_alone():
+    code = """
+        import os
+        from stkzoo import race_v0
+        from stkzoo.errors import ApiOrderError
+        env = race_v0.parallel_env(track="olivermath")
+        env.reset(seed=1)
+        state = env.save_state()
+        if os.fork() == 0:
+            try:
+                env.restore_state(state)
+            except ApiOrderError as error:
+                print("forked" in str(error), flush=True)
+            state.close()
+            os._exit(0)
+        os.wait()
+        env.restore_state(state)
+        print(len(env.agents))
+    """
+    assert run_program(code).stdout.split() == ["True", "3"]
+
+
+def test_environments_in_threads_restore_one_state(env):
+    state = started(env).save_state()
+    expected = drive(env)
+    results = []
+
+    def race():
+        with make(agents=2) as own:
+            for _ in range(3):
+                own.restore_state(state)
+                results.append(drive(own))
+
+    threads = [threading.Thread(target=race) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert results == [expected] * 9
+
+
+# ---------------------------------------------------------------------- the planner
+
+
+def race_of(env, act, seed=2):
+    observations, _ = env.reset(seed=seed)
+    while env.agents:
+        observations, _, _, _, infos = env.step({"kart_0": act(observations["kart_0"])})
+    return infos["kart_0"]["distance"], infos["kart_0"]["finish_time"]
+
+
+def test_the_planner_gets_further_than_the_driver_that_it_is_made_of():
+    with make("olivermath", agents=1, max_cycles=150, max_paths=20) as env:
+        driver, memory = heuristic.HeuristicDriver(), heuristic.create_state()
+        base, _ = race_of(env, lambda observation: driver(memory, observation))
+        planner = Planner(PlannerSettings(num_plans=4))
+        planned, _ = race_of(env, lambda observation: planner.act(env, observation))
+    assert planned > base
+
+
+def test_the_planner_refuses_an_environment_of_several_agents(env):
+    observations, _ = env.reset(seed=1)
+    with pytest.raises(ConfigError, match="agents=1"):
+        Planner().act(env, observations["kart_0"])

@@ -1,0 +1,345 @@
+"""The benchmark: the same races for everybody, and figures that say what they say."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from stkzoo.errors import ConfigError
+from stkzoo.evaluation.benchmark import (
+    BenchmarkResult,
+    KartOutcome,
+    RaceForm,
+    RaceOutcome,
+    compare,
+    estimate,
+    load_benchmark,
+    make_races,
+    plan_benchmark,
+    race_seed,
+    save_plot,
+)
+from stkzoo.race import RaceResult
+from stkzoo.race.result import AgentResult
+from stkzoo.tracks import TEST_TRACKS
+from tests.support.paths import ROOT
+
+RESULTS = ROOT / "benchmarks" / "results" / "benchmark"
+FORMS = [RaceForm.of(name) for name in ("PAAAA", "PPAAA", "P")]
+
+
+# ------------------------------------------------------------------ which races
+
+
+def test_the_test_split_is_three_hundred_races_with_seeds_of_their_own():
+    races = make_races(TEST_TRACKS, (False, True), FORMS, 5)
+    assert len(races) == 6 * 2 * (2 + 2 + 1) * 5
+    assert [race.number for race in races] == list(range(300))
+    assert len({race.seed for race in races}) == 300
+
+
+def test_a_seed_depends_on_the_race_alone():
+    few = {(race.kind, race.index): race.seed for race in make_races(["abyss"], [True], FORMS, 2)}
+    many = make_races(["zengarden", "abyss"], [False, True], FORMS[::-1], 3)
+    seeds = {(race.kind, race.index): race.seed for race in many}
+    assert few.items() <= seeds.items()
+
+
+def test_seeds_are_those_of_all_published_results():
+    assert race_seed("lighthouse", False, "PAAAA", "front", 0) == 207341991
+    assert race_seed("xr591", True, "P", "front", 4) == 1370257659
+
+
+def test_the_first_races_have_each_kind_once():
+    races = make_races(["abyss", "mines"], (False, True), FORMS, 3)
+    first = races[: len(races) // 3]
+    assert len({race.kind for race in first}) == len(first) == 20
+
+
+@pytest.mark.parametrize(
+    ("name", "ends"),
+    [
+        ("PAAAA", {"front": (0,), "back": (4,)}),
+        ("PPAAA", {"front": (0, 1), "back": (3, 4)}),
+        ("P", {"front": (0,)}),
+    ],
+)
+def test_both_ends_of_the_grid(name, ends):
+    form = RaceForm.of(name)
+    assert {end: form.places(end) for end in form.ends} == ends
+
+
+@pytest.mark.parametrize("name", ["", "A", "AP", "PAP", "pa", "P" * 21, 3])
+def test_a_form_that_cannot_be_is_told(name):
+    with pytest.raises(ConfigError, match="expected P for each kart of the agent"):
+        RaceForm.of(name)
+
+
+def test_orders_put_the_agent_where_the_form_says():
+    plan = plan_benchmark("random@:dice", split="lighthouse", seeds=1, reverse=[True])
+    by_race = dict(zip(plan.races(), plan.orders(), strict=True))
+    found = {(race.form.name, race.end): order for race, order in by_race.items()}
+    assert found["PPAAA", "back"].labels == ["ai", "ai", "ai", "dice", "dice"]
+    assert found["PPAAA", "back"].wait_for == (3, 4)
+    assert found["PAAAA", "front"].labels == ["dice", "ai", "ai", "ai", "ai"]
+    assert found["P", "front"].labels == ["dice"]
+    settings = found["P", "front"].settings
+    assert (settings.track, settings.reverse, settings.difficulty) == ("lighthouse", True, 3)
+    limit = 3 * plan.ai_time("lighthouse", True)
+    assert limit <= (settings.max_steps - 20) / 10 < limit + 0.1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"split": "lighthous"}, "Did you mean 'lighthouse'"),
+        ({"seeds": 0}, "seeds is 0, expected a whole number from 1"),
+        ({"difficulty": 4}, "difficulty is 4"),
+        ({"forms": []}, "expected different race forms"),
+        ({"forms": ["P", "P"]}, "expected different race forms"),
+        ({"reverse": []}, "expected \\(False, True\\) or one of both"),
+        ({"reverse": [2]}, "expected \\(False, True\\) or one of both"),
+        ({"max_steps": 5}, "max_steps"),
+        ({"error_handling": "raise"}, "choose retire, catch or restart"),
+        ({"ai_times": "nowhere.json"}, "the AI's times nowhere.json cannot be read"),
+    ],
+)
+def test_a_benchmark_that_cannot_be_is_told(options, message):
+    with pytest.raises(ConfigError, match=message):
+        plan_benchmark("heuristic", **options)
+
+
+def test_an_unknown_agent_is_told():
+    with pytest.raises(ConfigError, match="unknown driver 'nobody'"):
+        plan_benchmark("nobody")
+
+
+# ------------------------------------------------------------------ one race's values
+
+
+def result_of(*rows):
+    """A race's result; each row is start position, finish time, rank, and status."""
+    agents = [
+        AgentResult(
+            agent=f"kart_{place - 1}",
+            driver="x",
+            source="x",
+            status=status,
+            start_position=place,
+            rank=rank,
+            finish_time=time,
+            laps=1,
+            distance=100.0,
+            reward=0.0,
+            rescues=place,
+        )
+        for place, time, rank, status in rows
+    ]
+    return RaceResult(
+        status="awaited_finished",
+        track="lighthouse",
+        reverse=False,
+        laps=1,
+        difficulty=3,
+        seed=1,
+        race_length=100.0,
+        steps=100,
+        race_time=10.0,
+        agents=tuple(sorted(agents, key=lambda row: row.rank)),
+    )
+
+
+def outcome_of(form, end, *rows, ai_time=40.0):
+    races = make_races(["lighthouse"], [False], [RaceForm.of(form)], 1)
+    (race,) = [race for race in races if race.end == end]
+    return RaceOutcome.of(race, result_of(*rows), ai_time, limit=3.0)
+
+
+def test_two_karts_of_the_agent_make_one_value_each():
+    outcome = outcome_of(
+        "PPAA",
+        "back",
+        (1, 40.0, 2, "finished"),
+        (2, None, 4, "racing"),
+        (3, 36.0, 1, "finished"),
+        (4, 48.0, 3, "finished"),
+    )
+    assert outcome.time_ratio == pytest.approx((0.9 + 1.2) / 2)
+    assert (outcome.is_won, outcome.rank, outcome.unfinished) == (1.0, 2.0, 0.0)
+    assert outcome.rescues == 3.5
+    assert [kart.time for kart in outcome.karts] == [36.0, 48.0]
+
+
+def test_a_kart_that_does_not_finish_counts_with_the_whole_limit():
+    outcome = outcome_of("PA", "front", (1, None, 2, "racing"), (2, 40.0, 1, "finished"))
+    assert (outcome.time_ratio, outcome.is_won, outcome.rank) == (3.0, 0.0, 2.0)
+    assert outcome.unfinished == 1.0
+
+
+def test_an_agent_that_fails_in_the_lead_is_last():
+    rows = [(1, None, 1, "retired"), (2, None, 2, "racing"), (3, None, 3, "racing")]
+    outcome = outcome_of("PAA", "front", *rows)
+    assert (outcome.rank, outcome.is_won, outcome.time_ratio) == (3.0, 0.0, 3.0)
+    both = outcome_of("PPA", "front", *rows)
+    assert both.rank == 2.5
+    assert [kart.rank for kart in both.karts] == [2, 3]
+
+
+def test_alone_there_is_nothing_to_win():
+    outcome = outcome_of("P", "front", (1, 38.0, 1, "finished"))
+    assert outcome.time_ratio == pytest.approx(0.95)
+    assert (outcome.is_won, outcome.rank) == (None, None)
+
+
+# ------------------------------------------------------------------ intervals
+
+
+def test_the_mean_is_over_races():
+    found = estimate([1.0, 2.0, 3.0, 6.0], ["a", "a", "a", "a"])
+    assert found.value == 3.0
+    assert found.low < 3.0 < found.high
+
+
+def test_what_differs_between_strata_is_no_doubt():
+    """Tracks are fixed: that one is slower than another says nothing about chance."""
+    found = estimate([1.0, 1.0, 9.0, 9.0], ["a", "a", "b", "b"])
+    assert (found.value, found.low, found.high) == (5.0, 5.0, 5.0)
+
+
+def test_the_interval_is_as_wide_as_the_mean_varies():
+    values = np.random.default_rng(1).normal(size=(40, 5))
+    strata = [row for row in range(40) for _ in range(5)]
+    found = estimate(values.ravel().tolist(), strata)
+    error = math.sqrt(values.var(axis=1, ddof=1).mean() / values.size)
+    assert found.high - found.low == pytest.approx(2 * 1.96 * error, rel=0.06)
+
+
+def test_the_true_mean_is_in_the_interval_as_often_as_is_said():
+    chance = np.random.default_rng(2)
+    strata = [row for row in range(12) for _ in range(5)]
+    hits = 0
+    for _ in range(300):
+        found = estimate(chance.normal(size=60).tolist(), strata)
+        hits += found.low <= 0.0 <= found.high
+    assert 273 <= hits <= 296  # 91 to 98.7 %
+
+
+def test_one_race_of_a_kind_says_nothing_about_chance():
+    found = estimate([1.0, 2.0, 3.0], ["a", "a", "b"])
+    assert (found.value, found.low, found.high) == (2.0, None, None)
+
+
+def test_what_never_happened_may_happen_all_the_same():
+    found = estimate([0.0] * 30, ["a"] * 15 + ["b"] * 15, (0.0, 1.0))
+    assert (found.value, found.low) == (0.0, 0.0)
+    assert (1 - found.high) ** 30 == pytest.approx(0.025)
+    found = estimate([1.0] * 5 + [0.0] * 5, ["a"] * 5 + ["b"] * 5, (0.0, 1.0))
+    assert found.low < 0.5 < found.high
+
+
+# ------------------------------------------------------------------ results and comparisons
+
+
+def made_up(ratio, won, *, seeds=5, **changes):
+    """A result in which the agent's ratio and win depend on the race as two functions say."""
+    options = {"split": "lighthouse", "forms": ["PA"], "seeds": seeds, **changes}
+    plan = plan_benchmark("random", **options)
+    outcomes = []
+    for race in plan.races():
+        ai_time = plan.ai_time(race.track, race.reverse)
+        kart = KartOutcome(ratio(race) * ai_time, 1 if won(race) else 2, 0, 0)
+        outcomes.append(RaceOutcome(race, "awaited_finished", ai_time, plan.limit, (kart,)))
+    return BenchmarkResult(plan, tuple(outcomes))
+
+
+def test_groups_have_the_means_of_their_races():
+    result = made_up(lambda race: 1.1 if race.reverse else 0.9, lambda race: race.end == "front")
+    for name, ratio in (("forward", 0.9), ("reversed", 1.1)):
+        figures = result.group("direction", name).figures
+        assert figures["time_ratio"].value == pytest.approx(ratio)
+    everything = result.group()
+    assert everything.figures["time_ratio"].value == pytest.approx(1.0)
+    assert everything.figures["win_rate"].value == 0.5
+    assert everything.chance == 0.5
+    assert everything.races == 20
+    assert result.group("end", "back").figures["mean_rank"].value == 2.0
+    assert result.group("track and direction", "lighthouse reversed").races == 10
+
+
+def test_an_agent_that_never_finishes_can_be_drawn(tmp_path):
+    plan = made_up(lambda _: 1.0, lambda _: False, seeds=2, split="test").plan
+    lost = (KartOutcome(None, 2, 0, 0),)
+    outcomes = [
+        RaceOutcome(race, "max_steps", plan.ai_time(race.track, race.reverse), plan.limit, lost)
+        for race in plan.races()
+    ]
+    result = BenchmarkResult(plan, tuple(outcomes))
+    for group in result.groups:
+        ratio = group.figures["time_ratio"]
+        assert ratio.low <= ratio.value == 3.0 <= ratio.high
+    save_plot(result, tmp_path / "lost.png")
+    assert (tmp_path / "lost.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_result_survives_its_json():
+    result = made_up(lambda race: 1 + race.index / 10, lambda race: race.index == 0)
+    again = BenchmarkResult.from_json(result.to_json())
+    assert again.plan == result.plan
+    assert again.groups == result.groups
+    with pytest.raises(ConfigError, match="is no benchmark result"):
+        BenchmarkResult.from_json("{}")
+
+
+def test_a_paired_difference_is_surer_than_two_figures():
+    """Luck that both agents share falls out."""
+    luck = dict(enumerate(np.random.default_rng(3).normal(1, 0.2, 20)))
+    slow = made_up(lambda race: luck[race.number] + 0.05, lambda _: False)
+    fast = made_up(lambda race: luck[race.number] + race.index / 1000, lambda _: True)
+    found = compare(slow, fast).difference().figures
+    assert found["time_ratio"].value == pytest.approx(0.048)
+    assert found["time_ratio"].low > 0.04
+    alone = slow.group().figures["time_ratio"]
+    assert alone.high - alone.low > 10 * (found["time_ratio"].high - found["time_ratio"].low)
+    assert found["win_rate"].value == -1.0
+    assert found["mean_rank"].value == 1.0
+
+
+def test_only_races_that_both_have_driven_are_compared():
+    one = made_up(lambda _: 1.0, lambda _: True, seeds=2, reverse=[False])
+    other = made_up(lambda race: 2.0 if race.reverse else 1.2, lambda _: True, seeds=4)
+    found = compare(one, other).difference()
+    assert found.races == 4
+    assert found.figures["time_ratio"].value == pytest.approx(-0.2)
+    with pytest.raises(ConfigError, match="have no race in common"):
+        compare(one, made_up(lambda _: 1.0, lambda _: True, reverse=[True]))
+
+
+def test_other_conditions_are_not_compared():
+    one = made_up(lambda _: 1.0, lambda _: True)
+    other = made_up(lambda _: 1.0, lambda _: True, difficulty=2)
+    with pytest.raises(ConfigError, match=r"different conditions: .*difficulty is 2 and was 3"):
+        compare(one, other)
+
+
+@pytest.mark.parametrize("name", ["ai", "heuristic", "random"])
+def test_published_results_are_of_the_protocol(name):
+    result = load_benchmark(RESULTS / f"{name}.json")
+    plan = plan_benchmark(name, seeds=result.plan.seeds)
+    assert result.is_complete
+    assert (result.label, result.plan.tracks, result.plan.forms) == (name, plan.tracks, plan.forms)
+    assert result.plan.ai_times == plan.ai_times
+    written = json.loads((RESULTS / f"{name}.json").read_text())["groups"][0]["figures"]
+    for figure, found in result.group().figures.items():
+        assert [written[figure][end] for end in ("low", "high")] == pytest.approx(
+            [found.low, found.high], abs=1e-6
+        )
+
+
+def test_the_ai_is_as_good_as_the_ai():
+    """What the figures must say of the one agent whose figures are known."""
+    result = load_benchmark(RESULTS / "ai.json")
+    for form, chance in (("PAAAA", 0.2), ("PPAAA", 0.4)):
+        figures = result.group("form", form).figures
+        for figure, truth in (("time_ratio", 1.0), ("win_rate", chance), ("mean_rank", 3.0)):
+            assert figures[figure].low < truth < figures[figure].high

@@ -1,0 +1,333 @@
+"""The benchmark on the real engine: short races, interruptions, the command."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+
+import jsonschema
+import numpy as np
+import pytest
+
+from stkzoo import race_v0
+from stkzoo.cli import main
+from stkzoo.engine.snapshot import KART_DTYPE
+from stkzoo.errors import ConfigError
+from stkzoo.evaluation.benchmark import (
+    AiTimes,
+    compare,
+    load_ai_times,
+    load_benchmark,
+    measure_ai_times,
+    run_benchmark,
+    save_plot,
+)
+from stkzoo.race import Driver, RaceResult, run_race
+from stkzoo.race.rescues import RescueCounter
+from stkzoo.tracks import SPLITS
+from tests.support.paths import AGENTS, ROOT
+from tests.support.processes import wait_until
+
+DOCS = ROOT / "docs"
+SMALL = {"split": ["lighthouse"], "forms": ["PA", "P"], "seeds": 2, "reverse": [False]}
+
+
+def schema(name):
+    return json.loads((DOCS / "schemas" / f"{name}.schema.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("benchmark") / "heuristic"
+    heard = []
+    result = run_benchmark("heuristic", output=folder, on_race=heard.append, jobs=2, **SMALL)
+    return folder, result, heard
+
+
+# ------------------------------------------------------------------ what comes out
+
+
+def test_the_agent_drives_the_planned_races(small):
+    folder, result, heard = small
+    assert [progress.done for progress in heard] == list(range(7))
+    for race, order in zip(result.plan.races(), result.plan.orders(), strict=True):
+        kept = RaceResult.from_json((folder / "races" / f"{race.number:05d}.json").read_text())
+        rows = sorted(kept.agents, key=lambda row: row.start_position)
+        assert [row.driver for row in rows] == order.labels
+        assert (kept.track, kept.reverse, kept.difficulty) == ("lighthouse", False, 3)
+        assert kept.seed == race.seed
+        assert kept.status in ("awaited_finished", "finished")
+
+
+def test_figures_are_those_of_the_races(small):
+    folder, result, _ = small
+    files = sorted((folder / "races").glob("*.json"))
+    rows = [row for file in files for row in RaceResult.from_json(file.read_text()).agents]
+    times = [row.finish_time for row in rows if row.driver == "heuristic"]
+    figures = result.group().figures
+    median = load_ai_times().of("lighthouse", False, 3).median
+    assert figures["time_ratio"].value == pytest.approx(np.mean(times) / median, abs=1e-4)
+    assert figures["unfinished"].value == 0.0
+    assert result.group("form", "P").figures["win_rate"] is None
+    assert result.group("form", "PA").chance == 0.5
+
+
+def test_the_result_follows_its_schema_and_is_read_again(small):
+    folder, result, _ = small
+    written = json.loads((folder / "result.json").read_text())
+    jsonschema.validate(written, schema("benchmark-result"))
+    from_races, from_file = load_benchmark(folder), load_benchmark(folder / "result.json")
+    assert from_races == result
+    assert from_file.outcomes == result.outcomes
+    assert from_file.groups == result.groups
+
+
+def test_a_finished_benchmark_runs_nothing_again(small):
+    folder, result, _ = small
+    stamps = [file.stat().st_mtime_ns for file in sorted((folder / "races").iterdir())]
+    assert run_benchmark("heuristic", output=folder, **SMALL) == result
+    assert stamps == [file.stat().st_mtime_ns for file in sorted((folder / "races").iterdir())]
+
+
+def test_another_benchmark_in_the_folder_is_refused(small):
+    folder, _, _ = small
+    with pytest.raises(ConfigError, match=r"has another benchmark: agent is 'random@:random' and"):
+        run_benchmark("random", output=folder, **SMALL)
+    with pytest.raises(ConfigError, match="seeds is 3 and was 2"):
+        run_benchmark("heuristic", output=folder, **{**SMALL, "seeds": 3})
+
+
+def test_the_plot_is_a_picture(small, tmp_path):
+    folder, result, _ = small
+    assert (folder / "benchmark.png").read_bytes()[:4] == b"\x89PNG"
+    save_plot([result, result], tmp_path / "both.svg")
+    assert "lighthouse" in (tmp_path / "both.svg").read_text()
+
+
+def test_two_agents_meet_the_same_conditions(small, tmp_path):
+    """The AI under another name does what the AI does: all differences are exactly none."""
+    _, heuristic, _ = small
+    one = run_benchmark("ai", output=tmp_path / "ai", plot=False, **SMALL)
+    two = run_benchmark("ai@:again", output=tmp_path / "again", plot=False, jobs=1, **SMALL)
+    assert [outcome.karts for outcome in one.outcomes] == [o.karts for o in two.outcomes]
+    same = compare(one, two).difference().figures["time_ratio"]
+    assert (same.value, same.low, same.high) == (0.0, 0.0, 0.0)
+    assert compare(heuristic, one).difference().figures["time_ratio"].value != 0.0
+
+
+def test_an_agent_that_fails_is_last_and_told(tmp_path):
+    agent = str(AGENTS / "hostile" / "once.py")
+    options = {**SMALL, "forms": ["PA"], "seeds": 1}
+    result = run_benchmark(agent, output=tmp_path / "once", plot=False, **options)
+    figures = result.group().figures
+    assert result.errors == 2
+    assert figures["time_ratio"].value == 3.0
+    assert figures["mean_rank"].value == 2.0
+    assert figures["unfinished"].value == 1.0
+    assert figures["win_rate"].low is None
+
+
+# ------------------------------------------------------------------ interruptions
+
+
+def test_a_killed_benchmark_goes_on_to_the_same_result(small, tmp_path):
+    _, whole, _ = small
+    folder = tmp_path / "heuristic"
+    words = [
+        "benchmark",
+        "heuristic",
+        "--split",
+        "lighthouse",
+        "--forms",
+        "PA",
+        "P",
+        "--seeds",
+        "2",
+    ]
+    more = ["--directions", "forward", "--jobs", "1", "--output", str(folder)]
+    command = [sys.executable, "-m", "stkzoo", *words, *more]
+    program = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    races = lambda: list((folder / "races").glob("[0-9]*.json"))  # noqa: E731
+    assert wait_until(lambda: len(races()) >= 2 or program.poll() is not None, seconds=100)
+    program.kill()
+    said = program.communicate(timeout=60)[1]
+    assert program.returncode == -signal.SIGKILL, said
+    kept = {file.name: file.read_bytes() for file in races()}
+    assert 2 <= len(kept) < 6
+    done = subprocess.run(command, capture_output=True, text=True, timeout=200)
+    assert done.returncode == 0, done.stderr
+    assert "6 of 6 races on lighthouse" in done.stdout
+    assert all((folder / "races" / name).read_bytes() == text for name, text in kept.items())
+    assert load_benchmark(folder).outcomes == whole.outcomes
+
+
+# ------------------------------------------------------------------ the race's end, rescues
+
+
+def test_a_race_is_over_when_those_who_are_awaited_have_finished():
+    options = {"track": "olivermath", "difficulty": 3, "start_positions": [1, 2, 3]}
+    result = run_race(["ai", "random", "ai"], wait_for=[2], **options)
+    assert result.status == "awaited_finished"
+    by_agent = {row.agent: row for row in result.agents}
+    assert by_agent["kart_2"].finish_time == pytest.approx(result.race_time - 2.0, abs=0.3)
+    assert by_agent["kart_1"].finish_time is None
+
+
+def test_nobody_waits_for_those_who_have_failed():
+    drivers = [str(AGENTS / "hostile" / "unloadable.py"), "ai"]
+    result = run_race(drivers, wait_for=[0], track="lighthouse")
+    assert (result.status, result.steps) == ("awaited_finished", 0)
+
+
+@pytest.mark.parametrize("numbers", [[], [2], [-1], [0, 5]])
+def test_who_cannot_be_awaited_is_told(numbers):
+    with pytest.raises(ConfigError, match="expected some of the drivers' numbers, 0 to 1"):
+        run_race(["ai", "random"], wait_for=numbers, track="lighthouse")
+
+
+def asks_for_rescues_at(*steps):
+    """A driver that stands still and calls the rescue bird at some steps."""
+    buttons = dict.fromkeys(("brake", "drift", "fire", "nitro"), 0)
+    still = {name: np.zeros(1, np.float32) for name in ("acceleration", "steer")}
+
+    def make(*_):
+        count = iter(range(10**6))
+        return lambda _: {**buttons, **still, "rescue": int(next(count) in steps)}
+
+    return Driver.of_actor("caller", make)
+
+
+def test_rescues_are_counted():
+    drivers = [asks_for_rescues_at(40, 75), asks_for_rescues_at(), asks_for_rescues_at(40, 42)]
+    options = {"track": "snowtuxpeak", "start_positions": [3, 2, 1]}
+    result = run_race(drivers, max_steps=110, **options)
+    by_agent = {row.agent: row.rescues for row in result.agents}
+    assert by_agent == {"kart_0": 2, "kart_1": 0, "kart_2": 1}
+    jsonschema.validate(json.loads(result.to_json()), schema("race-result"))
+
+
+def flight(heights, speed=0.0):
+    """Moments of one kart whose body is out of the world, one a tenth of a second."""
+    for height in heights:
+        karts = np.zeros(1, KART_DTYPE)
+        karts["location"][0] = (1.0, height, 2.0)
+        karts["speed"] = speed
+        yield karts
+
+
+def test_what_an_explosion_does_is_no_rescue():
+    thrown = [max(0.0, 7.0 * t - 4.9 * t * t) for t in np.arange(0, 1.5, 0.1)]
+    let_down = [0.0, 0.17, 0.33, 0.5, 1.5, 1.33, 1.17, 1.0, 0.83, 0.67, 0.5]
+    for heights, speed, rescues in ((thrown, 0.0, 0), (let_down, 0.0, 1), (let_down, 3.0, 0)):
+        counter = RescueCounter(1, 0.1)
+        for karts in flight(heights, speed):
+            counter.look(karts)
+        assert counter.counts.tolist() == [rescues]
+
+
+# ------------------------------------------------------------------ the AI's times
+
+
+def test_the_shipped_times_are_of_every_track_both_ways_at_every_difficulty():
+    times = load_ai_times()
+    keys = {(t, way, d) for t in SPLITS["all"] for way in (False, True) for d in range(4)}
+    assert set(times.by_race) == keys
+    for time in times.by_race.values():
+        assert time.best <= time.median <= time.worst
+        assert time.karts == 25
+    jsonschema.validate(json.loads(times.to_json()), schema("ai-times"))
+    assert AiTimes.from_json(times.to_json()) == times
+
+
+def test_measuring_again_finds_the_shipped_times(tmp_path):
+    options = {"tracks": "olivermath", "seeds": 1, "difficulties": (2,), "jobs": 1}
+    times = measure_ai_times(tmp_path / "ai", **options)
+    assert set(times.by_race) == {("olivermath", False, 2), ("olivermath", True, 2)}
+    for key, time in times.by_race.items():
+        shipped = load_ai_times().by_race[key]  # the same race, perhaps of another processor
+        assert time.median == pytest.approx(shipped.median, rel=0.2)
+    assert load_ai_times(tmp_path / "ai" / "ai_times.json") == times
+    with pytest.raises(ConfigError, match=r"has no time on lighthouse .* at difficulty 3"):
+        run_benchmark(
+            "ai", output=tmp_path / "b", ai_times=tmp_path / "ai" / "ai_times.json", **SMALL
+        )
+    with pytest.raises(ConfigError, match="has another measurement: seeds is 2 and was 1"):
+        measure_ai_times(tmp_path / "ai", **{**options, "seeds": 2})
+
+
+# ------------------------------------------------------------------ the command
+
+
+def test_the_command_shows_the_figures_and_compares(small, tmp_path, capsys):
+    folder, result, _ = small
+    again = str(tmp_path / "again")
+    shutil.copytree(folder, again)
+    assert main(["benchmark", "--compare", str(folder), f"{again}/result.json"]) == 0
+    shown = capsys.readouterr().out
+    value = result.group().figures["time_ratio"].value
+    assert f"{value:.3f} (" in shown
+    assert "heuristic minus heuristic, in the same races:" in shown
+    picture = tmp_path / "both.png"
+    words = ["--compare", str(folder), again, "--json", "--output", str(picture)]
+    assert main(["benchmark", *words]) == 0
+    parts = json.loads(capsys.readouterr().out)
+    kinds = ["benchmark-result", "benchmark-result", "benchmark-comparison"]
+    assert [part["type"] for part in parts] == kinds
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_the_command_exits_with_3_when_the_agent_failed(tmp_path, capsys):
+    words = ["--split", "lighthouse", "--forms", "PA", "--seeds", "1", "--directions", "forward"]
+    agent = str(AGENTS / "hostile" / "unloadable.py")
+    output = ["--output", str(tmp_path / "one"), "--json", "--no-plot"]
+    assert main(["benchmark", agent, *words, *output]) == 3
+    form = json.loads(capsys.readouterr().out)
+    assert form["groups"][0]["figures"]["unfinished"]["value"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "no agent; name one"),
+        (["nobody"], "unknown driver 'nobody'"),
+        (["ai", "--compare", "x"], "leave the agent out"),
+        (["ai", "--baseline"], "leave the agent out"),
+        (["--compare", "nowhere"], "nowhere has no benchmark"),
+        (["ai", "--jobs", "0"], "jobs is 0"),
+    ],
+)
+def test_bad_usage_exits_with_2(words, message, capsys):
+    assert main(["benchmark", *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+# ------------------------------------------------------------------ the track atlas
+
+
+def test_the_atlas_has_every_track_as_it_is():
+    page = (DOCS / "tracks.md").read_text()
+    times = load_ai_times()
+    for track in SPLITS["all"]:
+        (row,) = [line for line in page.splitlines() if line.startswith(f"| {track} |")]
+        for reverse in (False, True):
+            medians = [times.of(track, reverse, level).median for level in range(4)]
+            assert " / ".join(f"{median:.1f}" for median in medians) in row
+        assert ("**test**" in row) == (track in SPLITS["test"])
+    names = [f"{track}{which}" for track in SPLITS["all"] for which in ("", "-ground")]
+    assert all(f"](images/tracks/{name}.png)" in page for name in names)
+    pictures = list((DOCS / "images" / "tracks").glob("*.png"))
+    assert sorted(picture.stem for picture in pictures) == sorted(names)
+    assert sum(picture.stat().st_size for picture in pictures) < 600_000
+
+
+def test_the_atlas_counts_what_is_there():
+    env = race_v0.parallel_env(num_kart=1, track="xr591", max_paths=1)
+    try:
+        env.reset(seed=0)
+        forks = sum(len(nodes) > 1 for nodes in env.track_map.successors)
+        road, items = env.track_map, len(env.snapshot.items)
+    finally:
+        env.close()
+    row = f"| xr591 | **test** | {road.length:.0f} | {road.num_nodes} | {forks} | {items} |"
+    assert row in (DOCS / "tracks.md").read_text()

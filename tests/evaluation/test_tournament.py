@@ -1,0 +1,394 @@
+"""Tournaments: every race once, whatever interrupts them."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from stkzoo.cli import main
+from stkzoo.errors import ConfigError
+from stkzoo.evaluation.batch.fingerprint import fingerprint
+from stkzoo.evaluation.batch.pool import run_in_parallel
+from stkzoo.evaluation.tournament import (
+    TournamentError,
+    load_tournament,
+    plan_tournament,
+    resume_tournament,
+    run_tournament,
+    save_plot,
+)
+from stkzoo.evaluation.tournament.ratings import rate
+from stkzoo.race import RaceResult
+from tests.support.paths import AGENTS, SCHEMAS
+from tests.support.processes import children_of, process_exists, run_program, wait_until
+
+SCHEMA = SCHEMAS / "tournament-result.schema.json"
+SMALL = {"tracks": ["lighthouse"], "races": 4, "per_race": 3, "max_steps": 15, "plot": False}
+THREE = ["heuristic", "ai", "random"]
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tournament") / "cup"
+    heard = []
+    agents = ["heuristic", "ai", str(AGENTS / "plain"), str(AGENTS / "hostile" / "exits.py")]
+    result = run_tournament(
+        agents,
+        output=folder,
+        tracks=["lighthouse", "olivermath"],
+        races=8,
+        per_race=3,
+        max_steps=120,
+        jobs=2,
+        on_race=heard.append,
+    )
+    return folder, result, heard
+
+
+def races_in(folder):
+    return sorted(file.name for file in (folder / "races").glob("[0-9]*.json"))
+
+
+# ------------------------------------------------------------------ what comes out
+
+
+def test_all_races_are_run_with_the_planned_grids(small):
+    folder, result, _ = small
+    plan = result.plan
+    assert races_in(folder) == [f"{number:05d}.json" for number in range(8)]
+    for race in plan.schedule():
+        text = (folder / "races" / f"{race.number:05d}.json").read_text()
+        rows = RaceResult.from_json(text).agents
+        grid = [row.driver for row in sorted(rows, key=lambda row: row.start_position)]
+        assert grid == [plan.entrants[number].label for number in race.grid]
+
+
+def test_the_agent_that_fails_loses_its_races_only(small):
+    _, result, _ = small
+    last = result.standings[-1]
+    assert (last.label, last.retired, last.races) == ("exits", 6, 6)
+    assert last.mean_rank == 3.0
+    assert [row.errors for row in result.standings[:-1]] == [0, 0, 0]
+    assert all(race.order[-1] == "exits" for race in result.races if "exits" in race.order)
+
+
+def test_the_result_follows_its_schema(small):
+    folder, result, _ = small
+    written = json.loads((folder / "result.json").read_text())
+    jsonschema.validate(written, json.loads(SCHEMA.read_text()))
+    assert written == json.loads(result.to_json())
+    assert written["is_complete"]
+
+
+def test_the_matrix_counts_meetings(small):
+    _, result, _ = small
+    labels = [row.label for row in result.standings]
+    for one, first in enumerate(labels):
+        for two, second in enumerate(labels):
+            met = sum(first in race.order and second in race.order for race in result.races)
+            expected = 0 if one == two else met
+            assert result.ahead[one][two] + result.ahead[two][one] == expected
+    assert result.payoff(0, 3) == 1.0
+    assert result.payoff(0, 0) is None
+
+
+def test_progress_is_told_of_every_race(small):
+    _, _, heard = small
+    assert [progress.done for progress in heard] == list(range(9))
+    assert {progress.total for progress in heard} == {8}
+    assert heard[-1].last.steps == 120
+
+
+def test_a_finished_tournament_runs_nothing_again(small):
+    folder, result, _ = small
+    stamps = [file.stat().st_mtime_ns for file in sorted((folder / "races").iterdir())]
+    assert resume_tournament(folder) == result
+    assert load_tournament(folder) == result
+    assert stamps == [file.stat().st_mtime_ns for file in sorted((folder / "races").iterdir())]
+
+
+def test_the_plot_is_a_picture(small, tmp_path):
+    folder, result, _ = small
+    assert (folder / "tournament.png").read_bytes()[:4] == b"\x89PNG"
+    save_plot(result, tmp_path / "cup.svg")
+    drawn = (tmp_path / "cup.svg").read_text()
+    assert all(row.label in drawn for row in result.standings)
+    with pytest.raises(ConfigError, match="cannot be written"):
+        save_plot(result, tmp_path / "cup.unknown")
+    assert [file.name for file in tmp_path.iterdir()] == ["cup.svg"]
+
+
+def test_the_number_of_jobs_changes_nothing(tmp_path):
+    one = run_tournament(THREE, output=tmp_path / "one", jobs=1, **SMALL)
+    two = run_tournament(THREE, output=tmp_path / "two", jobs=3, **SMALL)
+    assert one == two
+
+
+# ------------------------------------------------------------------ ratings
+
+
+def test_better_agents_are_rated_better():
+    ratings = rate([[0, 1, 2], [0, 2, 1], [0, 1, 2], [1, 0, 2]] * 5, 3)
+    assert ratings[0].value > ratings[1].value > ratings[2].value
+    assert all(rating.low < rating.value < rating.high for rating in ratings)
+
+
+def test_more_races_make_the_interval_narrower():
+    races = [[0, 1], [0, 1], [1, 0], [0, 1]]
+    few, many = rate(races * 2, 2)[0], rate(races * 50, 2)[0]
+    assert many.sigma < few.sigma
+    assert many.low > rate(races * 50, 2)[1].high
+
+
+def test_who_never_raced_has_the_rating_of_a_stranger():
+    rating = rate([[0, 1]], 3)[2]
+    assert rating.value == 25
+    assert rating.low < 23 < 27 < rating.high
+
+
+def test_an_agent_that_always_wins_is_not_rated_without_doubt():
+    few, many = rate([[0, 1]] * 4, 2), rate([[0, 1]] * 100, 2)
+    assert few[0].low < few[0].value - 3
+    assert few[1].high > few[1].value + 3
+    assert many[0].low > many[1].high
+
+
+def test_a_missing_library_is_told_before_the_first_race(tmp_path):
+    code = """
+        import sys
+        sys.modules[{library!r}] = None
+        from stkzoo.errors import ConfigError
+        from stkzoo.evaluation.tournament import run_tournament
+        try:
+            run_tournament(["ai", "random"], output={folder!r}, races=1)
+        except ConfigError as error:
+            print(error)
+    """
+    for library in ("openskill", "matplotlib"):
+        folder = str(tmp_path / library)
+        shown = run_program(code.format(library=library, folder=folder)).stdout
+        assert f"library {library}" in shown
+        assert "pip install 'stkzoo[tournament]'" in shown
+        assert not Path(folder).exists()
+
+
+# ------------------------------------------------------------------ interruptions
+
+SIX = ("heuristic", "ai", "random", "heuristic@:second", "ai@:rival", "random@:dice")
+
+
+def test_sixty_races_killed_at_half_and_resumed_are_sixty_races(tmp_path):
+    folder = tmp_path / "league"
+    command = [sys.executable, "-m", "stkzoo", "tournament", *SIX, "--output", str(folder)]
+    words = ["--races", "60", "--max-steps", "20", "--tracks", "lighthouse", "olivermath"]
+    program = subprocess.Popen([*command, *words], stderr=subprocess.PIPE, text=True)
+    is_over = lambda: program.poll() is not None  # noqa: E731
+    is_half = lambda: len(races_in(folder)) >= 30  # noqa: E731
+    wait_until(lambda: is_half() or is_over(), seconds=300)
+    workers = children_of(program.pid)
+    program.kill()
+    said = program.communicate(timeout=60)[1]
+    assert program.returncode == -signal.SIGKILL, said
+    assert wait_until(lambda: not any(map(process_exists, workers)))
+    half = {name: (folder / "races" / name).read_bytes() for name in races_in(folder)}
+    assert workers
+    assert 30 <= len(half) < 60
+    done = subprocess.run(
+        [sys.executable, "-m", "stkzoo", "tournament", "--resume", str(folder)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    expected = [f"{number:05d}.json" for number in range(60)]
+    assert sorted(file.name for file in (folder / "races").iterdir()) == expected
+    assert all((folder / "races" / name).read_bytes() == text for name, text in half.items())
+    result = load_tournament(folder)
+    assert result.is_complete
+    assert Counter(row.races for row in result.standings) == {40: 6}
+    assert all(row.rating.low < row.rating.value < row.rating.high for row in result.standings)
+
+
+def test_a_resumed_tournament_comes_to_the_same(tmp_path):
+    whole = run_tournament(THREE, output=tmp_path / "whole", **SMALL)
+
+    class Stop(Exception):
+        pass
+
+    def stop(progress):
+        if progress.done == 2:
+            raise Stop
+
+    before = children_of(os.getpid())
+    with pytest.raises(Stop):
+        run_tournament(THREE, output=tmp_path / "parts", on_race=stop, **SMALL)
+    assert children_of(os.getpid()) == before
+    assert len(races_in(tmp_path / "parts")) == 2
+    assert run_tournament(THREE, output=tmp_path / "parts", **SMALL) == whole
+
+
+def test_ctrl_c_says_how_to_go_on(tmp_path):
+    folder = tmp_path / "cup"
+    command = [sys.executable, "-m", "stkzoo", "tournament", "ai", "heuristic"]
+    words = ["--output", str(folder), "--races", "50", "--tracks", "lighthouse"]
+    program = subprocess.Popen([*command, *words], stderr=subprocess.PIPE, text=True)
+    assert wait_until(lambda: races_in(folder), seconds=60)
+    workers = children_of(program.pid)
+    program.send_signal(signal.SIGINT)
+    said = program.communicate(timeout=60)[1]
+    assert program.returncode == 130, said
+    assert f"go on with: stkzoo tournament --resume {folder}" in said
+    assert wait_until(lambda: not any(map(process_exists, workers)))
+
+
+def test_a_race_whose_process_is_killed_is_run_again():
+    plan = plan_tournament(["ai", "heuristic"], tracks=["lighthouse"], races=2, max_steps=300)
+    outcomes = run_in_parallel(plan.orders(), 1, 100)
+    first = next(outcomes)
+    (worker,) = [pid for pid in children_of(os.getpid()) if "worker" in cmdline(pid)]
+    os.kill(worker, signal.SIGKILL)
+    second = next(outcomes)
+    assert (first.error, second.error) == ("", "")
+    assert RaceResult.from_json(second.result).seed == 1
+    outcomes.close()
+
+
+def cmdline(pid):
+    return Path(f"/proc/{pid}/cmdline").read_text()
+
+
+def test_an_agent_that_ends_its_race_process_is_told_and_the_others_go_on(tmp_path):
+    """With --inline an agent can do that."""
+    settings = {**SMALL, "inline": True, "races": 3, "per_race": 2}
+    agents = ["ai", "heuristic", str(AGENTS / "hostile" / "exits.py")]
+    with pytest.raises(TournamentError, match="2 of 3 races could not be run") as caught:
+        run_tournament(agents, output=tmp_path / "cup", **settings)
+    assert "its process ended with code" in str(caught.value)
+    assert not caught.value.result.is_complete
+    assert len(races_in(tmp_path / "cup")) == 1
+
+
+def test_a_race_that_never_ends_is_ended(tmp_path):
+    settings = {**SMALL, "races": 1, "per_race": 2, "max_steps": 10**6, "race_timeout": 3.0}
+    with pytest.raises(TournamentError, match="it was not over after 3 s"):
+        run_tournament(["random", "random@:r"], output=tmp_path / "cup", **settings)
+
+
+def test_two_programs_do_not_run_one_tournament(tmp_path):
+    folder = tmp_path / "cup"
+
+    def again(progress):
+        if progress.done == 1:
+            with pytest.raises(ConfigError, match="another program runs the tournament"):
+                run_tournament(THREE, output=folder, **SMALL)
+            heard.append(progress)
+
+    heard = []
+    run_tournament(THREE, output=folder, on_race=again, **SMALL)
+    assert len(heard) == 1
+
+
+def test_another_tournament_in_the_folder_is_refused(small):
+    folder, result, _ = small
+    agents = [entrant.text for entrant in result.plan.entrants]
+    with pytest.raises(ConfigError, match=r"has another tournament: .*races is 9 and was 8"):
+        run_tournament(agents, output=folder, tracks=["lighthouse"], races=9)
+
+
+def test_an_agent_that_was_changed_meanwhile_is_told(tmp_path):
+    agent, folder = tmp_path / "mine", tmp_path / "cup"
+    shutil.copytree(AGENTS / "plain", agent)
+    settings = {**SMALL, "races": 1, "per_race": 2}
+    result = run_tournament(["ai", str(agent)], output=folder, **settings)
+    (agent / "notes.txt").write_text("new files are nobody's business")
+    assert resume_tournament(folder, plot=False) == result
+    (agent / "helper.py").write_text("chase = None")
+    with pytest.raises(
+        ConfigError, match=r"files of agent 'mine' are others: \['mine/helper.py'\]"
+    ):
+        resume_tournament(folder)
+    shutil.rmtree(agent)
+    with pytest.raises(ConfigError, match="files of agent 'mine' are others"):
+        resume_tournament(folder)
+
+
+@pytest.mark.parametrize("source", ["module_home/bare_module_agent.py", "alpha", "weights"])
+def test_all_files_of_an_agent_count(source):
+    files = fingerprint(str(AGENTS / source))
+    home = (AGENTS / source).parent
+    on_disk = (AGENTS / source).rglob("*") if (AGENTS / source).is_dir() else [AGENTS / source]
+    names = {file.relative_to(home).as_posix() for file in on_disk if file.is_file()}
+    assert set(files) == {name for name in names if "__pycache__" not in name}
+    assert fingerprint("heuristic") == {}
+
+
+def test_files_of_a_module_count_too():
+    assert "http/server.py" in fingerprint("http.server")
+    assert list(fingerprint("this")) == ["this.py"]
+
+
+def test_a_damaged_race_is_told(tmp_path):
+    folder = tmp_path / "cup"
+    run_tournament(THREE, output=folder, **SMALL)
+    first, second = folder / "races" / "00000.json", folder / "races" / "00001.json"
+    good = first.read_text()
+    first.write_text(good[:100])
+    with pytest.raises(ConfigError, match="delete it, and the race is run again"):
+        resume_tournament(folder)
+    first.write_text(second.read_text())
+    with pytest.raises(ConfigError, match="is of another race"):
+        resume_tournament(folder)
+    first.unlink()
+    resume_tournament(folder, plot=False)
+    assert RaceResult.from_json(first.read_text()) == RaceResult.from_json(good)
+
+
+# ------------------------------------------------------------------ plans and the command
+
+
+@pytest.mark.parametrize(
+    ("agents", "plan", "message"),
+    [
+        (["ai"], {}, "expected a list of at least two"),
+        (["ai", "ai"], {}, "2 agents are called 'ai'; give each a name of its own"),
+        (["ai", "nobody"], {}, "unknown driver 'nobody'"),
+        (THREE, {"tracks": ["lighthous"]}, "Did you mean 'lighthouse'"),
+        (THREE, {"tracks": []}, "tracks is empty"),
+        (THREE, {"races": 0}, "races is 0, expected a whole number from 1"),
+        (THREE, {"per_race": 4}, "per_race is 4, expected a whole number from 2 to 3"),
+        (THREE, {"error_handling": "raise"}, "choose retire, catch or restart"),
+        (THREE, {"lap": 2}, "Did you mean 'laps'"),
+        (THREE, {"laps": 0}, "laps is 0"),
+    ],
+)
+def test_a_plan_that_cannot_be_is_told(agents, plan, message):
+    with pytest.raises(ConfigError, match=message):
+        plan_tournament(agents, **plan)
+
+
+def test_agents_of_one_file_name_are_called_by_their_paths():
+    paths = [str(AGENTS / name / "stk_actor") for name in ("alpha", "beta")]
+    assert [entrant.label for entrant in plan_tournament(paths).entrants] == paths
+
+
+def test_the_command_shows_a_table_and_exits_with_3_when_an_agent_failed(tmp_path, capsys):
+    folder = str(tmp_path / "cup")
+    agents = ["ai", str(AGENTS / "hostile" / "once.py")]
+    words = ["--races", "2", "--max-steps", "10", "--tracks", "lighthouse", "--output", folder]
+    assert main(["tournament", *agents, *words, "--no-plot"]) == 3
+    shown = capsys.readouterr().out
+    assert "2 of 2 races of 2 on lighthouse" in shown
+    assert main(["tournament", "--resume", folder, "--json", "--no-plot"]) == 3
+    assert json.loads(capsys.readouterr().out)["standings"][0]["label"] == "ai"
+
+
+def test_bad_usage_exits_with_2(tmp_path, capsys):
+    assert main(["tournament", "--resume", str(tmp_path)]) == 2
+    assert "has no tournament" in capsys.readouterr().err

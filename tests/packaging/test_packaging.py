@@ -1,0 +1,151 @@
+"""The wheel and the source distribution, and the package as others see it."""
+
+import os
+import re
+import subprocess
+import sys
+import tarfile
+import textwrap
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.support.paths import ROOT
+
+CONSUMER = '''\
+"""Somebody's package that uses stkzoo, strictly typed."""
+
+from stkzoo import AgentSpec, ConfigError, race_v0
+from stkzoo.race import run_race
+from stkzoo.wrappers.marl import Teams
+
+
+def drive() -> float:
+    env = race_v0.parallel_env(agents=[AgentSpec(name="me")], num_kart=2, track="lighthouse")
+    observations, infos = env.reset(seed=1)
+    reveal_type(observations)
+    reveal_type(env.state())
+    return float(infos["kart_0"]["distance"])
+
+
+def names() -> list[str]:
+    result = run_race(["heuristic", "ai"], track="lighthouse", seed=1)
+    reveal_type(result.status)
+    return [row.driver for row in result.agents]
+
+
+def fails(error: ConfigError) -> str:
+    return str(error)
+'''
+
+WRONG = """\
+from stkzoo import race_v0
+
+race_v0.parallel_env(num_kart="four")
+"""
+
+
+def run(words, **options):
+    done = subprocess.run(words, capture_output=True, text=True, timeout=500, **options)
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """The folder with a wheel that was made from the source distribution, and that itself."""
+    folder = tmp_path_factory.mktemp("dist")
+    copy = tmp_path_factory.mktemp("source") / "stkzoo"
+    tracked = ["git", "ls-files", "-co", "--exclude-standard", "-z"]
+    names = subprocess.run(tracked, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    for name in filter(None, names.split("\0")):
+        path = ROOT / name
+        (copy / name).parent.mkdir(parents=True, exist_ok=True)
+        if path.is_symlink():
+            (copy / name).symlink_to(os.readlink(path))
+        elif path.exists():
+            (copy / name).write_bytes(path.read_bytes())
+    code, said = run(
+        [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder)], cwd=copy
+    )
+    assert code == 0, said[-3000:]
+    return folder
+
+
+@pytest.fixture(scope="module")
+def installed(built, tmp_path_factory):
+    """The Python of a fresh environment with the wheel; other packages come from the tests'."""
+    folder = tmp_path_factory.mktemp("outside") / "env"
+    venv.create(folder, with_pip=False, symlinks=True)
+    (site,) = folder.glob("lib/python*/site-packages")
+    (wheel,) = built.glob("*.whl")
+    zipfile.ZipFile(wheel).extractall(site)
+    others = next(path for path in sys.path if path.endswith("site-packages"))
+    (site / "others.pth").write_text(others + "\n")
+    return folder / "bin" / "python"
+
+
+@pytest.mark.slow
+def test_the_files_are_as_the_index_wants_them(built):
+    files = [str(path) for path in built.iterdir()]
+    assert len(files) == 2
+    code, said = run([sys.executable, "-m", "twine", "check", "--strict", *files])
+    assert code == 0, said
+    wheel = next(file for file in files if file.endswith(".whl"))
+    checker = Path(sys.executable).parent / "check-wheel-contents"
+    code, said = run([str(checker), wheel], cwd=ROOT)
+    assert code == 0, said
+
+
+@pytest.mark.slow
+def test_the_source_distribution_has_what_tests_and_docs_need(built):
+    (source,) = built.glob("*.tar.gz")
+    with tarfile.open(source) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    for name in (
+        "LICENSE",
+        "CITATION.cff",
+        "tests/support/browser.py",
+        "tests/data/agents/plain/pystk_actor.py",
+        "docs/conf.py",
+        "stkzoo/kernel/kernel.h",
+        "stkzoo/py.typed",
+        "wrappers/marl/teams.py",
+    ):
+        assert name in names, name
+    assert not [name for name in names if name.endswith((".so", ".pyc"))]
+
+
+@pytest.mark.slow
+def test_the_wheel_races_outside_of_the_checkout(installed, tmp_path):
+    program = """
+        import stkzoo, stkzoo.kernel
+        from pathlib import Path
+        assert "site-packages" in stkzoo.__file__ and "outside" in stkzoo.__file__, stkzoo.__file__
+        assert stkzoo.kernel.kernel is not None
+        from stkzoo import race_v0
+        with race_v0.parallel_env(num_kart=2, track="lighthouse", view="masked_discrete") as env:
+            env.reset(seed=1)
+            env.step(dict.fromkeys(env.agents, 4))
+            print(env.race.track)
+        """
+    code, said = run([str(installed), "-c", textwrap.dedent(program)], cwd=tmp_path)
+    assert (code, said.strip()) == (0, "lighthouse")
+    code, said = run([str(installed), "-m", "stkzoo", "karts"], cwd=tmp_path)
+    assert code == 0, said
+    assert "wilber" in said
+
+
+@pytest.mark.slow
+def test_types_are_seen_from_outside(installed, tmp_path):
+    (tmp_path / "consumer.py").write_text(CONSUMER)
+    (tmp_path / "wrong.py").write_text(WRONG)
+    command = [sys.executable, "-m", "mypy", "--strict", "--python-executable", str(installed)]
+    code, said = run([*command, "consumer.py"], cwd=tmp_path)
+    assert code == 0, said
+    for revealed in ("dict[", "ndarray[", "str"):
+        assert re.search(rf'Revealed type is ".*{re.escape(revealed)}', said), said
+    code, said = run([*command, "wrong.py"], cwd=tmp_path)
+    assert code == 1
+    assert 'Argument "num_kart" to "RaceParallelEnv" has incompatible type "str"' in said

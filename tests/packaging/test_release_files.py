@@ -1,0 +1,59 @@
+"""What a public forge and an index read says the same as the project."""
+
+import re
+import sys
+
+import pytest
+import yaml
+
+import stkzoo
+from tests.support.paths import ROOT
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # pytest brings it
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+FORGE = sorted((ROOT / ".github").rglob("*.yml"))
+VERSIONS = [
+    line.rpartition(":: ")[2]
+    for line in PROJECT["project"]["classifiers"]
+    if re.search(r":: 3\.\d+$", line)
+]
+
+
+@pytest.mark.parametrize("path", FORGE, ids=lambda path: path.name)
+def test_files_for_the_forge_are_yaml(path):
+    assert isinstance(yaml.safe_load(path.read_text("utf-8")), dict)
+
+
+def test_workflows_call_targets_that_there_are():
+    makefile = (ROOT / "Makefile").read_text("utf-8")
+    called = set()
+    for path in FORGE:
+        called |= set(re.findall(r"run: make (\w+)", path.read_text("utf-8")))
+    assert {"check", "test", "docs"} <= called
+    for target in called:
+        assert re.search(rf"^{target}:", makefile, re.M), target
+
+
+def test_every_supported_python_is_tested_and_has_wheels():
+    tests = yaml.safe_load((ROOT / ".github" / "workflows" / "tests.yml").read_text("utf-8"))
+    assert tests["jobs"]["test"]["strategy"]["matrix"]["python"] == VERSIONS
+    built = PROJECT["tool"]["cibuildwheel"]["build"].split()
+    assert built == [f"cp{version.replace('.', '')}-*" for version in VERSIONS]
+
+
+def test_versions_agree():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
+    assert citation["version"] == PROJECT["project"]["version"] == stkzoo.__version__
+    assert citation["license"] == PROJECT["project"]["license"]
+
+
+def test_every_extra_is_in_all_but_those_of_developers():
+    extras = PROJECT["project"]["optional-dependencies"]
+    (everything,) = extras["all"]
+    named = set(re.search(r"\[(.*)\]", everything)[1].split(","))
+    # Libraries that cannot be beside others, and what only makers of stkzoo need.
+    assert set(extras) - named == {"all", "dev", "docs", "rllib", "tutorials"}

@@ -1,0 +1,177 @@
+"""Clients and servers that do not keep to the protocol."""
+
+import os
+import random
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from stkzoo.errors import RemoteError
+from stkzoo.race import find_driver, run_race
+from stkzoo.race.codec import encode
+from stkzoo.race.remote import RemoteCrew
+from stkzoo.race.remote.protocol import pack, unpack
+from tests.fuzz.messages import bad_messages, flood, resident_memory
+from tests.support.remote_race import LyingServer, raw_client, server_process, server_thread
+
+TRACK = {"track": "lighthouse", "seed": 3}
+
+
+def assert_serves(address):
+    with RemoteCrew([address]) as crew:
+        result = run_race([*crew.drivers, "ai"], max_steps=10, **TRACK)
+    assert not any(row.errors for row in result.agents)
+
+
+def test_a_server_outlives_bad_messages_by_the_thousand():
+    """By hand, with 100,000: ``python -m tests.fuzz.flood 100000``."""
+    with server_process("heuristic", "--quiet") as (process, address):
+        assert_serves(address)
+        messages = bad_messages(random.Random(1))
+        with raw_client(address) as socket:
+            flood(socket, messages, 500)
+        before = resident_memory(process.pid)
+        for _ in range(5):
+            with raw_client(address) as socket:
+                flood(socket, messages, 500)
+        assert_serves(address)
+        assert resident_memory(process.pid) - before < 64 << 20
+
+
+def test_a_message_that_is_too_large_ends_the_connection_only():
+    with server_thread([find_driver("heuristic")]) as server:
+        with raw_client(server.address) as socket:
+            socket.send_multipart([b"H", os.urandom(5 << 20)])
+            assert not socket.poll(300)
+        assert_serves(server.address)
+
+
+@pytest.mark.parametrize(
+    ("frames", "text"),
+    [
+        ([b"H"], "1 frames came"),
+        ([b"H", b"a", b"b", b"c"], "3 frames came"),
+        ([b"H", b"\x01"], "a int came, expected a dict"),
+        ([b"H", pack(protocol=99)], "speaks protocol 99, this one 1"),
+        ([b"H", pack(protocol=np.zeros(3))], "protocol is array"),
+        ([b"H", pack(protocol=1, more=b"a" * 5000)], "expected at most 4096"),
+        ([b"A", pack(step=1, observations=[])], "expected one of H, O first"),
+        ([b"?", b""], "expected one of H, O first"),
+        ([b"O", b"\xc1"], "no message"),
+        ([b"O", pack(protocol=1)], "seat is None"),
+        ([b"O", pack(protocol=1, seat=True, driver=0)], "seat is True"),
+        ([b"O", pack(protocol=1, seat=0, driver=7)], "driver 7, expected 0 to 0"),
+        ([b"O", pack(protocol=1, seat=0, driver=-1)], "driver -1"),
+        ([b"O", pack(protocol=1, seat=0, driver=0, agent="a")], "a space came as None"),
+    ],
+    ids=lambda value: str(value)[:30],
+)
+def test_a_bad_message_gets_an_answer_that_says_what_is_wrong(frames, text):
+    with server_thread([find_driver("heuristic")]) as server:
+        with raw_client(server.address) as socket:
+            socket.send_multipart(frames)
+            kind, body = socket.recv_multipart()
+        assert kind == b"E"
+        assert text in unpack(body)["text"]
+        assert_serves(server.address)
+
+
+def test_a_client_cannot_touch_the_seats_of_another():
+    with (
+        server_thread([find_driver("heuristic")]) as server,
+        RemoteCrew([server.address]) as crew,
+        raw_client(server.address) as socket,
+    ):
+        done = threading.Event()
+
+        def disturb():
+            while not done.wait(0.005):
+                socket.send_multipart([b"C", pack(seats=[0])])
+                socket.send_multipart([b"A", pack(step=1, observations=[[0, encode(1)]])])
+                socket.send_multipart([b"B", b""])
+                while socket.poll(0):
+                    socket.recv_multipart()
+
+        thread = threading.Thread(target=disturb)
+        thread.start()
+        result = run_race([*crew.drivers, "ai"], max_steps=30, **TRACK)
+        done.set()
+        thread.join()
+    assert not any(row.errors for row in result.agents)
+
+
+OPENED = pack(seat=0, name="liar", paths_used=None)
+ACTION = {
+    "acceleration": [1.0],
+    "steer": [0.0],
+    **dict.fromkeys(("brake", "drift", "fire", "nitro", "rescue"), 0),
+}
+
+
+def lies(*frames, **fields):
+    """Opens the seat as it should be, and then answers each step with frames or fields."""
+
+    def lie(kind, asked):
+        if kind == b"O":
+            return [b"P", OPENED]
+        answer = {"step": asked["step"], "decisions": [[0, encode(ACTION), 0.1]], "failures": []}
+        return [*frames] or [b"D", pack(**{**answer, **fields})]
+
+    return lie
+
+
+LIES = {
+    "garbage": (lies(b"D", b"\xc1\xc1"), "broke the protocol"),
+    "one frame": (lies(b"D"), "1 frames came"),
+    "unknown kind": (lies(b"?", pack()), "message kind b'?' came"),
+    "another step": (lies(step=77), "an answer to step 77"),
+    "another seat": (lies(decisions=[[5, encode(ACTION), 0.1]]), "seat 5, which was not asked"),
+    "twice": (lies(decisions=[[0, encode(ACTION), 0.1]] * 2), "seat 0, which was not asked"),
+    "no answer": (lies(decisions=[]), "no answer for seats [0]"),
+    "odd action": (lies(decisions=[[0, b"\xc1", 0.1]]), "no message"),
+    "odd time": (lies(decisions=[[0, encode(ACTION), float("nan")]]), "a decision"),
+    "odd failure": (lies(decisions=[], failures=[[0, 1, False]]), "an error 1"),
+    "arrays everywhere": (lies(decisions=[[np.zeros(3)] * 3]), "a decision"),
+    "array as failure": (lies(decisions=[], failures=[[0, [np.zeros(2)] * 3, True]]), "an error"),
+    "wrong shape": (lies(decisions=[[0, encode({"steer": [1, 2, 3]}), 0.1]]), ""),
+    "not a number": (
+        lies(decisions=[[0, encode({**ACTION, "steer": [float("nan")]}), 0.1]]),
+        "",
+    ),
+    "silence": (lambda kind, _: [b"P", OPENED] if kind == b"O" else None, "in time"),
+    "news of no seat": (lambda *_: [b"P", pack(seat=9, name="a")], "not asked for"),
+    "it sends the game's keys": (lies(b"E", pack(text="\x1b[2J" + "a" * 9000)), "?[2J"),
+}
+
+
+@pytest.mark.parametrize("name", LIES)
+def test_a_lying_server_costs_its_own_kart_only(name):
+    lie, text = LIES[name]
+    with (
+        LyingServer(lie) as liar,
+        server_process("heuristic") as (_, address),
+        RemoteCrew([liar.address, address], timeout=2.0) as crew,
+    ):
+        begin = time.monotonic()
+        result = run_race(crew.drivers, max_steps=12, **TRACK)
+        assert time.monotonic() - begin < 60
+    rows = {row.agent: row for row in result.agents}
+    assert text in rows["kart_0"].errors[0].message
+    assert not rows["kart_1"].errors
+
+
+@pytest.mark.parametrize(
+    "welcome",
+    [b"\xc1", pack(protocol=2), pack(protocol=1, agents=[]), pack(protocol=1, agents=[[1, 2]])],
+    ids=["garbage", "another protocol", "nobody", "no names"],
+)
+def test_what_is_no_server_of_ours_is_told_before_the_race(welcome):
+    class Odd(LyingServer):
+        def _serve(self):
+            identity, *_ = self._socket.recv_multipart()
+            self._socket.send_multipart([identity, b"W", welcome])
+
+    with Odd(None) as server, pytest.raises(RemoteError, match="broke the protocol"):
+        RemoteCrew([server.address])

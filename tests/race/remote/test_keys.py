@@ -1,0 +1,144 @@
+"""Keys of networked races: who is let in."""
+
+import os
+import stat
+
+import pytest
+
+from stkzoo.cli import main
+from stkzoo.errors import ConfigError, RemoteError
+from stkzoo.race import find_driver, run_race
+from stkzoo.race.remote import (
+    RaceServer,
+    RemoteCrew,
+    ServerKeys,
+    new_key_files,
+    new_keys,
+    read_public,
+    read_publics,
+    read_secret,
+)
+from tests.support.remote_race import raw_client, server_thread
+
+TRACK = {"track": "lighthouse", "seed": 3}
+
+
+@pytest.fixture
+def closed_server():
+    """A server with a key that lets one client in; gives it, its public key and the client's."""
+    own, client = new_keys(), new_keys()
+    keys = ServerKeys(own, {client.public: "ada"})
+    with server_thread([find_driver("heuristic")], keys=keys) as server:
+        yield server.address, own.public, client
+
+
+def test_a_client_on_the_list_races(closed_server):
+    address, server_key, client = closed_server
+    with RemoteCrew([address], keys=client, server_keys=[server_key]) as crew:
+        result = run_race([*crew.drivers, "ai"], max_steps=5, **TRACK)
+    assert not any(row.errors for row in result.agents)
+
+
+@pytest.mark.parametrize("stranger", ["another key", "no key", "no encryption", "wrong server"])
+def test_others_get_nothing(closed_server, stranger):
+    address, server_key, client = closed_server
+    keys = {"another key": new_keys(), "wrong server": client}.get(stranger)
+    server_keys = {"no encryption": [], "wrong server": [new_keys().public]}
+    with pytest.raises(RemoteError, match=r"does not let us in|in time"):
+        RemoteCrew(
+            [address],
+            keys=keys,
+            server_keys=server_keys.get(stranger, [server_key]),
+            connect_timeout=3.0,
+        )
+    with RemoteCrew([address], keys=client, server_keys=[server_key]) as crew:
+        assert len(crew.drivers) == 1
+
+
+def test_a_message_without_keys_gets_no_answer(closed_server):
+    with raw_client(closed_server[0]) as socket:
+        for _ in range(20):
+            socket.send_multipart([b"H", b"\x80"])
+        assert not socket.poll(1000)
+
+
+def test_a_server_with_a_key_and_no_list_lets_all_in_who_know_it():
+    own = new_keys()
+    with (
+        server_thread([find_driver("heuristic")], keys=ServerKeys(own)) as server,
+        RemoteCrew([server.address], server_keys=[own.public]) as crew,
+    ):
+        assert len(crew.drivers) == 1
+
+
+@pytest.mark.parametrize("address", ["*:5599", "0.0.0.0:5599", "[::]:5599", "192.168.3.4:5599"])
+@pytest.mark.parametrize("keys", [ServerKeys(), ServerKeys(new_keys())], ids=["none", "own"])
+def test_other_machines_are_not_listened_to_without_keys(address, keys):
+    with pytest.raises(ConfigError, match="can be reached from other machines"):
+        RaceServer([find_driver("heuristic")], address, keys=keys)
+
+
+def test_other_machines_are_listened_to_with_keys_or_if_told():
+    keys = ServerKeys(new_keys(), {new_keys().public: ""})
+    for options in ({"keys": keys}, {"insecure": True}):
+        with RaceServer([find_driver("heuristic")], "*:*", **options) as server:
+            assert server.address.startswith("tcp://0.0.0.0:")
+
+
+def test_a_list_without_a_key_of_ones_own_means_nothing():
+    with pytest.raises(ConfigError, match="mean nothing"):
+        RaceServer([find_driver("heuristic")], keys=ServerKeys(None, {}))
+
+
+def test_key_files_hold_a_pair_and_the_secret_is_the_owners_only(tmp_path):
+    secret, public = new_key_files("ada", tmp_path)
+    assert stat.S_IMODE(os.stat(secret).st_mode) == 0o600
+    assert read_secret(secret).public == read_public(public) == read_public(read_public(public))
+    assert read_secret(secret).secret not in public.read_text()
+    assert sorted(os.listdir(tmp_path)) == ["ada.public", "ada.secret"]
+
+
+def test_key_files_are_not_overwritten(tmp_path):
+    secret, _ = new_key_files("ada", tmp_path)
+    before = secret.read_text()
+    with pytest.raises(ConfigError, match="is there already"):
+        new_key_files("ada", tmp_path)
+    assert secret.read_text() == before
+
+
+def test_a_secret_that_others_may_read_is_refused(tmp_path):
+    secret, _ = new_key_files("ada", tmp_path)
+    secret.chmod(0o644)
+    with pytest.raises(ConfigError, match="chmod 600"):
+        read_secret(secret)
+
+
+def test_many_public_keys_come_from_a_folder_or_a_file(tmp_path):
+    publics = [new_key_files(name, tmp_path)[1] for name in ("ada", "bob")]
+    together = tmp_path / "all.txt"
+    together.write_text("# my students\n\n" + "".join(file.read_text() for file in publics))
+    assert sorted(read_publics([tmp_path]).values()) == ["ada", "bob"]
+    assert read_publics([together]) == read_publics([tmp_path]) == read_publics(publics)
+
+
+@pytest.mark.parametrize("text", ["", "hello\n", "public abc\n", "\x00\xff"])
+def test_what_is_no_key_is_refused(tmp_path, text):
+    file = tmp_path / "x.secret"
+    file.write_bytes(text.encode("latin-1"))
+    for read in (read_secret, read_public):
+        with pytest.raises(ConfigError, match=r"key"):
+            read(file)
+
+
+@pytest.mark.parametrize("name", ["", "../a", "a/b", ".a", "a b"])
+def test_key_names_are_plain(tmp_path, name):
+    with pytest.raises(ConfigError, match="key name"):
+        new_key_files(name, tmp_path)
+
+
+def test_the_command_makes_and_shows_keys(tmp_path, capsys):
+    assert main(["keys", "new", "ada", "--folder", str(tmp_path)]) == 0
+    assert main(["keys", "show", str(tmp_path / "ada.secret")]) == 0
+    assert read_public(tmp_path / "ada.public") in capsys.readouterr().out
+    assert main(["keys", "new", "ada", "--folder", str(tmp_path)]) == 1
+    assert main(["keys", "show", str(tmp_path / "none")]) == 1

@@ -1,0 +1,283 @@
+"""Races with agents on servers: the real engine, real processes, real sockets."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from stkzoo.errors import ConfigError, RemoteError
+from stkzoo.race import RaceListener, find_driver, run_race
+from stkzoo.race.remote import RaceServer, RemoteCrew
+from stkzoo.race.remote.server import _PATIENCE, _Guest
+from stkzoo.race.remote.sockets import _QUEUE
+from tests.support.remote_race import server_process, server_thread, write_agent
+
+TRACK = {"track": "lighthouse", "seed": 3}
+
+
+def rows(result):
+    return {row.agent: row for row in result.agents}
+
+
+def essence(result):
+    return [
+        (row.agent, row.rank, row.finish_time, row.distance, row.reward) for row in result.agents
+    ]
+
+
+class Watcher(RaceListener):
+    """Does something once when so many steps are done."""
+
+    def __init__(self, step, deed):
+        self._step, self._deed = step, deed
+
+    def stepped(self, race):
+        if race.steps == self._step:
+            self._deed()
+
+
+def test_a_race_over_two_servers_to_the_finish_is_the_same_as_here():
+    with (
+        server_process("heuristic") as (_, first),
+        server_process("heuristic") as (_, second),
+        RemoteCrew([first, second]) as crew,
+    ):
+        assert [driver.name for driver in crew.drivers] == ["heuristic", "heuristic"]
+        result = run_race([*crew.drivers, "ai"], **TRACK)
+    assert all(row.finish_time for row in result.agents)
+    assert all(not row.errors for row in result.agents)
+    assert essence(result) == essence(run_race(["heuristic", "heuristic", "ai"], **TRACK))
+
+
+def test_one_server_with_several_agents_in_any_order_of_seats(tmp_path):
+    names = ["ada", "bob", "eve"]
+    agents = [write_agent(tmp_path, name) for name in names]
+    with server_process(*agents) as (_, address), RemoteCrew([address]) as crew:
+        for order in ([0, 1, 2], [2, 0, 1]):
+            drivers = [crew.drivers[number] for number in order]
+            result = run_race([*drivers, "heuristic"], max_steps=15, **TRACK)
+            seats = rows(result)
+            assert [seats[f"kart_{k}"].driver for k in range(3)] == [names[k] for k in order]
+            assert not any(row.errors for row in result.agents)
+
+
+def test_servers_in_another_order_serve_the_next_race(tmp_path):
+    one, two = write_agent(tmp_path, "one"), write_agent(tmp_path, "two")
+    with server_process(one) as (_, first), server_process(two) as (_, second):
+        for order in ([first, second], [second, first]):
+            with RemoteCrew(order) as crew:
+                result = run_race(crew.drivers, max_steps=10, **TRACK)
+            assert not any(row.errors for row in result.agents)
+
+
+def test_a_server_killed_in_the_race_costs_its_own_karts_only():
+    with (
+        server_process("heuristic") as (process, first),
+        server_process("heuristic") as (_, second),
+        RemoteCrew([first, second]) as crew,
+    ):
+        killer = Watcher(30, lambda: process.send_signal(signal.SIGKILL))
+        result = run_race(crew.drivers, listeners=[killer], error_handling="retire", **TRACK)
+    lost, other = rows(result)["kart_0"], rows(result)["kart_1"]
+    assert "the connection to" in lost.errors[0].message
+    assert lost.finish_time is None
+    assert other.finish_time
+    assert not other.errors
+
+
+def test_a_server_that_stands_still_costs_its_own_karts_only():
+    with (
+        server_process("heuristic") as (process, first),
+        server_process("heuristic") as (_, second),
+        RemoteCrew([first, second], timeout=1.0) as crew,
+    ):
+        stopper = Watcher(10, lambda: process.send_signal(signal.SIGSTOP))
+        begin = time.monotonic()
+        result = run_race(crew.drivers, listeners=[stopper], max_steps=30, **TRACK)
+        assert time.monotonic() - begin < 30
+    assert "did not answer in time" in rows(result)["kart_0"].errors[0].message
+    assert not rows(result)["kart_1"].errors
+
+
+def test_a_server_restarted_in_the_race_drives_on(tmp_path):
+    agent = write_agent(tmp_path, "ada")
+    with server_process(agent) as (process, address), RemoteCrew([address]) as crew:
+        restarts = []
+
+        def restart():
+            process.kill()
+            process.wait()
+            restarts.append(server_process(agent, address=address.removeprefix("tcp://")))
+            restarts[0].__enter__()
+
+        try:
+            result = run_race(
+                [*crew.drivers, "ai"],
+                listeners=[Watcher(10, restart)],
+                max_steps=40,
+                error_handling="restart",
+                **TRACK,
+            )
+        finally:
+            restarts[0].__exit__(None, None, None)
+    assert len(rows(result)["kart_0"].errors) == 1
+
+
+def test_a_server_restarted_between_races_serves_the_next(tmp_path):
+    agent = write_agent(tmp_path, "ada")
+    with server_process(agent) as (_, address):
+        crew = RemoteCrew([address])
+        run_race(crew.drivers, max_steps=5, **TRACK)
+    with crew, server_process(agent, address=address.removeprefix("tcp://")):
+        result = run_race(crew.drivers, max_steps=5, **TRACK)
+    assert not any(row.errors for row in result.agents)
+
+
+def test_a_slow_agent_is_ended_and_the_others_of_its_server_race_on(tmp_path):
+    slow = write_agent(tmp_path, "slow", act="import time; time.sleep(60)")
+    good = write_agent(tmp_path, "good")
+    with (
+        server_process(slow, good, "--action-timeout", "0.5") as (_, address),
+        RemoteCrew([address]) as crew,
+    ):
+        begin = time.monotonic()
+        result = run_race(crew.drivers, max_steps=20, **TRACK)
+        assert time.monotonic() - begin < 40
+    assert "longer than 0.5 s" in rows(result)["kart_0"].errors[0].message
+    assert not rows(result)["kart_1"].errors
+
+
+def test_the_client_may_give_agents_less_time_than_the_server_does(tmp_path):
+    slow = write_agent(tmp_path, "slow", act="import time; time.sleep(60)")
+    with server_process(slow) as (_, address), RemoteCrew([address]) as crew:
+        result = run_race([*crew.drivers, "ai"], max_steps=10, action_timeout=0.3, **TRACK)
+    assert "longer than 0.3 s" in rows(result)["kart_0"].errors[0].message
+
+
+@pytest.mark.parametrize(
+    ("act", "text"),
+    [("raise KeyError('oops')", "oops"), ("import os; os._exit(1)", "exit status 1")],
+)
+def test_an_agent_that_fails_does_not_spoil_its_server(tmp_path, act, text):
+    bad, good = write_agent(tmp_path, "bad", act), write_agent(tmp_path, "good")
+    with server_process(bad, good) as (_, address), RemoteCrew([address]) as crew:
+        for _ in range(2):
+            result = run_race(crew.drivers, max_steps=8, **TRACK)
+            failure = rows(result)["kart_0"].errors[0]
+            assert text in failure.message
+            assert not rows(result)["kart_1"].errors
+
+
+def test_an_agent_that_cannot_be_loaded_costs_only_itself(tmp_path):
+    bad, good = write_agent(tmp_path, "bad"), write_agent(tmp_path, "good")
+    with open(os.path.join(bad, "pystk_actor.py"), "w") as file:
+        file.write("import no_such_module\n")
+    with server_process(bad, good) as (_, address), RemoteCrew([address]) as crew:
+        result = run_race(crew.drivers, max_steps=8, **TRACK)
+    assert "no_such_module" in rows(result)["kart_0"].errors[0].message
+    assert not rows(result)["kart_1"].errors
+
+
+def test_two_races_at_once_on_one_server():
+    with (
+        server_thread([find_driver("heuristic")]) as server,
+        RemoteCrew([server.address]) as crew,
+        RemoteCrew([server.address]) as other,
+    ):
+        inner = []
+
+        def race_between():
+            inner.append(run_race([*other.drivers, "ai"], max_steps=20, **TRACK))
+
+        outer = run_race(
+            [*crew.drivers, "ai"], listeners=[Watcher(10, race_between)], max_steps=20, **TRACK
+        )
+    assert essence(outer) == essence(inner[0])
+
+
+def test_a_busy_server_says_so():
+    with (
+        server_thread([find_driver("heuristic")], max_sessions=1) as server,
+        RemoteCrew([server.address]) as crew,
+        RemoteCrew([server.address]) as other,
+    ):
+        late = []
+
+        def race_between():
+            late.append(run_race([*other.drivers, "ai"], max_steps=3, **TRACK))
+
+        result = run_race(
+            [*crew.drivers, "ai"], listeners=[Watcher(2, race_between)], max_steps=5, **TRACK
+        )
+        assert not any(row.errors for row in result.agents)
+        assert "all of its 1 sessions" in rows(late[0])["kart_0"].errors[0].message
+        for _ in range(3):  # and it is free again at once
+            again = run_race([*other.drivers, "ai"], max_steps=3, **TRACK)
+            assert not any(row.errors for row in again.agents)
+
+
+def test_a_client_that_is_gone_frees_its_place(tmp_path):
+    agent = write_agent(tmp_path, "ada")
+    code = (
+        "import os\n"
+        "from stkzoo.race import run_race\n"
+        "from stkzoo.race.remote import RemoteCrew\n"
+        "from tests.race.remote.test_remote import Watcher\n"
+        "import sys\n"
+        "crew = RemoteCrew([sys.argv[1]])\n"
+        "run_race(crew.drivers, track='lighthouse', listeners=[Watcher(3, lambda: os._exit(7))])\n"
+    )
+    with server_process(agent, "--threads", "1") as (_, address):
+        command = [sys.executable, "-c", code, address]
+        assert subprocess.run(command, timeout=60).returncode == 7
+        deadline = time.monotonic() + 30
+        while time.monotonic() < deadline:
+            with RemoteCrew([address]) as crew:
+                result = run_race(crew.drivers, max_steps=3, **TRACK)
+            if not result.agents[0].errors:
+                return
+            time.sleep(0.5)
+    pytest.fail("the server still kept the place of a client that is gone")
+
+
+def test_a_client_that_pauses_is_not_flooded():
+    """What it does not read stays below the length of its queue, or the connection is lost."""
+    guest = _Guest(session=None, heard=0.0, asked=0.0)
+    asked = []
+    for now in range(int(_PATIENCE)):
+        if guest.is_to_be_asked(float(now)):
+            asked.append(now)
+            guest.asked = float(now)
+    assert asked[0] <= 3
+    assert 5 < len(asked) < _QUEUE
+
+
+def test_no_server_is_told_before_the_race():
+    begin = time.monotonic()
+    with pytest.raises(RemoteError, match="did not connect in time"):
+        RemoteCrew(["127.0.0.1:9"], connect_timeout=0.5)
+    assert time.monotonic() - begin < 10
+
+
+@pytest.mark.parametrize("address", ["", "udp://a:1", "a:b", "a:99999", "tcp://", "ipc://"])
+def test_what_is_no_address_is_refused(address):
+    with pytest.raises(ConfigError, match="expected one such as"):
+        RaceServer([find_driver("heuristic")], address)
+
+
+def test_a_server_needs_agents_that_are_not_the_games_own():
+    with pytest.raises(ConfigError, match="name at least one"):
+        RaceServer([], "127.0.0.1:*")
+    with pytest.raises(ConfigError, match="drives where the game runs"):
+        RaceServer([find_driver("ai")], "127.0.0.1:*")
+
+
+def test_an_address_that_is_taken_is_told():
+    with (
+        server_thread([find_driver("heuristic")]) as server,
+        pytest.raises(ConfigError, match="cannot listen"),
+    ):
+        RaceServer([find_driver("heuristic")], server.address)

@@ -1,0 +1,396 @@
+"""Replays: the same race again, to the last bit, from a file."""
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+
+from stkzoo.cli import main
+from stkzoo.errors import ConfigError
+from stkzoo.race import RaceListener, RaceSettings, run_race
+from stkzoo.race.replay import ReplayError, ReplayWriter, load_replay, play_replay
+from stkzoo.race.replay.record import DIGEST_SIZE
+from tests.support.paths import AGENTS
+from tests.support.processes import wait_until
+
+
+class Positions(RaceListener):
+    """Where all karts are, step by step, and what else a listener hears."""
+
+    def __init__(self):
+        self.locations, self.failures, self.names, self.result = [], {}, {}, None
+
+    def started(self, race):
+        self.names = dict(race.names)
+        self.stepped(race)
+
+    def stepped(self, race):
+        karts = race.env.snapshot.karts
+        parts = (karts["location"], karts["rotation"], karts["velocity"])
+        self.locations.append(b"".join(part.tobytes() for part in parts))
+        self.failures = race.failures
+
+    def ended(self, result):
+        self.result = result
+
+
+def record(path, *drivers, **settings):
+    positions = Positions()
+    result = run_race(drivers, listeners=[ReplayWriter(path), positions], **settings)
+    return result, positions
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A race of 500 steps with the game's AI in it, on a track that the seed draws."""
+    path = tmp_path_factory.mktemp("replay") / "race.stkz"
+    settings = {"track": "train", "seed": 4, "laps": 3, "max_steps": 500}
+    return path, *record(path, "heuristic", "ai", "random", "ai", **settings)
+
+
+@pytest.fixture
+def small(tmp_path):
+    path = tmp_path / "small.stkz"
+    record(path, "heuristic", "ai", track="lighthouse", seed=2, max_steps=30)
+    return path
+
+
+def repacked(path, **changes):
+    """The file with other members: bytes, ``None`` for none, or changes of its JSON."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    about = changes.pop("about", {})
+    members["race.json"] = json.dumps({**json.loads(members["race.json"]), **about}).encode()
+    members |= {name.replace("_", "."): data for name, data in changes.items()}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in members.items():
+            if data is not None:
+                archive.writestr(name, data)
+    return path
+
+
+# ------------------------------------------------------------------ the same race
+
+
+def test_every_position_of_500_steps_is_the_same(recorded):
+    path, result, positions = recorded
+    again = Positions()
+    playback = play_replay(load_replay(path), listeners=[again])
+    assert len(again.locations) == 501
+    assert again.locations == positions.locations
+    assert playback.is_exact
+    assert (playback.steps, playback.result) == (500, result)
+
+
+def test_a_fresh_process_says_so_too(recorded):
+    command = [sys.executable, "-m", "stkzoo", "replay", recorded[0]]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0
+    assert "All 500 steps are as recorded, to the last bit." in done.stdout
+
+
+def test_a_replay_is_small(recorded):
+    assert recorded[0].stat().st_size < 200_000
+
+
+def test_a_replay_of_a_replay_is_the_same_file(recorded, tmp_path):
+    again = tmp_path / "again.stkz"
+    play_replay(load_replay(recorded[0]), listeners=[ReplayWriter(again)])
+    one, two = load_replay(recorded[0]), load_replay(again)
+    assert np.array_equal(one.controls, two.controls)
+    assert np.array_equal(one.digests, two.digests)
+    assert (one.agents, one.start_positions) == (two.agents, two.start_positions)
+
+
+def test_the_digests_are_those_of_the_documented_form(recorded):
+    path, _, positions = recorded
+    digest, chain = b"", []
+    for moment in positions.locations:
+        digest = hashlib.blake2b(digest + moment, digest_size=DIGEST_SIZE).digest()
+        chain.append(digest)
+    assert b"".join(chain) == load_replay(path).digests.tobytes()
+
+
+def test_reverse_grid_and_difficulty_are_kept(tmp_path):
+    path = tmp_path / "race.stkz"
+    settings = RaceSettings(
+        track="olivermath", reverse=True, difficulty=3, seed=9, max_steps=40, max_paths=5
+    )
+    drivers = ["ai", "heuristic", "ai"]
+    listeners = [ReplayWriter(path)]
+    run_race(drivers, listeners=listeners, settings=settings, start_positions=[3, 1, 2])
+    replay = load_replay(path)
+    assert replay.start_positions == (3, 1, 2)
+    assert (replay.reverse, replay.difficulty, replay.max_paths) == (True, 3, 5)
+    assert play_replay(replay).is_exact
+
+
+def test_what_went_wrong_then_is_told_again(tmp_path):
+    path = tmp_path / "race.stkz"
+    agent = str(AGENTS / "hostile" / "once.py")
+    result, then = record(path, agent, "ai", track="lighthouse", seed=1, max_steps=20)
+    now = Positions()
+    assert play_replay(load_replay(path), listeners=[now]).is_exact
+    assert result.has_errors
+    assert (now.result, now.failures["kart_0"]) == (result, then.failures["kart_0"])
+    assert now.names == then.names
+
+
+def test_random_actions_in_the_place_of_a_failing_agent_are_kept(tmp_path):
+    path = tmp_path / "race.stkz"
+    agent = str(AGENTS / "hostile" / "shape.py")
+    settings = {"track": "lighthouse", "seed": 1, "max_steps": 60, "error_handling": "catch"}
+    record(path, agent, "ai", **settings)
+    assert load_replay(path).controls[:, 0].any()
+    assert play_replay(load_replay(path)).is_exact
+
+
+def test_a_race_to_the_finish_ends_as_it_did(tmp_path):
+    path = tmp_path / "race.stkz"
+    result, _ = record(path, "ai", "heuristic", track="olivermath", seed=3)
+    playback = play_replay(load_replay(path))
+    assert result.is_finished
+    assert (playback.result, playback.result.status) == (result, "finished")
+
+
+# ------------------------------------------------------------------ differences
+
+
+def test_another_action_is_found_at_its_step(small):
+    with zipfile.ZipFile(small) as archive:
+        controls = np.frombuffer(archive.read("controls.f4"), "<f4").reshape(30, 2, 7).copy()
+    controls[24, 0, :2] = 1 - controls[24, 0, 0], -0.5
+    playback = play_replay(load_replay(repacked(small, controls_f4=controls.tobytes())))
+    assert playback.first_difference in range(25, 29)
+    assert playback.result.status == "differs"
+    assert playback.steps == playback.first_difference
+
+
+def test_another_seed_is_found_at_the_start(small, capsys):
+    repacked(small, about={"seed": 3})
+    assert main(["replay", str(small)]) == 1
+    assert "on the grid already" in capsys.readouterr().err
+
+
+def test_a_result_that_the_race_did_not_come_to_is_told(small, capsys):
+    with zipfile.ZipFile(small) as archive:
+        result = json.loads(archive.read("race.json"))["result"]
+    first, second = result["agents"]
+    first["rank"], second["rank"], first["finish_time"] = second["rank"], first["rank"], 12.5
+    playback = play_replay(load_replay(repacked(small, about={"result": result})))
+    assert not playback.is_exact
+    assert playback.first_difference is None
+    assert len(playback.result_differences) == 3
+    expected = f"{first['agent']}'s finish_time is None, and 12.5 in the file"
+    assert expected in playback.result_differences
+    assert [row.rank for row in playback.result.agents] == [1, 2]
+    assert main(["replay", str(small)]) == 1
+    assert "somebody has changed it" in capsys.readouterr().err
+
+
+def test_a_replay_that_differs_can_be_played_to_its_end(small):
+    repacked(small, about={"seed": 3})
+    playback = play_replay(load_replay(small), to_the_end=True)
+    assert (playback.steps, playback.first_difference) == (30, 0)
+
+
+def test_another_engine_is_told(small):
+    repacked(small, about={"versions": {"pystk2": "0.7.1"}})
+    with pytest.raises(ReplayError, match=r"pip install PySuperTuxKart2==0\.7\.1"):
+        play_replay(load_replay(small))
+    assert play_replay(load_replay(small), any_engine=True).is_exact
+
+
+def test_a_missing_track_is_told(small):
+    repacked(small, about={"track": "atlantis"})
+    with pytest.raises(ReplayError, match="track 'atlantis' is not among"):
+        play_replay(load_replay(small))
+
+
+# ------------------------------------------------------------------ files
+
+
+def test_a_later_form_is_told(small):
+    with pytest.raises(ReplayError, match="format 2, this stkzoo reads format 1"):
+        load_replay(repacked(small, about={"format": 2}))
+
+
+@pytest.mark.parametrize(
+    "about",
+    [
+        *({"type": "other"}, {"steps": 29}, {"steps": -1}, {"steps": 10**30}, {"steps": "30"}),
+        *({"laps": 0}, {"laps": 10**9}, {"difficulty": 9}, {"step_size": 0.0}, {"step_size": []}),
+        *({"agents": []}, {"agents": [1, 2]}, {"agents": {}}, {"start_positions": [1, 1]}),
+        *({"start_positions": [1]}, {"kart_types": [1, 2]}, {"result": []}, {"result": {"a": 1}}),
+        *({"seed": True}, {"seed": None}, {"num_tracks": 10**8}, {"versions": []}, {"track": 1}),
+        *({"max_paths": 0}, {"step_size": float("nan")}),
+    ],
+    ids=str,
+)
+def test_what_cannot_be_is_refused(small, about):
+    with pytest.raises(ReplayError, match=r"small\.stkz"):
+        load_replay(repacked(small, about=about))
+
+
+@pytest.mark.parametrize(
+    "members",
+    [
+        *({"controls_f4": None}, {"digests_u1": None}, {"controls_f4": b"123"}),
+        *({"digests_u1": b""}, {"controls_f4": np.full(420, np.nan, "<f4").tobytes()}),
+        *({"controls_f4": np.full(420, 2, "<f4").tobytes()}, {"race_json": b"[" * 100_000}),
+        *({"race_json": b"\xff\xfe"}, {"race_json": None}, {"race_json": b"1" * 100_000}),
+        {"controls_f4": np.full(420, 0.5, "<f4").tobytes()},
+    ],
+    ids=range(11),
+)
+def test_damaged_parts_are_told(small, members):
+    with pytest.raises(ReplayError, match="no replay or is damaged"):
+        load_replay(repacked(small, **members))
+
+
+def test_a_part_that_grows_too_large_is_refused(small):
+    with pytest.raises(ReplayError, match=r"digests\.u1 of more than"):
+        load_replay(repacked(small, digests_u1=bytes(20 << 20)))
+    assert small.stat().st_size < 100_000
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_a_bomb_is_not_unpacked(small, method):
+    with zipfile.ZipFile(small) as archive:
+        about = archive.read("race.json")
+    with zipfile.ZipFile(small, "w", method) as archive:
+        archive.writestr("race.json", about)
+        archive.writestr("controls.f4", bytes(10 << 20))
+        archive.writestr("digests.u1", bytes(31 * 8))
+    with pytest.raises(ReplayError, match="packed in a way that no replay is"):
+        load_replay(small)
+
+
+def test_a_file_that_is_too_large_is_not_read(tmp_path):
+    file = tmp_path / "large.stkz"
+    with file.open("wb") as stream:
+        stream.truncate(1 << 40)
+    with pytest.raises(ReplayError, match="expected at most"):
+        load_replay(file)
+
+
+def test_no_cut_and_no_changed_byte_gets_through_unseen(small):
+    """Either the file is refused, or all that counts in it is as it was."""
+    whole = small.read_bytes()
+    good = load_replay(small)
+    chance = np.random.default_rng(1)
+    refused = 0
+    for length in range(0, len(whole), 97):
+        small.write_bytes(whole[:length])
+        with pytest.raises(ReplayError):
+            load_replay(small)
+    for _ in range(600):
+        data = bytearray(whole)
+        data[chance.integers(len(data))] ^= 1 << chance.integers(8)
+        small.write_bytes(data)
+        try:
+            read = load_replay(small)
+        except ReplayError:
+            refused += 1
+            continue
+        assert np.array_equal(read.controls, good.controls)
+        assert np.array_equal(read.digests, good.digests)
+        assert (read.seed, read.agents, read.result) == (good.seed, good.agents, good.result)
+    assert refused > 300
+
+
+@pytest.mark.parametrize("kind", ["missing", "folder", "pipe", "text"])
+def test_what_is_no_replay_is_one_line_and_exit_1(tmp_path, capsys, kind):
+    path = tmp_path / "x.stkz"
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "text":
+        path.write_text("hello")
+    assert main(["replay", str(path)]) == 1
+    shown = capsys.readouterr().err
+    assert shown.startswith("stkzoo: ")
+    assert "expected what `stkzoo race --replay` wrote" in shown
+    assert shown.count("\n") == 1
+
+
+def test_a_place_that_cannot_be_written_is_told_before_the_race(tmp_path):
+    with pytest.raises(ConfigError, match="expected a file's name in a folder that there is"):
+        ReplayWriter(tmp_path / "nowhere" / "race.stkz")
+
+
+def test_an_error_leaves_a_partial_replay(tmp_path):
+    class Bomb(RaceListener):
+        def stepped(self, race):
+            if race.steps == 12:
+                raise ZeroDivisionError
+
+    path = tmp_path / "race.stkz"
+    with pytest.raises(ZeroDivisionError):
+        run_race(["ai", "heuristic"], track="lighthouse", listeners=[ReplayWriter(path), Bomb()])
+    replay = load_replay(path)
+    assert (replay.is_partial, replay.steps, replay.result) == (True, 12, None)
+    assert play_replay(replay).is_exact
+    assert [file.name for file in tmp_path.iterdir()] == ["race.stkz"]
+
+
+def test_a_race_that_never_started_leaves_the_older_file(small):
+    before = small.read_bytes()
+    with pytest.raises(ConfigError):
+        run_race(["ai"], track="atlantis", listeners=[ReplayWriter(small)])
+    assert small.read_bytes() == before
+
+
+# ------------------------------------------------------------------ the command
+
+
+def test_an_interrupted_race_leaves_a_partial_replay(tmp_path):
+    path, agent = tmp_path / "race.stkz", tmp_path / "pystk_actor.py"
+    agent.write_text(
+        "import pathlib\n"
+        "def get_actor(folder, _, space):\n"
+        "    def act(state, observation):\n"
+        "        (folder / 'driving').touch()\n"
+        "        return space.sample()\n"
+        "    return act\n"
+    )
+    words = ["race", str(tmp_path), "--max-steps", "1000000", "--replay", str(path)]
+    program = subprocess.Popen([sys.executable, "-m", "stkzoo", *words], stderr=subprocess.DEVNULL)
+    assert wait_until((tmp_path / "driving").exists, seconds=60)
+    program.send_signal(signal.SIGINT)
+    assert program.wait(60) == 130
+    replay = load_replay(path)
+    assert replay.is_partial
+    assert play_replay(replay).is_exact
+
+
+def test_race_replay_and_info(tmp_path, capsys):
+    path = str(tmp_path / "race.stkz")
+    words = ["--track", "lighthouse", "--max-steps", "20", "--seed", "1", "--replay", path]
+    assert main(["race", "heuristic", "ai", *words]) == 0
+    assert main(["replay", path, "--info"]) == 0
+    shown = capsys.readouterr().out
+    assert "20 steps, 2.0 s of game time; it ended: max_steps" in shown
+    assert main(["replay", path, "--json"]) == 0
+    form = json.loads(capsys.readouterr().out)
+    assert (form["is_exact"], form["result"]["seed"]) == (True, 1)
+
+
+def test_one_replay_for_several_races_is_bad_usage(tmp_path, capsys):
+    words = ["race", "ai", "--races", "2", "--replay", str(tmp_path / "race.stkz")]
+    assert main(words) == 2
+    assert "--replay keeps one race" in capsys.readouterr().err
+
+
+def test_a_replay_becomes_a_video(small, tmp_path):
+    video = tmp_path / "race.mp4"
+    size = ["--screen-width", "160", "--screen-height", "90", "--render-sub-steps", "1"]
+    assert main(["replay", str(small), "--video", str(video), "--cameras", "1", *size]) == 0
+    assert video.read_bytes()[4:8] == b"ftyp"

@@ -1,0 +1,244 @@
+"""Agents from folders, zips, files and modules (D20, D29), and zips that mean harm."""
+
+import shutil
+import stat
+import sys
+import zipfile
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from stkzoo.errors import ConfigError
+from stkzoo.race import find_driver, run_race, unpacking
+from stkzoo.race.agent_code import load_agent
+from stkzoo.race.files import find_files
+from tests.support.paths import AGENTS, ROOT
+
+FORMS = ("plain", "alpha", "beta", "wrapped", "weights", "reference")
+
+
+def zip_of(folder, target, inside=""):
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+        for file in sorted(folder.rglob("*")):
+            if "__pycache__" not in file.parts and file.is_file():
+                archive.write(file, inside + str(file.relative_to(folder)))
+    return str(target)
+
+
+def names_of(result):
+    return {row.driver for row in result.agents}
+
+
+def load(source):
+    with ExitStack() as life:
+        return load_agent(find_files(str(source)).place(life))
+
+
+@pytest.mark.parametrize("track", ["lighthouse", "snowmountain", "sandtrack"])
+def test_agents_of_all_forms_race_to_the_finish(track, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(AGENTS / "module_home")
+    drivers = [str(AGENTS / name) for name in FORMS]
+    drivers += [
+        zip_of(AGENTS / "weights", tmp_path / "zipped.zip") + "@:Zipped",
+        "bare_module_agent@:Module",
+    ]
+    result = run_race(drivers, track=track, seed=1)
+    assert [row.errors for row in result.agents if row.errors] == []
+    assert result.is_finished
+    assert names_of(result) == {name.title() for name in FORMS} | {"Zipped", "Module"}
+
+
+@pytest.mark.parametrize("inline", [True, False])
+def test_agents_whose_modules_bear_the_same_names_do_not_collide(inline, tmp_path):
+    """D20: both are a package stk_actor with a module driving."""
+    drivers = [
+        str(AGENTS / "alpha"),
+        str(AGENTS / "beta"),
+        zip_of(AGENTS / "beta", tmp_path / "b.zip"),
+    ]
+    result = run_race(drivers, track="lighthouse", seed=1, max_steps=60, inline=inline)
+    assert [row.driver for row in sorted(result.agents, key=lambda row: row.agent)] == [
+        "Alpha",
+        "Beta",
+        "Beta",
+    ]
+    assert not result.has_errors
+
+
+def test_inline_agents_leave_no_modules_behind():
+    before = set(sys.modules), list(sys.path)
+    run_race(
+        [str(AGENTS / "alpha"), str(AGENTS / "plain")], track="lighthouse", max_steps=3, inline=True
+    )
+    left = {name for name in set(sys.modules) - before[0] if "actor" in name or "helper" in name}
+    assert (left, sys.path) == (set(), before[1])
+
+
+def test_a_module_of_the_program_is_not_taken_for_an_agents_own(tmp_path, monkeypatch):
+    (tmp_path / "helper.py").write_text("chase = None")
+    monkeypatch.syspath_prepend(tmp_path)
+    import helper
+
+    code = load(AGENTS / "plain")
+    assert code.name == "Plain"
+    assert sys.modules["helper"] is helper
+    monkeypatch.delitem(sys.modules, "helper")
+
+
+@pytest.mark.parametrize("inside", ["", "repository/", "stk_actor/", "repository/stk_actor/"])
+def test_a_zip_may_hold_the_agent_at_several_places(inside, tmp_path):
+    path = zip_of(AGENTS / "alpha" / "stk_actor", tmp_path / "agent.zip", inside)
+    assert load(path).name == "Alpha"
+
+
+def test_an_agent_of_a_folder_imports_its_neighbours():
+    """D29."""
+    assert load(AGENTS / "plain").name == "Plain"
+
+
+def test_a_package_is_an_agent_without_a_module_of_the_usual_name():
+    assert load(ROOT / "agents" / "heuristic").name == "heuristic"
+
+
+def test_a_name_can_be_given_to_every_driver():
+    drivers = ["ai@:Bot", f"{AGENTS / 'plain'}@:Mine"]
+    assert names_of(run_race(drivers, track="lighthouse", max_steps=2)) == {"Bot", "Mine"}
+
+
+def test_an_agent_without_a_name_is_called_by_its_file():
+    driver = str(AGENTS / "module_home" / "bare_module_agent.py")
+    assert names_of(run_race([driver], track="lighthouse", max_steps=2)) == {"bare_module_agent"}
+
+
+def test_an_adapter_makes_the_actors(tmp_path):
+    adapter = tmp_path / "adapter.py"
+    adapter.write_text(
+        "def prepare_module_dir(folder):\n"
+        "    (folder / 'helper.py').write_text('def chase(points): return None')\n"
+        "def create_actor(get_actor, module_dir, observation_space, action_space):\n"
+        "    actor = get_actor(module_dir, observation_space, action_space)\n"
+        "    def act(state, observation):\n"
+        "        assert actor(state, observation) is None\n"
+        "        return {**action_space.sample(), 'brake': 0}\n"
+        "    return act\n"
+    )
+    folder = shutil.copytree(AGENTS / "plain", tmp_path / "plain")
+    result = run_race([str(folder)], track="lighthouse", max_steps=3, adapter=str(adapter))
+    assert result.agents[0].errors == ()
+
+
+def test_what_is_unpacked_is_removed_after_the_race(tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    path = zip_of(AGENTS / "weights", tmp_path / "agent.zip")
+    assert not run_race([path], track="lighthouse", max_steps=3).has_errors
+    assert not list(tmp_path.glob("stkzoo-run-agent-*"))
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("{}/missing", "there is no agent"),
+        ("{}/missing.zip", "there is no agent"),
+        ("{}/note.txt", "a file of another kind"),
+        ("{}/empty", "has no pystk_actor.py"),
+        ("{}/empty.zip", "has no pystk_actor.py in it"),
+        ("{}/broken.zip", "is no zip that can be read"),
+        ("{}/empty@:", "has no name after @:"),
+        ("heuristik", "Did you mean 'heuristic'"),
+        ("no.such.module", "unknown driver"),
+    ],
+)
+def test_what_is_no_agent_is_refused_before_the_race(source, message, tmp_path):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "note.txt").write_text("hello")
+    (tmp_path / "broken.zip").write_bytes(b"PK\x03\x04 but not really")
+    zip_of(tmp_path / "empty", tmp_path / "empty.zip")
+    with pytest.raises(ConfigError, match=message):
+        find_driver(source.format(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("code", "message"),
+    [
+        ("x = 1", "has no function get_actor"),
+        (
+            "env_name = 'supertuxkart/ful-v0'\ndef get_actor(*_): ...",
+            "Did you mean 'supertuxkart/full-v0'",
+        ),
+        ("env_name = 3\ndef get_actor(*_): ...", "expected a text such as"),
+        ("import no_such_package", "No module named 'no_such_package'"),
+        ("def get_actor(*_): return None", "expected a function"),
+    ],
+)
+def test_what_an_agent_lacks_is_said(code, message, tmp_path):
+    (tmp_path / "pystk_actor.py").write_text(code)
+    result = run_race([str(tmp_path)], track="lighthouse", max_steps=2, inline=True)
+    assert message in result.agents[0].errors[0].message
+
+
+# ---------------------------------------------------------------------- zips
+
+
+def written(path, *members):
+    """A zip with a good agent and some members: names, or names with what is special."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("pystk_actor.py", "def get_actor(*_): ...")
+        for name, mode, content in members:
+            member = zipfile.ZipInfo(name)
+            member.external_attr = mode << 16
+            member.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(member, content)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["../out.py", "a/../../out.py", "/tmp/out.py", "..\\out.py", "C:\\out.py", "C:/out.py"],
+)
+def test_a_path_that_leads_out_of_a_zip_is_refused(name, tmp_path):
+    with pytest.raises(ConfigError, match="leads out of it"):
+        find_driver(written(tmp_path / "a.zip", (name, stat.S_IFREG | 0o644, "x")))
+
+
+@pytest.mark.parametrize("kind", [stat.S_IFLNK, stat.S_IFIFO, stat.S_IFCHR])
+def test_a_link_or_device_in_a_zip_is_refused(kind, tmp_path):
+    with pytest.raises(ConfigError, match="is a link or a device"):
+        find_driver(written(tmp_path / "a.zip", ("weights", kind | 0o777, "/etc/passwd")))
+
+
+def test_a_zip_bomb_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="would grow to"):
+        find_driver(written(tmp_path / "a.zip", ("big", stat.S_IFREG, bytes(50 << 20))))
+
+
+def test_a_zip_of_too_many_files_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(unpacking, "MAX_FILES", 3)
+    members = [(f"{number}", stat.S_IFREG, "") for number in range(3)]
+    with pytest.raises(ConfigError, match="it holds 4 files, at most 3"):
+        find_driver(written(tmp_path / "a.zip", *members))
+
+
+def test_a_zip_that_lies_about_its_size_is_refused(tmp_path, monkeypatch):
+    """The list in the zip is believed for nothing but an early refusal."""
+    path = Path(written(tmp_path / "a.zip", ("big", stat.S_IFREG, b"ab" * 4000)))
+    data = path.read_bytes().replace((8000).to_bytes(4, "little"), (80).to_bytes(4, "little"))
+    path.write_bytes(data)
+    monkeypatch.setattr(unpacking, "MAX_BYTES", 1000)
+    with pytest.raises(ConfigError, match=r"larger than|cannot be|no zip that can be read"):
+        unpacking.unpack(path, tmp_path / "out")
+    assert sum(file.stat().st_size for file in (tmp_path / "out").rglob("*")) < 2000
+
+
+def test_two_files_of_one_name_do_not_overwrite_each_other(tmp_path):
+    with pytest.warns(UserWarning, match="Duplicate name"):
+        path = written(tmp_path / "a.zip", *[("twice", stat.S_IFREG, "x")] * 2)
+    with pytest.raises(ConfigError, match="cannot be unpacked"):
+        unpacking.unpack(Path(path), tmp_path / "out")
+
+
+def test_unpacked_files_are_plain(tmp_path):
+    path = written(tmp_path / "a.zip", ("run", stat.S_IFREG | 0o6777, "x"))
+    unpacking.unpack(Path(path), tmp_path / "out")
+    assert stat.S_IMODE((tmp_path / "out" / "run").stat().st_mode) == 0o600

@@ -1,0 +1,195 @@
+"""Agents in processes of their own: what one does costs its own kart only (D23, D25)."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+
+from stkzoo.errors import AgentError, AgentTimeout
+from stkzoo.race import run_race
+from tests.support.paths import AGENTS
+from tests.support.processes import process_exists, wait_until
+
+HOSTILE = AGENTS / "hostile"
+TRACK = "lighthouse"
+
+
+def hostile(name):
+    return str(HOSTILE / f"{name}.py")
+
+
+def race(*drivers, **settings):
+    settings = {"track": TRACK, "seed": 1, "action_timeout": 1.0, **settings}
+    return run_race(list(drivers), **settings)
+
+
+def by_driver(result):
+    return {row.driver: row for row in result.agents}
+
+
+@pytest.fixture(scope="module")
+def hostile_race():
+    """Four hostile agents and two good ones, to the finish."""
+    names = ("loop", "exits", "hungry", "shape")
+    good = [str(AGENTS / "plain"), str(AGENTS / "alpha")]
+    return race(*good, *map(hostile, names), agent_memory=2048)
+
+
+def test_good_agents_finish_beside_hostile_ones(hostile_race):
+    rows = by_driver(hostile_race)
+    assert hostile_race.status == "finished"
+    assert [rows[name].status for name in ("Plain", "Alpha")] == ["finished", "finished"]
+    assert not rows["Plain"].num_errors
+    assert not rows["Alpha"].num_errors
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "message"),
+    [
+        ("loop", "timeout", "its action took longer than 1 s; its process was ended"),
+        ("exits", "error", "its process ended with exit status 1 when the action was due"),
+        ("hungry", "error", "MemoryError"),
+        ("shape", "error", "expected a number from -1.0 to 1.0"),
+    ],
+)
+def test_what_a_hostile_agent_did_is_reported(hostile_race, name, kind, message):
+    row = by_driver(hostile_race)[name]
+    assert row.status == "retired"
+    assert [failure.kind for failure in row.errors] == [kind]
+    assert message in row.errors[0].message
+
+
+def test_the_last_words_of_a_dead_agent_are_kept(hostile_race):
+    assert "goodbye, cruel race" in by_driver(hostile_race)["exits"].errors[0].trace
+
+
+def test_a_traceback_shows_the_agents_own_lines(hostile_race):
+    trace = by_driver(hostile_race)["hungry"].errors[0].trace
+    assert "np.ones(10 << 30, np.uint8)" in trace
+    assert "agent_process" not in trace
+
+
+@pytest.mark.parametrize("handling", ["retire", "restart", "catch"])
+def test_a_race_of_lost_agents_ends(handling):
+    drivers = map(hostile, ("closes", "forger", "unloadable", "no_actor"))
+    result = race(*drivers, error_handling=handling, max_restarts=1, max_steps=50)
+    assert result.status == "abandoned"
+    assert all(row.status == "retired" for row in result.agents)
+    assert result.steps < 10
+
+
+def test_what_keeps_an_agent_from_loading_is_told():
+    result = race("ai", *map(hostile, ("unloadable", "no_actor")), max_steps=5)
+    told = {row.driver: row.errors[0] for row in result.agents if row.errors}
+    assert told["unloadable"].message == "RuntimeError: not today"
+    assert told["unloadable"].kind == told["no_actor"].kind == "start"
+    assert 'raise RuntimeError("not today")' in told["unloadable"].trace
+    assert "FileNotFoundError: weights.pth" in told["no_actor"].message
+
+
+def test_an_agent_that_never_loads_is_not_waited_for():
+    begin = time.monotonic()
+    result = race("ai", hostile("sleeps"), start_timeout=2.0, max_steps=5)
+    assert time.monotonic() - begin < 30
+    assert "its start took longer than 2 s" in by_driver(result)["sleeps"].errors[0].message
+    assert result.steps == 5
+
+
+def test_what_an_agent_prints_disturbs_nothing():
+    result = race(hostile("noisy"), max_steps=40)
+    assert not result.has_errors
+    assert result.agents[0].distance > 1
+
+
+@pytest.mark.parametrize("name", ["closes", "forger"])
+def test_an_agent_that_breaks_its_connection_is_out(name):
+    result = race(hostile(name), "ai", max_steps=5)
+    assert by_driver(result)[name].num_errors == 1
+
+
+def test_raise_ends_the_race_with_the_error():
+    with pytest.raises(AgentError, match=r"driver 'once' of kart_1 failed: ZeroDivision") as caught:
+        race("ai", hostile("once"), error_handling="raise", max_steps=20)
+    assert caught.value.key == "kart_1"
+    assert 'raise ZeroDivisionError("the third")' in caught.value.trace
+
+
+def test_raise_ends_the_race_when_an_agent_is_too_late():
+    with pytest.raises(AgentTimeout, match=r"took longer than 0.3 s"):
+        race(hostile("loop"), error_handling="raise", action_timeout=0.3)
+
+
+def test_retire_takes_an_agent_out_at_its_first_error():
+    row = by_driver(race("ai", hostile("once"), max_steps=20))["once"]
+    assert (row.status, row.num_errors, row.errors[0].step) == ("retired", 1, 2)
+
+
+def test_catch_lets_an_agent_go_on_after_an_error():
+    result = race(hostile("once"), error_handling="catch", max_steps=20)
+    assert (result.agents[0].status, result.agents[0].num_errors) == ("racing", 1)
+
+
+def test_restart_starts_an_agent_anew_as_often_as_it_may():
+    result = race(hostile("once"), error_handling="restart", max_restarts=2, max_steps=50)
+    assert [failure.step for failure in result.agents[0].errors] == [2, 5, 8]
+    assert result.agents[0].status == "retired"
+
+
+def test_an_endless_loop_is_started_anew_when_errors_are_caught():
+    result = race(
+        hostile("loop"), error_handling="catch", max_restarts=1, action_timeout=0.3, max_steps=9
+    )
+    assert [failure.kind for failure in result.agents[0].errors] == ["timeout", "timeout"]
+    assert result.agents[0].status == "retired"
+
+
+def test_a_random_agent_repeats_with_the_seed():
+    files = str(AGENTS / "module_home" / "bare_module_agent.py")
+    results = [race(files, hostile("once"), error_handling="catch", max_steps=60) for _ in "ab"]
+    assert results[0] == results[1]
+    assert race(files, hostile("once"), error_handling="catch", seed=2, max_steps=60) != results[0]
+
+
+def test_isolated_and_inline_agents_drive_the_same_race():
+    drivers = [str(AGENTS / name) for name in ("plain", "alpha", "beta", "wrapped", "weights")]
+    isolated = race(*drivers, max_steps=120)
+    assert isolated == race(*drivers, max_steps=120, inline=True)
+    assert min(row.distance for row in isolated.agents) > 10
+
+
+def test_an_inline_agent_that_is_too_late_is_ended():
+    result = race(hostile("loop"), "ai", inline=True, action_timeout=0.3, max_steps=9)
+    assert "its action took longer than 0.3 s" in by_driver(result)["loop"].errors[0].message
+
+
+def test_nothing_of_an_agent_outlives_its_race(monkeypatch, tmp_path):
+    pids = tmp_path / "pids"
+    monkeypatch.setenv("STKZOO_TEST_PIDS", str(pids))
+    assert not race(hostile("parent"), max_steps=3).has_errors
+    for pid in map(int, pids.read_text().split()):
+        assert wait_until(lambda pid=pid: not process_exists(pid))
+
+
+def test_an_agent_dies_with_a_race_that_is_killed(tmp_path):
+    pids = tmp_path / "pids"
+    code = f"""
+        from stkzoo.race import run_race
+        run_race([{hostile("parent")!r}], track={TRACK!r}, max_steps=10**6)
+    """
+    program = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(code)],
+        env={**os.environ, "STKZOO_TEST_PIDS": str(pids)},
+        start_new_session=True,
+    )
+    try:
+        assert wait_until(lambda: pids.exists() and len(pids.read_text().split()) == 2, 30)
+    finally:
+        program.kill()
+        program.wait()
+    agent, child = map(int, pids.read_text().split())
+    assert wait_until(lambda: not process_exists(agent))
+    os.kill(child, signal.SIGKILL)  # its own children are its own affair then

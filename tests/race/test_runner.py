@@ -1,0 +1,271 @@
+"""The race runner: from the grid to the result (D26, D27)."""
+
+import json
+
+import jsonschema
+import numpy as np
+import pytest
+
+from stkzoo.errors import AgentError, ConfigError
+from stkzoo.race import Driver, RaceListener, RaceResult, RaceSettings, find_driver, run_race
+from stkzoo.race.result import AgentFailure
+from tests.support.paths import SCHEMAS
+
+SCHEMA = SCHEMAS / "race-result.schema.json"
+
+
+@pytest.fixture(scope="module")
+def result():
+    return run_race(["heuristic", "ai", "ai", "random"], track="olivermath", seed=3, max_steps=400)
+
+
+def failing_driver(step):
+    def make_actor(_, action_space, __):
+        calls = iter(range(1000))
+
+        def act(_):
+            if next(calls) == step:
+                raise ZeroDivisionError("no way")
+            return action_space.sample()
+
+        return act
+
+    return Driver.of_actor("clumsy", make_actor)
+
+
+def test_ranks_are_given_once_each(result):
+    assert [row.rank for row in result.agents] == [1, 2, 3, 4]
+
+
+def test_whoever_finishes_earlier_ranks_better(result):
+    finish_times = [row.finish_time for row in result.agents if row.finish_time is not None]
+    assert len(finish_times) == 3
+    assert finish_times == sorted(finish_times)
+
+
+def test_whoever_does_not_finish_is_said_to_be_unfinished(result):
+    assert result.agents[-1].driver == "random"
+    assert result.agents[-1].finish_time is None
+    assert not result.is_finished
+
+
+def test_result_survives_json(result):
+    assert RaceResult.from_json(result.to_json()) == result
+
+
+def test_same_seed_is_the_same_race(result):
+    again = run_race(["heuristic", "ai", "ai", "random"], track="olivermath", seed=3, max_steps=400)
+    assert again == result
+
+
+def test_other_seed_is_another_race(result):
+    other = run_race(["heuristic", "ai", "ai", "random"], track="olivermath", seed=4, max_steps=400)
+    assert [row.reward for row in other.agents] != [row.reward for row in result.agents]
+
+
+def test_everybody_drives_all_laps():
+    result = run_race(["ai", "ai"], track="olivermath", laps=2, seed=1)
+    assert [row.laps for row in result.agents] == [2, 2]
+
+
+def test_whoever_never_moves_does_not_hang_the_race():
+    def stand(_, action_space, __):
+        action = {key: space.sample() * 0 for key, space in action_space.items()}
+        return lambda _: action
+
+    result = run_race([Driver.of_actor("parked", stand)], track="olivermath")
+    assert not result.is_finished
+
+
+class Ear(RaceListener):
+    """Writes down what it hears."""
+
+    def __init__(self, stop_at=None):
+        self.calls, self.heard, self.result = [], [], None
+        self.stop_at = stop_at
+
+    def started(self, race):
+        self.calls.append("started")
+        self.heard.append(race)
+
+    def stepped(self, race):
+        self.calls.append("stepped")
+        self.heard.append(race)
+        if race.steps == self.stop_at:
+            race.stop("seen enough")
+
+    def ended(self, result):
+        self.calls.append("ended")
+        self.result = result
+
+    def closed(self):
+        self.calls.append("closed")
+
+
+def test_listener_hears_of_every_step():
+    ear = Ear()
+    result = run_race(["heuristic"], track="olivermath", max_steps=30, listeners=[ear])
+    assert [race.steps for race in ear.heard] == list(range(result.steps + 1))
+    assert ear.calls == ["started", *["stepped"] * 30, "ended", "closed"]
+    assert ear.result == result
+
+
+def test_listener_hears_of_the_whole_way():
+    ear = Ear()
+    result = run_race(["ai"], track="olivermath", listeners=[ear])
+    assert ear.heard[-1].leader_distance == result.race_length
+
+
+def test_listener_sees_what_the_agents_see_do_and_get():
+    ear = Ear()
+    run_race(["heuristic", "ai@:Bot"], track="olivermath", max_steps=30, seed=2, listeners=[ear])
+    last = ear.heard[-1]
+    assert last.names == {"kart_0": "heuristic", "kart_1": "Bot"}
+    assert "paths_end" in last.observations["kart_0"]
+    assert last.actions["kart_0"].keys() == {
+        *("acceleration", "steer", "brake", "drift", "fire", "nitro", "rescue")
+    }
+    assert last.total_rewards["kart_0"] == pytest.approx(
+        sum(race.rewards["kart_0"] for race in ear.heard[1:])
+    )
+    assert last.infos["kart_1"]["episode/length"] == 30
+
+
+def test_a_listener_can_stop_the_race():
+    result = run_race(["ai"], track="olivermath", listeners=[Ear(stop_at=7)])
+    assert (result.steps, result.status) == (7, "seen enough")
+
+
+def test_listeners_are_closed_after_an_error():
+    ear = Ear()
+    with pytest.raises(ConfigError, match="Did you mean 'lighthouse'"):
+        run_race(["ai"], track="lighthous", listeners=[ear])
+    assert ear.calls == ["closed"]
+
+
+def test_the_actions_that_listeners_hear_replay_the_race():
+    ear = Ear()
+    run_race(["heuristic"], track="olivermath", max_steps=60, seed=2, listeners=[ear])
+    actions = iter([race.actions["kart_0"] for race in ear.heard[1:]])
+    again = Ear()
+    driver = Driver.of_actor("recorded", lambda *_: lambda _: next(actions))
+    run_race([driver], track="olivermath", max_steps=60, seed=2, listeners=[again])
+    for one, other in zip(ear.heard, again.heard, strict=True):
+        np.testing.assert_array_equal(
+            one.observations["kart_0"]["paths_start"][0],
+            other.observations["kart_0"]["paths_start"][0],
+        )
+
+
+def test_unknown_driver_is_refused_with_the_nearest_name():
+    with pytest.raises(ConfigError, match="Did you mean 'heuristic'"):
+        find_driver("heuristik")
+
+
+def test_race_without_drivers_is_refused():
+    with pytest.raises(ConfigError, match="name at least one"):
+        run_race([])
+
+
+@pytest.mark.parametrize("max_steps", [0, -1, 2.5, True])
+def test_impossible_step_limit_is_refused(max_steps):
+    with pytest.raises(ConfigError, match="max_steps"):
+        run_race(["ai"], track="olivermath", max_steps=max_steps)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"error_handling": "pray"}, "error_handling is 'pray', expected one of raise, catch"),
+        ({"action_timeout": -1}, "action_timeout is -1, expected a number of seconds"),
+        ({"start_timeout": 0}, "start_timeout is 0"),
+        ({"agent_memory": 1.5}, "agent_memory is 1.5"),
+        ({"max_step": 5}, "unknown setting of a race 'max_step'. Did you mean 'max_steps'"),
+        ({"adapter": "nowhere.py"}, "there is no adapter .*nowhere.py"),
+    ],
+)
+def test_impossible_settings_are_refused(settings, message):
+    with pytest.raises(ConfigError, match=message):
+        run_race(["tests/data/agents/plain"], track="olivermath", **settings)
+
+
+def test_settings_can_be_kept_and_changed():
+    settings = RaceSettings(track="olivermath", seed=3, max_steps=4)
+    assert run_race(["ai"], settings=settings, seed=4).seed == 4
+
+
+def test_failing_driver_is_named():
+    drivers = ["ai", failing_driver(5)]
+    with pytest.raises(AgentError, match=r"'clumsy' of kart_1 failed: ZeroDivisionError") as caught:
+        run_race(drivers, track="olivermath", error_handling="raise")
+    assert caught.value.key == "kart_1"
+
+
+def test_a_failing_driver_costs_only_its_own_race():
+    result = run_race(["ai", failing_driver(5)], track="olivermath", seed=1)
+    winner, loser = result.agents
+    assert (result.status, winner.status, loser.status) == ("finished", "finished", "retired")
+    assert loser.errors == (AgentFailure(5, "error", "ZeroDivisionError: no way"),)
+    assert 'ZeroDivisionError("no way")' in loser.errors[0].trace
+
+
+@pytest.mark.parametrize(
+    ("settings", "status"),
+    [
+        ({"max_steps": 20}, "max_steps"),
+        ({"karts_finished": 1}, "karts_finished"),
+        ({"max_steps_after_first": 3}, "max_steps_after_first"),
+        ({}, "finished"),
+    ],
+)
+def test_why_a_race_was_over_is_said(settings, status):
+    """D26: a race that was cut short does not look like one that has finished."""
+    result = run_race(["ai", "ai", "ai"], track="olivermath", seed=1, **settings)
+    assert result.status == status
+    assert result.is_finished == (status == "finished")
+
+
+def test_a_race_of_many_laps_is_not_cut_short():
+    """D26: it takes longer than the 1500 steps after which the reference stops."""
+    result = run_race(["ai"], track="candela_city", laps=4, seed=1)
+    assert result.steps > 1500
+    assert (result.status, result.agents[0].laps) == ("finished", 4)
+
+
+def test_the_reward_is_the_sum_over_the_race():
+    """D27."""
+    ear = Ear()
+    result = run_race(["heuristic"], track="olivermath", seed=1, listeners=[ear])
+    assert result.agents[0].reward == pytest.approx(ear.heard[-1].infos["kart_0"]["episode/return"])
+    assert result.agents[0].reward != pytest.approx(ear.heard[-1].rewards["kart_0"])
+
+
+def test_the_result_keeps_to_the_published_schema(result):
+    """D27: seed, grid, finish time, ends and errors stand in it."""
+    schema = json.loads(SCHEMA.read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    failed = run_race(["ai", failing_driver(5)], track="olivermath", max_steps=9)
+    for race in (result, failed):
+        jsonschema.validate(json.loads(race.to_json()), schema)
+    assert sorted(row.start_position for row in result.agents) == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "[]", "{}", "null", '{"type": "race-result", "schema_version": 1, "agents": 3}'],
+)
+def test_what_is_no_result_is_refused(text):
+    with pytest.raises(ConfigError, match="no race result"):
+        RaceResult.from_json(text)
+
+
+def test_a_result_of_another_version_is_refused(result):
+    text = result.to_json().replace('"schema_version": 1', '"schema_version": 99')
+    with pytest.raises(ConfigError, match="of version 99, expected"):
+        RaceResult.from_json(text)
+
+
+def test_thinking_time_is_told(result):
+    times = {row.driver: row.action_time for row in result.agents}
+    assert times["ai"] is None
+    assert 0 < times["heuristic"].mean <= times["heuristic"].p99 <= times["heuristic"].max

@@ -1,0 +1,246 @@
+"""Videos: every format, whole files or none, and a race's film."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+
+from stkzoo.errors import ConfigError
+from stkzoo.race import run_race
+from stkzoo.race.video import RaceFilm, RaceVideo
+from stkzoo.render import encoder
+from stkzoo.render.cards import end_card
+from stkzoo.render.encoder import FORMATS, VideoError, VideoWriter
+from stkzoo.render.motion import game_time, poses_between, snapshots_between
+from stkzoo.render.tiles import grid_of, tiled
+from tests.support.rendering import drive, small_race, who_draws
+
+FFMPEG = imageio_ffmpeg.get_ffmpeg_exe()
+
+
+def read(path):
+    """All pictures of a video and how many a second it says it has.
+
+    In one thread: ffmpeg's Theora decoder gives other pictures of the same file now and then
+    when it has several.
+    """
+    said = subprocess.run([FFMPEG, "-i", path], capture_output=True, text=True).stderr
+    width, height = map(int, re.search(r", (\d+)x(\d+)", said).groups())
+    rate = float(re.search(r"([\d.]+) (?:fps|tbr)", said)[1])
+    form = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-fps_mode", "passthrough")
+    command = [FFMPEG, "-loglevel", "error", "-threads", "1", "-i", path, *form, "-"]
+    raw = subprocess.run(command, capture_output=True, check=True).stdout
+    return np.frombuffer(raw, np.uint8).reshape(-1, height, width, 3), rate
+
+
+def overfill(writer, times=1000):
+    """Gives more pictures than the pipe to ffmpeg holds."""
+    for _ in range(times):
+        writer.add(colour(1))
+
+
+def interrupted(path):
+    """A video that ends by an error in the midst of it."""
+    with VideoWriter(path, 10) as writer:
+        writer.add(colour(1))
+        assert path.read_bytes() == b"an older video"
+        raise ZeroDivisionError
+
+
+def colour(number, size=(64, 48)):
+    return np.full((size[1], size[0], 3), number, np.uint8)
+
+
+# ------------------------------------------------------------------ files
+
+
+@pytest.mark.parametrize("ending", sorted(FORMATS))
+def test_every_format_holds_what_was_put_in(tmp_path, ending):
+    path = tmp_path / f"race{ending}"
+    with VideoWriter(path, 10) as writer:
+        for number in range(0, 200, 10):
+            writer.add(colour(number))
+    pictures, rate = read(path)
+    assert (len(pictures), rate) == (20, 10)
+    means = pictures.mean(axis=(1, 2, 3))
+    np.testing.assert_allclose(means, np.arange(0, 200, 10), atol=8)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_there_is_no_file_before_the_end_and_none_after_an_error(tmp_path):
+    path = tmp_path / "race.mp4"
+    path.write_bytes(b"an older video")
+    with pytest.raises(ZeroDivisionError):
+        interrupted(path)
+    assert path.read_bytes() == b"an older video"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_dead_ffmpeg_is_told_and_leaves_nothing(tmp_path):
+    writer = VideoWriter(tmp_path / "race.mp4", 10)
+    writer.add(colour(1))
+    os.kill(writer._process.pid, signal.SIGKILL)
+    with pytest.raises(VideoError, match=r"could not be written: ffmpeg .* No file was left"):
+        overfill(writer)
+    assert list(tmp_path.iterdir()) == []
+    writer.abort()
+
+
+def test_an_ffmpeg_that_hangs_is_ended(tmp_path, monkeypatch):
+    monkeypatch.setattr(encoder, "_STALL_LIMIT", 0.3)
+    writer = VideoWriter(tmp_path / "race.mp4", 10)
+    writer.add(colour(1))
+    os.kill(writer._process.pid, signal.SIGSTOP)
+    with pytest.raises(VideoError, match=r"took no picture for 0 s"):
+        overfill(writer)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_told_and_leaves_nothing(tmp_path):
+    code = """
+import resource, signal, sys
+import numpy as np
+from stkzoo.render.encoder import VideoError, VideoWriter
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
+noise = np.random.default_rng(0)
+try:
+    with VideoWriter(sys.argv[1], 10) as writer:
+        for _ in range(60):
+            writer.add(noise.integers(0, 255, (240, 320, 3), np.uint8))
+except VideoError as error:
+    print(error)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "race.avi")], capture_output=True, text=True
+    )
+    assert "No file was left" in done.stdout, done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "match"),
+    [("race.mp5", "expected one that ends with"), ("no/such/race.mp4", "there is no folder")],
+)
+def test_a_path_that_cannot_be_is_refused_before_the_race(tmp_path, name, match):
+    with pytest.raises(ConfigError, match=match):
+        RaceVideo(tmp_path / name)
+
+
+def test_pictures_of_another_size_or_kind_are_refused(tmp_path):
+    with VideoWriter(tmp_path / "a.mp4", 10) as video:
+        video.add(colour(1))
+        with pytest.raises(ConfigError, match="resize it"):
+            video.add(colour(1, (32, 32)))
+        with pytest.raises(ConfigError, match="expected uint8"):
+            video.add(np.zeros((4, 4, 3)))
+    with pytest.raises(VideoError, match="no picture"):
+        VideoWriter(tmp_path / "a.mp4", 10).close()
+
+
+# ------------------------------------------------------------------ between two steps
+
+
+@pytest.fixture(scope="module")
+def moments():
+    with small_race() as env:
+        return [now.snapshot for now in drive(env, 60)]
+
+
+def test_the_ends_of_a_way_are_the_steps_themselves(moments):
+    before, after = moments[-2:]
+    poses = poses_between(before, after, [0.0, 0.5, 1.0])
+    np.testing.assert_allclose(poses[0, :, :3], before.karts["location"], atol=1e-4)
+    np.testing.assert_allclose(poses[2, :, :3], after.karts["location"], atol=1e-4)
+    np.testing.assert_allclose(np.linalg.norm(poses[1, :, 3:7], axis=1), 1, atol=1e-5)
+
+
+def test_a_kart_in_between_is_near_where_the_race_had_it(moments):
+    """Every other step is left out and put back from its neighbours."""
+    for before, between, after in zip(moments[40:-2], moments[41:-1], moments[42:], strict=True):
+        guess = poses_between(before, after, [0.5])[0, :, :3]
+        assert np.abs(guess - between.karts["location"]).max() < 0.3
+
+
+def test_a_kart_that_is_put_elsewhere_does_not_glide(moments):
+    after = moments[-1]
+    karts = after.karts.copy()
+    karts["location"][0] += [50, 0, 0]
+    leapt = type(after).of(after.header, karts, after.items)
+    places = poses_between(moments[-2], leapt, [0.5, 1.0])[:, 0, :3]
+    np.testing.assert_allclose(places[0], moments[-2].karts["location"][0])
+    np.testing.assert_allclose(places[1], karts["location"][0], rtol=1e-5)
+
+
+def test_moments_between_steps_end_with_the_step(moments):
+    between = snapshots_between(moments[-2], moments[-1], 3)
+    assert len(between) == 3
+    assert between[-1] is moments[-1]
+    assert game_time(moments[-1]) - game_time(moments[-2]) == pytest.approx(0.1, abs=0.01)
+
+
+# ------------------------------------------------------------------ a race's film
+
+
+@pytest.mark.parametrize(("number", "grid"), [(1, (1, 1)), (2, (2, 1)), (3, (2, 2)), (8, (3, 3))])
+def test_tiles_fill_a_grid(number, grid):
+    assert grid_of(number) == grid
+    whole = tiled([colour(10 * (i + 1)) for i in range(number)], (120, 96))
+    assert set(np.unique(whole)) <= {0, *(10 * (i + 1) for i in range(number))}
+    assert whole.shape == (96, 120, 3)
+
+
+@pytest.mark.parametrize("size", [(160, 120), (854, 480), (1920, 1080)])
+def test_an_end_card_holds_many_results(size):
+    rows = [(rank, f"driver {rank}", "#e69f00", "1:02.3") for rank in range(1, 31)]
+    assert end_card("lighthouse", "results", rows, None, size).shape == (size[1], size[0], 3)
+
+
+def test_a_film_lasts_as_long_as_the_race(tmp_path):
+    path = tmp_path / "race.mp4"
+    video = RaceVideo(path, backend="map", size=(160, 120), sub_steps=3, card_seconds=1.0)
+    result = run_race(["ai", "ai"], track="lighthouse", seed=1, max_steps=20, listeners=[video])
+    pictures, rate = read(path)
+    assert rate == 30
+    assert len(pictures) == 1 + 3 * result.steps + 30
+
+
+def test_filming_changes_no_race(tmp_path):
+    video = RaceVideo(tmp_path / "race.mp4", backend="map", size=(160, 120), sub_steps=4)
+    settings = {"track": "lighthouse", "seed": 1, "max_steps": 60}
+    assert run_race(["ai", "ai"], listeners=[video], **settings) == run_race(
+        ["ai", "ai"], **settings
+    )
+
+
+def test_a_race_that_fails_leaves_no_film(tmp_path):
+    video = RaceVideo(tmp_path / "race.mp4", backend="map", size=(160, 120))
+    video.stepped = lambda _: 1 / 0
+    with pytest.raises(ZeroDivisionError):
+        run_race(["ai"], track="lighthouse", seed=1, max_steps=5, listeners=[video])
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("name", "value"), [("cameras", 9), ("cameras", 0), ("sub_steps", 0)])
+def test_numbers_out_of_range_are_refused(tmp_path, name, value):
+    with pytest.raises(ConfigError, match=f"{name} is {value}"):
+        RaceFilm(tmp_path / "race.mp4", **{name: value})
+
+
+@pytest.mark.slow
+def test_the_game_films_where_it_can(tmp_path):
+    path = tmp_path / "race.mp4"
+    video = RaceVideo(path, cameras=3, size=(320, 240), sub_steps=1, card_seconds=0.5)
+    settings = {"track": "lighthouse", "seed": 1, "max_steps": 12}
+    filmed = run_race(["ai", "ai", "ai"], listeners=[video], **settings)
+    assert filmed == run_race(["ai", "ai", "ai"], **settings)
+    assert video.film.backend == who_draws()
+    pictures, _ = read(Path(path))
+    assert len(pictures) == 1 + 12 + 5
+    assert len(np.unique(pictures[5].reshape(-1, 3), axis=0)) > 100

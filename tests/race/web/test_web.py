@@ -1,0 +1,572 @@
+"""The live page: what it serves, tells and obeys (D30)."""
+
+import asyncio
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+
+import aiohttp
+import numpy as np
+import pytest
+
+from stkzoo.cli import main
+from stkzoo.errors import ConfigError
+from stkzoo.race import RaceResult, run_race
+from stkzoo.race.replay import ReplayWriter, load_replay, play_replay
+from stkzoo.race.web import SPEEDS, LivePage
+from stkzoo.race.web.control import RaceControl
+from stkzoo.race.web.forms import encoded, plain
+from stkzoo.race.web.traces import COLUMNS, TraceLog
+from tests.support.processes import run_program, wait_until
+from tests.support.web_race import WatchedRace, viewer
+
+
+@pytest.fixture
+def page():
+    page = LivePage(port=0)
+    yield page
+    page.closed()
+
+
+def fetch(url):
+    with urllib.request.urlopen(url, timeout=10) as answer:
+        return answer.headers, answer.read().decode()
+
+
+# ---------------------------------------------------------------- the page
+
+
+def test_page_comes_with_all_its_files_from_the_package(page):
+    headers, text = fetch(page.url)
+    assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
+    assert headers["Cache-Control"] == "no-store"
+    for file in ("page.js", "page.css", "map.js", "charts.js", "standings.js", "tree.js"):
+        headers, content = fetch(page.url + file)
+        assert headers["X-Content-Type-Options"] == "nosniff"
+        assert "http://" not in content
+        assert "https://" not in content
+    assert 'src="page.js"' in text
+
+
+@pytest.mark.parametrize("path", ["nothing", "..%2fserver.py", "static/page.js", "__init__.py"])
+def test_nothing_else_is_served(page, path):
+    with pytest.raises(urllib.error.HTTPError, match="404") as caught:
+        fetch(page.url + path)
+    caught.value.close()
+
+
+def test_page_is_served_to_this_machine_only_unless_told_otherwise(page):
+    """D30: the reference listens on all addresses."""
+    assert page.url == f"http://127.0.0.1:{page.port}/"
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.2", page.port), timeout=5)
+
+
+def test_a_port_that_is_taken_is_told(page):
+    with pytest.raises(ConfigError, match=f"port {page.port}.*another port"):
+        LivePage(port=page.port)
+
+
+@pytest.mark.parametrize("port", [-1, 65536, "8000", True])
+def test_a_port_that_cannot_be_is_told(port):
+    with pytest.raises(ConfigError, match="port is"):
+        LivePage(port=port)
+
+
+@pytest.mark.parametrize("speed", [0, 3, "max", True])
+def test_a_speed_that_cannot_be_is_told(speed):
+    with pytest.raises(ConfigError, match="the speed is"):
+        LivePage(port=0, speed=speed)
+
+
+def test_without_aiohttp_the_remedy_is_told():
+    program = run_program("""
+        import sys
+        sys.modules["aiohttp"] = None
+        from stkzoo.race.web import LivePage
+        LivePage(port=0)
+    """)
+    assert "pip install 'stkzoo[web]'" in program.stderr
+
+
+def test_closing_frees_the_port_and_the_thread():
+    page = LivePage(port=0)
+    page.closed()
+    page.closed()
+    again = LivePage(port=page.port)
+    again.closed()
+    assert "stkzoo-live-page" not in [thread.name for thread in threading.enumerate()]
+
+
+# ---------------------------------------------------------------- the race
+
+
+def test_race_runs_to_its_end_without_viewers():
+    """D30: the reference waits for a click."""
+    page = LivePage(port=0, speed=None)
+    result = run_race(["ai", "random"], listeners=[page], track="olivermath", max_steps=30)
+    assert (result.status, result.steps) == ("max_steps", 30)
+
+
+def test_page_does_not_change_the_race():
+    settings = {"track": "olivermath", "max_steps": 60, "seed": 5}
+    alone = run_race(["heuristic", "ai"], **settings)
+    page = LivePage(port=0, speed=None)
+    assert run_race(["heuristic", "ai"], listeners=[page], **settings) == alone
+
+
+def test_a_viewer_is_told_the_race_then_its_past_then_its_present():
+    async def scenario(one):
+        race = await one.next("race")
+        moment = await one.next("moment")
+        assert one.kinds == ["hello", "race", "state", "traces", "moment"]
+        return race, moment
+
+    async def until_there(one):
+        await one.next("moment")
+
+    with WatchedRace(["ai", "random", "random@:Rolf"]) as race:
+        race.watch(until_there)
+        form, moment = race.watch(scenario)
+    assert (form["title"], form["laps"], form["seed"]) == ("olivermath", 1, 3)
+    assert {kart["agent"]: kart["name"] for kart in form["karts"]} == {
+        "kart_0": "ai",
+        "kart_1": "random",
+        "kart_2": "Rolf",
+    }
+    assert len({kart["colour"] for kart in form["karts"]}) == 3
+    assert moment["steps"] == 0
+    assert sorted(moment["karts"]["rank"]) == [1, 2, 3]
+    assert {len(column) for column in moment["karts"].values()} == {3}
+
+
+def test_pause_step_and_run_do_what_they_say():
+    async def scenario(one):
+        await one.send("speed", value=None)
+        await one.send("run")
+        await one.moment(10)
+        await one.send("pause")
+        await one.halt()
+        await one.send("step")
+        first = await one.next("moment")
+        await one.silence()
+        await one.send("step")
+        second = await one.next("moment")
+        await one.silence()
+        await one.send("run")
+        await one.moment(second["steps"] + 20)
+        return first["steps"], second["steps"]
+
+    with WatchedRace() as race:
+        first, second = race.watch(scenario)
+    assert second == first + 1
+
+
+def test_stop_ends_the_race_with_what_there_is():
+    async def scenario(one):
+        await one.send("run")
+        await one.moment(3)
+        await one.send("stop")
+        result = await one.next("result")
+        await one.next("bye")
+        return result["result"]
+
+    with WatchedRace() as race:
+        told = race.watch(scenario)
+        result = race.join()
+    assert result.status == "stopped"
+    assert 3 <= result.steps < 100_000
+    assert {row["agent"]: row["rank"] for row in told["agents"]} == {
+        row.agent: row.rank for row in result.agents
+    }
+
+
+def test_stop_on_the_grid_ends_a_race_that_waits():
+    async def scenario(one):
+        await one.next("moment")
+        await one.send("stop")
+        await one.next("result")
+
+    with WatchedRace() as race:
+        race.watch(scenario)
+        assert race.join().steps == 0
+
+
+def test_stop_before_the_grid_is_not_forgotten():
+    page = LivePage(port=0)
+    page.broadcast.control.stop()
+    result = run_race(["ai"], listeners=[page], track="olivermath")
+    assert (result.status, result.steps) == ("stopped", 0)
+
+
+def test_one_page_can_show_one_race_after_another():
+    control = RaceControl(speed=None)
+    for _ in range(2):
+        control.begin()
+        assert control.wait_turn(0.1)
+        control.stop()
+        assert not control.wait_turn(0.1)
+        control.finish()
+        control.stop()  # closes the page of a race that is over
+
+
+def test_an_agents_observation_is_told_to_who_asks_for_it():
+    async def scenario(one, other):
+        await one.next("moment")
+        await one.send("watch", agent="kart_1")
+        first = await one.next("observation")
+        await one.send("step")
+        later = await one.next("observation", lambda form: form["steps"] == 1)
+        await other.moment(1)
+        assert "observation" not in other.kinds
+        return first, later
+
+    with WatchedRace() as race:
+        first, later = race.watch(scenario, viewers=2)
+    seen = first["parts"]["observation"]
+    assert first["agent"] == "kart_1"
+    assert seen["phase"].endswith(("ready", "set", "go", "race"))
+    assert seen["paths_start"]["of"] > len(seen["paths_start"]["first"])
+    assert set(later["parts"]["action"]) == {
+        *("acceleration", "steer", "brake", "drift", "fire", "nitro", "rescue")
+    }
+    assert "reward/progress" in later["parts"]["info"]
+
+
+def test_a_late_viewer_is_told_the_past():
+    async def scenario(one):
+        await one.send("speed", value=None)
+        await one.send("run")
+        await one.moment(40)
+
+    async def late(one):
+        traces = await one.next("traces")
+        moment = await one.next("moment")
+        return traces, moment
+
+    with WatchedRace() as race:
+        race.watch(scenario)
+        race.page.broadcast.control.pause()
+        traces, moment = race.watch(late)
+    assert traces["steps"] == list(range(traces["steps"][-1] + 1))
+    assert moment["steps"] >= 40
+    assert set(traces["values"]) == set(COLUMNS)
+    assert {len(rows) for rows in traces["values"].values()} == {len(traces["steps"])}
+
+
+def test_all_viewers_see_and_steer_the_same_race():
+    async def scenario(*viewers):
+        one, two, _ = viewers
+        await one.send("step")
+        seen = [await each.moment(1) for each in viewers]
+        await two.send("speed", value=4)
+        states = [await v.next("state", lambda form: form["speed"] == 4) for v in viewers]
+        return seen, states
+
+    with WatchedRace() as race:
+        seen, states = race.watch(scenario, viewers=3)
+    assert seen[0] == seen[1] == seen[2]
+    assert states[0] == {"type": "state", "mode": "paused", "speed": 4.0}
+
+
+def test_race_goes_on_when_its_viewers_leave():
+    async def scenario(one):
+        await one.send("speed", value=None)
+        await one.send("run")
+        await one.moment(2)
+
+    with WatchedRace(steps=400) as race:
+        race.watch(scenario)
+        assert race.join().steps == 400
+
+
+def test_a_viewer_that_takes_nothing_holds_nobody_up_and_is_let_go(monkeypatch):
+    monkeypatch.setattr("stkzoo.race.web.viewer._PATIENCE", 0.5)
+
+    async def scenario(one):
+        await one.send("speed", value=None)
+        await one.send("run")
+        await one.moment(50)
+        while race.page.num_viewers > 1:
+            await one.next("moment")
+
+    with WatchedRace() as race:
+        race.page.broadcast._server._listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+        with socket.create_connection(("127.0.0.1", race.page.port), timeout=10) as sleeper:
+            sleeper.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            sleeper.sendall(
+                f"GET /live?version=1 HTTP/1.1\r\nHost: 127.0.0.1:{race.page.port}\r\n"
+                "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+                "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode()
+            )
+            assert sleeper.recv(12) == b"HTTP/1.1 101"
+            assert wait_until(lambda: race.page.num_viewers == 1)
+            race.watch(scenario)
+
+
+def test_a_failing_agent_is_told(tmp_path):
+    (tmp_path / "pystk_actor.py").write_text("def get_actor(*_):\n    raise OSError('no way')\n")
+
+    async def scenario(one):
+        await one.send("step")
+        return (await one.moment(1))["failures"]
+
+    with WatchedRace(["ai", str(tmp_path)]) as race:
+        assert "no way" in race.watch(scenario)["kart_1"]
+
+
+def test_page_can_stay_after_the_race():
+    async def scenario(one):
+        await one.send("run")
+        await one.mode("over")
+        await one.next("result")
+        await one.silence(0.3)
+
+    async def late(one):
+        result = await one.next("result")
+        assert one.kinds[:2] == ["hello", "race"]
+        await one.send("stop")
+        await one.next("bye")
+        return result["result"]["steps"]
+
+    with WatchedRace(steps=5, stay=True) as race:
+        race.watch(scenario)
+        assert race.watch(late) == 5
+        assert race.join().status == "max_steps"
+
+
+def test_a_replay_is_shown_too(tmp_path):
+    file = tmp_path / "race.stkz"
+    run_race(["heuristic", "ai"], listeners=[ReplayWriter(file)], track="olivermath", max_steps=20)
+    page = LivePage(port=0, speed=None, paused=True)
+    played = []
+    replaying = threading.Thread(
+        target=lambda: played.append(play_replay(load_replay(file), listeners=[page]))
+    )
+
+    async def scenario():
+        async with aiohttp.ClientSession() as session, viewer(session, page.url) as one:
+            form = await one.next("race")
+            await one.send("run")
+            await one.next("bye")
+            return [kart["name"] for kart in form["karts"]], one.kinds
+
+    replaying.start()
+    names, kinds = asyncio.run(scenario())
+    replaying.join(30)
+    assert sorted(names) == ["ai", "heuristic"]
+    assert "result" in kinds
+    assert played[0].is_exact
+
+
+# ---------------------------------------------------------------- strangers
+
+
+@pytest.mark.parametrize(
+    ("headers", "text"),
+    [
+        ({"Host": "race.example"}, "another name"),
+        ({"Host": "race.example:8000"}, "another name"),
+        ({"Host": "user@127.0.0.1"}, "another name"),
+        ({"Host": "127.0.0.1:x"}, "another name"),
+        ({"Origin": "http://race.example"}, "from itself only"),
+        ({"Origin": "https://127.0.0.1"}, "from itself only"),
+        ({"Origin": "null"}, "from itself only"),
+    ],
+)
+@pytest.mark.parametrize("path", ["", "live?version=1"])
+def test_other_sites_are_refused(page, headers, text, path):
+    request = urllib.request.Request(page.url + path, headers=headers)
+    with pytest.raises(urllib.error.HTTPError, match="403") as caught:
+        urllib.request.urlopen(request, timeout=10)
+    with caught.value as answer:
+        assert text in answer.read().decode()
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "[::1]"])
+def test_the_page_itself_is_welcome_also_through_a_tunnel(page, host):
+    own = {"Host": f"{host}:9", "Origin": f"http://{host}:9"}
+    with urllib.request.urlopen(urllib.request.Request(page.url, headers=own)) as answer:
+        assert answer.status == 200
+
+
+def test_another_version_of_the_page_is_refused(page):
+    with pytest.raises(urllib.error.HTTPError, match="400") as caught:
+        fetch(page.url + "live?version=0")
+    caught.value.close()
+
+
+BAD_MESSAGES = [
+    "",
+    "run",
+    "[]",
+    "null",
+    "[" * 900,
+    '{"type": "explode"}',
+    '{"type": ["run"]}',
+    '{"type": "speed", "value": 3}',
+    '{"type": "speed", "value": "4"}',
+    '{"type": "speed", "value": NaN}',
+    '{"type": "speed", "value": true}',
+    '{"type": "watch", "agent": "kart_99"}',
+    '{"type": "watch", "agent": {}}',
+    b'{"type": "run"}',
+    b"\x80\x04\x95",
+]
+
+
+@pytest.mark.parametrize("message", BAD_MESSAGES, ids=repr)
+def test_what_cannot_be_understood_costs_its_sender_only(message):
+    async def scenario(bad, good):
+        await good.next("moment")
+        send = bad.socket.send_bytes if isinstance(message, bytes) else bad.socket.send_str
+        await send(message)
+        error = await bad.next("error")
+        assert "expected" in error["text"]
+        await bad.socket.receive(timeout=10)
+        assert bad.socket.close_code == 1008
+        await good.send("step")
+        await good.moment(1)
+
+    with WatchedRace() as race:
+        race.watch(scenario, viewers=2)
+
+
+def test_a_message_that_is_too_large_is_not_read():
+    async def scenario(bad, good):
+        await bad.socket.send_str("x" * 2_000_000)
+        while not bad.socket.closed:
+            await bad.socket.receive(timeout=10)
+        assert bad.socket.close_code == 1009
+        await good.send("step")
+        await good.moment(1)
+
+    with WatchedRace() as race:
+        race.watch(scenario, viewers=2)
+
+
+def test_from_other_machines_only_who_has_the_key_may_steer():
+    async def scenario(stranger):
+        assert not (await stranger.next("hello"))["may_steer"]
+        await stranger.next("moment")
+        await stranger.send("run")
+        return (await stranger.next("error"))["text"]
+
+    async def friendly(key, url):
+        async with (
+            aiohttp.ClientSession() as session,
+            viewer(session, url, key=key) as friend,
+        ):
+            await friend.send("step")
+            await friend.moment(1)
+
+    with WatchedRace(host="0.0.0.0") as race:
+        url, key = race.page.url.split("#key=")
+        assert "0.0.0.0" not in url
+        asyncio.run(friendly(key, url))
+        assert "may only watch" in race.watch(scenario)
+
+
+def test_too_many_viewers_are_turned_away(page, monkeypatch):
+    monkeypatch.setattr("stkzoo.race.web.server._MOST_VIEWERS", 0)
+    with pytest.raises(urllib.error.HTTPError, match="503") as caught:
+        fetch(page.url + "live?version=1")
+    caught.value.close()
+
+
+# ---------------------------------------------------------------- its parts
+
+
+def test_real_time_is_not_faster_than_the_clock():
+    control = RaceControl(speed=2.0)
+    control.begin()
+    begin = time.monotonic()
+    assert all(control.wait_turn(0.1) for _ in range(6))
+    assert time.monotonic() - begin >= 0.29
+
+
+def test_speeds_are_those_of_the_page(page):
+    _, text = fetch(page.url)
+    for speed in SPEEDS:
+        name = "max" if speed is None else f"{speed:.0f}"
+        assert f'data-speed="{name}"' in text
+
+
+def test_traces_stay_within_bounds_and_keep_the_start():
+    log = TraceLog(most=100)
+    for step in range(5000):
+        log.add(step, np.full((len(COLUMNS), 2), step, np.float32))
+    past = log.since(-1)
+    assert 50 <= len(past["steps"]) <= 100
+    assert past["steps"][0] == 0
+    assert past["steps"][-1] > 4800
+    assert past["values"]["speed"] == [[step, step] for step in past["steps"]]
+    assert log.since(past["steps"][-1]) == {"steps": []}
+
+
+def test_any_observation_becomes_json():
+    deep = []
+    for _ in range(50):
+        deep = [deep]
+    values = {
+        "nan": np.float32(np.nan),
+        "inf": float("inf"),
+        "array": np.arange(40).reshape(20, 2),
+        "text": "x" * 1000,
+        "nothing": None,
+        "flag": np.True_,
+        "deep": deep,
+        "phase": 3,
+        "thing": object(),
+        7: (),
+    }
+    form = plain(values)
+    encoded(form)
+    assert form["nan"] == "nan"
+    assert form["array"] == {"first": [[2 * n, 2 * n + 1] for n in range(12)], "of": 20}
+    assert form["phase"] == "3 race"
+    assert form["flag"] is True
+    assert form["7"] == []
+
+
+# ---------------------------------------------------------------- the command
+
+
+def test_command_shows_where_the_page_is_and_ends_by_itself(capsys, tmp_path):
+    """D30: nobody has to click."""
+    file = tmp_path / "result.json"
+    words = ["race", "ai", "ai", "--track", "olivermath", "--max-steps", "5", "--web"]
+    words += ["--web-port", "0", "--web-speed", "max", "--races", "2", "--output", str(file)]
+    assert main(words) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "live page" in line]
+    assert len(lines) == 2
+    assert lines[0] == lines[1]
+    assert lines[0].startswith("live page: http://127.0.0.1:")
+
+
+def test_command_stays_until_ctrl_c_and_reports_all_the_same(tmp_path):
+    file = tmp_path / "result.json"
+    words = ["race", "ai", "--track", "olivermath", "--max-steps", "5", "--output", str(file)]
+    words += ["--web", "--web-port", "0", "--web-speed", "max", "--web-stay"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "stkzoo", *words], stderr=subprocess.PIPE, text=True
+    ) as program:
+        url = program.stderr.readline().split()[-1]
+
+        async def until_over():
+            async with aiohttp.ClientSession() as session, viewer(session, url) as one:
+                await one.next("result")
+
+        asyncio.run(until_over())
+        program.send_signal(signal.SIGINT)
+        assert program.wait(30) == 0
+    assert RaceResult.from_json(file.read_text()).steps == 5
+
+
+def test_command_refuses_what_cannot_be(capsys):
+    assert main(["race", "ai", "--web", "--web-port", "99999"]) == 2
+    assert "port is 99999" in capsys.readouterr().err

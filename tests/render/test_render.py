@@ -1,0 +1,467 @@
+"""Render modes, cameras and who draws."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.utils.save_video import save_video
+from PIL import ImageGrab
+
+import stkzoo  # noqa: F401 - registers the ids
+from stkzoo import AgentSpec, race_v0
+from stkzoo.engine import filming
+from stkzoo.errors import AssetError, ConfigError, EngineCrashed
+from stkzoo.names import CameraMode
+from tests.support.rendering import drive, history, small_race, who_draws
+
+SMALL = (96, 64)
+MAP = {"render_backend": "map", "render_size": SMALL}
+
+
+def is_picture(picture, size=SMALL):
+    return (picture.shape, picture.dtype) == ((size[1], size[0], 3), np.uint8)
+
+
+# ------------------------------------------------------------------ modes
+
+
+def test_rgb_array_gives_the_present_picture():
+    with small_race(render_mode="rgb_array", **MAP) as env:
+        pictures = [now.render() for now in drive(env, 50)]
+    assert all(map(is_picture, pictures))
+    assert (pictures[0] != pictures[-1]).any()
+
+
+def test_rgb_array_list_gives_the_pictures_since_the_last_call():
+    with small_race(render_mode="rgb_array_list", **MAP) as env:
+        steps = drive(env, 5)
+        for _ in range(3):
+            next(steps)
+        assert len(env.render()) == 3  # the reset's and two steps'
+        next(steps)
+        pictures = env.render()
+        assert len(pictures) == 1
+        assert is_picture(pictures[0])
+        env.reset(seed=1)
+        assert len(env.render()) == 1
+
+
+def test_the_aec_form_renders_too():
+    env = race_v0.env(num_kart=2, track="lighthouse", render_mode="rgb_array", **MAP)
+    env.reset(seed=1)
+    assert is_picture(env.render())
+    env.close()
+
+
+@pytest.mark.parametrize("name", ["flattened_discrete", "multi-full"])
+def test_gymnasium_ids_render(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        env = gym.make(
+            f"supertuxkart/{name}-v0", render_mode="rgb_array", track="lighthouse", **MAP
+        )
+    env.reset(seed=1)
+    assert is_picture(env.render())
+    env.close()
+
+
+def test_gymnasiums_checker_renders_without_a_complaint(monkeypatch):
+    env = gym.make(
+        "supertuxkart/flattened_discrete-v0", track="lighthouse", render_mode="rgb_array", **MAP
+    ).unwrapped
+    modes = [mode for mode in env.metadata["render_modes"] if mode != "human"]
+    monkeypatch.setitem(env.metadata, "render_modes", modes)  # a window needs a display
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*infinity.*")  # positions have no bounds
+        check_env(env)
+    env.close()
+
+
+def test_pictures_a_second_follow_the_step_size():
+    with small_race(step_size=0.05) as env:
+        assert env.metadata["render_fps"] == 20
+    env = gym.make("supertuxkart/full-v0", step_size=0.3, disable_env_checker=True)
+    assert env.metadata["render_fps"] == pytest.approx(10 / 3)
+    env.close()
+    assert race_v0.parallel_env.__module__  # the class itself keeps 10
+    with small_race() as env:
+        assert env.metadata["render_fps"] == 10
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"render_mode": "rgb"}, "expected None or one of human, rgb_array"),
+        ({"render_backend": "vulkan"}, "unknown render_backend"),
+        ({"render_mode": "human", "render_backend": "map"}, "opens the game's window"),
+        ({"render_size": (0, 10)}, "expected \\(width, height\\)"),
+        ({"render_size": 7}, "expected \\(width, height\\)"),
+        ({"render_size": (640, 480, 3)}, "expected \\(width, height\\)"),
+        ({"render_size": "640x480"}, "expected \\(width, height\\)"),
+        ({"render_size": (5000, 480)}, "from 32 to 4096"),
+        ({"num_cameras": 9}, "num_cameras is 9, expected a whole number from 0 to 8"),
+        ({"num_cameras": -1}, "num_cameras is -1"),
+        ({"graphics_config": "ultra"}, "unknown graphics_config"),
+    ],
+)
+def test_what_cannot_be_is_refused(options, match):
+    with pytest.raises(ConfigError, match=match):
+        small_race(**options)
+
+
+def test_a_window_without_a_display_is_refused(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("stkzoo.env.graphics.sys.platform", "linux")
+    with pytest.raises(ConfigError, match=r"names a display; start .* `xvfb-run`"):
+        small_race(render_mode="human")
+
+
+@pytest.mark.slow
+def test_a_window_on_a_display_that_is_not_there_is_told(monkeypatch):
+    if who_draws() == "map":
+        pytest.skip("no graphics libraries here; missing ones have a test of their own")
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.delenv("SDL_VIDEODRIVER", raising=False)
+    monkeypatch.setenv("DISPLAY", ":4095")
+    with (
+        small_race(render_mode="human", render_size=SMALL) as env,
+        pytest.raises(EngineCrashed, match=r"could not open its window; .* `xvfb-run`"),
+    ):
+        env.reset(seed=1)
+
+
+class Display:
+    """An X server without a screen, and pictures of it."""
+
+    def __init__(self):
+        self.pictures = []
+        self._server = subprocess.Popen(
+            ["Xvfb", "-displayfd", "1", "-screen", "0", "320x240x24", "-nolisten", "tcp"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        self.name = f":{self._server.stdout.readline().strip()}"
+
+    def shoot(self):
+        self.pictures.append(np.asarray(ImageGrab.grab(xdisplay=self.name)))
+
+    def close(self):
+        self._server.terminate()
+        self._server.communicate(timeout=10)
+
+
+@pytest.fixture
+def display(monkeypatch):
+    if shutil.which("Xvfb") is None or who_draws() == "map":
+        pytest.skip("needs Xvfb and the graphics libraries; `make graphics` installs them")
+    display = Display()
+    for name in ("WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("DISPLAY", display.name)
+    yield display
+    display.close()
+
+
+@pytest.mark.slow
+def test_the_window_follows_the_race(display):
+    with small_race(render_mode="human", render_size=(320, 240), num_cameras=1) as env:
+        moments = []
+        for now in drive(env, 40):
+            moments.append(now.snapshot.data)
+            if len(moments) in (30, 41):
+                display.shoot()
+        assert env.render() is None
+    first, last = display.pictures
+    assert len(np.unique(first.reshape(-1, 3), axis=0)) > 300
+    assert (first != last).any(axis=2).mean() > 0.02
+    assert moments == history(40)
+
+
+# ------------------------------------------------------------------ cameras
+
+
+def test_frames_are_by_agent_and_in_any_mode():
+    agents = [AgentSpec(), AgentSpec(), AgentSpec()]
+    with small_race(agents=agents, num_cameras=2, **MAP) as env:
+        for now in drive(env, 3):
+            frames = now.frames()
+    assert list(frames) == ["kart_0", "kart_1"]
+    assert all(map(is_picture, frames.values()))
+
+
+def test_agents_may_ask_for_a_camera():
+    agents = [AgentSpec(), AgentSpec(camera_mode=CameraMode.ON), AgentSpec()]
+    with small_race(agents=agents, **MAP) as env:
+        env.reset(seed=1)
+        assert list(env.frames()) == ["kart_1"]
+
+
+def test_a_camera_in_a_race_without_graphics_is_harmless():
+    assert history(5, num_cameras=3) == history(5)
+
+
+# ------------------------------------------------------------------ nothing changes a race
+
+
+def test_the_map_changes_no_race():
+    assert history(render_mode="rgb_array_list", **MAP) == history()
+
+
+@pytest.mark.slow
+def test_the_games_pictures_change_no_race():
+    drawn = history(render_mode="rgb_array", render_size=SMALL, num_cameras=2)
+    assert drawn == history()
+
+
+def test_a_state_can_be_saved_and_gone_back_to_while_drawing():
+    with small_race(render_mode="rgb_array", **MAP) as env:
+        steps = drive(env, 10)
+        for _ in range(4):
+            next(steps)
+        state, before = env.save_state(), env.render()
+        for _ in range(6):
+            next(steps)
+        env.restore_state(state)
+        assert env.render().shape == before.shape
+        state.close()
+
+
+# ------------------------------------------------------------------ the game's own pictures
+
+
+@pytest.mark.slow
+def test_the_game_draws_where_it_can_and_else_the_map(caplog):
+    with small_race(render_mode="rgb_array", render_size=(160, 120), num_cameras=2) as env:
+        *_, now = drive(env, 12)
+        picture = now.render()
+        assert is_picture(picture, (160, 120))
+        assert env.render_backend == who_draws()
+        if who_draws() == "map":
+            assert "the map is drawn instead" in caplog.text
+            return
+        frames = env.frames()
+        assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 300
+        assert (frames["kart_0"] != frames["kart_1"]).any()
+
+
+@pytest.mark.slow
+def test_a_camera_is_behind_its_own_kart():
+    """Models tell the karts apart: the one of kart_0 is red, the others are not."""
+    agents = [AgentSpec(kart="tux"), AgentSpec(kart="gavroche"), AgentSpec(kart="puffy")]
+    options = {"num_cameras": 3, "render_mode": "rgb_array", "render_size": (160, 120)}
+    with race_v0.parallel_env(num_kart=5, agents=agents, track="hacienda", **options) as env:
+        env.reset(seed=2)
+        assert env.scene.kart_indices == (3, 1, 2)
+        frames = env.frames()
+        if env.render_backend == "map":
+            return
+    ahead = {agent: is_red(frame[70:100, 65:95]).sum() for agent, frame in frames.items()}
+    assert ahead["kart_0"] > 100
+    assert max(ahead["kart_1"], ahead["kart_2"]) < 10
+
+
+def is_red(picture):
+    red, green, blue = picture.transpose(2, 0, 1).astype(int)
+    return (red > 2 * green) & (red > 2 * blue) & (red > 120)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("size", "cameras"), [((320, 240), (2, 5)), ((1920, 1440), (1,)), ((1024, 768), (2,))]
+)
+def test_a_kart_has_its_shape_whatever_the_screen(size, cameras):
+    """The game splits its screen, and has none larger than 1024 x 768 where there is none."""
+    one = shape_of_a_kart((320, 240), 1)
+    for number in cameras:
+        assert shape_of_a_kart(size, number) == pytest.approx(one, rel=0.12)
+
+
+def shape_of_a_kart(size, cameras):
+    """Width by height of the red kart in its own camera's picture."""
+    agents = [AgentSpec(kart="tux"), *[AgentSpec(kart="puffy")] * 7]
+    options = {"num_cameras": cameras, "render_mode": "rgb_array", "render_size": size}
+    with race_v0.parallel_env(num_kart=8, agents=agents, track="hacienda", **options) as env:
+        env.reset(seed=1)
+        frame = env.frames()["kart_0"]
+        if env.render_backend == "map":
+            return 1.0
+    middle = frame[size[1] // 2 :, size[0] // 5 : -size[0] // 5]
+    rows, columns = np.nonzero(is_red(middle))
+    sides = [np.diff(np.quantile(places, (0.01, 0.99)))[0] for places in (columns, rows)]
+    return sides[0] / sides[1]
+
+
+@pytest.mark.slow
+def test_the_drawn_karts_stand_where_the_real_ones_do():
+    if who_draws() == "map":
+        with pytest.raises((AssetError, ConfigError), match=r"stkzoo assets install|sudo apt"):
+            film_errors()
+        return
+    errors = film_errors()
+    assert np.median(errors) < 0.02
+    assert np.quantile(errors, 0.9) < 0.2
+
+
+def film_errors():
+    """How far drawn karts are from the real ones, at 30 steps of a race [m]."""
+    from stkzoo.render.game import GameView
+
+    game, errors = GameView([0], SMALL), []
+    with small_race() as env:
+        for now in drive(env, 60):
+            if now.scene is not None and not errors:
+                game.start(now.scene)
+            footage = game._go(now.snapshot, images=False)
+            errors.append(
+                np.linalg.norm(footage.locations - now.snapshot.karts["location"], axis=1)
+            )
+    game.close()
+    return np.array(errors)[30:]
+
+
+@pytest.mark.slow
+def test_a_dead_drawing_process_says_so_and_the_race_lives():
+    if who_draws() == "map":
+        return_of_map = small_race(render_mode="rgb_array", render_size=SMALL)
+        with return_of_map as env:
+            env.reset(seed=1)
+            assert is_picture(env.render())
+        return
+    options = {"render_mode": "rgb_array", "render_backend": "engine", "render_size": SMALL}
+    with small_race(**options) as env:
+        steps = drive(env, 4)
+        next(steps)
+        env.render()
+        os.kill(env._rendering._renderer._game._session.pid, signal.SIGKILL)
+        with pytest.raises(EngineCrashed, match="the process that draws was ended by SIGKILL"):
+            env.render()
+        next(steps)
+        assert is_picture(env.render())  # a new process draws
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere it ends when it has drawn")
+def test_a_program_that_dies_while_the_game_draws_takes_it_along():
+    code = """
+import os, signal, threading, time
+from stkzoo import race_v0
+options = {"render_mode": "rgb_array", "graphics_config": "hd"}  # half a minute, without a card
+env = race_v0.parallel_env(num_kart=2, track="lighthouse", **options)
+env.reset(seed=1)
+def die():
+    renderer = env._rendering._renderer
+    while not (renderer.backend == "map" or (renderer._game and renderer._game._session.pid)):
+        time.sleep(0.1)
+    game = renderer._game
+    print(game._session.pid if game else "map", flush=True)
+    time.sleep(2)
+    os.kill(os.getpid(), signal.SIGKILL)
+threading.Thread(target=die).start()
+while True:
+    env.render()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    said = done.stdout.strip()
+    assert said.isdigit() == (who_draws() == "engine")
+    if said.isdigit():
+        wait_until(lambda: not Path(f"/proc/{said}").exists())
+
+
+def wait_until(condition, seconds=5.0):
+    """Waits until something is so; far sooner than the picture that is being drawn."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_missing_libraries_are_named_and_the_map_is_drawn(monkeypatch, caplog):
+    monkeypatch.setattr(filming.ctypes.util, "find_library", lambda _: None)
+    monkeypatch.setattr(filming.sys, "platform", "linux")
+    with small_race(render_mode="rgb_array", render_size=SMALL) as env:
+        env.reset(seed=1)
+        assert is_picture(env.render())
+        assert env.render_backend == "map"
+    assert "sudo apt install libegl1" in caplog.text
+    with small_race(render_mode="rgb_array", render_backend="engine") as env:
+        env.reset(seed=1)
+        with pytest.raises(ConfigError, match="libegl1"):
+            env.render()
+
+
+def test_missing_pictures_are_named(monkeypatch):
+    def find_nothing(**_):
+        raise AssetError("the game's full data is not on this machine")
+
+    monkeypatch.setattr("stkzoo.render.game.check_graphics_libraries", lambda: None)
+    monkeypatch.setattr("stkzoo.render.game.find_assets", find_nothing)
+    with small_race(render_mode="rgb_array", render_backend="engine") as env:
+        env.reset(seed=1)
+        with pytest.raises(AssetError, match="full data"):
+            env.render()
+
+
+def test_drawing_without_pillow_names_the_extra():
+    code = (
+        "import sys; sys.modules['PIL'] = None\nfrom stkzoo.render.pillow import pillow\npillow()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "ConfigError: drawing needs Pillow" in done.stderr
+    assert "stkzoo[record]" in done.stderr
+
+
+# ------------------------------------------------------------------ Gymnasium's recorders
+
+
+def test_record_video_makes_a_file(tmp_path):
+    env = gym.make(
+        "supertuxkart/flattened_discrete-v0",
+        num_kart=2,
+        track="lighthouse",
+        max_episode_steps=8,
+        render_mode="rgb_array",
+        **MAP,
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # moviepy's and RecordVideo's own
+        env = gym.wrappers.RecordVideo(env, str(tmp_path), episode_trigger=lambda _: True)
+        env.reset(seed=1)
+        for _ in range(8):
+            env.step(env.action_space.sample())
+        env.close()
+    (video,) = tmp_path.glob("*.mp4")
+    assert video.stat().st_size > 1000
+
+
+def test_save_video_makes_a_file(tmp_path):
+    env = gym.make(
+        "supertuxkart/flattened_discrete-v0",
+        num_kart=2,
+        track="lighthouse",
+        render_mode="rgb_array_list",
+        **MAP,
+    )
+    env.reset(seed=1)
+    for _ in range(6):
+        env.step(env.action_space.sample())
+    frames = env.render()
+    assert len(frames) == 7
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # moviepy's own
+        save_video(
+            frames, str(tmp_path), fps=env.metadata["render_fps"], episode_trigger=lambda _: True
+        )
+    env.close()
+    assert [path.suffix for path in Path(tmp_path).iterdir()] == [".mp4"]

@@ -1,0 +1,111 @@
+"""The examples of the documentation, and which of them are not run as they stand."""
+
+import re
+import shlex
+from dataclasses import dataclass
+
+from tests.support.paths import ROOT
+
+#: Pages that are written from docstrings, or shown elsewhere.
+WITHOUT_EXAMPLES = {"docs/changelog.md", "docs/contributing.md", "docs/benchmarks-method.md"}
+_BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+_FILE = re.compile(r"# ([\w/]+\.py)\n")
+
+
+@dataclass(frozen=True)
+class Block:
+    """One example: its page, language, the line before its code, and the code."""
+
+    page: str
+    language: str
+    line: int
+    code: str
+
+    @property
+    def file(self):
+        """The file that the block is to be written into, by its first line; or None."""
+        name = _FILE.match(self.code)
+        return name and name[1]
+
+
+def pages():
+    found = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    names = [path.relative_to(ROOT).as_posix() for path in found]
+    return [n for n in names if n not in WITHOUT_EXAMPLES and not n.startswith("docs/api/")]
+
+
+def blocks(page, language):
+    text = (ROOT / page).read_text("utf-8")
+    return [
+        Block(page, found[1], text[: found.start(2)].count("\n"), found[2])
+        for found in _BLOCK.finditer(text)
+        if found[1] == language
+    ]
+
+
+#: Blocks that are run with something in another's place, so that they take seconds: a page, what
+#: is in the block, and what stands there when it is run.
+SHORTER = [
+    ("README.md", "learn(1_000_000)", "learn(256)"),
+    ("README.md", 'reward="placement"', 'reward={"mine": lambda step: step.distance * 0}'),
+    ("README.md", '("MultiInputPolicy", envs', '("MultiInputPolicy", envs, n_steps=32'),
+    ("docs/quickstart.md", "model.learn(1_000_000)", "model.n_steps; model.learn(1)"),
+    ("docs/quickstart.md", "seed=1, device", "n_steps=32, seed=1, device"),
+    ("docs/vector.md", "model.learn(1_000_000)", "model.learn(1)"),
+    ("docs/vector.md", 'PPO("MultiInputPolicy", envs', 'PPO("MultiInputPolicy", envs, n_steps=32'),
+    ("docs/vector.md", "range(1000)", "range(20)"),
+    ("docs/vector.md", "policy(observations)", "envs.action_space.sample()"),
+    ("docs/vector.md", "learn_from(", "print("),
+    ("docs/starts.md", "range(1000)", "range(2)"),
+    ("docs/starts.md", "    ...\n", "    finished = True\n"),
+    ("docs/rendering.md", "cameras=3", "cameras=1, size=(160, 120)"),
+    ("docs/rendering.md", "listeners=[video]", "listeners=[video], max_steps=5"),
+    ("docs/demonstrations.md", "karts=2, seeds=3", "karts=2, max_steps=20"),
+    ("docs/replays.md", 'RaceVideo("race.mp4")', 'RaceVideo("race.mp4", cameras=1)'),
+    ("docs/replays.md", "seed=1, listeners", "seed=1, max_steps=5, listeners"),
+    ("docs/agents.md", 'seed=1, listeners', 'seed=1, max_steps=120, listeners'),
+    ("docs/tournaments.md", "races=30", "races=2"),
+    ("docs/tournaments.md", "max_steps=450", "max_steps=30"),
+]  # fmt: skip
+
+#: Blocks that are not run: a page, what is in the block, and why.
+NOT_RUN = [
+    ("docs/quickstart.md", "ray.rllib", "RLlib wants an older Gymnasium: benchmarks/ecosystem.py"),
+    (
+        "docs/agents.md",
+        "import torch",
+        "without its weights: tests/race/test_agent_files.py",
+    ),
+    ("docs/agents.md", "def get_wrappers", "a part of an agent: tests/race/test_agent_files.py"),
+    ("docs/play.md", "play_race", "opens a window: tests/play/test_play.py"),
+    ("docs/play.md", "play(env", "opens a window: tests/play/test_play.py"),
+    ("docs/networked-races.md", "RemoteCrew", "asks two servers: tests/race/remote/test_remote.py"),
+    (
+        "docs/benchmark-protocol.md",
+        "run_benchmark",
+        "long: tests/evaluation/test_benchmark.py",
+    ),
+    ("docs/planning.md", "planner.act", "a race of minutes: tests/env/test_state.py"),
+]
+
+
+def shortened(block):
+    """The block's code as it is run."""
+    code = block.code
+    for page, old, new in SHORTER:
+        if page == block.page:
+            code = code.replace(old, new)
+    return code
+
+
+def reason_not_to_run(block):
+    return next(
+        (why for page, part, why in NOT_RUN if page == block.page and part in block.code), None
+    )
+
+
+def commands(block):
+    """The commands of a shell block, as lists of words; remarks are left out."""
+    joined = block.code.replace("\\\n", " ")
+    lines = [line for text in joined.splitlines() for line in text.split(" && ")]
+    return [words for line in lines if (words := shlex.split(line, comments=True))]

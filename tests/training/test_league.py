@@ -1,0 +1,268 @@
+"""The league: who meets whom, matches, the page, and going on after a kill."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo.agents.pretrained.weights import save_weights
+from stkzoo.agents.training.league import Arguments, League
+from stkzoo.agents.training.league_learner import LeagueLearner
+from stkzoo.agents.training.league_matches import AI, Match, draw_pairings, payoff, play, ratings_of
+from stkzoo.agents.training.league_page import page
+from stkzoo.agents.training.league_players import Player, PlayerMatchmaker, new_players
+from stkzoo.agents.training.ppo_selfplay import Arguments as LearnerArguments
+from stkzoo.cli.main import main as command_line
+from stkzoo.errors import ConfigError
+from tests.support.browser import Reader, open_browser
+from tests.support.processes import wait_until
+
+SMALL = {
+    "exploiters": 1,
+    "league_exploiters": 0,
+    "turn": 64,
+    "matches": 1,
+    "tracks": ("olivermath",),
+    "forms": ("2x1", "1+1x1"),
+    "groups": 2,
+    "steps": 16,
+    "epochs": 1,
+    "minibatch": 32,
+    "warm_up": 1,
+    "hidden": (16, 16),
+}
+MEMBERS = [
+    {"name": "start", "player": "", "kart_steps": 0, "league_steps": 0},
+    {"name": "main-001", "player": "main", "kart_steps": 10, "league_steps": 10},
+    {"name": "exploiter-001", "player": "exploiter", "kart_steps": 10, "league_steps": 20},
+    {"name": "main-002", "player": "main", "kart_steps": 20, "league_steps": 30},
+]
+MATCHES = [
+    Match(1, "olivermath", False, ["main-001", "ai", "start"]),
+    Match(2, "olivermath", False, ["exploiter-001", "main-001", "ai"]),
+    Match(3, "olivermath", True, ["main-002", "main-001", "start", "exploiter-001", "ai"]),
+]
+
+
+def command(folder, until, **changes):
+    words = [f"--output={folder}", f"--until={until}"]
+    for name, value in (SMALL | changes).items():
+        words.append("--" + name.replace("_", "-"))
+        words += map(str, value) if isinstance(value, tuple) else [str(value)]
+    return [sys.executable, "-m", "stkzoo.agents.training.league", *words]
+
+
+def plans_alone(_):
+    return RacingPolicy.of_plans_alone()
+
+
+# ---------------------------------------------------------------------- players
+
+
+def test_players_take_turns_in_the_order_of_their_kinds():
+    names = [player.name for player in new_players(1, 2, 1)]
+    assert names == ["main", "exploiter-a", "exploiter-b", "league-exploiter"]
+    with pytest.raises(ConfigError, match="one main player or more"):
+        new_players(0, 1, 1)
+
+
+def draws(kind, pool=(), count=300):
+    matchmaker = PlayerMatchmaker(Player("me", kind, pool=list(pool)), MEMBERS, plans_alone)
+    random = np.random.default_rng(0)
+    return [matchmaker.draw(random) for _ in range(count)]
+
+
+def test_a_main_player_meets_itself_and_everybody():
+    met = draws("main")
+    assert 100 < met.count(None) < 200
+    assert set(met) == {None, *(member["name"] for member in MEMBERS)}
+
+
+def test_an_exploiter_meets_the_newest_main_player():
+    assert set(draws("exploiter")) == {"main-002"}
+    hopeless = {"name": "main-002", "beaten": 0.05, "races": 30}
+    assert set(draws("exploiter", [hopeless])) == {"main-001", "main-002"}
+
+
+def test_a_league_exploiter_meets_those_that_it_does_not_beat():
+    pool = [{"name": member["name"], "beaten": 1.0, "races": 30} for member in MEMBERS]
+    pool[1]["beaten"] = 0.1
+    met = draws("league-exploiter", pool)
+    assert met.count("main-001") > 200
+    assert set(met) > {"main-001"}
+
+
+def test_who_has_won_or_tried_for_long_begins_anew():
+    exploiter = Player("exploiter", "exploiter", turns=1, kart_steps=50, pool=[{}])
+    assert not exploiter.is_done(0.5, patience=2)
+    assert exploiter.is_done(0.9, patience=2)
+    exploiter.turns = 2
+    assert exploiter.is_done(0.5, patience=2)
+    assert not Player("main", "main", turns=9).is_done(1.0, patience=2)
+    exploiter.begin_anew()
+    assert (exploiter.folder, exploiter.total_turns) == ("exploiter-g1", 2)
+    assert (exploiter.kart_steps, exploiter.pool) == (0, [])
+
+
+# ---------------------------------------------------------------------- matches
+
+
+def test_the_newest_member_meets_those_it_has_met_least():
+    names = [member["name"] for member in MEMBERS]
+    tracks = ["olivermath", "lighthouse"]
+    random = np.random.default_rng(0)
+    pairings = draw_pairings("main-002", [*names, "other"], MATCHES, tracks, 3, random)
+    assert all(pairing.members[0] == "main-002" for pairing in pairings)
+    assert "other" in pairings[0].members  # has met all others once
+    assert [p.track for p in pairings] == ["olivermath", "lighthouse", "olivermath"]
+    assert [p.reverse for p in pairings] == [False, False, True]
+    alone = draw_pairings("new", ["start", "new"], [], tracks, 1, random)
+    assert alone[0].members == ("new", "start", "new", "new")
+
+
+def test_payoffs_are_shares_of_common_matches():
+    assert payoff("main-001", "start", MATCHES) == (1.0, 2)
+    assert payoff("main-001", "exploiter-001", MATCHES) == (0.5, 2)
+    assert payoff("main-002", "nobody", MATCHES) == (0.5, 0)
+
+
+def test_a_match_is_driven_to_its_end():
+    """Policies that differ in nothing but a leaning towards the brake."""
+    plans = RacingPolicy.of_plans_alone()
+    leaning = {**plans.weights, "b2": plans.weights["b2"].copy()}
+    leaning["b2"][1] = 100.0
+    policies = {"plans": plans, "brakes": RacingPolicy(leaning)}
+    pairings = draw_pairings(
+        "brakes", ["brakes", "plans"], [], ["olivermath"], 1, np.random.default_rng(0)
+    )
+    (match,) = play(pairings, policies, 3)
+    assert sorted(match.order) == [AI, "brakes", "plans"]
+    assert match.order.index("plans") < match.order.index("brakes")
+    assert ratings_of([match])["plans"].value > ratings_of([match])["brakes"].value
+    assert play(pairings, policies, 3) == [match]
+
+
+# ---------------------------------------------------------------------- learning
+
+
+def test_rivals_drive_without_teaching(tmp_path):
+    shared = {name: SMALL[name] for name in ("tracks", "steps", "minibatch", "hidden", "epochs")}
+    arguments = LearnerArguments(**shared, forms=("4x1", "1+1x1"), groups=2, warm_up=0)
+    matchmaker = PlayerMatchmaker(Player("me", "league-exploiter"), MEMBERS, plans_alone)
+    learner = LeagueLearner(tmp_path, arguments, matchmaker, [1])
+    try:
+        line = learner.iterate()
+        assert line["kart_steps"] == 16 * (2 + 1)
+        among, alone = learner._rollouts
+        assert (among.active.sum(axis=0) > 0).sum() == 2
+        assert not among.rewards[:, ~among.active[0]].any()
+        assert alone.active.all()
+        table = learner._tables[0][0]
+        table.is_whole, table.ranks = True, np.where(table.is_rival, [1, 2, 3, 4], [4, 3, 2, 1])
+        table.racing[:] = False
+        expected, rival = table.beaten, table.rival
+        learner._take_in(table, {})
+        found = {r.name: r for r in matchmaker.pool.rivals}[rival]
+        assert found.races == 1
+        assert found.beaten == pytest.approx(0.5 + (expected - 0.5) / 2)
+        assert table.racing.all()
+    finally:
+        learner.close()
+
+
+def test_other_arguments_are_refused(tmp_path):
+    League(tmp_path, Arguments(**SMALL))
+    with pytest.raises(ConfigError, match="seed was 0, now 1"):
+        League(tmp_path, Arguments(**SMALL, seed=1))
+
+
+def test_weights_of_another_network_are_refused(tmp_path):
+    save_weights(tmp_path / "plans", RacingPolicy.of_plans_alone().weights)
+    arguments = Arguments(**SMALL, init=str(tmp_path / "plans"))
+    with pytest.raises(ConfigError, match="give --hidden 1 1"):
+        League(tmp_path / "league", arguments)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills by signal")
+def test_after_a_kill_the_turn_is_played_again_as_it_was(tmp_path):
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    done = subprocess.run(command(whole, 150), capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    process = subprocess.Popen(
+        command(killed, 150), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    log = killed / "main-g0" / "log.jsonl"
+    try:
+        assert wait_until(lambda: log.exists() and log.read_text().count("\n") >= 1, 300)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    done = subprocess.run(command(killed, 150), capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    states = [json.loads((folder / "league.json").read_text()) for folder in (whole, killed)]
+    assert states[0] == states[1]
+    assert [member["name"] for member in states[0]["members"]][:3] == [
+        "start",
+        "main-001",
+        "exploiter-001",
+    ]
+    assert set(states[0]["ratings"]) >= {"start", "ai", "main-001"}
+    assert "main-001" in (whole / "league.html").read_text()
+    assert (whole / "league.html").read_bytes() == (killed / "league.html").read_bytes()
+
+
+# ---------------------------------------------------------------------- the page
+
+RATINGS = {name: [25.0 + n, 23.0, 29.0] for n, name in enumerate(["ai", "start", "main-001"])}
+RATINGS |= {"main-002": [28.0, 26.0, 31.0], "exploiter-001": [24.0, 20.0, 27.0]}
+
+
+def test_the_page_needs_nothing_from_elsewhere():
+    text = page(MEMBERS, MATCHES, RATINGS)
+    assert "http" not in text
+    assert "<script" not in text
+    odd = [{**MEMBERS[1], "name": "<b>"}]
+    assert "<b>" not in page(
+        odd, [Match(1, "olivermath", False, ["<b>", "ai"])], {"<b>": [1, 0, 2]}
+    )
+
+
+def test_many_members_are_not_all_in_the_matrix():
+    members = MEMBERS + [{**MEMBERS[3], "name": f"main-{n:03d}"} for n in range(3, 60)]
+    ratings = {member["name"]: [25.0, 20.0, 30.0] for member in members}
+    text = page(members, MATCHES, ratings)
+    matrix = text[text.index('class="who"') : text.index("Standings")]
+    assert matrix.count('scope="row"') <= 16
+    assert "main-059" in matrix  # the newest
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("width", "is_dark"), [(390, False), (1280, True)])
+def test_the_page_fits_phones_and_desktops(tmp_path, width, is_dark):
+    (tmp_path / "league.html").write_text(page(MEMBERS, MATCHES, RATINGS))
+    browser = open_browser(tmp_path / "profile")
+    try:
+        reader = Reader(browser)
+        reader.show((tmp_path / "league.html").as_uri(), width=width, is_dark=is_dark)
+        assert reader.text("h1") == "League"
+        assert reader.run("return document.documentElement.scrollWidth") <= width
+        assert len(reader.all("circle")) == 3  # past selves
+        cells = [cell.text for cell in reader.all(".who td")]
+        assert cells.count("100") >= 2
+        paper = reader.run("return getComputedStyle(document.body).backgroundColor")
+        assert paper == ("rgb(20, 25, 31)" if is_dark else "rgb(255, 255, 255)")
+        assert reader.errors() == []
+    finally:
+        browser.quit()
+
+
+def test_it_is_a_command_of_its_own_with_its_own_help(capsys):
+    assert command_line(["league", "--help"]) == 0
+    assert "stkzoo league --output leagues/first" in capsys.readouterr().out
+    assert command_line(["league"]) == 2
+    assert "--output" in capsys.readouterr().err

@@ -1,0 +1,259 @@
+"""Learning by self-play: it learns, ends, and goes on after a kill as if nothing had been."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+import torch
+
+from stkzoo.agents.heuristic import DriverParameters
+from stkzoo.agents.pretrained.drivers import CHOICES, HEADS, INPUT_SIZE
+from stkzoo.agents.pretrained.weights import load_weights
+from stkzoo.agents.training.evaluate_policy import Entrant, evaluate
+from stkzoo.agents.training.evaluate_policy import main as evaluate_main
+from stkzoo.agents.training.export_policy import export_policy
+from stkzoo.agents.training.plan_numbers import NUMBERS, numbers_of_run
+from stkzoo.agents.training.plot_run import main as plot_main
+from stkzoo.agents.training.ppo_races import Fleet, RaceForm
+from stkzoo.agents.training.ppo_selfplay import Arguments, Learner, race_forms
+from stkzoo.errors import ConfigError
+from tests.support.processes import wait_until
+
+SMALL = {
+    "tracks": ("lighthouse",),
+    "forms": ("2", "1+1"),
+    "groups": 2,
+    "steps": 16,
+    "epochs": 2,
+    "minibatch": 32,
+    "hidden": (16, 16),
+    "warm_up": 1,
+    "checkpoint_every": 2,
+}
+TIMES = ("drive_s", "learn_s", "kart_steps_per_s")
+
+
+def command(folder, until, **changes):
+    words = [f"--output={folder}", f"--until={until}"]
+    for name, value in (SMALL | changes).items():
+        words.append("--" + name.replace("_", "-"))
+        words += map(str, value) if isinstance(value, tuple) else [str(value)]
+    return [sys.executable, "-m", "stkzoo.agents.training.ppo_selfplay", *words]
+
+
+def learn(folder, until, **changes):
+    return subprocess.run(
+        command(folder, until, **changes), capture_output=True, text=True, timeout=300
+    )
+
+
+def log_of(folder):
+    lines = map(json.loads, (folder / "log.jsonl").read_text().splitlines())
+    return [{name: value for name, value in line.items() if name not in TIMES} for line in lines]
+
+
+def last_policy(folder):
+    return load_weights(max(folder.glob("policy-*.safetensors")))
+
+
+def test_it_learns_and_ends(tmp_path):
+    done = learn(tmp_path / "run", 200, learning_rate=0.01)
+    assert done.returncode == 0, done.stderr
+    log = log_of(tmp_path / "run")
+    assert log[-1]["kart_steps"] >= 200
+    assert [line["iteration"] for line in log] == list(range(1, len(log) + 1))
+    assert all(np.isfinite(list(line.values())).all() for line in log)
+    assert log[0]["kl"] < 1e-5  # while only the value is learned
+    assert log[-1]["kl"] > 1e-5
+    assert last_policy(tmp_path / "run")["w0"].shape == (INPUT_SIZE, 16)
+    assert list((tmp_path / "run").glob("events.out.tfevents.*"))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills by signal")
+def test_after_a_kill_it_goes_on_as_if_nothing_had_been(tmp_path):
+    assert learn(tmp_path / "whole", 480).returncode == 0
+    killed = tmp_path / "killed"
+    process = subprocess.Popen(
+        command(killed, 100_000), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    log = killed / "log.jsonl"
+    try:
+        # Past a checkpoint, and one more iteration that will be lost.
+        assert wait_until(lambda: log.exists() and len(log.read_text().splitlines()) >= 5, 120)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    done = learn(killed, 480)
+    assert done.returncode == 0, done.stderr
+    assert log_of(killed) == log_of(tmp_path / "whole")
+    ours, theirs = last_policy(killed), last_policy(tmp_path / "whole")
+    assert all((ours[name] == theirs[name]).all() for name in theirs)
+
+
+def test_other_arguments_are_refused_unless_they_may_change(tmp_path):
+    assert learn(tmp_path, 40).returncode == 0
+    refused = learn(tmp_path, 80, learning_rate=0.001)
+    assert refused.returncode != 0
+    assert "learning_rate was 0.0003, now 0.001" in refused.stderr
+    words = [*command(tmp_path, 80, learning_rate=0.001), "--may-change"]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    history = json.loads((tmp_path / "arguments.json").read_text())
+    assert [part["arguments"]["learning_rate"] for part in history] == [0.0003, 0.001]
+
+
+def test_a_run_keeps_to_the_numbers_of_its_plans(tmp_path):
+    assert learn(tmp_path, 40).returncode == 0
+    state = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
+    facts = json.loads(state["facts"])
+    facts["history"][-1]["rules"]["margin"] = 9.0
+    torch.save(state | {"facts": json.dumps(facts)}, tmp_path / "checkpoint.pt")
+    refused = learn(tmp_path, 80)
+    assert refused.returncode != 0
+    assert "margin was 9.0, now" in refused.stderr
+
+
+def test_choices_that_are_not_learned_stay_those_of_the_plans(tmp_path):
+    begin, turn, *_ = HEADS
+    learner = Learner(tmp_path, Arguments(**SMALL | {"warm_up": 0, "learns": ("begin", "fire")}))
+    before = learner._network.actor().weights
+    learner.iterate()
+    drawn = np.concatenate([rollout.choices[..., 1].ravel() for rollout in learner._rollouts])
+    weights = learner._network.actor().weights
+    learner.close()
+    assert set(drawn.tolist()) == {CHOICES[1] // 2}
+    assert not weights["w2"][:, turn].any()
+    assert (weights["w2"][:, begin] != before["w2"][:, begin]).any()
+
+
+@pytest.mark.parametrize("names", [("steer",), ()])
+def test_unknown_choices_are_refused(tmp_path, names):
+    with pytest.raises(ConfigError, match="begin, turn, nitro, fire"):
+        Learner(tmp_path, Arguments(**SMALL | {"learns": names}))
+
+
+def test_race_forms_are_read():
+    assert race_forms(["8x2", "4+2"]) == [RaceForm(8, 0), RaceForm(8, 0), RaceForm(4, 2)]
+    with pytest.raises(ConfigError, match="unknown"):
+        race_forms(["many"])
+
+
+def test_a_fleet_comes_back_exactly():
+    chance = np.random.default_rng(0)
+    forms = [RaceForm(2, 1), RaceForm(1, 0)]
+    one, other = (Fleet(forms, ["lighthouse"], seed) for seed in (0, 9))
+    try:
+        one.begin()
+        for _ in range(30):
+            one.send(np.stack([chance.integers(0, n, 3) for n in CHOICES], axis=1))
+            one.receive()
+        state = one.state()
+        assert (other.restore(state).inputs == one.restore(state).inputs).all()
+        for _ in range(20):
+            choices = np.stack([chance.integers(0, n, 3) for n in CHOICES], axis=1)
+            one.send(choices), other.send(choices)
+            (here, outcome), (there, same) = one.receive(), other.receive()
+            assert (here.inputs == there.inputs).all()
+            assert (here.prior == there.prior).all()
+            assert (outcome.rewards == same.rewards).all()
+    finally:
+        one.close(), other.close()
+
+
+def test_the_way_is_paid_and_a_race_ends_at_the_finish():
+    """The likeliest of what the plans alone would choose."""
+    fleet = Fleet([RaceForm(1, 0)], ["olivermath"], 3)
+    try:
+        view = fleet.begin()
+        total, finishes = 0.0, []
+        for _ in range(600):
+            best = [view.prior[:, head].argmax(axis=1) for head in HEADS]
+            fleet.send(np.stack(best, axis=1))
+            view, outcome = fleet.receive()
+            assert outcome.active.all()
+            total += float(outcome.rewards.sum())
+            finishes += outcome.finishes
+            if outcome.ended.any():
+                assert np.abs(outcome.last_inputs).max() > 0
+                break
+        assert total == pytest.approx(0.05 * 496, rel=0.1)  # a lap of 496 m
+        assert len(finishes) == 1
+        assert finishes[0].track == "olivermath"
+        assert finishes[0].ratio is not None
+        assert fleet.active.all()  # the next one has begun
+    finally:
+        fleet.close()
+
+
+def test_advantages_end_where_races_end(tmp_path):
+    learner = Learner(tmp_path, Arguments(**SMALL))
+    try:
+        rollout = learner._rollouts[0]
+        rollout.rewards[:] = 1.0
+        rollout.values[:] = 0.0
+        rollout.active[:] = True
+        rollout.ended[:] = False
+        rollout.ended[7] = True
+        rollout.next_values[7] = 5.0
+        gains = rollout.advantages(np.zeros(rollout.rewards.shape[1], np.float32), 0.9, 1.0)
+        assert gains[7] == pytest.approx(1.0 + 0.9 * 5.0)
+        assert gains[6] == pytest.approx(1.0 + 0.9 * (1.0 + 0.9 * 5.0))
+        assert gains[-1] == pytest.approx(1.0)
+    finally:
+        learner.close()
+
+
+def test_policies_are_compared_in_the_same_races():
+    prior = Entrant.of("prior")
+    once, again = evaluate([prior, prior], ["olivermath"], RaceForm(1, 1), 1)
+    assert once == again
+    assert len(once) == 2  # both ways
+    assert all(0.5 < outcome.ratio < 2.0 for outcome in once)
+    assert all(outcome.is_won == (outcome.rank == 1) for outcome in once)
+
+
+def test_plans_go_by_the_numbers_of_their_run(tmp_path):
+    arguments = Arguments(**SMALL | {"plans": "by-hand"})
+    learner = Learner(tmp_path, arguments)
+    file = learner.save_policy()
+    learner.close()
+    assert Entrant.of("prior").rules == DriverParameters() != NUMBERS["by-hand"]
+    assert Entrant.of("prior:by-hand").rules == NUMBERS["by-hand"]
+    assert Entrant.of(str(file)).rules == NUMBERS["by-hand"]
+    card = json.loads((export_policy(file, "swift", tmp_path / "swift") / "card.json").read_text())
+    assert card["rules"] == asdict(NUMBERS["by-hand"])
+    by_hand, found = (Entrant.of(name) for name in ("prior:by-hand", "prior"))
+    outcomes = evaluate([by_hand, found, by_hand], ["olivermath"], RaceForm(1, 0), 1)
+    assert outcomes[0] == outcomes[2] != outcomes[1]
+
+
+def test_unknown_numbers_and_those_of_another_version_are_refused(tmp_path):
+    with pytest.raises(ConfigError, match="'best' are unknown; expected one of found, by-hand"):
+        Entrant.of("prior:best")
+    rules = asdict(DriverParameters()) | {"courage": 1.0}
+    (tmp_path / "arguments.json").write_text(json.dumps([{"rules": rules}]))
+    with pytest.raises(ConfigError, match="courage"):
+        numbers_of_run(tmp_path)
+
+
+def test_what_is_no_policy_is_refused(tmp_path, capsys):
+    (tmp_path / "p.safetensors").write_bytes(b"nothing")
+    assert evaluate_main([str(tmp_path / "p.safetensors")]) == 1
+    assert "no safetensors file" in capsys.readouterr().err
+
+
+def test_curves_are_drawn(tmp_path):
+    lines = [{"kart_steps": 1000 * n, "reward": 0.1, "explained": 0.5} for n in range(1, 5)]
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "log.jsonl").write_text("\n".join(map(json.dumps, lines)))
+    runs = [str(tmp_path / name) for name in ("one", "two")]
+    assert plot_main([*runs, f"--output={tmp_path / 'curves.png'}"]) == 0
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+    assert plot_main([str(tmp_path / "none"), f"--output={tmp_path / 'other.png'}"]) == 1
+    assert not (tmp_path / "other.png").exists()

@@ -1,0 +1,566 @@
+"""Self-play with Stable-Baselines3: rivals, curriculum, races, and going on after a kill."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from stable_baselines3 import PPO
+
+from stkzoo import Start
+from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
+from stkzoo.agents.pretrained.reflexes import INPUT_MIRROR, INPUT_SIZE, Reflexes
+from stkzoo.agents.pretrained.weights import load_weights, save_weights
+from stkzoo.agents.training import sb3_races
+from stkzoo.agents.training.pool import Pool
+from stkzoo.agents.training.sb3_curriculum import EASY_TO_HARD, Curriculum
+from stkzoo.agents.training.sb3_evaluation import judge, ratings_of, read_judgements
+from stkzoo.agents.training.sb3_plot import main as plot_main
+from stkzoo.agents.training.sb3_policy import save_driver, start_weights, write_agent
+from stkzoo.agents.training.sb3_races import RaceGroup, SelfPlayVecEnv, race_groups
+from stkzoo.agents.training.sb3_selfplay import Arguments, Run
+from stkzoo.errors import ConfigError
+from stkzoo.race import RaceSettings, run_race
+from stkzoo.sb3 import ActiveRolloutBuffer, RaceVecEnv
+from stkzoo.tracks import TRAIN_TRACKS
+from stkzoo.wrappers.racing import BRAKE, CHOICES, PLACES, RESCUE, SIZE, STEERS
+from tests.support.processes import wait_until
+
+SMALL = {
+    "races": ("2x1", "1+1x1"),
+    "tracks": ("lighthouse",),
+    "updates": 2,
+    "steps": 16,
+    "minibatch": 32,
+    "epochs": 2,
+    "hidden": (16, 16),
+    "keep_every": 60,
+    "fade": 100,
+    "share": 1.0,
+    "evaluation_races": 0,
+}
+
+
+def command(folder, until, **changes):
+    words = [f"--output={folder}", f"--until={until}"]
+    for name, value in (SMALL | changes).items():
+        flag = "--" + name.replace("_", "-")
+        if value is True:
+            words.append(flag)
+        else:
+            words += [flag, *(map(str, value) if isinstance(value, tuple) else [str(value)])]
+    return [sys.executable, "-m", "stkzoo.agents.training.sb3_selfplay", *words]
+
+
+def learn(folder, until, **changes):
+    return subprocess.run(
+        command(folder, until, **changes), capture_output=True, text=True, timeout=300
+    )
+
+
+def log_of(folder):
+    lines = map(json.loads, (folder / "log.jsonl").read_text().splitlines())
+    return [{name: line[name] for name in line if name != "kart_steps_per_s"} for line in lines]
+
+
+def last_policy(folder):
+    return load_weights(max(folder.glob("policy-*.safetensors")))
+
+
+@pytest.fixture(scope="module")
+def policy():
+    """An untrained one."""
+    envs = RaceVecEnv(1, num_kart=1, track="olivermath", view="racing")
+    model = PPO("MlpPolicy", envs, policy_kwargs={"net_arch": [16, 16]}, device="cpu", seed=1)
+    envs.close()
+    return model.policy
+
+
+# ---------------------------------------------------------------------- rivals and curriculum
+
+
+def test_hard_rivals_come_more_often():
+    pool = Pool(3)
+    for name in ("hard", "even", "easy"):
+        pool.add(name)
+    for _ in range(60):
+        pool.take_in("hard", 0.0)
+        pool.take_in("easy", 1.0)
+    random = np.random.default_rng(0)
+    drawn = [pool.draw(random) for _ in range(600)]
+    counts = [drawn.count(name) for name in ("hard", "even", "easy")]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[0] > 2 * counts[1] > 0
+    assert counts[2] > 0  # nothing is forgotten altogether
+    assert {pool.draw(random, ["even"]) for _ in range(9)} == {"even"}
+
+
+def test_the_most_beaten_rival_goes_when_the_pool_is_full():
+    pool = Pool(2)
+    assert pool.add("first") is None
+    assert pool.add("second") is None
+    pool.take_in("second", 1.0)
+    assert pool.add("third").name == "second"
+    assert [rival.name for rival in pool.rivals] == ["first", "third"]
+    pool.take_in("second", 1.0)  # a race that was still under way
+
+
+def test_a_pool_comes_back():
+    pool, other = Pool(2), Pool(2)
+    pool.add("first")
+    pool.take_in("first", 1.0)
+    other.restore(json.loads(json.dumps(pool.state())))
+    assert other.rivals == pool.rivals
+    assert other.rivals[0].races == 1
+
+
+def test_stages_open_tracks_then_directions():
+    curriculum = Curriculum(("one", "two"), pass_at=0.5, window=2)
+    assert curriculum.open_tracks == ("one",)
+    assert curriculum.difficulties == (0, 1)
+    assert not curriculum.take_in(0.9)
+    assert curriculum.take_in(0.2)  # 0.55 on average
+    assert curriculum.open_tracks == ("one", "two")
+    assert not curriculum.take_in(0.9)
+    assert not curriculum.is_reversible
+    again = Curriculum(("one", "two"), pass_at=0.5, window=2)
+    again.restore(json.loads(json.dumps(curriculum.state())))
+    assert again.take_in(0.9)
+    assert again.is_reversible
+    drawn = {again.draw(np.random.default_rng(seed)) for seed in range(40)}
+    assert drawn == {(track, way) for track in ("one", "two") for way in (False, True)}
+    assert not [again.take_in(1.0) for _ in range(9)].count(True)  # there is no more
+
+
+def test_all_training_tracks_are_in_the_curriculum():
+    assert sorted(EASY_TO_HARD) == sorted(TRAIN_TRACKS)
+
+
+# ---------------------------------------------------------------------- races
+
+
+def test_race_groups_are_read():
+    assert race_groups(["4x3", "2+1"]) == [RaceGroup(4, 0, 3), RaceGroup(2, 1, 1)]
+    for text in ("many", "0x2", "2+-1"):
+        with pytest.raises(ConfigError, match="expected such as 4x3"):
+            race_groups([text])
+
+
+def pools():
+    bots, snapshots = Pool(4), Pool(4)
+    for difficulty in range(4):
+        bots.add(f"bot:{difficulty}")
+    return bots, snapshots
+
+
+def test_rivals_drive_without_teaching(monkeypatch, policy):
+    monkeypatch.setattr(sb3_races, "SHORT_RACE", 12)
+    bots, snapshots = pools()
+    snapshots.add("past")
+    groups = [RaceGroup(4, 0, 1), RaceGroup(1, 2, 1)]
+    envs = SelfPlayVecEnv(groups, Curriculum(["olivermath"]), bots, snapshots, share=1.0, grid=0.0)
+    weights = {name: value.numpy() for name, value in policy.state_dict().items()}
+    envs.add_driver("past", MlpDriver(weights))
+    try:
+        envs.seed(5)
+        envs.reset()
+        actions = np.zeros((5, 5), int)
+        for step in range(12):
+            _, rewards, dones, infos = envs.step(actions)
+            is_rival = np.array([not info for info in infos])
+            assert is_rival.sum() == 2
+            assert not is_rival[4]  # a race with bots
+            assert dones[is_rival].all()
+            assert not rewards[is_rival].any()
+            assert dones[~is_rival].all() == (step == 11)
+        assert envs.kart_steps == 3 * 12
+        assert [end.rival[:3] for end in envs.ends] == ["pas", "pas", "bot"]
+        assert {end.beaten for end in envs.ends} <= {0.0, 0.5, 1.0}
+        assert all(end.steps == 12 for end in envs.ends)
+        assert snapshots.rivals[0].races == 1
+        assert sum(rival.races for rival in bots.rivals) == 1
+    finally:
+        envs.close()
+
+
+def test_the_same_seed_gives_the_same_races(policy):
+    bots, snapshots = pools()
+    snapshots.add("past")
+    groups = [RaceGroup(2, 1, 1), RaceGroup(2, 0, 1)]
+    envs = SelfPlayVecEnv(groups, Curriculum(["olivermath"]), bots, snapshots, share=0.5)
+    weights = {name: value.numpy() for name, value in policy.state_dict().items()}
+    envs.add_driver("past", MlpDriver(weights))
+    try:
+        seen = []
+        for seed in (3, 3, 4):
+            envs.seed(seed)
+            first = envs.reset()
+            steps = [envs.step(np.full((4, 5), 1))[0] for _ in range(25)]
+            seen.append(np.stack([first, *steps]))
+        assert (seen[0] == seen[1]).all()
+        assert (seen[0] != seen[2]).any()
+    finally:
+        envs.close()
+
+
+def test_pace_and_places_of_a_whole_race():
+    """Full throttle from the grid, straight on; the AI leaves it behind."""
+    bots, snapshots = pools()
+    envs = SelfPlayVecEnv([RaceGroup(1, 1, 1)], Curriculum(["olivermath"]), bots, snapshots, grid=1)
+    try:
+        envs.seed(1)
+        envs.reset()
+        while not envs.ends:
+            envs.step(np.array([[10, 0, 0, 0, 0]]))
+        (end,) = envs.ends
+        assert end.track == "olivermath"
+        assert 0 <= end.pace < 0.9
+        assert end.beaten == 0.0
+        assert not end.finished
+    finally:
+        envs.close()
+
+
+def test_the_way_goes_on_behind_the_finish(monkeypatch):
+    """Towards the learner a finish is a race that is cut short, with a last view."""
+    near_finish = Start(share=0.97, speed=15.0)
+    monkeypatch.setattr(sb3_races, "RandomStart", lambda: near_finish)
+    bots, snapshots = pools()
+    envs = SelfPlayVecEnv(
+        [RaceGroup(1, 0, 1)], Curriculum(["lighthouse"]), bots, snapshots, grid=0.0
+    )
+    try:
+        envs.seed(1)
+        envs.reset()
+        total = 0.0
+        while not envs.ends:
+            _, rewards, dones, infos = envs.step(np.array([[10, 0, 0, 0, 0]]))
+            total += float(rewards[0])
+        assert envs.ends[0].finished
+        assert dones[0]
+        assert infos[0]["TimeLimit.truncated"]
+        assert infos[0]["terminal_observation"][0:3].any()  # its velocity
+        assert envs.rewarded == pytest.approx(total)
+    finally:
+        envs.close()
+
+
+# ---------------------------------------------------------------------- policies
+
+
+RIGHT, LEFT = 15, 5  # 0.31 of full lock
+
+
+def views(*speeds, skid=2.0, **parts):
+    """Views of karts that go so fast [m/s]."""
+    seen = np.zeros((len(speeds), SIZE), np.float32)
+    seen[:, PLACES["velocity"].start + 2] = np.array(speeds) / 20.0
+    seen[:, PLACES["skeed_factor"]] = skid
+    for part, number in parts.items():
+        seen[:, PLACES[part].start] = number
+    return seen
+
+
+def drives(reflexes, steers, drifts, **others):
+    """What is done of one step's steering and drifting."""
+    reflexes.look(views(*[20.0] * len(steers), **others))
+    choices = np.zeros((len(steers), 5), int)
+    choices[:, 0], choices[:, 2] = steers, drifts
+    return reflexes.apply(choices)
+
+
+def test_a_drift_is_held_from_where_it_begins():
+    reflexes = Reflexes(2, 3)
+
+    def down(*asked):
+        return drives(reflexes, [RIGHT, LEFT], asked)[:, 2].tolist()
+
+    assert down(1, 0) == [1, 0]
+    assert down(0, 0) == [1, 0]
+    assert down(0, 1) == [1, 1]
+    assert down(0, 0) == [0, 1]
+    reflexes.forget(slice(1, 2))
+    assert down(0, 0) == [0, 0]
+
+
+def test_a_drift_needs_speed_and_a_side_and_a_hop_that_is_over():
+    assert drives(Reflexes(1, 3), [10], [1])[0, 2] == 0
+    slow, choices = Reflexes(1, 3), np.array([[RIGHT, 0, 1, 0, 0]])
+    slow.look(views(8.0))
+    assert slow.apply(choices)[0, 2] == 0
+    hops = Reflexes(1, 1)
+    assert [drives(hops, [RIGHT], [asked])[0, 2] for asked in (1, 0, 1, 1, 1)] == [1, 0, 0, 0, 1]
+
+
+def test_who_steers_to_the_other_side_lets_go_of_a_drift():
+    reflexes = Reflexes(2, 11)
+    drives(reflexes, [RIGHT, RIGHT], [1, 1])
+    assert drives(reflexes, [LEFT, 9], [1, 1])[:, 2].tolist() == [0, 1]
+
+
+def test_a_drift_that_the_game_has_ended_is_over():
+    reflexes = Reflexes(1, 11)
+    held = [drives(reflexes, [RIGHT], [step == 0], skid=1.0)[0, 2] for step in range(6)]
+    assert held == [1, 1, 1, 1, 0, 0]
+
+
+def test_in_a_drift_a_choice_turns_as_much_as_without():
+    reflexes = Reflexes(1, 11)
+    first = drives(reflexes, [RIGHT], [1])
+    assert STEERS[first[0, 0]] == pytest.approx(0.31)  # or it could not tell the side
+    for choice in (14, 15, 16, 17, 18):
+        steer = STEERS[drives(reflexes, [choice], [1])[0, 0]]
+        assert 0.2 + 0.6 * (1 + steer) / 2 == pytest.approx(STEERS[choice], abs=0.04)
+    assert drives(reflexes, [20], [1])[0, 0] == 20  # all that a drift can
+    assert drives(reflexes, [10], [1])[0, 0] == 0
+
+
+def test_nitro_works_before_there_is_more_of_it():
+    reflexes, choices = Reflexes(1, 1), np.array([[10, 0, 0, 1, 0]])
+    pressed = []
+    for step in range(60):
+        reflexes.look(views(20.0, energy=0.1 if step > 5 else 0.0))
+        pressed.append(int(reflexes.apply(choices)[0, 3]))
+    assert np.flatnonzero(pressed).tolist() == [6, 35]
+
+
+def test_without_hold_drifts_and_nitro_are_as_chosen():
+    free, random = Reflexes(4, 0), np.random.default_rng(1)
+    for _ in range(30):
+        choices = random.integers(0, [21, 3, 2, 2, 2], (4, 5))
+        free.look(views(*[15.0] * 4))
+        assert (free.apply(choices) == choices).all()
+
+
+def test_what_is_remembered_is_seen():
+    reflexes = Reflexes(2, 11)
+    for step in range(12):
+        seen = reflexes.look(views(20.0, 20.0))
+        assert seen.shape == (2, INPUT_SIZE)
+        reflexes.apply(np.array([[RIGHT, 0, step > 0, 0, 0], [LEFT, 0, step > 0, 0, 0]]))
+    ones, others = reflexes.look(views(20.0, 20.0))
+    drifted = 11 / 30
+    assert ones[SIZE + 2 : SIZE + 4].tolist() == pytest.approx([drifted, drifted])
+    assert ones == pytest.approx(others * INPUT_MIRROR)
+    fresh = Reflexes(2, 11).look(views(0.0, 0.0))
+    reflexes.forget(slice(0, 2))
+    assert (reflexes.look(views(0.0, 0.0)) == fresh).all()
+
+
+def test_who_is_stuck_gets_away_but_not_on_the_grid():
+    reflexes, choices = Reflexes(2, 0), np.array([[10, 0, 0, 0, 0]] * 2)
+    pedals = []
+    for step in range(60):
+        reflexes.look(views(0.0, 0.0 if step != 10 else 8.0, line_position=0.1))
+        done = reflexes.apply(choices)
+        pedals.append(done[:, 1].tolist())
+    grid, stuck = np.array(pedals).T
+    assert not grid.any()  # it has never moved
+    called = np.flatnonzero(stuck == RESCUE)
+    assert called[0] == 15
+    backs = np.flatnonzero(stuck == BRAKE)
+    assert backs[0] > called[0] + 14  # a rescue takes a while
+    assert done[1, 0] in (0, 10)  # away from the road's middle, which is on the right
+    reflexes.forget(slice(0, 2))
+    reflexes.look(views(0.0, 0.0))
+    assert (reflexes.apply(choices) == choices).all()
+
+
+def test_who_is_far_off_the_road_calls_for_the_rescue():
+    reflexes, choices = Reflexes(1, 0), np.array([[10, 0, 0, 0, 0]])
+    calls = []
+    for _ in range(15):
+        reflexes.look(views(12.0, line_position=1.5, line_room=0.5))  # 10 m beyond the edge
+        calls.append(int(reflexes.apply(choices)[0, 1] == RESCUE))
+    assert np.flatnonzero(calls).tolist() == [10]
+
+
+def test_a_kept_policy_knows_how_long_it_holds(tmp_path, policy):
+    save_driver(tmp_path / "held", policy, hold=4)
+    driver = load_driver(tmp_path / "held")
+    driver.best = lambda _: np.array([[RIGHT, 0, next(asked), 0, 0]])
+    asked = iter([1, 0, 0, 0, 0])
+    seat = driver.seat()
+    assert [int(seat(views(20.0))[0, 2]) for _ in range(5)] == [1, 1, 1, 1, 0]
+
+
+def test_a_driver_does_as_its_policy(policy):
+    weights = {name: value.numpy() for name, value in policy.state_dict().items()}
+    seen = np.random.default_rng(0).normal(size=(64, SIZE)).astype(np.float32)
+    driver = MlpDriver(weights)
+    assert (driver.best(seen) == policy.predict(seen, deterministic=True)[0]).all()
+    drawn = driver.sample(np.repeat(seen[:1], 4000, axis=0), np.random.default_rng(1))
+    chances = policy.get_distribution(policy.obs_to_tensor(seen[:1])[0]).distribution
+    for column, chance in enumerate(chances):
+        shares = np.bincount(drawn[:, column], minlength=CHOICES[column]) / len(drawn)
+        assert shares == pytest.approx(chance.probs[0].detach().numpy(), abs=0.05)
+
+
+def test_weights_to_start_from_may_lack_the_value(tmp_path, policy):
+    save_driver(tmp_path / "whole", policy)
+    weights = load_weights(tmp_path / "whole")
+    own = {name: array + 1 for name, array in weights.items() if "value" not in name}
+    save_weights(tmp_path / "part", own)
+    started = start_weights(tmp_path / "part", policy)
+    assert {*started} == {*policy.state_dict()}
+    for name, array in started.items():
+        assert (array == own.get(name, weights[name])).all()
+
+
+def test_other_weights_are_refused(tmp_path, policy):
+    save_weights(tmp_path / "other", {"w0": np.zeros((3, 4), np.float32)})
+    with pytest.raises(ConfigError, match="MlpPolicy from the 165 numbers"):
+        start_weights(tmp_path / "other", policy)
+    save_driver(tmp_path / "deep", policy)
+    weights = load_weights(tmp_path / "deep")
+    wide = {name: np.repeat(array, 2, axis=0) for name, array in weights.items()}
+    for layer in (0, 2):
+        name = f"mlp_extractor.policy_net.{layer}.weight"
+        wide[name] = np.repeat(wide[name], 2, axis=1) if layer else wide[name]
+    wide["action_net.weight"] = np.repeat(weights["action_net.weight"], 2, axis=1)
+    wide["action_net.bias"] = weights["action_net.bias"]
+    save_weights(tmp_path / "wide", wide)
+    with pytest.raises(ConfigError, match="--hidden"):
+        start_weights(tmp_path / "wide", policy)
+
+
+def test_a_policy_becomes_an_agent(tmp_path, policy):
+    agent = write_agent(tmp_path / "agent", policy, "me")
+    settings = RaceSettings(track="olivermath", max_steps=30)
+    result = run_race([str(agent), "random"], settings=settings)
+    assert [row.num_errors for row in result.agents] == [0, 0]
+    assert result.agents[0].driver == "me"
+
+
+# ---------------------------------------------------------------------- runs
+
+
+def test_values_are_learned_before_the_policy(tmp_path):
+    done = learn(tmp_path, 100, warm_up=1_000_000, keep_every=10)
+    assert done.returncode == 0, done.stderr
+    first = load_weights(tmp_path / "policy-000000000.safetensors")
+    for name, array in last_policy(tmp_path).items():
+        is_value = name.startswith(("value_net", "mlp_extractor.value_net"))
+        assert (array == first[name]).all() != is_value, name
+
+
+def test_it_learns_evaluates_and_ends(tmp_path):
+    done = learn(
+        tmp_path, 150, evaluation_races=1, evaluation_tracks="olivermath", evaluate_every=10_000
+    )
+    assert done.returncode == 0, done.stderr
+    log = log_of(tmp_path)
+    assert log[-1]["kart_steps"] >= 150
+    assert [line["iteration"] for line in log] == list(range(1, len(log) + 1))
+    assert log[-1]["rivals"] >= 1
+    assert all(np.isfinite(list(line.values())).all() for line in log)
+    seen = np.array([0, *(line["kart_steps"] for line in log[:-1])])
+    rates = [line["learning_rate"] for line in log]
+    assert np.allclose(rates, Arguments().learning_rate / np.sqrt(1 + seen / 100), atol=1e-6)
+    first = load_weights(tmp_path / "policy-000000000.safetensors")
+    assert any((last_policy(tmp_path)[name] != first[name]).any() for name in first)
+    ratings = json.loads((tmp_path / "ratings.json").read_text())
+    assert [policy["name"] for policy in ratings["policies"]] == ["start"]
+    assert set(ratings["others"]) == {"random", "bot:0"}
+    assert list(tmp_path.glob("events.out.tfevents.*"))
+    assert (tmp_path / "agent" / "pystk_actor.py").exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills by signal")
+def test_after_a_kill_it_goes_on_as_if_nothing_had_been(tmp_path):
+    assert learn(tmp_path / "whole", 330).returncode == 0
+    killed = tmp_path / "killed"
+    process = subprocess.Popen(
+        command(killed, 100_000), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    log = killed / "log.jsonl"
+    try:
+        # In the middle of a round, with a rival in the pool.
+        assert wait_until(lambda: log.exists() and len(log.read_text().splitlines()) >= 5, 200)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    assert learn(killed, 330).returncode == 0
+    assert log_of(killed) == log_of(tmp_path / "whole")
+    assert log_of(killed)[-1]["rivals"] >= 2
+    ours, theirs = last_policy(killed), last_policy(tmp_path / "whole")
+    assert all((ours[name] == theirs[name]).all() for name in theirs)
+
+
+def test_other_arguments_are_refused(tmp_path):
+    arguments = {**SMALL, "seed": 1}
+    Run(tmp_path, Arguments(**arguments)).close()
+    with pytest.raises(ConfigError, match="seed was 1, now 2"):
+        Run(tmp_path, Arguments(**{**arguments, "seed": 2}))
+
+
+def test_a_run_begins_with_given_weights(tmp_path):
+    Run(tmp_path / "one", Arguments(**SMALL)).close()
+    file = tmp_path / "one" / "policy-000000000.safetensors"
+    started = Run(tmp_path / "two", Arguments(**SMALL, seed=7, start=str(file)))
+    started.close()
+    ours, theirs = last_policy(tmp_path / "two"), load_weights(file)
+    assert all((ours[name] == theirs[name]).all() for name in theirs)
+
+
+def test_supersuit_gives_the_same_learner_plain_races(tmp_path):
+    done = learn(tmp_path, 60, supersuit=True, races="2x2", share=0.5)
+    assert done.returncode == 0, done.stderr
+    assert log_of(tmp_path)[-1]["kart_steps"] >= 60
+
+
+def test_a_policy_is_judged_against_what_it_was(tmp_path, policy):
+    for steps in (0, 10, 20):
+        save_driver(tmp_path / f"policy-{steps:09d}.safetensors", policy)
+    judgement = judge(tmp_path, "policy-000000020", ["olivermath"], 1)
+    names = {"policy-000000020", "policy-000000010", "start", "random"}
+    assert set(judgement.ratios) == names
+    assert [set(order) for order in judgement.orders] == [names | {"bot:0"}]
+    assert judgement.orders[0][0] == "bot:0"  # who else
+    assert read_judgements(tmp_path) == [judgement]
+    assert max(ratings_of([judgement]).items(), key=lambda item: item[1].value)[0] == "bot:0"
+
+
+def test_buffers_leave_rivals_out():
+    """The rows of :class:`ActiveRolloutBuffer` are those that ``kart_steps`` counts."""
+    bots, snapshots = pools()
+    envs = SelfPlayVecEnv(
+        [RaceGroup(4, 0, 1)], Curriculum(["olivermath"]), bots, snapshots, share=1
+    )
+    snapshots.add("past")
+    model = PPO(
+        "MlpPolicy",
+        envs,
+        rollout_buffer_class=ActiveRolloutBuffer,
+        n_steps=16,
+        batch_size=64,
+        seed=2,
+        device="cpu",
+    )
+    weights = {name: value.numpy() for name, value in model.policy.state_dict().items()}
+    envs.add_driver("past", MlpDriver(weights))
+    try:
+        model.learn(64)
+        rows = sum(len(part.actions) for part in model.rollout_buffer.get(8))
+        assert rows == envs.kart_steps == 32
+    finally:
+        envs.close()
+
+
+def test_curves_are_drawn(tmp_path):
+    lines = [{"kart_steps": 1000 * n, "pace": 0.1 * n, "beats_bots": 0.5} for n in range(1, 5)]
+    (tmp_path / "log.jsonl").write_text("\n".join(map(json.dumps, lines)))
+    policies = [
+        {"kart_steps": n, "time_ratio": 3.0, "rating": 25, "rating_low": 20, "rating_high": 30}
+        for n in (0, 1000)
+    ]
+    found = {"policies": policies, "others": {"random": {"value": 10}}}
+    (tmp_path / "ratings.json").write_text(json.dumps(found))
+    picture = tmp_path / "curves.png"
+    assert plot_main([str(tmp_path), f"--output={picture}"]) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert plot_main([str(tmp_path / "none"), f"--output={tmp_path / 'other.png'}"]) == 1
+    assert not (tmp_path / "other.png").exists()

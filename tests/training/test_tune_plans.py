@@ -1,0 +1,77 @@
+"""The numbers of the plans are tuned, on training tracks alone."""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import asdict, replace
+
+import pytest
+
+from stkzoo.agents.heuristic import DriverParameters
+from stkzoo.agents.training.ppo_races import RaceForm
+from stkzoo.agents.training.tune_plans import BOUNDS, drive_all, from_unit, to_unit
+from tests.support.processes import children_of, process_exists, wait_until
+
+
+def command(folder, generations):
+    options = {"output": folder, "generations": generations, "population": 3}
+    words = [f"--{name}={value}" for name, value in options.items()]
+    module = "stkzoo.agents.training.tune_plans"
+    return [sys.executable, "-m", module, *words, "--tracks=lighthouse"]
+
+
+def tune(folder, generations):
+    return subprocess.run(command(folder, generations), capture_output=True, text=True, timeout=300)
+
+
+def test_present_numbers_are_within_their_bounds_and_come_back():
+    assert asdict(from_unit(to_unit(DriverParameters()))) == pytest.approx(
+        asdict(DriverParameters())
+    )
+    assert all(0 <= share <= 1 for share in to_unit(DriverParameters()))
+
+
+def test_a_point_outside_is_moved_inside():
+    for end, point in ((0, [-3.0] * len(BOUNDS)), (1, [7.0] * len(BOUNDS))):
+        parameters = from_unit(point)
+        assert all(
+            getattr(parameters, name) == pytest.approx(bounds[end])
+            for name, bounds in BOUNDS.items()
+        )
+
+
+def test_bad_numbers_drive_badly_and_each_set_as_if_it_were_alone():
+    good, bad = DriverParameters(), replace(DriverParameters(), aim_time=0.1, greatest_room=2.5)
+    beginnings = [("lighthouse", False, 1), ("olivermath", False, 1)]
+    told = drive_all([good, bad, good], RaceForm(1, 0), beginnings)
+    assert told[0] == told[2]
+    assert told[0] < told[1]
+    assert drive_all([bad], RaceForm(1, 0), beginnings) == [told[1]]
+
+
+def test_test_tracks_are_refused(tmp_path):
+    words = [*command(tmp_path, 1)[:-1], "--tracks=zengarden"]
+    ended = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 2
+    assert "invalid choice: 'zengarden'" in ended.stderr
+
+
+def test_tuning_goes_on_where_it_was(tmp_path):
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    for folder, generations in ((whole, 2), (parts, 1), (parts, 2)):
+        ended = tune(folder, generations)
+        assert ended.returncode == 0, ended.stderr[-2000:]
+    lines = [json.loads(line) for line in (parts / "log.jsonl").read_text().splitlines()]
+    assert [line["generation"] for line in lines] == [0, 1]
+    assert (whole / "log.jsonl").read_text() == (parts / "log.jsonl").read_text()
+    assert DriverParameters(**json.loads((parts / "best.json").read_text()))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills by signal")
+def test_nothing_goes_on_when_tuning_is_killed(tmp_path):
+    with subprocess.Popen(command(tmp_path, 50)) as program:
+        assert wait_until(lambda: children_of(program.pid), 30)
+        (mother,) = children_of(program.pid)
+        program.kill()
+    assert wait_until(lambda: not process_exists(mother), 10)

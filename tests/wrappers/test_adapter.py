@@ -1,0 +1,380 @@
+from __future__ import annotations
+
+import pickle
+
+import cloudpickle
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import spaces
+from gymnasium.wrappers import RecordEpisodeStatistics, TimeLimit
+from pettingzoo import ParallelEnv
+from pettingzoo.test import parallel_api_test
+
+from stkzoo import race_v0
+from stkzoo.errors import ActionError, AgentException, ConfigError
+from stkzoo.mdp.spaces import kart_action_space
+from stkzoo.wrappers import MonoAgentWrapperAdapter
+from tests.support.generic_env import (
+    Counter,
+    MultiEnv,
+    SmallRace,
+    assert_same,
+    import_reference,
+    wrap,
+    wrap_as_reference,
+)
+
+FORMS = {"parallel": (SmallRace, ("kart_0", "kart_1")), "gym": (MultiEnv, ("0", "1"))}
+
+STEADY = {
+    "acceleration": 1.0,
+    "steer": 0.0,
+    "brake": 0,
+    "drift": 0,
+    "fire": 0,
+    "nitro": 0,
+    "rescue": 0,
+}
+
+
+def simple(env):
+    return wrap(env, "simple")
+
+
+def discrete(env):
+    return wrap(env, "flattened_discrete")
+
+
+class TenTimes(gym.RewardWrapper):
+    def reward(self, reward):
+        return 10 * reward
+
+
+class Wiper(gym.ObservationWrapper):
+    """Spoils what it is given."""
+
+    def observation(self, observation):
+        observation["velocity"][:] = 0
+        return observation
+
+
+def space_of(env, agent):
+    if isinstance(env, ParallelEnv):
+        return env.observation_space(agent), env.action_space(agent)
+    return env.observation_space[agent], env.action_space[agent]
+
+
+def samples(env, agents):
+    return {agent: space_of(env, agent)[1].sample() for agent in agents}
+
+
+@pytest.fixture(params=FORMS)
+def form(request):
+    return FORMS[request.param]
+
+
+@pytest.mark.parametrize(("make", "kind"), [(SmallRace, ParallelEnv), (MultiEnv, gym.Wrapper)])
+def test_the_adapter_is_of_its_environments_kind(make, kind):
+    adapter = MonoAgentWrapperAdapter(make(), wrapper_factories={})
+    assert isinstance(adapter, MonoAgentWrapperAdapter)
+    assert isinstance(adapter, kind)
+
+
+def test_other_things_are_refused():
+    with pytest.raises(ConfigError, match=r"ParallelEnv or a gymnasium\.Env, not 3"):
+        MonoAgentWrapperAdapter(3, wrapper_factories={})
+
+
+def test_a_gym_env_that_is_no_dict_of_agents_is_refused():
+    with pytest.raises(ConfigError, match="Dict space by agent"):
+        MonoAgentWrapperAdapter(gym.make("CartPole-v1"), wrapper_factories={})
+
+
+def test_each_agent_has_its_own_wrappers(form):
+    make, agents = form
+    env = MonoAgentWrapperAdapter(
+        make(), wrapper_factories={agents[0]: simple, agents[1]: discrete}
+    )
+    observations, _ = env.reset(seed=1)
+    assert set(observations[agents[1]]) == {"continuous", "discrete"}
+    for _ in range(2):
+        for agent, observation in observations.items():
+            assert observation in space_of(env, agent)[0]
+        observations = env.step(samples(env, agents))[0]
+
+
+def test_steps_equal_those_of_the_reference():
+    theirs = import_reference("wrappers").MonoAgentWrapperAdapter(
+        MultiEnv(),
+        wrapper_factories={
+            "0": lambda env: wrap_as_reference(env, "simple"),
+            "1": lambda env: wrap_as_reference(env, "flattened_discrete"),
+        },
+    )
+    ours = MonoAgentWrapperAdapter(MultiEnv(), wrapper_factories={"0": simple, "1": discrete})
+    first, second = ours.reset(seed=1), theirs.reset(seed=1)
+    for _ in range(3):
+        del second[0]["1"]["kart_type"]
+        assert_same(first[0], second[0])
+        assert first[1:] == second[1:]
+        actions = samples(ours, "01")
+        first, second = ours.step(actions), theirs.step(actions)
+        first[-1].pop("truncated")
+
+
+@pytest.mark.parametrize("name", ["second", "1", 1])
+def test_agents_may_be_named_in_three_ways(form, name):
+    make, agents = form
+    name = agents[1] if name == "second" else name
+    env = MonoAgentWrapperAdapter(make(), wrapper_factories={name: discrete})
+    assert isinstance(space_of(env, agents[1])[1], spaces.Discrete)
+    assert isinstance(space_of(env, agents[0])[1], spaces.Dict)
+
+
+@pytest.mark.parametrize("name", ["kart_7", 2, "kart", -1, None, True])
+def test_unknown_agents_are_refused_with_the_known_ones(form, name):
+    make, agents = form
+    with pytest.raises(ConfigError, match=f"unknown agent .*{agents[0]}, {agents[1]}"):
+        MonoAgentWrapperAdapter(make(), wrapper_factories={name: simple})
+
+
+def test_an_agent_that_is_named_twice_is_refused(form):
+    make, agents = form
+    with pytest.raises(ConfigError, match="named twice"):
+        MonoAgentWrapperAdapter(make(), wrapper_factories={agents[0]: simple, 0: discrete})
+
+
+def test_a_factory_that_cannot_be_called_is_refused(form):
+    with pytest.raises(ConfigError, match="expected a callable"):
+        MonoAgentWrapperAdapter(form[0](), wrapper_factories={0: "simple"})
+
+
+def test_spaces_are_the_same_objects_each_time(form):
+    make, agents = form
+    env = MonoAgentWrapperAdapter(make(), wrapper_factories={0: simple}, keep_original=True)
+    for one, other in zip(space_of(env, agents[0]), space_of(env, agents[0]), strict=True):
+        assert one is other
+
+
+def test_the_environment_gets_actions_in_its_own_space(form):
+    make, agents = form
+    env = MonoAgentWrapperAdapter(make(), wrapper_factories={0: discrete})
+    env.reset(seed=1)
+    env.step({agents[0]: 6 * 160 + 4, agents[1]: STEADY})
+    race = env.unwrapped if isinstance(env, ParallelEnv) else env.unwrapped.race
+    assert race.last_actions["kart_0"] in kart_action_space()
+    assert race.last_actions["kart_0"]["steer"].tolist() == [1.0]
+    assert race.last_actions["kart_0"]["acceleration"].tolist() == [1.0]
+
+
+def test_originals_are_kept_beside_by_the_gym_form():
+    env = MonoAgentWrapperAdapter(MultiEnv(), wrapper_factories={0: simple}, keep_original=True)
+    observations, _ = env.reset(seed=1)
+    assert set(observations) == {"0", "1", "original/0", "original/1"}
+    assert observations in env.observation_space
+
+
+def test_originals_are_kept_inside_by_the_parallel_form():
+    env = MonoAgentWrapperAdapter(SmallRace(), wrapper_factories={0: simple}, keep_original=True)
+    observations, _ = env.reset(seed=1)
+    assert set(observations["kart_0"]) == {"observation", "original"}
+    assert observations["kart_0"] in env.observation_space("kart_0")
+
+
+def test_originals_are_copies_that_wrappers_cannot_spoil(form):
+    make, agents = form
+    env = MonoAgentWrapperAdapter(make(), wrapper_factories={0: Wiper}, keep_original=True)
+    observations, _ = env.reset(seed=1)
+    for _ in range(2):
+        original = (
+            observations[agents[0]]["original"]
+            if isinstance(env, ParallelEnv)
+            else observations[f"original/{agents[0]}"]
+        )
+        assert original["velocity"].all()
+        observations = env.step(samples(env, agents))[0]
+
+
+def test_stateful_wrappers_start_anew_at_reset(form):
+    make, agents = form
+    env = MonoAgentWrapperAdapter(make(), wrapper_factories={1: Counter})
+    env.reset(seed=1)
+    env.step(samples(env, agents))
+    assert env.reset()[0][agents[1]] == 1
+
+
+def test_agents_that_have_left_are_passed_over(form):
+    make, agents = form
+    env = MonoAgentWrapperAdapter(make(ends=(1, 3)), wrapper_factories={0: discrete, 1: simple})
+    env.reset(seed=1)
+    env.step(samples(env, agents))
+    assert set(env.step(samples(env, agents[1:]))[0]) == {agents[1]}
+    assert set(env.step(samples(env, agents))[0]) == {agents[1]}
+
+
+def test_a_reward_wrapper_counts_in_the_parallel_form():
+    env = MonoAgentWrapperAdapter(SmallRace(), wrapper_factories={1: TenTimes})
+    env.reset(seed=1)
+    assert env.step(samples(env, env.agents))[1] == {"kart_0": 1.0, "kart_1": 10.0}
+
+
+def test_a_reward_wrapper_counts_in_the_gym_forms_sum():
+    env = MonoAgentWrapperAdapter(MultiEnv(), wrapper_factories={1: TenTimes})
+    env.reset(seed=1)
+    _, reward, _, _, info = env.step(samples(env, "01"))
+    assert reward == 11.0
+    assert info["reward"] == {"0": 1.0, "1": 10.0}
+
+
+def test_an_agent_that_is_cut_short_leaves_the_parallel_form():
+    env = MonoAgentWrapperAdapter(SmallRace(), wrapper_factories={0: lambda env: TimeLimit(env, 1)})
+    env.reset(seed=1)
+    truncations = env.step(samples(env, env.agents))[3]
+    assert truncations == {"kart_0": True, "kart_1": False}
+    assert env.agents == ["kart_1"]
+    assert set(env.step(samples(env, env.agents))[0]) == {"kart_1"}
+
+
+def test_the_kart_of_an_agent_that_was_cut_short_rolls_on():
+    env = MonoAgentWrapperAdapter(SmallRace(), wrapper_factories={0: lambda env: TimeLimit(env, 1)})
+    env.reset(seed=1)
+    for _ in range(2):
+        env.step(samples(env, env.agents))
+    assert env.unwrapped.last_actions["kart_0"]["acceleration"].tolist() == [0.0]
+
+
+def test_stepping_after_the_end_returns_nothing():
+    env = MonoAgentWrapperAdapter(
+        SmallRace(), wrapper_factories={n: lambda env: TimeLimit(env, 1) for n in range(2)}
+    )
+    env.reset(seed=1)
+    env.step(samples(env, env.agents))
+    assert env.agents == []
+    assert env.step({}) == ({}, {}, {}, {}, {})
+
+
+def test_all_agents_cut_short_end_the_gym_form():
+    env = MonoAgentWrapperAdapter(
+        MultiEnv(), wrapper_factories={n: lambda env: TimeLimit(env, 2) for n in range(2)}
+    )
+    env.reset(seed=1)
+    assert env.step(samples(env, "01"))[2:4] == (False, False)
+    *_, terminated, truncated, info = env.step(samples(env, "01"))
+    assert (terminated, truncated) == (False, True)
+    assert info["truncated"] == {"0": True, "1": True}
+
+
+def test_what_wrappers_write_into_the_info_is_handed_out(form):
+    make, agents = form
+    env = MonoAgentWrapperAdapter(make(ends=(1, 3)), wrapper_factories={0: RecordEpisodeStatistics})
+    env.reset(seed=1)
+    info = env.step(samples(env, agents))[4]
+    infos = info if isinstance(env, ParallelEnv) else info["infos"]
+    assert infos[agents[0]]["episode"]["l"] == 1
+
+
+@pytest.mark.parametrize("method", ["wrap", "reset", "observation", "action"])
+def test_a_failure_names_its_agent(form, method):
+    make, agents = form
+
+    def fail(*_, **__):
+        raise ValueError("oh dear")
+
+    base = {"observation": gym.ObservationWrapper, "action": gym.ActionWrapper}
+    failing = type("Failing", (base.get(method, gym.Wrapper),), {method: fail})
+    factory = fail if method == "wrap" else failing
+
+    def run():
+        env = MonoAgentWrapperAdapter(make(), wrapper_factories={1: factory})
+        env.reset(seed=1)
+        env.step(samples(env, agents))
+
+    with pytest.raises(AgentException, match="oh dear") as caught:
+        run()
+    assert caught.value.key == agents[1]
+
+
+def test_a_bad_action_names_its_agent(form):
+    make, agents = form
+    env = MonoAgentWrapperAdapter(make(), wrapper_factories={0: discrete})
+    env.reset(seed=1)
+    with pytest.raises(ActionError, match=r"1120.*from 0 to 1119") as caught:
+        env.step({agents[0]: 1120, agents[1]: STEADY})
+    assert caught.value.agent == agents[0]
+
+
+def test_the_adapter_pickles_in_the_middle_of_an_episode(form):
+    make, agents = form
+    env = MonoAgentWrapperAdapter(make(), wrapper_factories={0: discrete, 1: Counter})
+    env.reset(seed=1)
+    copied = pickle.loads(cloudpickle.dumps(env))
+    actions = samples(env, agents)
+    assert_same(copied.step(actions)[0], env.step(actions)[0])
+
+
+def test_the_parallel_form_keeps_to_pettingzoos_rules():
+    env = MonoAgentWrapperAdapter(
+        SmallRace((20, 30, 40)),
+        wrapper_factories={
+            0: discrete,
+            1: lambda env: TimeLimit(discrete(env), 10),
+            2: discrete,
+        },
+    )
+    parallel_api_test(env, num_cycles=100)
+
+
+def test_the_parallel_form_is_seeded():
+    def draw():
+        env = MonoAgentWrapperAdapter(SmallRace(), wrapper_factories={0: simple})
+        return env.reset(seed=4)[0]
+
+    assert_same(draw(), draw())
+
+
+@pytest.fixture
+def race():
+    env = race_v0.parallel_env(num_kart=3, track="lighthouse")
+    yield env
+    env.close()
+
+
+def test_an_adapted_race_shows_what_views_show(race):
+    with race_v0.parallel_env(
+        num_kart=3, track="lighthouse", view={0: "simple", 1: "flattened_discrete"}
+    ) as viewed:
+        adapted = MonoAgentWrapperAdapter(race, wrapper_factories={0: simple, 1: discrete})
+        assert_same(adapted.reset(seed=3)[0], viewed.reset(seed=3)[0])
+        for agent in viewed.agents:
+            viewed.action_space(agent).seed(1)
+        for _ in range(30):
+            actions = {agent: viewed.action_space(agent).sample() for agent in viewed.agents}
+            ours, theirs = adapted.step(actions), viewed.step(actions)
+            assert_same(ours[0], theirs[0])
+            assert ours[1:4] == theirs[1:4]
+
+
+def test_an_adapted_race_of_numbered_agents_stays_in_its_spaces():
+    env = MonoAgentWrapperAdapter(
+        gym.make("supertuxkart/multi-full-v0", agents=2, num_kart=3, track="lighthouse"),
+        wrapper_factories={"0": simple, "1": discrete},
+        keep_original=True,
+    )
+    observations, _ = env.reset(seed=3)
+    for _ in range(20):
+        assert observations in env.observation_space
+        observations, reward, *_, info = env.step(env.action_space.sample())
+        assert reward == pytest.approx(sum(info["reward"].values()))
+    env.close()
+
+
+def test_steps_may_differ_in_their_agents_only_by_who_has_left(race):
+    env = MonoAgentWrapperAdapter(race, wrapper_factories={2: lambda env: TimeLimit(env, 3)})
+    env.reset(seed=3)
+    seen = []
+    for _ in range(5):
+        observations = env.step(samples(env, env.agents))[0]
+        seen.append(len(observations))
+        assert all(np.isfinite(o["velocity"]).all() for o in observations.values())
+    assert seen == [3, 3, 3, 2, 2]

@@ -1,0 +1,702 @@
+from __future__ import annotations
+
+import gc
+import pickle
+import threading
+
+import cloudpickle
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import spaces
+from gymnasium.wrappers import (
+    FrameStackObservation,
+    NormalizeObservation,
+    RecordEpisodeStatistics,
+    TimeLimit,
+    TransformAction,
+)
+
+from stkzoo.errors import ActionError, AgentException, ConfigError
+from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.wrappers import (
+    AgentChains,
+    ConstantSizedObservations,
+    DiscreteActionsWrapper,
+    PolarObservations,
+)
+from stkzoo.wrappers.batch import split
+from tests.support.generic_env import VIEWS, Counter, assert_same, kart_env, random_batch, wrap
+
+
+def make_chains(*factories, ai=()):
+    agents = [f"kart_{number}" for number in range(len(factories))]
+    return AgentChains(
+        {agent: kart_observation_space(agent in ai) for agent in agents},
+        {agent: kart_action_space() for agent in agents},
+        dict(zip(agents, factories, strict=True)),
+        ignored=ai,
+    )
+
+
+def view(name):
+    return lambda env: wrap(env, name)
+
+
+def flat_observation(env):
+    """Only the velocity, as a plain vector."""
+    box = spaces.Box(-np.inf, np.inf, (3,), np.float32)
+    return gym.wrappers.TransformObservation(env, lambda obs: obs["velocity"], box)
+
+
+class TenTimes(gym.RewardWrapper):
+    def reward(self, reward):
+        return 10 * reward
+
+
+class BatchSight:
+    """Sees what a batch says."""
+
+    def __init__(self, batch):
+        self._batch = batch
+
+    def batch(self):
+        return self._batch
+
+    def through(self, *_):
+        return None
+
+
+def decoded(chains, actions, agents):
+    """The decoded actions by key of the base space."""
+    controls = chains.decode(actions, agents)
+    assert (controls.dtype, controls.shape) == (np.float32, (len(agents), 7))
+    return dict(zip(kart_action_space(), controls.T, strict=True))
+
+
+class Race:
+    """Feeds chains with random observations, as a race would."""
+
+    def __init__(self, chains, seed=0):
+        self.chains = chains
+        self.agents = list(chains.action_spaces)
+        self.random = np.random.default_rng(seed)
+
+    def batch(self, count):
+        return random_batch(self.random, count, use_ai=True)
+
+    def reset(self, seed=None, options=None):
+        infos = {agent: {"position": 1} for agent in self.agents}
+        return self.chains.reset(
+            self.agents, BatchSight(self.batch(len(self.agents))), infos, seed=seed, options=options
+        )
+
+    def step(self, actions, agents=None, terminated=False):
+        agents = self.agents if agents is None else agents
+        self.controls = decoded(self.chains, actions, agents)
+        self.last_batch = self.batch(len(agents))
+        parts = (
+            dict.fromkeys(agents),
+            {agent: float(self.agents.index(agent) + 1) for agent in agents},
+            dict.fromkeys(agents, terminated),
+            dict.fromkeys(agents, False),
+            {agent: {"position": 1} for agent in agents},
+        )
+        return self.chains.step(agents, BatchSight(self.last_batch), parts)
+
+    def sample(self):
+        return {agent: space.sample() for agent, space in self.chains.action_spaces.items()}
+
+
+STEADY = {
+    "acceleration": 1.0,
+    "steer": 0.0,
+    "brake": 0,
+    "drift": 0,
+    "fire": 0,
+    "nitro": 0,
+    "rescue": 0,
+}
+
+
+def threads():
+    return [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
+
+
+# ---------------------------------------------------------------- views
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_observations_are_those_of_the_wrappers_one_by_one(name):
+    chains = make_chains(*[view(name)] * 3)
+    race = Race(chains)
+    race.reset()
+    observations = race.step(race.sample())[0]
+    alone = wrap(kart_env(), name)
+    batch = {k: v for k, v in race.last_batch.items() if k != "action"}
+    for agent, base in zip(race.agents, split(kart_observation_space(), batch), strict=True):
+        stack = []
+        env = alone
+        while isinstance(env, gym.Wrapper):
+            stack.append(env)
+            env = env.env
+        for wrapper in reversed(stack):
+            base = wrapper.observation(base)
+        assert_same(observations[agent], base)
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_observations_are_in_their_spaces(name):
+    chains = make_chains(*[view(name)] * 2, view("simple"), ai={"kart_1"})
+    race = Race(chains)
+    for observations in (race.reset()[0], race.step(race.sample())[0]):
+        for agent, observation in observations.items():
+            assert observation in chains.observation_spaces[agent]
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_decoded_actions_are_those_of_the_wrappers_one_by_one(name):
+    chains = make_chains(*[view(name)] * 3)
+    actions = Race(chains).sample()
+    controls = chains.decode(actions, list(actions))
+    env = wrap(kart_env(), name)
+    for row, base in zip(controls, actions.values(), strict=True):
+        wrapper = env
+        while isinstance(wrapper, gym.Wrapper):
+            base = wrapper.action(base) if hasattr(wrapper, "action") else base
+            wrapper = wrapper.env
+        expected = [np.float32(np.ravel(base[key])[0]) for key in kart_action_space()]
+        assert row.tolist() == expected
+
+
+def test_rows_follow_the_order_of_the_agents():
+    chains = make_chains(view("full"), view("flattened_discrete"), view("full"))
+    actions = {
+        "kart_0": {**STEADY, "steer": -0.5},
+        "kart_1": 6,
+        "kart_2": {**STEADY, "steer": 0.5},
+    }
+    controls = decoded(chains, actions, ["kart_2", "kart_1", "kart_0"])
+    assert controls["steer"].tolist() == [0.5, -1.0, -0.5]
+
+
+def test_agents_that_are_left_out_of_a_step_are_left_out_of_the_results():
+    chains = make_chains(*[view("simple")] * 3)
+    race = Race(chains)
+    race.reset()
+    results = race.step(race.sample(), ["kart_2", "kart_0"])
+    assert all(list(result) == ["kart_2", "kart_0"] for result in results)
+
+
+def test_equal_chains_run_once_for_all_their_agents():
+    sizes = []
+
+    class Spy(PolarObservations, PolarObservations.__bases__[1]):
+        def observation(self, observation):
+            sizes.append(len(observation["velocity"]))
+            return super().observation(observation)
+
+    chains = make_chains(Spy, view("simple"), Spy, Spy)
+    Race(chains).reset()
+    assert sizes == [3]
+
+
+def test_chains_of_other_arguments_are_kept_apart():
+    chains = make_chains(
+        lambda env: DiscreteActionsWrapper(env, steer_steps=3),
+        lambda env: DiscreteActionsWrapper(env, steer_steps=5),
+    )
+    action = {**STEADY, "acceleration": 0, "steer": 1}
+    controls = decoded(chains, {"kart_0": action, "kart_1": action}, ["kart_0", "kart_1"])
+    assert controls["steer"].tolist() == [0.0, -0.5]
+
+
+def test_spaces_are_the_same_objects_each_time():
+    chains = make_chains(view("flattened"), None)
+    assert chains.observation_spaces["kart_0"] is chains.observation_spaces["kart_0"]
+    assert chains.action_spaces["kart_1"] is chains.action_spaces["kart_1"]
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_results_share_no_memory_with_the_batch_or_later_results(name):
+    chains = make_chains(view(name), view(name))
+    race = Race(chains)
+    race.reset()
+    earlier = race.step(race.sample())[0]
+    kept = pickle.loads(pickle.dumps(earlier))
+
+    def wipe(value):
+        if isinstance(value, dict):
+            for part in value.values():
+                wipe(part)
+        elif value.dtype.kind in "if":
+            value[...] = 0
+
+    wipe(race.last_batch)
+    race.step(race.sample())
+    assert_same(earlier, kept)
+
+
+# ---------------------------------------------------------------- actions
+
+BAD = [
+    ({"steer": float("nan")}, r"action\['steer'\] of agent 'kart_1' is nan.*from -1.0 to 1.0"),
+    ({"acceleration": float("inf")}, r"action\['acceleration'\].*is inf.*from 0.0 to 1.0"),
+    ({"steer": 1.01}, "1.01.*a number from -1.0 to 1.0"),
+    ({"steer": -1.00001}, "-1.00001"),
+    ({"acceleration": -0.5}, "-0.5"),
+    ({"steer": [0.1, 0.2]}, r"\[0.1, 0.2\]"),
+    ({"steer": "left"}, "'left'"),
+    ({"steer": None}, "None"),
+    ({"steer": [[0.1], [0.1, 0.2]]}, "steer"),
+    ({"brake": 2}, r"action\['brake'\].*is 2.*a whole number from 0 to 1"),
+    ({"brake": -1}, "-1"),
+    ({"brake": 0.5}, "0.5.*whole number"),
+    ({"brake": float("nan")}, "nan"),
+    ({"brake": 10**30}, "brake"),
+    ({"fire": np.array([0, 1])}, "fire"),
+    ({"jump": 1}, "unknown keys jump; expected exactly the keys acceleration"),
+]
+
+
+@pytest.mark.parametrize(("change", "text"), BAD)
+def test_a_bad_entry_is_refused_by_name(change, text):
+    chains = make_chains(None, None)
+    actions = {"kart_0": STEADY, "kart_1": {**STEADY, **change}}
+    with pytest.raises(ActionError, match=text) as caught:
+        decoded(chains, actions, ["kart_0", "kart_1"])
+    assert caught.value.agent == "kart_1"
+
+
+def test_a_missing_key_is_refused_by_name():
+    chains = make_chains(None)
+    action = {key: value for key, value in STEADY.items() if key != "fire"}
+    with pytest.raises(ActionError, match="lacks fire"):
+        decoded(chains, {"kart_0": action}, ["kart_0"])
+
+
+@pytest.mark.parametrize("action", [None, 3, [0, 1], "go"])
+def test_an_action_that_is_no_dict_is_refused_where_a_dict_is_expected(action):
+    with pytest.raises(ActionError, match="a dict with the keys acceleration"):
+        decoded(make_chains(None), {"kart_0": action}, ["kart_0"])
+
+
+@pytest.mark.parametrize(
+    ("name", "action"),
+    [
+        ("flattened_discrete", 1120),
+        ("flattened_discrete", -1),
+        ("flattened_discrete", 2.5),
+        ("flattened_discrete", [1, 2]),
+        ("flattened_multidiscrete", [5, 0, 0, 0, 0, 0, 0]),
+        ("flattened_multidiscrete", [0, 0, 0, 0, 0, 0, 0, 0]),
+        ("flattened_multidiscrete", [0, -1, 0, 0, 0, 0, 0]),
+        ("flattened_continuous_actions", [0.5, np.nan]),
+        ("flattened_continuous_actions", [2, 0]),
+        ("flattened_continuous_actions", 0.5),
+        ("flattened", {"continuous": [0.5, 0.5], "discrete": [0, 0, 0, 0, 2]}),
+        ("flattened", {"continuous": [0.5], "discrete": [0, 0, 0, 0, 0]}),
+        ("flattened", {"continuous": [0.5, 0.5]}),
+    ],
+)
+def test_every_view_refuses_what_is_not_in_its_action_space(name, action):
+    chains = make_chains(view(name))
+    with pytest.raises(ActionError, match="agent 'kart_0'"):
+        decoded(chains, {"kart_0": action}, ["kart_0"])
+
+
+@pytest.mark.parametrize(
+    "steer", [0.5, np.float64(0.5), np.array(0.5), [0.5], np.array([0.5]), (0.5,), [[0.5]]]
+)
+def test_one_number_may_come_in_any_form(steer):
+    chains = make_chains(None, None)
+    actions = {"kart_0": STEADY, "kart_1": {**STEADY, "steer": steer}}
+    controls = decoded(chains, actions, ["kart_0", "kart_1"])
+    assert controls["steer"].tolist() == [0.0, 0.5]
+
+
+@pytest.mark.parametrize("brake", [1, True, np.True_, np.int8(1), np.array([1]), 1.0])
+def test_a_button_may_come_in_any_form(brake):
+    controls = decoded(make_chains(None), {"kart_0": {**STEADY, "brake": brake}}, ["kart_0"])
+    assert controls["brake"].tolist() == [1]
+
+
+def test_a_number_that_misses_its_bound_by_rounding_is_clipped():
+    controls = decoded(make_chains(None), {"kart_0": {**STEADY, "steer": 1 + 9e-7}}, ["kart_0"])
+    assert controls["steer"].tolist() == [1.0]
+
+
+def test_every_live_agent_must_have_an_action():
+    chains = make_chains(None, None)
+    with pytest.raises(ActionError, match=r"no action for agent 'kart_1'.*'kart_0'") as caught:
+        decoded(chains, {"kart_0": STEADY}, ["kart_0", "kart_1"])
+    assert caught.value.agent == "kart_1"
+
+
+def test_actions_that_are_no_dict_by_agent_are_refused():
+    with pytest.raises(ActionError, match="expected a dict by agent: kart_0"):
+        decoded(make_chains(None), [STEADY], ["kart_0"])
+
+
+def test_actions_of_agents_that_are_gone_are_not_looked_at():
+    chains = make_chains(None, None)
+    controls = decoded(chains, {"kart_0": STEADY, "kart_1": "rubbish"}, ["kart_0"])
+    assert controls["acceleration"].tolist() == [1.0]
+
+
+@pytest.mark.parametrize("actions", [{}, {"kart_0": {**STEADY}}, {"kart_0": "rubbish"}])
+@pytest.mark.parametrize("factory", [None, TenTimes, lambda env: TimeLimit(env, 9)])
+def test_an_ignored_agent_drives_nothing_whatever_it_sends(actions, factory):
+    chains = make_chains(factory, None, ai={"kart_0"})
+    race = Race(chains)
+    race.reset()
+    race.step({**actions, "kart_1": STEADY})
+    assert race.controls["acceleration"].tolist() == [0.0, 1.0]
+
+
+def test_actions_are_checked_before_any_wrapper_sees_one():
+    seen = []
+
+    class Spy(gym.ActionWrapper):
+        def action(self, action):
+            seen.append(action)
+            return action
+
+    chains = make_chains(Spy, None)
+    with pytest.raises(ActionError):
+        decoded(chains, {"kart_0": STEADY, "kart_1": 3}, ["kart_0", "kart_1"])
+    assert seen == []
+
+
+def test_what_a_users_wrapper_makes_of_an_action_is_checked_too():
+    factory = lambda env: TransformAction(  # noqa: E731
+        env, lambda action: {**action, "steer": 7}, env.action_space
+    )
+    chains = make_chains(factory)
+    with pytest.raises(ActionError, match=r"action after its wrappers\['steer'\].*is 7"):
+        decoded(chains, {"kart_0": STEADY}, ["kart_0"])
+
+
+def test_spaces_of_other_kinds_are_checked_by_themselves():
+    def factory(env):
+        space = spaces.MultiBinary(2)
+        return TransformAction(env, lambda pressed: {**STEADY, "fire": pressed[0]}, space)
+
+    chains = make_chains(factory)
+    pressed = np.array([1, 0], np.int8)
+    assert decoded(chains, {"kart_0": pressed}, ["kart_0"])["fire"].tolist() == [1]
+    with pytest.raises(ActionError, match="MultiBinary"):
+        decoded(chains, {"kart_0": 1}, ["kart_0"])
+
+
+# ---------------------------------------------------------------- any wrapper
+
+
+def test_a_stateful_observation_wrapper_starts_anew_at_reset():
+    race = Race(make_chains(Counter, view("simple")))
+    race.reset()
+    race.step(race.sample())
+    assert race.step(race.sample())[0]["kart_0"] == 3
+    assert race.reset()[0]["kart_0"] == 1
+
+
+def test_a_reward_wrapper_changes_the_reward_of_its_agent_only():
+    race = Race(make_chains(None, TenTimes, None))
+    race.reset()
+    assert race.step(race.sample())[1] == {"kart_0": 1.0, "kart_1": 20.0, "kart_2": 3.0}
+
+
+def test_frames_are_stacked():
+    chains = make_chains(
+        lambda env: FrameStackObservation(flat_observation(env), 3), flat_observation
+    )
+    race = Race(chains)
+    first = race.reset()[0]["kart_0"]
+    second = race.step(race.sample())[0]["kart_0"]
+    assert first.shape == (3, 3)
+    assert np.array_equal(second[:2], first[1:])
+    assert np.array_equal(second[2], race.last_batch["velocity"][0])
+
+
+def test_frames_of_a_built_in_view_are_stacked():
+    chains = make_chains(lambda env: FrameStackObservation(wrap(env, "flattened_discrete"), 2))
+    race = Race(chains)
+    race.reset()
+    observation = race.step({"kart_0": 3})[0]["kart_0"]
+    assert observation in chains.observation_spaces["kart_0"]
+    assert observation["continuous"].shape[0] == 2
+
+
+def test_a_time_limit_truncates_its_agent_only():
+    race = Race(make_chains(lambda env: TimeLimit(env, 2), None))
+    race.reset()
+    ends = [race.step(race.sample())[3] for _ in range(2)]
+    assert ends[0] == {"kart_0": False, "kart_1": False}
+    assert ends[1] == {"kart_0": True, "kart_1": False}
+
+
+def test_a_time_limit_starts_anew_at_reset():
+    race = Race(make_chains(lambda env: TimeLimit(env, 2)))
+    race.reset()
+    race.step(race.sample())
+    race.reset()
+    assert race.step(race.sample())[3] == {"kart_0": False}
+
+
+def test_episode_statistics_are_recorded():
+    race = Race(make_chains(RecordEpisodeStatistics, None))
+    race.reset()
+    race.step(race.sample())
+    infos = race.step(race.sample(), terminated=True)[4]
+    assert (infos["kart_0"]["episode"]["r"], infos["kart_0"]["episode"]["l"]) == (2.0, 2)
+    assert "episode" not in infos["kart_1"]
+
+
+def test_a_wrapper_with_its_own_step_takes_part_in_actions_and_rewards():
+    class Own(gym.Wrapper):
+        def step(self, action):
+            observation, reward, *rest = self.env.step({**action, "fire": 1})
+            return observation, reward - 5, *rest
+
+    race = Race(make_chains(Own, None))
+    race.reset()
+    rewards = race.step({"kart_0": STEADY, "kart_1": STEADY})[1]
+    assert race.controls["fire"].tolist() == [1, 0]
+    assert rewards == {"kart_0": -4.0, "kart_1": 2.0}
+
+
+def test_normalised_observations_work():
+    chains = make_chains(lambda env: NormalizeObservation(flat_observation(env)))
+    race = Race(chains)
+    race.reset()
+    observation = race.step(race.sample())[0]["kart_0"]
+    assert observation in chains.observation_spaces["kart_0"]
+
+
+def test_wrappers_are_seeded_by_reset_each_differently():
+    class Noise(gym.ObservationWrapper):
+        def __init__(self, env):
+            super().__init__(env)
+            self.observation_space = spaces.Box(0, 1, (1,))
+
+        def observation(self, _):
+            return self.np_random.random(1).astype(np.float32)
+
+    race = Race(make_chains(Noise, Noise))
+    first, second = race.reset(seed=5)[0], race.reset(seed=5)[0]
+    assert_same(first, second)
+    assert first["kart_0"] != first["kart_1"]
+    assert race.reset()[0]["kart_0"] != first["kart_0"]
+
+
+def test_options_reach_the_wrappers():
+    seen = []
+
+    class Spy(gym.Wrapper):
+        def reset(self, *, seed=None, options=None):
+            seen.append(options)
+            return super().reset(seed=seed, options=options)
+
+    Race(make_chains(Spy)).reset(options={"track": "lighthouse"})
+    assert seen == [{"track": "lighthouse"}]
+
+
+def test_the_infos_handed_in_are_not_changed():
+    chains = make_chains(RecordEpisodeStatistics)
+    race = Race(chains)
+    race.reset()
+    decoded(chains, race.sample(), ["kart_0"])
+    info = {"position": 1}
+    parts = [{"kart_0": value} for value in (None, 1.0, True, False, info)]
+    chains.step(["kart_0"], BatchSight(race.batch(1)), tuple(parts))
+    assert info == {"position": 1}
+    assert len(parts[-1]["kart_0"]) > 1
+
+
+# ---------------------------------------------------------------- failures
+
+
+def fail(*_, **__):
+    raise ValueError("oh dear")
+
+
+def failing(method):
+    base = gym.ObservationWrapper if method == "observation" else gym.Wrapper
+    return type("Failing", (base,), {method: fail})
+
+
+class FailsAfterwards(gym.Wrapper):
+    def step(self, action):
+        self.env.step(action)
+        raise ValueError("oh dear")
+
+
+@pytest.mark.parametrize(
+    "factory",
+    [fail, lambda env: 3, lambda env: None, lambda env: kart_env()],  # noqa: ARG005
+)
+def test_a_factory_that_fails_names_its_agent(factory):
+    with pytest.raises(AgentException, match="'kart_1' failed to wrap") as caught:
+        make_chains(None, factory)
+    assert caught.value.key == "kart_1"
+
+
+@pytest.mark.parametrize("method", ["reset", "observation"])
+def test_a_wrapper_that_fails_at_reset_names_its_agent(method):
+    race = Race(make_chains(None, failing(method)))
+    with pytest.raises(AgentException, match="ValueError: oh dear") as caught:
+        race.reset()
+    assert caught.value.key == "kart_1"
+    assert isinstance(caught.value.__cause__, ValueError)
+
+
+@pytest.mark.parametrize("factory", [failing("step"), FailsAfterwards])
+def test_a_wrapper_that_fails_in_its_step_names_its_agent(factory):
+    race = Race(make_chains(None, factory))
+    race.reset()
+    with pytest.raises(AgentException, match="ValueError: oh dear") as caught:
+        race.step(race.sample())
+    assert caught.value.key == "kart_1"
+    assert isinstance(caught.value.__cause__, ValueError)
+
+
+def odd_step(step):
+    return type("Odd", (gym.Wrapper,), {"step": step})
+
+
+@pytest.mark.parametrize(
+    ("step", "text"),
+    [
+        (lambda self, action: (0, 0.0, False, False, {}), "without a call"),  # noqa: ARG005
+        (lambda self, action: (self.env.step(action), self.env.step(action))[1], "twice"),
+        (lambda self, action: (self.env.step(action), self.env.reset()), "middle of a race"),
+    ],
+)
+def test_a_wrapper_cannot_move_the_race_by_itself(step, text):
+    race = Race(make_chains(odd_step(step)))
+    race.reset()
+    with pytest.raises(AgentException, match=text):
+        race.step(race.sample())
+
+
+def test_a_wrapper_cannot_step_the_race_in_its_reset():
+    def reset(self, **_):
+        return self.env.step(STEADY)
+
+    race = Race(make_chains(type("Odd", (gym.Wrapper,), {"reset": reset})))
+    with pytest.raises(AgentException, match="outside its own step"):
+        race.reset()
+
+
+def test_a_race_goes_on_after_a_failure_and_a_reset():
+    calls = []
+
+    class FailsOnce(gym.Wrapper):
+        def step(self, action):
+            calls.append(action)
+            if len(calls) == 1:
+                raise ValueError("oh dear")
+            return self.env.step(action)
+
+    race = Race(make_chains(lambda env: TimeLimit(env, 5), FailsOnce))
+    race.reset()
+    with pytest.raises(AgentException):
+        race.step(race.sample())
+    race.reset()
+    assert race.step(race.sample())[3] == {"kart_0": False, "kart_1": False}
+
+
+def test_factories_for_strangers_are_refused():
+    with pytest.raises(ConfigError, match="'kart_9', who is no agent"):
+        AgentChains(
+            {"kart_0": kart_observation_space()}, {"kart_0": kart_action_space()}, {"kart_9": None}
+        )
+
+
+# ---------------------------------------------------------------- threads and pickles
+
+
+def test_no_thread_lives_between_steps():
+    race = Race(make_chains(*[lambda env: TimeLimit(env, 5)] * 3))
+    race.reset()
+    race.step(race.sample())
+    assert threads() == []
+
+
+def end_of(waiting):
+    for thread in waiting:
+        thread.join(timeout=5)
+    return [thread for thread in waiting if thread.is_alive()]
+
+
+@pytest.mark.parametrize("ending", ["close", "reset", "decode", "collect"])
+def test_a_waiting_thread_ends_with_its_step(ending):
+    race = Race(make_chains(lambda env: TimeLimit(env, 5)))
+    race.reset()
+    race.chains.decode(race.sample(), race.agents)
+    waiting = threads()
+    assert len(waiting) == 1
+    if ending == "close":
+        race.chains.close()
+    elif ending == "reset":
+        race.reset()
+    elif ending == "decode":
+        race.chains.decode(race.sample(), race.agents)
+    else:
+        race.chains = None
+        gc.collect()
+    assert end_of(waiting) == []
+    if race.chains is not None:
+        race.chains.close()
+
+
+@pytest.mark.parametrize("is_mid_step", [False, True])
+def test_chains_pickle_in_the_middle_of_a_race(is_mid_step):
+    chains = make_chains(
+        view("flattened_discrete"),
+        lambda env: FrameStackObservation(flat_observation(env), 2),
+        Counter,
+    )
+    race = Race(chains)
+    race.reset(seed=1)
+    race.step(race.sample())
+    if is_mid_step:
+        decoded(chains, race.sample(), race.agents)
+    copied = Race(cloudpickle.loads(cloudpickle.dumps(chains)), seed=3)
+    race = Race(chains, seed=3)
+    actions = race.sample()
+    assert_same(copied.step(actions)[0], race.step(actions)[0])
+
+
+def test_chains_around_no_agents_decode_nothing():
+    chains = make_chains(None)
+    assert decoded(chains, {}, [])["steer"].shape == (0,)
+
+
+class TestPathsUsed:
+    """How many track segments have to be made for the chains."""
+
+    @staticmethod
+    def chains(**factories):
+        agents = list(factories)
+        return AgentChains(
+            {agent: kart_observation_space() for agent in agents},
+            {agent: kart_action_space() for agent in agents},
+            factories,
+        )
+
+    def test_is_the_most_that_any_chain_looks_at(self):
+        chains = self.chains(
+            a=lambda env: PolarObservations(ConstantSizedObservations(env, state_paths=3)),
+            b=lambda env: ConstantSizedObservations(env, state_paths=8),
+        )
+        assert chains.paths_used == 8
+
+    def test_is_all_when_one_agent_sees_everything(self):
+        assert self.chains(a=ConstantSizedObservations, b=None).paths_used is None
+
+    def test_is_all_for_a_users_own_kind_of_wrapper(self):
+        class Mine(ConstantSizedObservations):
+            pass
+
+        assert self.chains(a=Mine).paths_used is None

@@ -1,0 +1,472 @@
+"""Actions in physical units: their parts, their wrapper, and what karts make of them."""
+
+import copy
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import spaces
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import stkzoo
+from benchmarks import step_responses
+from stkzoo import AgentSpec, ConfigError, Start, race_v0
+from stkzoo.agents.pursuit import PursuitDriver, PursuitState, control_of
+from stkzoo.race import run_race
+from stkzoo.wrappers import (
+    ConstantSizedObservations,
+    FlattenerWrapper,
+    PolarObservations,
+)
+from stkzoo.wrappers.control import (
+    CarAction,
+    CarParameters,
+    ControlView,
+    ControlWrapper,
+    LongitudinalAction,
+    LongitudinalActionEnum,
+    Pedals,
+    SteerAction,
+    SteerActionEnum,
+    from_single_to_multi_action_space,
+)
+from tests.support.generic_env import kart_env, number_env
+
+KINDS = [
+    (along, across)
+    for along in ("speed", "accl")
+    for across in ("steering_angle", "steering_speed")
+]
+STRAIGHT = {"track": "candela_city", "start": 190.0}
+
+
+# ------------------------------------------------------------------ names and spaces
+
+
+@pytest.mark.parametrize("kinds", KINDS)
+def test_the_order_of_the_names_does_not_matter(kinds):
+    one, other = CarAction(kinds), CarAction(kinds[::-1])
+    assert one.type == other.type == kinds
+    assert one.space == other.space
+    angle, pace = one.act(np.array([0.1, 4.0]), 3.0, 0.3, one.memory())
+    same_angle, same_pace = other.act(np.array([0.1, 4.0]), 3.0, 0.3, other.memory())
+    assert np.array_equal(angle, same_angle)
+    assert np.array_equal(pace, same_pace)
+
+
+def test_the_first_number_steers_and_the_second_drives():
+    action = CarAction(["speed", "steering_angle"])
+    controls, _ = action.act(np.array([0.1, 25.0]), 5.0, 0.2, action.memory())
+    assert controls.tolist() == [1.0, 0.5, 0.0]
+
+
+def test_one_name_alone_goes_with_the_usual_other():
+    assert CarAction("accl").type == ("accl", "steering_angle")
+    assert CarAction(["steering_speed"]).type == ("speed", "steering_speed")
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["speed", "accl"], "two of one kind"),
+        (["steering_angle", "steering_speed"], "two of one kind"),
+        (["speed", "wheel"], "'wheel', expected one of accl, speed"),
+        ([], "expected one of"),
+        (["speed", "accl", "steering_angle"], "expected one of"),
+        (3, "expected one of"),
+        ([1, 2], "expected one of"),
+    ],
+)
+def test_wrong_names_are_refused(names, message):
+    with pytest.raises(ConfigError, match=message):
+        CarAction(names)
+
+
+def test_parts_are_found_by_name():
+    assert LongitudinalActionEnum.from_string("speed") is LongitudinalActionEnum.SPEED
+    assert SteerActionEnum.from_string("steering_speed") is SteerActionEnum.STEERING_SPEED
+    assert LongitudinalAction.from_string("accl").high == CarParameters().a_max
+    assert SteerAction.from_string("steering_angle").high == CarParameters().s_max
+    with pytest.raises(ConfigError, match="Did you mean 'speed'"):
+        LongitudinalActionEnum.from_string("sped")
+    with pytest.raises(ConfigError, match="Known: steering_angle, steering_speed"):
+        SteerActionEnum.from_string("speed")
+
+
+def test_spaces_are_in_physical_units_or_normalised():
+    space = CarAction(["accl", "steering_speed"]).space
+    assert space.low.tolist() == pytest.approx([-1.9, -17.5])
+    assert space.high.tolist() == pytest.approx([1.9, 17.5])
+    normal = CarAction(["speed", "steering_angle"], normalize_act=True)
+    assert normal.space == spaces.Box(-1.0, 1.0, (2,), np.float32)
+    assert normal.physical([0.0, 0.0]) == pytest.approx([0.0, 10.0])
+    assert normal.physical([-1.0, 1.0]) == pytest.approx([-0.425, 25.0])
+
+
+def test_the_actions_of_several_agents_make_one():
+    single = CarAction().space
+    assert from_single_to_multi_action_space(single, 3).shape == (3, 2)
+    both = spaces.Dict({"control": single, "drift": spaces.Discrete(2)})
+    joined = from_single_to_multi_action_space(both, 3)
+    assert joined["control"].shape == (3, 2)
+    assert joined["drift"].shape == (3,)
+    with pytest.raises(ConfigError, match="num_agents is 0"):
+        from_single_to_multi_action_space(single, 0)
+
+
+def test_parameters_of_a_kart_are_its_own():
+    assert CarParameters.of_kart("") == CarParameters.of_kart("tux")
+    assert CarParameters.of_kart("wilber").wheel_base == 1.204
+    with pytest.raises(ConfigError, match="Did you mean 'wilber'"):
+        CarParameters.of_kart("wilbur")
+    with pytest.raises(ConfigError, match="a_max is -1"):
+        CarParameters(a_max=-1)
+    with pytest.raises(ConfigError, match="v_min is 30"):
+        CarParameters(v_min=30.0)
+    with pytest.raises(ConfigError, match="sv_max is nan"):
+        CarParameters(sv_max=float("nan"))
+
+
+def test_the_engine_agrees_with_the_measured_karts():
+    for kart in ("wilber", "gnu", ""):
+        with race_v0.parallel_env(
+            agents=[AgentSpec(kart=kart)], num_kart=1, track="lighthouse"
+        ) as env:
+            env.reset(seed=1)
+            row = env.snapshot.karts[0]
+            parameters = CarParameters.of_kart(kart)
+            assert row["wheel_base"] == pytest.approx(parameters.wheel_base, abs=2e-3)
+            assert row["max_steer_angle"] == pytest.approx(parameters.s_max, abs=2e-3)
+
+
+# ------------------------------------------------------------------ pure functions
+
+
+numbers = st.floats(-1.0, 1.0, width=32)
+
+
+@pytest.mark.parametrize("kinds", KINDS)
+@pytest.mark.parametrize("normalize_act", [False, True])
+@settings(max_examples=60, deadline=None)
+@given(
+    first=numbers,
+    second=numbers,
+    speed=st.floats(-12, 40),
+    angle=st.floats(0, 0.6),
+    step_size=st.sampled_from([0.01, 0.1, 0.5]),
+)
+def test_controls_are_always_ones_that_the_game_takes(
+    kinds, normalize_act, first, second, speed, angle, step_size
+):
+    action = CarAction(kinds, normalize_act=normalize_act)
+    asked = action.space.low + (np.array([first, second]) + 1) / 2 * (
+        action.space.high - action.space.low
+    )
+    memory = action.memory()
+    for _ in range(3):
+        controls, memory = action.act(
+            asked, np.float64(speed), np.float64(angle), memory, step_size
+        )
+        throttle, steer, brake = controls
+        assert 0.0 <= throttle <= 1.0
+        assert -1.0 <= steer <= 1.0
+        assert brake in (0.0, 1.0)
+        assert not (brake and throttle)
+        assert np.isfinite(memory).all()
+
+
+@pytest.mark.parametrize("kinds", KINDS)
+def test_a_batch_is_its_rows(kinds):
+    action = CarAction(kinds)
+    rng = np.random.default_rng(1)
+    asked = rng.uniform(action.space.low, action.space.high, (2, 7, 2))
+    speed, most = rng.uniform(-5, 25, (2, 7)), rng.uniform(0.05, 0.4, (2, 7))
+    memory = np.stack([rng.uniform(-0.1, 0.1, (2, 7)), rng.uniform(-1, 1, (2, 7))], axis=-1)
+    controls, after = action.act(asked, speed, most, memory)
+    assert controls.shape == (2, 7, 3)
+    for row in np.ndindex(2, 7):
+        alone, alone_after = action.act(asked[row], speed[row], most[row], memory[row])
+        assert np.array_equal(controls[row], alone)
+        assert np.array_equal(after[row], alone_after)
+
+
+def test_wheels_turn_no_faster_than_they_can():
+    action = CarAction(["speed", "steering_angle"])
+    controls, memory = action.act(np.array([0.4, 0.0]), 0.0, 0.4, action.memory(), 0.1)
+    assert memory[0] == pytest.approx(0.19)
+    assert controls[1] == pytest.approx(0.19 / 0.4)
+
+
+def test_steering_speed_adds_up_to_the_limit_and_comes_back_at_once():
+    action = CarAction(["speed", "steering_speed"])
+    memory = action.memory()
+    for _ in range(20):
+        controls, memory = action.act(np.array([1.0, 0.0]), 10.0, 0.12, memory)
+    assert controls[1] == 1.0
+    controls, memory = action.act(np.array([-1.0, 0.0]), 10.0, 0.12, memory)
+    assert memory[0] == pytest.approx(0.02)
+
+
+def test_what_the_brake_cannot_give_in_one_step_it_gives_on_the_whole():
+    action, pedals = CarAction(["accl", "steering_angle"]), Pedals()
+    memory, speed = action.memory(), 20.0
+    for _ in range(15):
+        controls, memory = action.act(np.array([0.0, -6.0]), speed, 0.1, memory)
+        speed += 0.1 * float(pedals.effect(controls[0], controls[2] > 0, np.float64(speed), 0.1))
+    assert speed == pytest.approx(20.0 - 9.0, abs=1.0)
+
+
+def test_an_action_can_be_read_off_what_was_done():
+    rng = np.random.default_rng(2)
+    for kinds in KINDS:
+        action = CarAction(kinds)
+        for _ in range(50):
+            speed, most, angle = (
+                rng.uniform(6, 20),
+                rng.uniform(0.07, 0.2),
+                rng.uniform(-0.05, 0.05),
+            )
+            done = np.array([rng.uniform(0.3, 0.7), rng.uniform(-0.5, 0.5), 0.0])
+            read = action.read(done, speed, most, angle)
+            memory = np.array([angle, 0.0])
+            again, _ = action.act(read.astype(np.float64), speed, most, memory)
+            np.testing.assert_allclose(again, done, atol=1e-4)
+
+
+# ------------------------------------------------------------------ the wrapper
+
+
+def test_buttons_stand_beside_the_numbers():
+    env = ControlWrapper(kart_env(), buttons=("nitro", "drift"))
+    assert list(env.action_space) == ["control", "drift", "nitro"]
+    base = env.action({"control": np.zeros(2, np.float32), "drift": 1, "nitro": 0})
+    assert env.env.action_space.contains(base)
+    assert (base["drift"], base["nitro"], base["fire"], base["rescue"]) == (1, 0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"buttons": ["brake"]}, "unknown button 'brake'"),
+        ({"buttons": "drift"}, "buttons is 'drift'"),
+        ({"step_size": 0}, "step_size is 0"),
+        ({"step_size": True}, "step_size is True"),
+        ({"normalize_act": 1}, "normalize_act is 1"),
+        ({"parameters": 3}, "parameters is 3"),
+    ],
+)
+def test_wrong_arguments_are_refused(arguments, message):
+    with pytest.raises(ConfigError, match=message):
+        ControlWrapper(kart_env(), **arguments)
+
+
+def test_it_says_where_it_belongs():
+    flat = FlattenerWrapper(PolarObservations(ConstantSizedObservations(kart_env())))
+    with pytest.raises(
+        ConfigError, match=r"inside the wrappers that flatten|around full or simple"
+    ):
+        ControlWrapper(flat)
+    with pytest.raises(ConfigError, match="Dict space"):
+        ControlWrapper(number_env())
+
+
+def test_a_flattened_view_has_a_plain_box():
+    env = ControlView(observe="flattened", normalize_act=True)(kart_env())
+    assert env.action_space == spaces.Box(-1.0, 1.0, (2,), np.float32)
+    with_buttons = ControlView(observe="flattened", buttons=("fire",))(kart_env())
+    assert set(with_buttons.action_space.spaces) == {"continuous", "discrete"}
+    with pytest.raises(ConfigError, match="unknown view to observe 'flat'"):
+        ControlView(observe="flat")
+
+
+def test_views_can_be_pickled_and_compared():
+    view = ControlView(control_input=("accl", "steering_speed"), buttons=("fire",), kart="gnu")
+    assert pickle.loads(pickle.dumps(view)) == copy.deepcopy(view) == view
+
+
+# ------------------------------------------------------------------ on the real engine
+
+
+def drive(env, control, steps):
+    """Speeds and locations after each step of one control."""
+    speeds, places = [], []
+    for _ in range(steps):
+        env.step({"kart_0": {"control": np.array(control, np.float32)}})
+        kart = env.snapshot.karts[0]
+        speeds.append(float(kart["velocity_lc"][2]))
+        places.append(np.array(kart["location"], float))
+    return np.array(speeds), np.array(places)
+
+
+@pytest.mark.parametrize("target", [5.0, 10.0, 15.0])
+def test_a_speed_is_reached_and_held_on_a_straight(target):
+    view = ControlView(observe="full", control_input=("speed", "steering_angle"))
+    with race_v0.parallel_env(num_kart=1, view=view, **STRAIGHT) as env:
+        env.reset(seed=1)
+        speeds, _ = drive(env, [0.0, target], 40)
+    assert np.abs(speeds[-10:] - target).max() < 0.5
+
+
+def test_a_kart_stops_when_asked_to_and_can_back_up():
+    view = ControlView(observe="full")
+    with race_v0.parallel_env(num_kart=1, view=view, **STRAIGHT) as env:
+        env.reset(seed=1, options={"start": Start(distance=190.0, speed=12.0)})
+        speeds, _ = drive(env, [0.0, 0.0], 25)
+        assert abs(speeds[-1]) < 0.1
+        speeds, _ = drive(env, [0.0, -4.0], 25)
+        assert np.mean(speeds[-10:]) == pytest.approx(-4.0, abs=1.5)
+
+
+def test_an_acceleration_is_kept_on_the_whole():
+    view = ControlView(observe="full", control_input=("accl", "steering_angle"))
+    with race_v0.parallel_env(num_kart=1, view=view, **STRAIGHT) as env:
+        for accl, start in ((4.0, 3.0), (-6.0, 18.0)):
+            env.reset(seed=1, options={"start": Start(distance=190.0, speed=start)})
+            speeds, _ = drive(env, [0.0, accl], 15)
+            assert (speeds[-1] - start) / 1.5 == pytest.approx(accl, abs=1.0)
+
+
+@pytest.mark.parametrize("radius", [4.0, 6.5])
+def test_a_steering_angle_holds_a_circle(radius):
+    angle = CarParameters().steering_angle(radius)
+    view = ControlView(observe="full", control_input=("speed", "steering_angle"))
+    with race_v0.parallel_env(num_kart=1, track="scotland", view=view) as env:
+        env.reset(seed=1)
+        distance = float(env.track_map.path_distance[139, 0]) + 2.0
+        start = Start(distance=distance, offset=-radius, speed=5.0)
+        env.reset(seed=1, options={"start": start})
+        _, places = drive(env, [angle, 5.0], round(10 * 2 * np.pi * radius / 5.0))
+    points = places[8:, [0, 2]]
+    left = np.column_stack([points, np.ones(len(points))])
+    solution = np.linalg.lstsq(left, (points**2).sum(axis=1), rcond=None)[0]
+    driven = np.sqrt(solution[2] + (solution[:2] ** 2).sum() / 4)
+    assert driven == pytest.approx(radius, rel=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kinds", KINDS)
+def test_every_combination_drives_a_lap(kinds):
+    view = ControlView(observe="full", control_input=kinds, buttons=("rescue",))
+    driver, state, wheels = PursuitDriver(), PursuitState(), 0.0
+    with race_v0.parallel_env(num_kart=1, track="lighthouse", view=view) as env:
+        observations, infos = env.reset(seed=1)
+        space = env.action_space("kart_0")["control"]
+        while env.agents:
+            seen = observations["kart_0"]
+            aim, speed = driver.aim(seen), float(seen["velocity"][2])
+            control = np.clip(control_of(kinds, aim, wheels, speed), space.low, space.high)
+            wanted = wheels + control[0] * 0.1 if "steering_speed" in kinds else control[0]
+            most = float(seen["max_steer_angle"][0])
+            wheels = float(np.clip(wanted, -most, most))
+            action = {"control": control, "rescue": driver(state, seen)["rescue"]}
+            observations, _, ended, _, infos = env.step({"kart_0": action})
+    assert ended == {"kart_0": True}
+    assert 30.0 < infos["kart_0"]["finish_time"] < 70.0
+
+
+def test_agents_of_one_race_may_act_in_different_units():
+    view = {
+        "kart_0": ControlView(control_input="accl"),
+        "kart_1": "flattened_control",
+        "kart_2": "control",
+        "kart_3": "flattened_discrete",
+    }
+    with race_v0.parallel_env(num_kart=4, track="lighthouse", view=view) as env:
+        observations, _ = env.reset(seed=3)
+        assert all(env.observation_space(agent).contains(observations[agent]) for agent in view)
+        for agent in env.possible_agents:
+            env.action_space(agent).seed(1)
+        for _ in range(12):
+            actions = {agent: env.action_space(agent).sample() for agent in env.agents}
+            observations, *_ = env.step(actions)
+        assert all(env.observation_space(agent).contains(observations[agent]) for agent in view)
+
+
+def test_an_observed_driver_is_seen_in_the_same_units():
+    view = ControlView(control_input=("speed", "steering_angle"), buttons=("nitro",))
+    with race_v0.parallel_env(
+        agents=[AgentSpec(use_ai=True)], num_kart=1, track="lighthouse", view=view
+    ) as env:
+        observations, _ = env.reset(seed=1)
+        controls = []
+        for _ in range(60):
+            observations, *_ = env.step({})
+            assert env.observation_space("kart_0").contains(observations["kart_0"])
+            assert env.action_space("kart_0").contains(observations["kart_0"]["action"])
+            controls.append(observations["kart_0"]["action"]["control"])
+    speed = float(observations["kart_0"]["velocity"][2])
+    assert abs(controls[-1][1] - speed) < 3.0
+    assert np.ptp([control[0] for control in controls]) > 0.01
+
+
+def test_a_race_repeats_and_goes_on_from_a_saved_state():
+    view = ControlView(control_input=("accl", "steering_speed"))
+    script = np.random.default_rng(5).uniform([-0.6, -5], [0.6, 15], (40, 2)).astype(np.float32)
+
+    def play(env, rows):
+        seen = []
+        for row in rows:
+            observations, *_ = env.step({"kart_0": {"control": row}})
+            seen.append(np.concatenate([observations["kart_0"]["velocity"], env.state()]))
+        return np.array(seen)
+
+    with race_v0.parallel_env(num_kart=1, track="lighthouse", view=view) as env:
+        env.reset(seed=2)
+        play(env, script[:25])
+        with env.save_state() as state:
+            first = play(env, script[25:])
+            env.restore_state(state)
+            assert np.array_equal(play(env, script[25:]), first)
+        env.reset(seed=2)
+        assert np.array_equal(play(env, script)[25:], first)
+
+
+def test_a_reset_straightens_the_wheels():
+    view = ControlView(control_input=("speed", "steering_speed"))
+    with race_v0.parallel_env(num_kart=1, track="lighthouse", view=view) as env:
+        env.reset(seed=2)
+        straight = []
+        for turn in (0.0, 1.0, 0.0):
+            env.reset(seed=2)
+            for _ in range(40):
+                env.step({"kart_0": {"control": np.array([turn, 10.0], np.float32)}})
+            straight.append(env.state())
+    assert np.array_equal(straight[0], straight[2])
+    assert not np.array_equal(straight[0], straight[1])
+
+
+def test_the_ids_are_there():
+    env = gym.make("supertuxkart/flattened_control-v0", num_kart=1, track="lighthouse")
+    env.reset(seed=1)
+    for _ in range(3):
+        observation, reward, *_ = env.step(env.action_space.sample())
+    assert env.observation_space.contains(observation)
+    assert np.isfinite(reward)
+    env.close()
+    assert "control" in stkzoo.env.views.VIEWS
+
+
+@pytest.mark.slow
+def test_the_step_responses_are_measured_and_drawn(tmp_path, monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    responses = {
+        "speed": [step_responses.speed_step(5.0)],
+        "speed_down": [],
+        "accl": [step_responses.accl_step(4.0, 3.0)],
+        "steering_angle": [step_responses.circle(4.0)],
+        "steering_speed": [step_responses.wheel_turn(0.1)],
+    }
+    assert responses["speed"][0]["error"] < 0.5
+    assert responses["steering_angle"][0]["error"] < 0.1
+    assert responses["steering_speed"][0]["error"] < 0.1
+    step_responses.draw(responses, tmp_path / "plot.png")
+    assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_pursuit_driver_races_by_its_name():
+    result = run_race(["pursuit", "ai"], track="lighthouse", seed=1, max_steps=150)
+    pursuit = next(agent for agent in result.agents if agent.driver == "pursuit")
+    assert pursuit.num_errors == 0
+    assert pursuit.distance > 100.0

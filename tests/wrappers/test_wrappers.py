@@ -1,0 +1,437 @@
+from __future__ import annotations
+
+import copy
+import pickle
+
+import cloudpickle
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+import stkzoo.wrappers
+from stkzoo.errors import ConfigError
+from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.wrappers import (
+    ActionObservationWrapper,
+    BatchedWrapper,
+    ConstantSizedObservations,
+    DiscreteActionsWrapper,
+    Discretizer,
+    FlattenerWrapper,
+    FlattenMultiDiscreteActions,
+    OnlyContinuousActionsWrapper,
+    PolarObservations,
+    SpaceFlattener,
+)
+from stkzoo.wrappers.batch import split
+from tests.support.generic_env import (
+    VIEWS,
+    ScriptedEnv,
+    assert_same,
+    import_reference,
+    kart_env,
+    random_batch,
+    wrap,
+    wrap_as_reference,
+)
+
+reference_stk = import_reference("stk_wrappers")
+
+FIXED_SIZE = [view for view in VIEWS if view != "full"]
+
+
+def observe(env, obs):
+    """Runs an observation through a stack of wrappers."""
+    if not isinstance(env, gym.Wrapper):
+        return obs
+    obs = observe(env.env, obs)
+    return env.observation(obs) if hasattr(type(env), "observation") else obs
+
+
+def act(env, action):
+    """Runs an action through a stack of wrappers."""
+    while isinstance(env, gym.Wrapper):
+        action = env.action(action) if hasattr(type(env), "action") else action
+        env = env.env
+    return action
+
+
+def singles(seed, count=40, use_ai=False):
+    """Random full observations with lists of many lengths."""
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        items, karts, paths = rng.integers(1, 12, size=3)
+        batch = random_batch(rng, 1, items=items, karts=karts, paths=paths, use_ai=use_ai)
+        yield split(kart_observation_space(use_ai), batch)[0]
+
+
+def without_text(obs):
+    return {key: value for key, value in obs.items() if key != "kart_type"}
+
+
+@pytest.mark.parametrize("view", FIXED_SIZE)
+def test_observations_equal_those_of_the_reference(view):
+    ours, theirs = wrap(kart_env(), view), wrap_as_reference(kart_env(), view)
+    for obs in singles(1, 80):
+        expected = observe(theirs, copy.deepcopy(obs))
+        if view != "simple":
+            expected = without_text(expected)
+        assert_same(observe(ours, obs), expected)
+
+
+@pytest.mark.parametrize("mask", [False, True])
+def test_constant_size_equals_the_reference_for_other_sizes(mask):
+    arguments = {"state_items": 3, "state_karts": 2, "state_paths": 10, "add_mask": mask}
+    ours = ConstantSizedObservations(kart_env(), **arguments)
+    theirs = reference_stk.ConstantSizedObservations(kart_env(), **arguments)
+    assert ours.observation_space == theirs.observation_space
+    for obs in singles(2):
+        assert_same(ours.observation(obs), theirs.observation(obs))
+
+
+def test_polar_equals_the_reference_on_lists():
+    ours = PolarObservations(kart_env())
+    theirs = reference_stk.PolarObservations(kart_env())
+    for obs in singles(3):
+        assert_same(ours.observation(obs), theirs.observation(copy.deepcopy(obs)))
+
+
+@pytest.mark.parametrize("view", FIXED_SIZE)
+def test_action_spaces_equal_those_of_the_reference(view):
+    assert wrap(kart_env(), view).action_space == wrap_as_reference(kart_env(), view).action_space
+
+
+@pytest.mark.parametrize("view", FIXED_SIZE)
+def test_observation_spaces_equal_those_of_the_reference_without_text(view):
+    ours = wrap(kart_env(), view).observation_space
+    theirs = wrap_as_reference(kart_env(), view).observation_space
+    dropped = set() if view == "simple" else {"kart_type"}
+    assert ours == spaces.Dict({k: v for k, v in theirs.items() if k not in dropped})
+
+
+@pytest.mark.parametrize("view", FIXED_SIZE)
+def test_actions_equal_those_of_the_reference(view):
+    ours, theirs = wrap(kart_env(), view), wrap_as_reference(kart_env(), view)
+    ours.action_space.seed(4)
+    for _ in range(200):
+        action = ours.action_space.sample()
+        mine, expected = act(ours, action), act(theirs, action)
+        assert mine.keys() == expected.keys()
+        for key in expected:
+            assert np.float32(mine[key]).item() == np.float32(expected[key]).item()
+
+
+@pytest.mark.parametrize("view", FIXED_SIZE)
+def test_decoded_actions_are_in_the_base_space(view):
+    env = wrap(kart_env(), view)
+    env.action_space.seed(5)
+    for _ in range(100):
+        assert act(env, env.action_space.sample()) in kart_action_space()
+
+
+@pytest.mark.parametrize("use_ai", [False, True])
+@pytest.mark.parametrize("view", VIEWS)
+def test_observations_are_in_their_space(view, use_ai):
+    env = wrap(kart_env(use_ai), view)
+    for obs in singles(6, use_ai=use_ai):
+        assert observe(env, obs) in env.observation_space
+
+
+@pytest.mark.parametrize("view", FIXED_SIZE[1:])
+def test_flattened_views_have_exactly_two_keys(view):
+    env = wrap(kart_env(), view)
+    assert set(env.observation_space.keys()) == {"continuous", "discrete"}
+
+
+@pytest.mark.parametrize("view", FIXED_SIZE[1:])
+def test_an_observed_ai_action_is_declared_in_the_flattened_action_space(view):
+    env = wrap(kart_env(use_ai=True), view)
+    assert env.observation_space["action"] == env.action_space
+
+
+@pytest.mark.parametrize("use_ai", [False, True])
+@pytest.mark.parametrize("view", VIEWS)
+def test_a_batch_of_observations_equals_its_rows_one_by_one(view, use_ai):
+    env = wrap(kart_env(use_ai), view)
+    batch = random_batch(np.random.default_rng(7), 5, use_ai=use_ai)
+    base_space = kart_observation_space(use_ai)
+    rows = [observe(env, obs) for obs in split(base_space, batch)]
+    for row, single in zip(split(env.observation_space, observe(env, batch)), rows, strict=True):
+        assert_same(row, single)
+
+
+@pytest.mark.parametrize("view", FIXED_SIZE)
+def test_a_batch_of_actions_equals_its_rows_one_by_one(view):
+    env = wrap(kart_env(), view)
+    env.action_space.seed(8)
+    samples = [env.action_space.sample() for _ in range(6)]
+    is_dict = isinstance(samples[0], dict)
+    stacked = (
+        {key: np.stack([s[key] for s in samples]) for key in samples[0]}
+        if is_dict
+        else np.stack(samples)
+    )
+    batch = act(env, stacked)
+    for number, sample in enumerate(samples):
+        for key, value in act(env, sample).items():
+            assert np.array_equal(batch[key][number], value)
+
+
+@pytest.mark.parametrize("view", FIXED_SIZE)
+def test_observations_are_never_changed(view):
+    env = wrap(kart_env(use_ai=True), view)
+    for obs in singles(9, 10, use_ai=True):
+        before = copy.deepcopy(obs)
+        observe(env, obs)
+        assert_same(obs, before)
+
+
+@pytest.mark.parametrize("view", FIXED_SIZE)
+def test_actions_are_never_changed(view):
+    env = wrap(kart_env(), view)
+    action = env.action_space.sample()
+    before = copy.deepcopy(action)
+    act(env, action)
+    assert_same(action, before)
+
+
+def test_observing_twice_gives_the_same():
+    env = PolarObservations(kart_env())
+    obs = next(singles(10))
+    assert_same(env.observation(obs), env.observation(obs))
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("count", [1, 3])
+def test_empty_lists_can_be_observed(view, count):
+    env = wrap(kart_env(), view)
+    batch = random_batch(np.random.default_rng(11), count, items=0, karts=0)
+    for row in split(env.observation_space, observe(env, batch)):
+        assert row in env.observation_space
+    for obs in split(kart_observation_space(), batch):
+        assert observe(env, obs) in env.observation_space
+
+
+def test_masks_say_what_is_real():
+    env = ConstantSizedObservations(kart_env(), add_mask=True)
+    batch = random_batch(np.random.default_rng(12), 2, items=2, karts=0, paths=9)
+    masks = env.observation(batch)
+    assert masks["items_mask"].tolist() == [[1, 1, 0, 0, 0]] * 2
+    assert masks["karts_mask"].tolist() == [[0] * 5] * 2
+    assert masks["paths_mask"].tolist() == [[1] * 5] * 2
+
+
+def test_padding_stays_zero_in_polar_form():
+    env = wrap(kart_env(), "simple")
+    batch = random_batch(np.random.default_rng(13), 2, karts=1)
+    assert not observe(env, batch)["karts_position"][:, 1:].any()
+
+
+def test_polar_angles_are_positive_to_the_right_and_above():
+    env = PolarObservations(kart_env())
+    obs = next(singles(14))
+    obs["center_path"] = np.array([1, 1, 1], np.float32)
+    expected = [np.pi / 4, np.pi / 4, np.sqrt(3)]
+    np.testing.assert_allclose(env.observation(obs)["center_path"], expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("key", ["state_items", "state_karts", "state_paths"])
+@pytest.mark.parametrize("value", [0, -1, 2.5, None, True, "5"])
+def test_constant_size_refuses_a_number_that_cannot_be(key, value):
+    with pytest.raises(ConfigError, match=f"{key} is .*at least 1"):
+        ConstantSizedObservations(kart_env(), **{key: value})
+
+
+@pytest.mark.parametrize("key", ["acceleration_steps", "steer_steps"])
+@pytest.mark.parametrize("value", [1, 0, -3, 2.0])
+def test_discrete_actions_refuse_fewer_than_two_steps(key, value):
+    with pytest.raises(ConfigError, match=f"{key} is .*at least 2"):
+        DiscreteActionsWrapper(kart_env(), **{key: value})
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (lambda: ConstantSizedObservations(wrap(kart_env(), "simple")), "only once"),
+        (lambda: ConstantSizedObservations(wrap(kart_env(), "flattened")), "paths_width"),
+        (lambda: PolarObservations(wrap(kart_env(), "flattened")), "found no positions"),
+        (lambda: FlattenerWrapper(kart_env()), "ConstantSizedObservations inside"),
+        (lambda: FlattenerWrapper(wrap(kart_env(), "flattened_discrete")), "Dict space"),
+        (lambda: FlattenMultiDiscreteActions(kart_env()), "MultiDiscrete action space"),
+        (lambda: DiscreteActionsWrapper(wrap(kart_env(), "flattened")), "'acceleration'"),
+        (
+            lambda: OnlyContinuousActionsWrapper(DiscreteActionsWrapper(kart_env())),
+            "only discrete actions",
+        ),
+    ],
+)
+def test_a_wrapper_in_the_wrong_place_says_so(make, text):
+    with pytest.raises(ConfigError, match=text):
+        make()
+
+
+@given(st.integers(2, 101), st.data())
+def test_every_step_survives_the_way_to_its_number_and_back(values, data):
+    steps = Discretizer(spaces.Box(-1, 1, (1,)), values)
+    step = data.draw(st.integers(0, values - 1))
+    assert steps.discretize(np.float32(steps.continuous(step))) == step
+
+
+@given(st.integers(2, 101), st.floats(-1, 1))
+def test_the_nearest_step_is_at_most_half_a_step_away(values, number):
+    steps = Discretizer(spaces.Box(-1, 1, (1,)), values)
+    distance = abs(steps.continuous(steps.discretize(number)) - number)
+    assert distance <= 1 / (values - 1) + 1e-9
+
+
+def test_the_reference_labels_half_a_step_to_the_left_and_ours_does_not():
+    box = spaces.Box(-1, 1, (1,))
+    theirs, ours = reference_stk.Discretizer(box, 7), Discretizer(box, 7)
+    numbers = np.linspace(-1, 1, 1001)
+    errors = [[d.continuous(d.discretize(x)) - x for x in numbers] for d in (theirs, ours)]
+    assert np.mean(errors[0]) == pytest.approx(-1 / 6, abs=0.01)
+    assert np.mean(errors[1]) == pytest.approx(0, abs=1e-3)
+
+
+@pytest.mark.parametrize(("number", "step"), [(-1.5, 0), (1.0000001, 6), (7.0, 6)])
+def test_numbers_beyond_the_ends_are_the_ends(number, step):
+    assert Discretizer(spaces.Box(-1, 1, (1,)), 7).discretize(number) == step
+
+
+@given(
+    npst.arrays(np.float32, (3, 2), elements=st.floats(-1, 1, width=32)),
+    npst.arrays(np.int64, (3, 4), elements=st.integers(0, 1)),
+)
+def test_flattening_undoes_unflattening(continuous, discrete):
+    space = spaces.Dict(
+        {
+            "b": spaces.Box(-1, 1, (1, 2)),
+            "d": spaces.MultiDiscrete([2, 2]),
+            "a": spaces.Discrete(2),
+            "c": spaces.Discrete(2, start=1),
+        }
+    )
+    flattener = SpaceFlattener(space)
+    flat = {"continuous": continuous, "discrete": discrete}
+    assert_same(flattener.flatten(flattener.unflatten(flat)), flat)
+
+
+def test_the_flattened_space_keeps_where_choices_start():
+    flattener = SpaceFlattener(spaces.Dict({"a": spaces.Discrete(2, start=5)}))
+    assert flattener.space.start.tolist() == [5]
+
+
+@pytest.mark.parametrize("size", [3, 1])
+def test_unflattening_refuses_another_length(size):
+    flattener = SpaceFlattener(spaces.Dict({"a": spaces.Box(-1, 1, (2,))}))
+    with pytest.raises(ValueError, match="expected 2 values"):
+        flattener.unflatten(np.zeros(size))
+
+
+def test_a_space_with_nothing_to_flatten_is_refused():
+    with pytest.raises(ConfigError, match="nothing to flatten"):
+        SpaceFlattener(spaces.Dict({"name": spaces.Text(3)}))
+
+
+def test_every_combination_of_choices_has_one_number():
+    env = wrap(kart_env(use_ai=True), "flattened_discrete")
+    numbers = np.arange(env.action_space.n)
+    choices = env.action(numbers)
+    assert len(np.unique(choices, axis=0)) == len(numbers)
+    assert env.observation({"action": choices})["action"].tolist() == numbers.tolist()
+
+
+def test_flattening_only_actions_leaves_the_observation():
+    env = FlattenerWrapper(kart_env(use_ai=True), flatten_observations=False)
+    obs = next(singles(15, use_ai=True))
+    seen = env.observation(obs)
+    assert seen in env.observation_space
+    assert_same(
+        {k: v for k, v in seen.items() if k != "action"},
+        {k: v for k, v in obs.items() if k != "action"},
+    )
+
+
+def test_wrapped_spaces_share_no_generator_with_the_wrapped_env():
+    base = kart_env(use_ai=True)
+    env = DiscreteActionsWrapper(base)
+    parts = [env.action_space["brake"], env.observation_space["action"]["brake"]]
+    parts += [base.action_space["brake"], base.observation_space["action"]["brake"]]
+    assert len({id(part) for part in parts}) == 4
+
+
+@pytest.mark.parametrize("dump", [pickle, cloudpickle])
+@pytest.mark.parametrize("view", FIXED_SIZE)
+def test_wrapped_environments_pickle(view, dump):
+    env = wrap(kart_env(), view)
+    copied = pickle.loads(dump.dumps(env))
+    obs = next(singles(16))
+    assert_same(observe(copied, obs), observe(env, obs))
+
+
+@pytest.mark.parametrize("view", FIXED_SIZE)
+def test_a_spec_rebuilds_the_wrappers_with_their_arguments(view):
+    spec = EnvSpec("generic/kart-v0", entry_point=kart_env)
+    env = wrap(spec.make(disable_env_checker=True), view)
+    rebuilt = env.spec.make(disable_env_checker=True)
+    assert rebuilt.observation_space == env.observation_space
+    assert rebuilt.action_space == env.action_space
+
+
+def test_a_spec_keeps_arguments_that_are_not_the_defaults():
+    spec = EnvSpec("generic/kart-v0", entry_point=kart_env)
+    env = DiscreteActionsWrapper(spec.make(disable_env_checker=True), steer_steps=3)
+    assert env.spec.make(disable_env_checker=True).action_space["steer"].n == 3
+
+
+def test_a_subclass_does_not_inherit_the_batch_promise():
+    class Mine(PolarObservations):
+        pass
+
+    class Kept(PolarObservations, BatchedWrapper):
+        pass
+
+    assert not Mine(kart_env()).keeps_batch_promise()
+    assert Kept(kart_env()).keeps_batch_promise()
+
+
+def test_wrappers_with_other_arguments_have_another_identity():
+    first, second, third = (
+        DiscreteActionsWrapper(kart_env(), steer_steps=steps).batch_identity()
+        for steps in (5, 5, 7)
+    )
+    assert first == second
+    assert hash(first) == hash(second)
+    assert first != third
+
+
+def test_an_action_observation_wrapper_changes_both():
+    class Shift(ActionObservationWrapper):
+        def action(self, action):
+            return action - 1
+
+        def observation(self, observation):
+            return observation + 10
+
+    seen = []
+
+    def step(action):
+        seen.append(action)
+        return 2, 0.5, False, True, {"a": 1}
+
+    numbers = spaces.Discrete(20)
+    env = Shift(ScriptedEnv(numbers, numbers, lambda: (1, {}), step))
+    assert env.reset(seed=3) == (11, {})
+    assert env.step(5) == (12, 0.5, False, True, {"a": 1})
+    assert seen == [4]
+
+
+def test_exported_names_are_complete_and_sorted():
+    names = stkzoo.wrappers.__all__
+    assert names == sorted(names)
+    assert all(hasattr(stkzoo.wrappers, name) for name in names)
