@@ -298,16 +298,16 @@ def plot_log(log: Sequence[dict[str, Any]], output: Path) -> None:
     Raises:
         ConfigError: matplotlib is missing.
     """
-    from stkzoo.evaluation.batch.figure import (
+    from stkzoo.evaluation.plotting import (
         BLUE,
         GREY,
         INK,
-        plot_library,
+        new_figure,
         save_figure,
-        without_frame,
+        style_axes,
     )
 
-    figure = plot_library("benchmark", "").Figure(figsize=(8, 3.6), layout="constrained")
+    figure = new_figure(8, 3.6)
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     teacher, *rounds = log
     places = list(range(len(rounds)))
@@ -330,7 +330,7 @@ def plot_log(log: Sequence[dict[str, Any]], output: Path) -> None:
     right.set_title("karts that finished [%]", fontsize=10, color=INK, loc="left")
     for axis in (left, right):
         axis.set_xticks(places, names, rotation=30, ha="right")
-        without_frame(axis)
+        style_axes(axis)
         axis.grid(axis="y", color=GREY, alpha=0.25, linewidth=0.6)
         axis.set_axisbelow(True)
     save_figure(figure, output)

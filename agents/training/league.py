@@ -35,7 +35,7 @@ from stkzoo.agents.pretrained.driver import check_shapes
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError, StkzooError
-from stkzoo.evaluation.tournament.ratings import rating_library
+from stkzoo.evaluation.ratings import require_openskill
 from stkzoo.whole_file import whole_file
 
 from .command import RunBar, add_arguments, changes, values_of
@@ -128,7 +128,7 @@ class League:
     """
 
     def __init__(self, folder: str | Path, arguments: Arguments) -> None:
-        rating_library()
+        require_openskill()
         self.folder, self.arguments = Path(folder), arguments
         (self.folder / _MEMBERS).mkdir(parents=True, exist_ok=True)
         self._policies: dict[str, RacingPolicy] = {}

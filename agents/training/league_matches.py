@@ -9,7 +9,7 @@ import numpy as np
 
 from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
-from stkzoo.evaluation.tournament.ratings import Rating, rate
+from stkzoo.evaluation.ratings import Rating, rate
 
 from .league_learner import rows_of
 from .ppo_races import Finish, Fleet, RaceForm

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.batch.figure import plot_library, save_figure
+from stkzoo.evaluation.plotting import new_figure, save_figure
 
 from .journal import log_of_run
 
@@ -53,7 +53,7 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
     Raises:
         ConfigError: a run has no log, or matplotlib is missing.
     """
-    figure = plot_library("benchmark", "").Figure(figsize=(10, 6), layout="constrained")
+    figure = new_figure(10, 6)
     axes = figure.subplots(2, 2)
     for folder in folders:
         lines = log_of_run(folder)

@@ -29,8 +29,9 @@ from stkzoo.agents.pretrained.mlp import MlpDriver, Seat, load_driver
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.batch.figure import plot_library, save_figure
-from stkzoo.evaluation.tournament.ratings import CONFIDENCE, Rating
+from stkzoo.evaluation.plotting import new_figure, save_figure
+from stkzoo.evaluation.ratings import Rating
+from stkzoo.evaluation.statistics import percentile_interval
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
 
@@ -76,8 +77,7 @@ def progress_of(matches: Sequence[Match]) -> Progress:
     counts = np.array([_duels(match.order) for match in matches])
     rows = np.random.default_rng(0).integers(len(counts), size=(_DRAWS, len(counts)))
     ahead, duels = counts[rows].sum(axis=1).T
-    tail = 50 * (1 - CONFIDENCE)
-    low, high = np.percentile(ahead / duels, (tail, 100 - tail))
+    low, high = percentile_interval(ahead / duels)
     won, total = counts.sum(axis=0)
     return Progress(int(total), float(won / total), float(low), float(high))
 
@@ -198,7 +198,7 @@ def _write(
 
 
 def _draw(ratings: Mapping[str, Rating], count: int, file: Path) -> None:
-    figure = plot_library("benchmark", "").Figure(figsize=(8, 4.5), layout="constrained")
+    figure = new_figure(8, 4.5)
     axis = figure.subplots()
     runs = sorted({name.rsplit(" ", 1)[0] for name in ratings if " " in name})
     for run in runs:

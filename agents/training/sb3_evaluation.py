@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from stkzoo.agents.pretrained.mlp import Seat, load_driver
 from stkzoo.errors import ConfigError, StkzooError
-from stkzoo.evaluation.tournament.ratings import Rating, rate
+from stkzoo.evaluation.ratings import Rating, rate
 from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.racing import CHOICES
 

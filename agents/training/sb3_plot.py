@@ -14,13 +14,12 @@ from typing import Any
 import numpy as np
 
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.batch.figure import BLUE, GREY, INK, plot_library, save_figure, without_frame
+from stkzoo.evaluation.plotting import BLUE, GREY, INK, new_figure, save_figure, style_axes
 
 from .journal import log_of_run
 
 __all__ = ["main", "plot_run"]
 
-_EXTRA = "tournament"
 _DRIVING = {"pace": "pace, of the AI's", "finished": "finished"}
 _DUELS = {"beats_past": "past selves", "beats_bots": "the game's bots"}
 
@@ -40,7 +39,7 @@ def plot_run(run: str | Path, output: str | Path) -> None:
     ratings: dict[str, Any] = {"policies": [], "others": {}}
     if (folder / "ratings.json").exists():
         ratings = json.loads((folder / "ratings.json").read_text())
-    figure = plot_library(_EXTRA, "").Figure(figsize=(9, 5.6), layout="constrained")
+    figure = new_figure(9, 5.6)
     axes = figure.subplots(2, 2)
     _draw_ratings(axes[0, 0], ratings)
     _draw_time_ratios(axes[0, 1], ratings["policies"])
@@ -49,7 +48,7 @@ def plot_run(run: str | Path, output: str | Path) -> None:
     for axis in axes.flat:
         axis.set_xlabel("kart-steps [thousand]", fontsize=8, color=INK)
         axis.grid(alpha=0.3)
-        without_frame(axis)
+        style_axes(axis)
     save_figure(figure, output)
 
 

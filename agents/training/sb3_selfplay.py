@@ -43,7 +43,7 @@ import numpy as np
 
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.errors import ConfigError, StkzooError
-from stkzoo.evaluation.tournament.ratings import rating_library
+from stkzoo.evaluation.ratings import require_openskill
 from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.racing import CHOICES, RESCUE
 
@@ -141,7 +141,7 @@ class Run:
     def __init__(self, folder: str | Path, arguments: Arguments) -> None:
         self._torch = _library("torch")
         _library("stable_baselines3")
-        rating_library()
+        require_openskill()
         evaluation = importlib.import_module("stkzoo.agents.training.sb3_evaluation")
         self.folder, self.arguments = Path(folder), arguments
         self.folder.mkdir(parents=True, exist_ok=True)

@@ -251,14 +251,14 @@ def _baseline(arguments: argparse.Namespace) -> int:
 
 def _compare(arguments: argparse.Namespace) -> int:
     from stkzoo.errors import ConfigError
-    from stkzoo.evaluation.benchmark import compare, load_benchmark, save_plot
+    from stkzoo.evaluation.benchmark import compare, load_benchmark, plot_benchmark
 
     if arguments.agent:
         raise ConfigError("--compare knows its agents; leave the agent out")
     results = [load_benchmark(path) for path in arguments.compare]
     comparisons = [compare(results[0], other) for other in results[1:]]
     if arguments.output:
-        save_plot(results, arguments.output)
+        plot_benchmark(results, arguments.output)
     if arguments.json:
         texts = [result.to_json() for result in results]
         texts += [comparison.to_json() for comparison in comparisons]

@@ -13,13 +13,13 @@ from stkzoo.evaluation.benchmark import (
     RaceForm,
     RaceOutcome,
     compare,
-    estimate,
     load_benchmark,
     make_races,
     plan_benchmark,
+    plot_benchmark,
     race_seed,
-    save_plot,
 )
+from stkzoo.evaluation.statistics import estimate_mean
 from stkzoo.race import RaceResult
 from stkzoo.race.result import AgentResult
 from stkzoo.tracks import TEST_TRACKS
@@ -196,21 +196,21 @@ def test_alone_there_is_nothing_to_win():
 
 
 def test_the_mean_is_over_races():
-    found = estimate([1.0, 2.0, 3.0, 6.0], ["a", "a", "a", "a"])
+    found = estimate_mean([1.0, 2.0, 3.0, 6.0], ["a", "a", "a", "a"])
     assert found.value == 3.0
     assert found.low < 3.0 < found.high
 
 
 def test_what_differs_between_strata_is_no_doubt():
     """Tracks are fixed: that one is slower than another says nothing about chance."""
-    found = estimate([1.0, 1.0, 9.0, 9.0], ["a", "a", "b", "b"])
+    found = estimate_mean([1.0, 1.0, 9.0, 9.0], ["a", "a", "b", "b"])
     assert (found.value, found.low, found.high) == (5.0, 5.0, 5.0)
 
 
 def test_the_interval_is_as_wide_as_the_mean_varies():
     values = np.random.default_rng(1).normal(size=(40, 5))
     strata = [row for row in range(40) for _ in range(5)]
-    found = estimate(values.ravel().tolist(), strata)
+    found = estimate_mean(values.ravel().tolist(), strata)
     error = math.sqrt(values.var(axis=1, ddof=1).mean() / values.size)
     assert found.high - found.low == pytest.approx(2 * 1.96 * error, rel=0.06)
 
@@ -220,21 +220,21 @@ def test_the_true_mean_is_in_the_interval_as_often_as_is_said():
     strata = [row for row in range(12) for _ in range(5)]
     hits = 0
     for _ in range(300):
-        found = estimate(chance.normal(size=60).tolist(), strata)
+        found = estimate_mean(chance.normal(size=60).tolist(), strata)
         hits += found.low <= 0.0 <= found.high
     assert 273 <= hits <= 296  # 91 to 98.7 %
 
 
 def test_one_race_of_a_kind_says_nothing_about_chance():
-    found = estimate([1.0, 2.0, 3.0], ["a", "a", "b"])
+    found = estimate_mean([1.0, 2.0, 3.0], ["a", "a", "b"])
     assert (found.value, found.low, found.high) == (2.0, None, None)
 
 
 def test_what_never_happened_may_happen_all_the_same():
-    found = estimate([0.0] * 30, ["a"] * 15 + ["b"] * 15, (0.0, 1.0))
+    found = estimate_mean([0.0] * 30, ["a"] * 15 + ["b"] * 15, (0.0, 1.0))
     assert (found.value, found.low) == (0.0, 0.0)
     assert (1 - found.high) ** 30 == pytest.approx(0.025)
-    found = estimate([1.0] * 5 + [0.0] * 5, ["a"] * 5 + ["b"] * 5, (0.0, 1.0))
+    found = estimate_mean([1.0] * 5 + [0.0] * 5, ["a"] * 5 + ["b"] * 5, (0.0, 1.0))
     assert found.low < 0.5 < found.high
 
 
@@ -278,7 +278,7 @@ def test_an_agent_that_never_finishes_can_be_drawn(tmp_path):
     for group in result.groups:
         ratio = group.figures["time_ratio"]
         assert ratio.low <= ratio.value == 3.0 <= ratio.high
-    save_plot(result, tmp_path / "lost.png")
+    plot_benchmark(result, tmp_path / "lost.png")
     assert (tmp_path / "lost.png").read_bytes()[:4] == b"\x89PNG"
 
 

@@ -20,8 +20,8 @@ from stkzoo.evaluation.benchmark import (
     load_ai_times,
     load_benchmark,
     measure_ai_times,
+    plot_benchmark,
     run_benchmark,
-    save_plot,
 )
 from stkzoo.race import Driver, RaceResult, run_race
 from stkzoo.race.rescues import RescueCounter
@@ -101,7 +101,7 @@ def test_another_benchmark_in_the_folder_is_refused(small):
 def test_the_plot_is_a_picture(small, tmp_path):
     folder, result, _ = small
     assert (folder / "benchmark.png").read_bytes()[:4] == b"\x89PNG"
-    save_plot([result, result], tmp_path / "both.svg")
+    plot_benchmark([result, result], tmp_path / "both.svg")
     assert "lighthouse" in (tmp_path / "both.svg").read_text()
 
 

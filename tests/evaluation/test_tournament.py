@@ -16,15 +16,15 @@ from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.fingerprint import fingerprint
 from stkzoo.evaluation.batch.pool import run_in_parallel
+from stkzoo.evaluation.ratings import rate
 from stkzoo.evaluation.tournament import (
     TournamentError,
     load_tournament,
     plan_tournament,
+    plot_tournament,
     resume_tournament,
     run_tournament,
-    save_plot,
 )
-from stkzoo.evaluation.tournament.ratings import rate
 from stkzoo.race import RaceResult
 from tests.support.paths import AGENTS, SCHEMAS
 from tests.support.processes import children_of, process_exists, run_program, wait_until
@@ -117,11 +117,11 @@ def test_a_finished_tournament_runs_nothing_again(small):
 def test_the_plot_is_a_picture(small, tmp_path):
     folder, result, _ = small
     assert (folder / "tournament.png").read_bytes()[:4] == b"\x89PNG"
-    save_plot(result, tmp_path / "cup.svg")
+    plot_tournament(result, tmp_path / "cup.svg")
     drawn = (tmp_path / "cup.svg").read_text()
     assert all(row.label in drawn for row in result.standings)
     with pytest.raises(ConfigError, match="cannot be written"):
-        save_plot(result, tmp_path / "cup.unknown")
+        plot_tournament(result, tmp_path / "cup.unknown")
     assert [file.name for file in tmp_path.iterdir()] == ["cup.svg"]
 
 

@@ -17,10 +17,9 @@ if TYPE_CHECKING:
     from stkzoo.evaluation.benchmark.ai_times import AiTime, AiTimes, load_ai_times
     from stkzoo.evaluation.benchmark.baseline import measure_ai_times
     from stkzoo.evaluation.benchmark.comparison import Comparison, Difference, compare
-    from stkzoo.evaluation.benchmark.figures import Estimate, estimate
     from stkzoo.evaluation.benchmark.outcome import KartOutcome, RaceOutcome
     from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, plan_benchmark
-    from stkzoo.evaluation.benchmark.plot import save_plot
+    from stkzoo.evaluation.benchmark.plot import plot_benchmark
     from stkzoo.evaluation.benchmark.races import (
         FORMS,
         BenchmarkRace,
@@ -41,22 +40,20 @@ __all__ = [
     "BenchmarkResult",
     "Comparison",
     "Difference",
-    "Estimate",
     "Group",
     "KartOutcome",
     "RaceForm",
     "RaceOutcome",
     "benchmark_result",
     "compare",
-    "estimate",
     "load_ai_times",
     "load_benchmark",
     "make_races",
     "measure_ai_times",
     "plan_benchmark",
+    "plot_benchmark",
     "race_seed",
     "run_benchmark",
-    "save_plot",
 ]
 
 #: Names by module, loaded when they are first used: the command line needs few.
@@ -72,10 +69,6 @@ _LAZY = {
         "Difference",
         "compare",
     ),
-    "figures": (
-        "Estimate",
-        "estimate",
-    ),
     "outcome": (
         "KartOutcome",
         "RaceOutcome",
@@ -84,7 +77,7 @@ _LAZY = {
         "BenchmarkPlan",
         "plan_benchmark",
     ),
-    "plot": ("save_plot",),
+    "plot": ("plot_benchmark",),
     "races": (
         "FORMS",
         "BenchmarkRace",

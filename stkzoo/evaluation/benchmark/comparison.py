@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.benchmark.figures import CONFIDENCE, Estimate, estimate
 from stkzoo.evaluation.benchmark.outcome import RaceOutcome
 from stkzoo.evaluation.benchmark.result import FIGURES, BenchmarkResult, groups_of
+from stkzoo.evaluation.statistics import CONFIDENCE, Estimate, estimate_mean
 
 __all__ = ["Comparison", "Difference", "compare"]
 
@@ -121,5 +121,5 @@ def _figures(pairs: Sequence[Pair]) -> dict[str, Estimate | None]:
                 values.append(one - two)
                 strata.append(mine.race.kind)
         bounds = None if kind.bounds is None else (-kind.bounds[1], kind.bounds[1])
-        figures[kind.name] = estimate(values, strata, bounds) if values else None
+        figures[kind.name] = estimate_mean(values, strata, bounds) if values else None
     return figures

@@ -9,10 +9,10 @@ from functools import cached_property
 from typing import Any
 
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.benchmark.figures import CONFIDENCE, Estimate, estimate
 from stkzoo.evaluation.benchmark.outcome import RaceOutcome
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan
 from stkzoo.evaluation.benchmark.races import BenchmarkRace, direction_name
+from stkzoo.evaluation.statistics import CONFIDENCE, Estimate, estimate_mean
 from stkzoo.race.result import RaceResult, check_form, read_json
 
 __all__ = [
@@ -208,7 +208,7 @@ def _figures(outcomes: Sequence[RaceOutcome]) -> dict[str, Estimate | None]:
         pairs = [(kind.of(outcome), outcome.race.kind) for outcome in outcomes]
         values = [value for value, _ in pairs if value is not None]
         strata = [stratum for value, stratum in pairs if value is not None]
-        figures[kind.name] = estimate(values, strata, kind.bounds) if values else None
+        figures[kind.name] = estimate_mean(values, strata, kind.bounds) if values else None
     return figures
 
 

@@ -18,9 +18,10 @@ from stkzoo.evaluation.batch import (
     write_whole,
 )
 from stkzoo.evaluation.benchmark.plan import BENCHMARK, BenchmarkPlan, plan_benchmark
-from stkzoo.evaluation.benchmark.plot import check_plot_library, save_plot
+from stkzoo.evaluation.benchmark.plot import plot_benchmark
 from stkzoo.evaluation.benchmark.races import FORMS
 from stkzoo.evaluation.benchmark.result import BenchmarkResult, benchmark_result
+from stkzoo.evaluation.plotting import require_matplotlib
 
 __all__ = ["BenchmarkError", "load_benchmark", "run_benchmark", "run_plan"]
 
@@ -112,7 +113,7 @@ def run_plan(
     Raises: as :func:`run_benchmark`.
     """
     if plot:
-        check_plot_library()
+        require_matplotlib("benchmark", "leave the plot out (--no-plot)")
     with BatchFolder(BENCHMARK, output) as folder:
         plan = folder.keep_plan(plan)
         orders = plan.orders()
@@ -120,7 +121,7 @@ def run_plan(
         result = benchmark_result(plan, results)
         write_whole(folder.path / _RESULT, result.to_json() + "\n")
         if plot and results:
-            save_plot(result, folder.path / _PLOT)
+            plot_benchmark(result, folder.path / _PLOT)
     if errors:
         raise BenchmarkError(errors_in_words(errors, len(orders)), result)
     return result

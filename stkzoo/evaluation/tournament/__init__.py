@@ -12,7 +12,7 @@
 from __future__ import annotations
 
 from stkzoo.evaluation.tournament.plan import Entrant, TournamentPlan, plan_tournament
-from stkzoo.evaluation.tournament.plot import save_plot
+from stkzoo.evaluation.tournament.plot import plot_tournament
 from stkzoo.evaluation.tournament.result import Standing, TournamentResult, tournament_result
 from stkzoo.evaluation.tournament.run import (
     TournamentError,
@@ -34,8 +34,8 @@ __all__ = [
     "load_tournament",
     "make_schedule",
     "plan_tournament",
+    "plot_tournament",
     "resume_tournament",
     "run_tournament",
-    "save_plot",
     "tournament_result",
 ]

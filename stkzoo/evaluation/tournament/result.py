@@ -6,8 +6,9 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
+from stkzoo.evaluation.ratings import Rating, rate
+from stkzoo.evaluation.statistics import CONFIDENCE
 from stkzoo.evaluation.tournament.plan import TournamentPlan
-from stkzoo.evaluation.tournament.ratings import CONFIDENCE, Rating, rate
 from stkzoo.race.result import AgentResult, RaceResult
 
 __all__ = ["SCHEMA_VERSION", "RaceSummary", "Standing", "TournamentResult", "tournament_result"]

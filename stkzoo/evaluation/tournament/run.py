@@ -18,9 +18,10 @@ from stkzoo.evaluation.batch import (
     read_races,
     write_whole,
 )
+from stkzoo.evaluation.plotting import require_matplotlib
+from stkzoo.evaluation.ratings import require_openskill
 from stkzoo.evaluation.tournament.plan import TOURNAMENT, TournamentPlan, plan_tournament
-from stkzoo.evaluation.tournament.plot import check_plot_library, save_plot
-from stkzoo.evaluation.tournament.ratings import rating_library
+from stkzoo.evaluation.tournament.plot import plot_tournament
 from stkzoo.evaluation.tournament.result import TournamentResult, tournament_result
 
 __all__ = [
@@ -119,16 +120,16 @@ def load_tournament(folder: str | os.PathLike[str]) -> TournamentResult:
 def _run(
     plan: TournamentPlan, folder: str | os.PathLike[str], runner: BatchRunner, plot: bool
 ) -> TournamentResult:
-    rating_library()
+    require_openskill()
     if plot:
-        check_plot_library()
+        require_matplotlib("tournament", "leave the plot out (--no-plot)")
     with BatchFolder(TOURNAMENT, folder) as place:
         plan = place.keep_plan(plan)
         results, errors = runner.run(place, plan.orders())
         result = tournament_result(plan, results)
         write_whole(place.path / _RESULT, result.to_json() + "\n")
         if plot and results:
-            save_plot(result, place.path / _PLOT)
+            plot_tournament(result, place.path / _PLOT)
     if errors:
         raise TournamentError(errors_in_words(errors, plan.races), result)
     return result

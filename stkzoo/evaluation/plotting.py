@@ -1,0 +1,110 @@
+"""The style that all plots share."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from stkzoo.errors import ConfigError
+from stkzoo.whole_file import whole_file
+
+__all__ = [
+    "BLUE",
+    "GREY",
+    "INK",
+    "PALETTE",
+    "draw_intervals",
+    "new_figure",
+    "require_matplotlib",
+    "save_figure",
+    "shorten",
+    "style_axes",
+]
+
+INK, BLUE, GREY = "#22303c", "#2f6db5", "#8a949c"
+#: Colours of several series in one plot.
+PALETTE = (BLUE, "#d1762b", "#3b8f5a", "#8a5bb0", "#b23b4e", "#5b6f7d")
+_MAX_LABEL = 18
+
+
+def require_matplotlib(extra: str = "benchmark", alternative: str = "") -> Any:
+    """Imports ``matplotlib.figure``.
+
+    Args:
+        extra: the extra of the package that installs it.
+        alternative: what the user can do without it, such as ``"pass --no-plot"``.
+
+    Raises:
+        ConfigError: matplotlib is not installed.
+    """
+    try:
+        return importlib.import_module("matplotlib.figure")
+    except ImportError as error:
+        remedy = f"pip install 'stkzoo[{extra}]'" + (alternative and f", or {alternative}")
+        raise ConfigError(f"the plot needs the library matplotlib ({error}); {remedy}") from error
+
+
+def new_figure(width: float, height: float) -> Any:
+    """An empty ``matplotlib`` figure; sizes in inches.
+
+    Raises:
+        ConfigError: matplotlib is not installed.
+    """
+    return require_matplotlib().Figure(figsize=(width, height), layout="constrained")
+
+
+def style_axes(axes: Any, title: str | None = None) -> None:
+    """Removes frame and tick marks, and sets the title."""
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    axes.tick_params(length=0, colors=INK, labelsize=9)
+    if title is not None:
+        axes.set_title(title, fontsize=10, color=INK)
+
+
+def draw_intervals(
+    axes: Any,
+    rows: Sequence[float],
+    values: Sequence[float],
+    intervals: Sequence[tuple[float, float]],
+    *,
+    color: str = BLUE,
+    label: str | None = None,
+) -> None:
+    """Draws one point with a horizontal interval per row."""
+    below = [max(value - low, 0.0) for value, (low, _) in zip(values, intervals, strict=True)]
+    above = [max(high - value, 0.0) for value, (_, high) in zip(values, intervals, strict=True)]
+    axes.errorbar(
+        values,
+        rows,
+        xerr=[below, above],
+        fmt="o",
+        color=color,
+        elinewidth=1.6,
+        capsize=3,
+        markersize=5,
+        label=label,
+    )
+    axes.grid(axis="x", alpha=0.3)
+
+
+def shorten(label: str) -> str:
+    """Cuts a label to the length that fits beside a plot."""
+    return label if len(label) <= _MAX_LABEL else label[: _MAX_LABEL - 3] + "..."
+
+
+def save_figure(figure: Any, path: str | os.PathLike[str]) -> None:
+    """Writes a figure atomically; the file name's ending selects the format.
+
+    Raises:
+        ConfigError: the file cannot be written.
+    """
+    file = Path(path)
+    try:
+        with whole_file(file) as part:
+            figure.savefig(part, format=file.suffix[1:] or "png", dpi=110)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"the plot {file} cannot be written: {error}") from error
