@@ -125,7 +125,7 @@ class _Trial:
         words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
         with self._said.open("wb") as said:
             return subprocess.Popen(
-                [sys.executable, "-m", "stkzoo.agents.training.rllib_selfplay", *words],
+                [sys.executable, "-m", "stkzoo.agents.training.rllib.selfplay", *words],
                 stdout=said,
                 stderr=subprocess.STDOUT,
             )

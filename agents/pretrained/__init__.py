@@ -2,5 +2,5 @@
 
 A package has ``weights.safetensors`` (a network of two layers), ``card.json`` (the weights'
 digest, how they were learned, what they reach, where they fail), and the words of an agent
-(:mod:`stkzoo.agents`). ``python -m stkzoo.agents.training.export_policy`` makes one.
+(:mod:`stkzoo.agents`). ``python -m stkzoo.agents.training.export`` makes one.
 """

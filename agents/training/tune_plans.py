@@ -35,8 +35,8 @@ from stkzoo.errors import ConfigError
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
 
-from .command import keep_to_one_thread, training_library
-from .ppo_races import Beginning, Fleet, RaceForm
+from .common.arguments import keep_to_one_thread, training_library
+from .common.fleet import Beginning, Fleet, RaceForm
 
 __all__ = ["BOUNDS", "drive_all", "from_unit", "main", "to_unit"]
 

@@ -16,7 +16,7 @@ examples:
 """
 
 #: By name, as drivers are found: the package stands above none of its agents.
-_LEAGUE = "stkzoo.agents.training.league"
+_LEAGUE = "stkzoo.agents.training.league.league"
 
 
 def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:

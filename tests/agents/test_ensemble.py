@@ -13,9 +13,9 @@ from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
-from stkzoo.agents.training.evaluate_policy import Entrant, evaluate
-from stkzoo.agents.training.export_policy import export_policy, main
-from stkzoo.agents.training.ppo_races import Fleet, RaceForm
+from stkzoo.agents.training.common.fleet import Fleet, RaceForm
+from stkzoo.agents.training.evaluate import Entrant, evaluate
+from stkzoo.agents.training.export import export_policy, main
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import BRAKE as BRAKE_PEDAL

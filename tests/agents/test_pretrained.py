@@ -22,7 +22,7 @@ from stkzoo.agents.pretrained.driver import (
 from stkzoo.agents.pretrained.drivers import ALL_LOOKS, CHOICES, INPUT_SIZE
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
-from stkzoo.agents.training.export_policy import export_policy, main
+from stkzoo.agents.training.export import export_policy, main
 from stkzoo.errors import ConfigError
 from stkzoo.race import driver_names, find_driver, run_race
 from stkzoo.wrappers.racing import surroundings_of

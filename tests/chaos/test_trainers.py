@@ -12,10 +12,10 @@ from tests.support.processes import wait_until
 
 SMALL = ["--tracks=olivermath", "--epochs=1", "--hidden", "16", "16"]
 TRAINERS = {
-    "imitate": ["--teacher=pursuit", "--karts=1", "--jobs=2", *SMALL],
-    "ppo_selfplay": ["--until=99999", "--forms=2x1", "--steps=16", *SMALL],
-    "sb3_selfplay": ["--until=99999", "--races=2x1", "--evaluation-races=0", *SMALL],
-    "league": ["--until=99999", "--forms=2x1", "--steps=16", *SMALL],
+    "imitation.imitate": ["--teacher=pursuit", "--karts=1", "--jobs=2", *SMALL],
+    "ppo.selfplay": ["--until=99999", "--forms=2x1", "--steps=16", *SMALL],
+    "sb3.selfplay": ["--until=99999", "--races=2x1", "--evaluation-races=0", *SMALL],
+    "league.league": ["--until=99999", "--forms=2x1", "--steps=16", *SMALL],
 }
 
 

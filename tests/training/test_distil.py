@@ -10,8 +10,8 @@ from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.reflexes import INPUT_SIZE
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.agents.training import distil, evaluate_policy
-from stkzoo.agents.training.evaluate_policy import Entrant, evaluate
-from stkzoo.agents.training.ppo_races import Fleet, RaceForm
+from stkzoo.agents.training.common.fleet import Fleet, RaceForm
+from stkzoo.agents.training.evaluate import Entrant, evaluate
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import CHOICES

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
-from stkzoo.agents.training.imitate import Arguments, main, parse, plot_log, run
-from stkzoo.agents.training.imitate_network import fit, make_network, mirrored
+from stkzoo.agents.training.imitation.imitate import Arguments, main, parse, plot_log, run
+from stkzoo.agents.training.imitation.network import fit, make_network, mirrored
 from stkzoo.evaluation.demonstrations import record
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import CHOICES, SIZE

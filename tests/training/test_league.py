@@ -11,12 +11,12 @@ import pytest
 
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
-from stkzoo.agents.training.league import Arguments, League
-from stkzoo.agents.training.league_learner import LeagueLearner
-from stkzoo.agents.training.league_matches import AI, Match, draw_pairings, payoff, play, ratings_of
-from stkzoo.agents.training.league_page import page
-from stkzoo.agents.training.league_players import Player, PlayerMatchmaker, new_players
-from stkzoo.agents.training.ppo_selfplay import Arguments as LearnerArguments
+from stkzoo.agents.training.league.league import Arguments, League
+from stkzoo.agents.training.league.learner import LeagueLearner
+from stkzoo.agents.training.league.matches import AI, Match, draw_pairings, payoff, play, ratings_of
+from stkzoo.agents.training.league.page import page
+from stkzoo.agents.training.league.players import Player, PlayerMatchmaker, new_players
+from stkzoo.agents.training.ppo.selfplay import Arguments as LearnerArguments
 from stkzoo.cli.main import main as command_line
 from stkzoo.errors import ConfigError
 from tests.support.browser import Reader, open_browser
@@ -54,7 +54,7 @@ def command(folder, until, **changes):
     for name, value in (SMALL | changes).items():
         words.append("--" + name.replace("_", "-"))
         words += map(str, value) if isinstance(value, tuple) else [str(value)]
-    return [sys.executable, "-m", "stkzoo.agents.training.league", *words]
+    return [sys.executable, "-m", "stkzoo.agents.training.league.league", *words]
 
 
 def plans_alone(_):

@@ -14,13 +14,13 @@ import torch
 from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.drivers import CHOICES, HEADS, INPUT_SIZE
 from stkzoo.agents.pretrained.weights import load_weights
-from stkzoo.agents.training.evaluate_policy import Entrant, evaluate
-from stkzoo.agents.training.evaluate_policy import main as evaluate_main
-from stkzoo.agents.training.export_policy import export_policy
-from stkzoo.agents.training.plan_numbers import NUMBERS, numbers_of_run
-from stkzoo.agents.training.plot_run import main as plot_main
-from stkzoo.agents.training.ppo_races import Fleet, RaceForm
-from stkzoo.agents.training.ppo_selfplay import Arguments, Learner, race_forms
+from stkzoo.agents.training.common.fleet import Fleet, RaceForm
+from stkzoo.agents.training.common.plan_parameters import NUMBERS, numbers_of_run
+from stkzoo.agents.training.evaluate import Entrant, evaluate
+from stkzoo.agents.training.evaluate import main as evaluate_main
+from stkzoo.agents.training.export import export_policy
+from stkzoo.agents.training.plot import main as plot_main
+from stkzoo.agents.training.ppo.selfplay import Arguments, Learner, race_forms
 from stkzoo.errors import ConfigError
 from tests.support.processes import wait_until
 
@@ -43,7 +43,7 @@ def command(folder, until, **changes):
     for name, value in (SMALL | changes).items():
         words.append("--" + name.replace("_", "-"))
         words += map(str, value) if isinstance(value, tuple) else [str(value)]
-    return [sys.executable, "-m", "stkzoo.agents.training.ppo_selfplay", *words]
+    return [sys.executable, "-m", "stkzoo.agents.training.ppo.selfplay", *words]
 
 
 def learn(folder, until, **changes):

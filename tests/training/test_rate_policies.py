@@ -10,9 +10,9 @@ import pytest
 from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
-from stkzoo.agents.training.league_matches import Match
-from stkzoo.agents.training.plan_numbers import NUMBERS
-from stkzoo.agents.training.rate_policies import (
+from stkzoo.agents.training.common.plan_parameters import NUMBERS
+from stkzoo.agents.training.league.matches import Match
+from stkzoo.agents.training.rate import (
     START,
     common_numbers,
     draw_pairing,
@@ -21,7 +21,7 @@ from stkzoo.agents.training.rate_policies import (
     players_of,
     progress_of,
 )
-from stkzoo.agents.training.sb3_heats import WORST, Heat, drive
+from stkzoo.agents.training.sb3.matches import WORST, Heat, drive
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import CHOICES, SIZE
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from stkzoo.agents.pretrained.mlp import MlpDriver
-from stkzoo.agents.training.rllib_races import MAIN, Pool, ensure_assets, make_race, win_share
-from stkzoo.agents.training.rllib_selfplay import Arguments, main, parse, sb3_names
+from stkzoo.agents.training.rllib.races import MAIN, Pool, ensure_assets, make_race, win_share
+from stkzoo.agents.training.rllib.selfplay import Arguments, main, parse, sb3_names
 from stkzoo.engine.assets import find_assets
 from stkzoo.errors import AssetError, ConfigError
 from stkzoo.wrappers.racing import CHOICES, SIZE

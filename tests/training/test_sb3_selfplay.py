@@ -15,13 +15,13 @@ from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.agents.pretrained.reflexes import INPUT_MIRROR, INPUT_SIZE, Reflexes
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.agents.training import sb3_races
-from stkzoo.agents.training.pool import Pool
-from stkzoo.agents.training.sb3_curriculum import EASY_TO_HARD, Curriculum
-from stkzoo.agents.training.sb3_evaluation import judge, ratings_of, read_judgements
-from stkzoo.agents.training.sb3_plot import main as plot_main
-from stkzoo.agents.training.sb3_policy import save_driver, start_weights, write_agent
-from stkzoo.agents.training.sb3_races import RaceGroup, SelfPlayVecEnv, race_groups
-from stkzoo.agents.training.sb3_selfplay import Arguments, Run
+from stkzoo.agents.training.common.opponents import Pool
+from stkzoo.agents.training.sb3.curriculum import EASY_TO_HARD, Curriculum
+from stkzoo.agents.training.sb3.evaluation import judge, ratings_of, read_judgements
+from stkzoo.agents.training.sb3.plot import main as plot_main
+from stkzoo.agents.training.sb3.policy import save_driver, start_weights, write_agent
+from stkzoo.agents.training.sb3.races import RaceGroup, SelfPlayVecEnv, race_groups
+from stkzoo.agents.training.sb3.selfplay import Arguments, Run
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceSettings, run_race
 from stkzoo.sb3 import ActiveRolloutBuffer, RaceVecEnv
@@ -52,7 +52,7 @@ def command(folder, until, **changes):
             words.append(flag)
         else:
             words += [flag, *(map(str, value) if isinstance(value, tuple) else [str(value)])]
-    return [sys.executable, "-m", "stkzoo.agents.training.sb3_selfplay", *words]
+    return [sys.executable, "-m", "stkzoo.agents.training.sb3.selfplay", *words]
 
 
 def learn(folder, until, **changes):

@@ -1,6 +1,6 @@
 """Judges a kept policy of ``sb3_selfplay`` in races of its own, beside the training.
 
-    python -m stkzoo.agents.training.sb3_evaluation runs/first policy-000200000
+    python -m stkzoo.agents.training.sb3.evaluation runs/first policy-000200000
 
 It drives by its likeliest choices from the grid, against where it started, one of its past selves,
 random choices and one of the game's bots, easy and hard in turn. What came of it is a file in the
@@ -29,7 +29,7 @@ from stkzoo.evaluation.ratings import Rating, rate
 from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.racing import CHOICES
 
-from .sb3_heats import Heat, drive
+from .matches import Heat, drive
 
 __all__ = [
     "RATINGS",
@@ -258,7 +258,7 @@ class BackgroundJudge:
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m stkzoo.agents.training.sb3_evaluation",
+        prog="python -m stkzoo.agents.training.sb3.evaluation",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

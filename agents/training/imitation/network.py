@@ -15,7 +15,7 @@ from stkzoo.agents.pretrained.reflexes import INPUT_MIRROR
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
-from .command import training_torch
+from ..common.arguments import training_torch
 
 __all__ = ["Fit", "fit", "make_network", "mirrored", "take_over"]
 

@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from stkzoo import race_v0
 
-from .sb3_races import SHORT_RACE, RaceEnd, RaceGroup, way_and_places
+from .races import SHORT_RACE, RaceEnd, RaceGroup, way_and_places
 
 __all__ = ["SuperSuitRaces"]
 

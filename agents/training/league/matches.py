@@ -11,9 +11,9 @@ from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.evaluation.ratings import Rating, rate
 
-from .league_learner import rows_of
-from .ppo_races import Finish, Fleet, RaceForm
-from .sb3_heats import finishing_order
+from ..common.fleet import Finish, Fleet, RaceForm
+from ..sb3.matches import finishing_order
+from .learner import rows_of
 
 __all__ = ["AI", "Match", "Pairing", "draw_pairings", "payoff", "play", "ratings_of"]
 

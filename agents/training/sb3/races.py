@@ -28,9 +28,9 @@ from stkzoo.agents.pretrained.reflexes import INPUT_SIZE, Reflexes
 from stkzoo.errors import ConfigError
 from stkzoo.sb3 import RaceVecEnv
 
-from .pool import Pool
-from .sb3_curriculum import Curriculum
-from .sb3_heats import COUNTDOWN, PATIENCE, STEP, ai_time, bots_of
+from ..common.opponents import Pool
+from .curriculum import Curriculum
+from .matches import COUNTDOWN, PATIENCE, STEP, ai_time, bots_of
 
 __all__ = [
     "SHORT_RACE",

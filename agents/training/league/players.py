@@ -11,7 +11,7 @@ import numpy as np
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.errors import ConfigError
 
-from .pool import Pool
+from ..common.opponents import Pool
 
 __all__ = [
     "EXPLOITER",
@@ -47,7 +47,7 @@ class Player:
         turns: played since then.
         past_turns: played before.
         kart_steps: learned from since it began.
-        pool: how its duels went, of :class:`~stkzoo.agents.training.pool.Pool`.
+        pool: how its duels went, of :class:`~stkzoo.agents.training.common.opponents.Pool`.
     """
 
     name: str

@@ -38,13 +38,13 @@ from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.evaluation.ratings import require_openskill
 from stkzoo.whole_file import whole_file
 
-from .command import RunBar, add_arguments, changes, values_of
-from .journal import Journal
-from .league_learner import LeagueLearner
-from .league_matches import Match, draw_pairings, play, ratings_of
-from .league_page import page
-from .league_players import START, Player, PlayerMatchmaker, new_players
-from .ppo_selfplay import Arguments as LearnerArguments
+from ..common.arguments import RunBar, add_arguments, changes, values_of
+from ..common.training_log import Journal
+from ..ppo.selfplay import Arguments as LearnerArguments
+from .learner import LeagueLearner
+from .matches import Match, draw_pairings, play, ratings_of
+from .page import page
+from .players import START, Player, PlayerMatchmaker, new_players
 
 __all__ = ["Arguments", "League", "main"]
 

@@ -1,7 +1,7 @@
 r"""Learns to race by self-play with Ray RLlib, on one machine or a cluster.
 
-    python -m stkzoo.agents.training.rllib_selfplay --output runs/rllib --iterations 200
-    python -m stkzoo.agents.training.rllib_selfplay --output runs/rllib --iterations 200 \
+    python -m stkzoo.agents.training.rllib.selfplay --output runs/rllib --iterations 200
+    python -m stkzoo.agents.training.rllib.selfplay --output runs/rllib --iterations 200 \
         --address auto --env-runners 30
 
 PPO on RLlib's new API stack and PettingZoo's parallel API. In every race a policy that learns
@@ -36,9 +36,9 @@ from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.errors import ConfigError, StkzooError, check_whole
 from stkzoo.tracks import SPLITS
 
-from .command import add_arguments, keep_arguments, values_of
-from .journal import Journal
-from .rllib_races import MAIN, PackSender, Pool, ensure_assets, make_race
+from ..common.arguments import add_arguments, keep_arguments, values_of
+from ..common.training_log import Journal
+from .races import MAIN, PackSender, Pool, ensure_assets, make_race
 
 __all__ = ["Arguments", "build_config", "main", "parse", "sb3_names", "train"]
 
@@ -152,7 +152,7 @@ def build_config(arguments: Arguments) -> Any:
     from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
     from ray.tune.registry import register_env
 
-    from .rllib_callbacks import SelfPlay
+    from .callbacks import SelfPlay
 
     register_env("stkzoo_races", lambda config: ParallelPettingZooEnv(make_race(config)))
     pool = arguments.pool
@@ -292,7 +292,7 @@ def _iterations(algorithm: Any, arguments: Arguments, folder: Path, on_line: Any
 def _figures(algorithm: Any, result: Mapping[str, Any], seconds: float) -> dict[str, Any]:
     from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS
 
-    from .rllib_callbacks import RACES, RESTARTED, WIN_SHARE
+    from .callbacks import RACES, RESTARTED, WIN_SHARE
 
     seen: Mapping[str, Any] = result.get(ENV_RUNNER_RESULTS, {})
     by_module = seen.get("num_module_steps_sampled_lifetime", {})
@@ -365,7 +365,7 @@ def parse(words: list[str] | None = None) -> tuple[Arguments, Path]:
         ConfigError: an argument cannot be.
     """
     parser = argparse.ArgumentParser(
-        prog="python -m stkzoo.agents.training.rllib_selfplay",
+        prog="python -m stkzoo.agents.training.rllib.selfplay",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -13,8 +13,8 @@ import numpy.typing as npt
 from stkzoo.agents.pretrained.drivers import View
 from stkzoo.agents.pretrained.policy import RacingPolicy
 
-from .ppo_races import Finish, RaceForm, StepOutcome
-from .ppo_selfplay import Arguments, Learner, race_forms
+from ..common.fleet import Finish, RaceForm, StepOutcome
+from ..ppo.selfplay import Arguments, Learner, race_forms
 
 __all__ = ["LeagueLearner", "Matchmaker", "rows_of"]
 
@@ -65,7 +65,7 @@ class _Table:
 
 
 class LeagueLearner(Learner):
-    """A run of :mod:`~stkzoo.agents.training.ppo_selfplay` with rivals in some races.
+    """A run of :mod:`~stkzoo.agents.training.ppo.selfplay` with rivals in some races.
 
     Half of the karts of a race are the rival's; what they see and do is learned from by nobody.
 

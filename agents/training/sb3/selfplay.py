@@ -1,6 +1,6 @@
 """Learns to race from nothing, by self-play with Stable-Baselines3's PPO.
 
-    python -m stkzoo.agents.training.sb3_selfplay --output runs/first --minutes 10
+    python -m stkzoo.agents.training.sb3.selfplay --output runs/first --minutes 10
 
 One policy sees the view ``racing`` and drives the agents of several races. In half of the races
 without bots, half of the karts are driven by one of its past selves, the hard ones more often; in
@@ -21,7 +21,7 @@ files, ``policy-STEPS.safetensors``, ``evaluations`` (races of kept policies, dr
 beside the training), ``ratings.json``, and ``agent``, which ``stkzoo race`` takes:
 
     tensorboard --logdir runs
-    python -m stkzoo.agents.training.sb3_plot runs/first
+    python -m stkzoo.agents.training.sb3.plot runs/first
     stkzoo race runs/first/agent ai ai random --track lighthouse
 """
 
@@ -47,11 +47,11 @@ from stkzoo.evaluation.ratings import require_openskill
 from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.racing import CHOICES, RESCUE
 
-from .command import ARGUMENTS, RunBar, add_arguments, changes, values_of
-from .journal import Journal
-from .pool import Pool
-from .sb3_curriculum import EASY_TO_HARD, Curriculum
-from .sb3_policy import save_driver, start_weights, write_agent
+from ..common.arguments import ARGUMENTS, RunBar, add_arguments, changes, values_of
+from ..common.opponents import Pool
+from ..common.training_log import Journal
+from .curriculum import EASY_TO_HARD, Curriculum
+from .policy import save_driver, start_weights, write_agent
 
 __all__ = ["Arguments", "Run", "main"]
 
@@ -142,7 +142,7 @@ class Run:
         self._torch = _library("torch")
         _library("stable_baselines3")
         require_openskill()
-        evaluation = importlib.import_module("stkzoo.agents.training.sb3_evaluation")
+        evaluation = importlib.import_module("stkzoo.agents.training.sb3.evaluation")
         self.folder, self.arguments = Path(folder), arguments
         self.folder.mkdir(parents=True, exist_ok=True)
         self.kart_steps = self.iteration = self.rounds = 0
@@ -224,11 +224,11 @@ class Run:
         return 0 if self.arguments.supersuit else self.arguments.hold
 
     def _make_races(self) -> Any:
-        races = importlib.import_module("stkzoo.agents.training.sb3_races")
+        races = importlib.import_module("stkzoo.agents.training.sb3.races")
         groups = races.race_groups(self.arguments.races)
         if self.arguments.supersuit:
             _library("supersuit")
-            other = importlib.import_module("stkzoo.agents.training.sb3_supersuit")
+            other = importlib.import_module("stkzoo.agents.training.sb3.supersuit")
             return other.SuperSuitRaces(groups[0], self.arguments.tracks[:1])
         return races.SelfPlayVecEnv(
             groups,
@@ -380,7 +380,7 @@ class Run:
         self._curriculum.restore(facts["curriculum"])
         self._bots.restore(facts["bots"])
         self._snapshots.restore(facts["snapshots"])
-        ends = importlib.import_module("stkzoo.agents.training.sb3_races").RaceEnd
+        ends = importlib.import_module("stkzoo.agents.training.sb3.races").RaceEnd
         self._recent.extend(ends(**end) for end in facts["recent"])
         self._model.policy.load_state_dict(state["policy"])
         self._model.policy.optimizer.load_state_dict(state["optimiser"])
@@ -429,7 +429,7 @@ def _text(line: dict[str, float]) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m stkzoo.agents.training.sb3_selfplay",
+        prog="python -m stkzoo.agents.training.sb3.selfplay",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .league_matches import AI, Match, payoff
+from .matches import AI, Match, payoff
 
 __all__ = ["page"]
 

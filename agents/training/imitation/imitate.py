@@ -1,8 +1,8 @@
 r"""Learns to drive like a teacher: behaviour cloning, then DAgger.
 
-    python -m stkzoo.agents.training.imitate --output runs/imitate
-    python -m stkzoo.agents.training.imitate --output runs/ai --demos ai.npz --rounds 0
-    python -m stkzoo.agents.training.sb3_selfplay --output runs/play \
+    python -m stkzoo.agents.training.imitation.imitate --output runs/imitate
+    python -m stkzoo.agents.training.imitation.imitate --output runs/ai --demos ai.npz --rounds 0
+    python -m stkzoo.agents.training.sb3.selfplay --output runs/play \
         --start runs/imitate/policy.safetensors
 
 First a network learns from demonstrations (those of `stkzoo demos`, or ones that are recorded now)
@@ -40,9 +40,11 @@ from stkzoo.race import find_driver
 from stkzoo.tracks import SPLITS
 from stkzoo.whole_file import whole_file
 
-from .command import add_arguments, keep_arguments, values_of
-from .imitate_network import Fit, fit, make_network, take_over
-from .imitate_races import (
+from ..common.arguments import add_arguments, keep_arguments, values_of
+from ..common.training_log import write_log
+from ..sb3.policy import save_driver, write_agent
+from .network import Fit, fit, make_network, take_over
+from .races import (
     Lesson,
     LessonOrder,
     Numbers,
@@ -51,8 +53,6 @@ from .imitate_races import (
     run_order,
     time_ratio,
 )
-from .journal import write_log
-from .sb3_policy import save_driver, write_agent
 
 __all__ = ["Arguments", "main", "parse", "plot_log", "run"]
 
@@ -388,7 +388,7 @@ def parse(words: list[str] | None = None) -> tuple[Arguments, Path]:
         ConfigError: an argument cannot be.
     """
     parser = argparse.ArgumentParser(
-        prog="python -m stkzoo.agents.training.imitate",
+        prog="python -m stkzoo.agents.training.imitation.imitate",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

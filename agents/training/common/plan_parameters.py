@@ -8,7 +8,7 @@ from pathlib import Path
 from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.errors import ConfigError
 
-from .command import ARGUMENTS
+from .arguments import ARGUMENTS
 
 __all__ = ["NUMBERS", "numbers_of_run", "plan_numbers"]
 

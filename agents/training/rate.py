@@ -1,6 +1,6 @@
 """Rates the kept policies of runs against one another: does self-play get better and better?
 
-    python -m stkzoo.agents.training.rate_policies runs/first runs/second --output ratings
+    python -m stkzoo.agents.training.rate runs/first runs/second --output ratings
 
 The runs are of ``ppo_selfplay`` or of ``sb3_selfplay``. Races of four policies and one kart of the
 game's AI at its hardest, on training tracks; who meets whom and where is drawn evenly. Each race
@@ -35,10 +35,10 @@ from stkzoo.evaluation.statistics import percentile_interval
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
 
-from .command import changes, keep_to_one_thread
-from .league_matches import AI, SEATS, Match, Pairing, play, ratings_of
-from .plan_numbers import numbers_of_run
-from .sb3_heats import Heat, bots_of, drive
+from .common.arguments import changes, keep_to_one_thread
+from .common.plan_parameters import numbers_of_run
+from .league.matches import AI, SEATS, Match, Pairing, play, ratings_of
+from .sb3.matches import Heat, bots_of, drive
 
 __all__ = ["START", "Progress", "draw_pairing", "kept_policies", "main", "progress_of"]
 
@@ -227,7 +227,7 @@ def _draw(ratings: Mapping[str, Rating], count: int, file: Path) -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m stkzoo.agents.training.rate_policies",
+        prog="python -m stkzoo.agents.training.rate",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -8,7 +8,7 @@ from typing import Any
 from ray.rllib.callbacks.callbacks import RLlibCallback
 from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS
 
-from .rllib_races import MAIN, Pool, win_share
+from .races import MAIN, Pool, win_share
 
 __all__ = ["RACES", "RESTARTED", "WIN_SHARE", "SelfPlay", "copy_main"]
 

@@ -1,6 +1,6 @@
 r"""Makes an agent of learned weights: a folder to race, to ship and to send around.
 
-    python -m stkzoo.agents.training.export_policy runs/first/policy-002000000.safetensors \
+    python -m stkzoo.agents.training.export runs/first/policy-002000000.safetensors \
         --name swift --output agents/pretrained/swift
 
 The run is of ``ppo_selfplay``, ``sb3_selfplay`` or ``distil``. With ``--trust 1`` networks of the
@@ -36,8 +36,8 @@ from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weigh
 from stkzoo.errors import ConfigError
 from stkzoo.whole_file import whole_file
 
-from .command import ARGUMENTS
-from .plan_numbers import numbers_of_run
+from .common.arguments import ARGUMENTS
+from .common.plan_parameters import numbers_of_run
 
 __all__ = ["export_policy", "main"]
 
@@ -203,7 +203,7 @@ def _write(path: Path, text: str) -> None:
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m stkzoo.agents.training.export_policy",
+        prog="python -m stkzoo.agents.training.export",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

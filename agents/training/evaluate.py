@@ -1,6 +1,6 @@
 """Compares policies of runs in the same races, on training tracks; quicker than the benchmark.
 
-    python -m stkzoo.agents.training.evaluate_policy prior runs/first/policy-*.safetensors
+    python -m stkzoo.agents.training.evaluate prior runs/first/policy-*.safetensors
 
 Each policy drives, by its likeliest choices, one race for each track, direction and number, from
 the same beginning: one that chooses among plans, by the numbers of its run, a network that answers
@@ -37,10 +37,10 @@ from stkzoo.errors import ConfigError
 from stkzoo.evaluation.benchmark import RaceForm as Form
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
-from .command import keep_to_one_thread
-from .network_races import NetworkKarts, seen_by_networks
-from .plan_numbers import numbers_of_run, plan_numbers
-from .ppo_races import Beginning, Finish, Fleet, RaceForm
+from .common.arguments import keep_to_one_thread
+from .common.fleet import Beginning, Finish, Fleet, RaceForm
+from .common.network_karts import NetworkKarts, seen_by_networks
+from .common.plan_parameters import numbers_of_run, plan_numbers
 
 __all__ = ["Entrant", "Outcome", "evaluate", "main"]
 
@@ -190,7 +190,7 @@ def _report(sources: Sequence[str], outcomes: Sequence[Sequence[Outcome]]) -> No
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m stkzoo.agents.training.evaluate_policy",
+        prog="python -m stkzoo.agents.training.evaluate",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

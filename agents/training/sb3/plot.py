@@ -1,6 +1,6 @@
 """Draws the curves of a run of ``sb3_selfplay``.
 
-python -m stkzoo.agents.training.sb3_plot runs/first --output curves.png
+python -m stkzoo.agents.training.sb3.plot runs/first --output curves.png
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.plotting import BLUE, GREY, INK, new_figure, save_figure, style_axes
 
-from .journal import log_of_run
+from ..common.training_log import log_of_run
 
 __all__ = ["main", "plot_run"]
 
@@ -109,7 +109,7 @@ def _draw_log(axis: Any, lines: list[dict[str, float]], names: dict[str, str], t
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m stkzoo.agents.training.sb3_plot", description=__doc__
+        prog="python -m stkzoo.agents.training.sb3.plot", description=__doc__
     )
     parser.add_argument("run", help="the run's folder")
     parser.add_argument("--output", default="curves.png", help="(default: curves.png)")

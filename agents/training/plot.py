@@ -1,6 +1,6 @@
 """Draws the curves of runs of ``ppo_selfplay``.
 
-python -m stkzoo.agents.training.plot_run runs/first runs/second --output curves.png
+python -m stkzoo.agents.training.plot runs/first runs/second --output curves.png
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.plotting import new_figure, save_figure
 
-from .journal import log_of_run
+from .common.training_log import log_of_run
 
 __all__ = ["main", "plot_runs"]
 
@@ -83,7 +83,7 @@ def _smooth(values: np.ndarray[Any, np.dtype[np.float64]], width: int = 9) -> An
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m stkzoo.agents.training.plot_run",
+        prog="python -m stkzoo.agents.training.plot",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -1,6 +1,6 @@
 """Learns to race by playing against itself: PPO in one file, on many karts at once.
 
-    python -m stkzoo.agents.training.ppo_selfplay --output runs/first --until 2000000
+    python -m stkzoo.agents.training.ppo.selfplay --output runs/first --until 2000000
 
 Proximal policy optimisation (Schulman et al., 2017) with one policy on all karts of many races,
 among themselves and against the game's AI. A small network sees the racing view
@@ -14,7 +14,7 @@ along the track and places won; a finish is no end of earning, so that nobody sl
 number goes on, and so does the same command after the program was killed, exactly as if
 it had not been. In the folder are ``checkpoint.pt``, ``log.jsonl`` (a line an iteration),
 TensorBoard's files, ``arguments.json``, and ``policy-STEPS.safetensors`` now and then, which
-``python -m stkzoo.agents.training.export_policy`` makes an agent of.
+``python -m stkzoo.agents.training.export`` makes an agent of.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
 
-from .command import ARGUMENTS, add_arguments, changes, training_torch, values_of
-from .journal import Journal
-from .plan_numbers import plan_numbers
-from .ppo_races import Finish, Fleet, RaceForm, StepOutcome
+from ..common.arguments import ARGUMENTS, add_arguments, changes, training_torch, values_of
+from ..common.fleet import Finish, Fleet, RaceForm, StepOutcome
+from ..common.plan_parameters import plan_numbers
+from ..common.training_log import Journal
 
 __all__ = ["Arguments", "Learner", "main"]
 
@@ -626,7 +626,7 @@ def _arrays(value: Any) -> Any:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m stkzoo.agents.training.ppo_selfplay",
+        prog="python -m stkzoo.agents.training.ppo.selfplay",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

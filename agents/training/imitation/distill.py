@@ -1,7 +1,7 @@
 r"""Teaches one network what the plans of the learned drivers would do, by DAgger.
 
-    python -m stkzoo.agents.training.distil --output runs/distil
-    python -m stkzoo.agents.training.sb3_selfplay --output runs/play --hold 1 \
+    python -m stkzoo.agents.training.imitation.distill --output runs/distil
+    python -m stkzoo.agents.training.sb3.selfplay --output runs/play --hold 1 \
         --start runs/distil/policy.safetensors
 
 The plans weigh what may come in the next two seconds; the network sees the view ``racing`` and what
@@ -35,12 +35,12 @@ from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.racing import BRAKE
 
-from .command import RunBar, add_arguments, keep_arguments, training_torch, values_of
-from .imitate_network import fit, make_network, take_over
-from .journal import read_log, write_log
-from .network_races import NetworkKarts, seen_by_networks
-from .ppo_races import Finish, Fleet, RaceForm
-from .sb3_policy import save_driver, write_agent
+from ..common.arguments import RunBar, add_arguments, keep_arguments, training_torch, values_of
+from ..common.fleet import Finish, Fleet, RaceForm
+from ..common.network_karts import NetworkKarts, seen_by_networks
+from ..common.training_log import read_log, write_log
+from ..sb3.policy import save_driver, write_agent
+from .network import fit, make_network, take_over
 
 __all__ = ["Arguments", "Class", "main", "run"]
 
@@ -259,7 +259,7 @@ def _shown(line: dict[str, Any]) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m stkzoo.agents.training.distil",
+        prog="python -m stkzoo.agents.training.imitation.distill",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

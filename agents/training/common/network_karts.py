@@ -10,7 +10,7 @@ from stkzoo.agents.pretrained.drivers import View
 from stkzoo.agents.pretrained.reflexes import INPUT_SIZE, Reflexes
 from stkzoo.wrappers.racing import SIZE, controls_of_choices
 
-from .ppo_races import Fleet
+from .fleet import Fleet
 
 __all__ = ["NetworkKarts", "seen_by_networks"]
 

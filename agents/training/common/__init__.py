@@ -1,0 +1,1 @@
+"""What the learners share: arguments, logs, many races at once, matches."""

@@ -1,0 +1,1 @@
+"""Imitation of a teacher (DAgger), and distillation of plans into a network."""

@@ -1,0 +1,1 @@
+"""A league of players that learn against each other's past selves."""

@@ -1,0 +1,1 @@
+"""Self-play with PPO on many races at once, by choices among plans."""
