@@ -9,14 +9,15 @@ from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.reflexes import INPUT_SIZE
 from stkzoo.agents.pretrained.weights import load_weights
-from stkzoo.agents.training import distil, evaluate_policy
+from stkzoo.agents.training import evaluate
 from stkzoo.agents.training.common.fleet import Fleet, RaceForm
-from stkzoo.agents.training.evaluate import Entrant, evaluate
+from stkzoo.agents.training.evaluate import Entrant
+from stkzoo.agents.training.imitation import distill
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import CHOICES
 
-SMALL = distil.Arguments(
+SMALL = distill.Arguments(
     rounds=2, steps=300, tracks=("olivermath",), hidden=(16, 16), epochs=1, last_epochs=1, batch=64
 )
 
@@ -40,7 +41,7 @@ def test_the_plans_answers_drive_as_the_plans_do(fleet):
         fleet.send(plans.best(view))
         view, _ = fleet.receive()
     there = way_of(fleet)
-    lesson = distil.Class(fleet, fleet.begin_at([start]))
+    lesson = distill.Class(fleet, fleet.begin_at([start]))
     drifted = 0
     for _ in range(120):
         answers = lesson.answers()
@@ -61,7 +62,7 @@ def test_a_fleet_mirrors_nobody_if_told(fleet):
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("distil")
-    return folder, distil.run(SMALL, folder)
+    return folder, distill.run(SMALL, folder)
 
 
 def test_a_run_drives_by_plans_then_by_the_network(run):
@@ -76,10 +77,10 @@ def test_a_run_drives_by_plans_then_by_the_network(run):
 
 def test_its_network_is_compared_with_the_plans_in_the_same_races(run, monkeypatch):
     folder, log = run
-    monkeypatch.setattr(evaluate_policy, "_FIRST_NUMBER", 0)  # the races of the log's last figures
+    monkeypatch.setattr(evaluate, "_FIRST_NUMBER", 0)  # the races of the log's last figures
     entrants = [Entrant.of(str(folder / "policy.safetensors")), Entrant.of("prior")]
-    network, plans = evaluate(entrants, SMALL.tracks, RaceForm(1, 0), 1)
-    ratios = [min(outcome.ratio, distil._UNFINISHED) for outcome in network]
+    network, plans = evaluate.evaluate(entrants, SMALL.tracks, RaceForm(1, 0), 1)
+    ratios = [min(outcome.ratio, distill._UNFINISHED) for outcome in network]
     assert np.mean(ratios) == pytest.approx(log[-1]["time_ratio_alone"], abs=1e-4)
     assert sum(outcome.unfinished for outcome in network) == log[-1]["unfinished"]
     assert np.mean([outcome.ratio for outcome in plans]) < 1.0
@@ -87,17 +88,17 @@ def test_its_network_is_compared_with_the_plans_in_the_same_races(run, monkeypat
 
 def test_a_killed_run_goes_on_with_its_round(run, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
-        calls = iter([distil._alone])
+        calls = iter([distill._alone])
 
         def alone(*arguments):
             return next(calls)(*arguments)
 
-        patch.setattr(distil, "_alone", alone)
+        patch.setattr(distill, "_alone", alone)
         with pytest.raises(StopIteration):
-            distil.run(SMALL, tmp_path)
+            distill.run(SMALL, tmp_path)
     assert len((tmp_path / "log.jsonl").read_text().splitlines()) == 1
     folder, log = run
-    assert distil.run(SMALL, tmp_path) == log
+    assert distill.run(SMALL, tmp_path) == log
     ours, theirs = (load_weights(f / "policy.safetensors") for f in (tmp_path, folder))
     assert all((ours[name] == theirs[name]).all() for name in theirs)
 
@@ -105,8 +106,8 @@ def test_a_killed_run_goes_on_with_its_round(run, tmp_path, monkeypatch):
 def test_another_run_is_refused_in_its_folder(run, capsys):
     folder, _ = run
     with pytest.raises(ConfigError, match="steps was 300, now 400"):
-        distil.run(distil.Arguments(steps=400), folder)
-    assert distil.main(["--output", str(folder), "--steps", "0"]) == 1
+        distill.run(distill.Arguments(steps=400), folder)
+    assert distill.main(["--output", str(folder), "--steps", "0"]) == 1
     assert "steps" in capsys.readouterr().err
 
 
