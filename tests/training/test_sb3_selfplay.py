@@ -14,8 +14,8 @@ from stkzoo import Start
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.agents.pretrained.reflexes import INPUT_MIRROR, INPUT_SIZE, Reflexes
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
-from stkzoo.agents.training import sb3_races
 from stkzoo.agents.training.common.opponents import Pool
+from stkzoo.agents.training.sb3 import races as sb3_races
 from stkzoo.agents.training.sb3.curriculum import EASY_TO_HARD, Curriculum
 from stkzoo.agents.training.sb3.evaluation import judge, ratings_of, read_judgements
 from stkzoo.agents.training.sb3.plot import main as plot_main
