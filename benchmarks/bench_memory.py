@@ -1,4 +1,4 @@
-"""Resident memory of the program, the mother and the race's process, and how it grows.
+"""Resident memory of the program, the fork server and the race's process, and how it grows.
 
     python -m benchmarks.bench_memory
     python -m benchmarks.bench_memory --karts 3 --resets 500
@@ -6,7 +6,7 @@
 Measured after the import, in a race, after a race on every track, and over many resets on
 one short track. ``resident`` counts pages that processes share in each of them, ``share``
 (the kernel's proportional set size) divides them, ``own`` leaves them out: a forked race
-shares most of its pages with the mother. Needs Linux.
+shares most of its pages with the fork server. Needs Linux.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ def _growth(
 
 def processes(pid: int) -> dict[str, dict[str, float]]:
     """MiB of a contender's processes by role; the newest stands for those of one depth."""
-    roles = ("program", "mother or game", "race")
+    roles = ("program", "fork server or game", "race")
     level = [pid]
     found = {}
     for role in roles:

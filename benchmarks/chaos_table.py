@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from stkzoo.whole_file import whole_file
+from stkzoo._os import atomic_write
 
 RESULTS = Path(__file__).parent / "results" / "robustness"
 PAGE = Path(__file__).parents[1] / "docs" / "robustness.md"
@@ -30,7 +30,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     words.add_argument("--write", action="store_true", help="put it into the page")
     if words.parse_args(argv).write:
-        with whole_file(PAGE) as part:
+        with atomic_write(PAGE) as part:
             part.write_text(updated(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
     else:
         print(table())

@@ -2,7 +2,7 @@
 
 Stable-Baselines3's PPO drives all karts of two races (`stkzoo.sb3.RaceVecEnv`) until so many
 steps of agents are done. Meanwhile a thread kills or stops one of the processes that hold the
-games, or their mother. The run has to end by itself, with the right number of steps, without a
+games, or their fork server. The run has to end by itself, with the right number of steps, without a
 number that is not finite, and without a process left.
 
     python -m benchmarks.chaos_training                     # 200,000 steps, ten minutes
@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.bench_common import RESULTS, host_facts, progress_bar
-from stkzoo.whole_file import whole_file
+from stkzoo._os import atomic_write
 from tests.chaos.family import family
 from tests.support.processes import wait_until
 
@@ -41,7 +41,7 @@ _BLOWS = (
     ("SIGKILL", "race"),
     ("SIGSEGV", "race"),
     ("SIGSTOP", "race"),
-    ("SIGKILL", "mother"),
+    ("SIGKILL", "fork server"),
     ("SIGKILL", "race"),
 )
 _ENGINE_TIMEOUT = 5.0  # [s]
@@ -61,7 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     result = train(arguments.steps, arguments.every)
     print(json.dumps(result, indent=2))
     arguments.output.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(arguments.output) as part:
+    with atomic_write(arguments.output) as part:
         part.write_text(json.dumps(result, indent=2) + "\n")
     return 0 if result["survived"] else 1
 
@@ -97,7 +97,7 @@ def train(steps: int, every: float) -> dict[str, Any]:
     envs.close()
     rollout = _ROLLOUT * envs.num_envs
     expected = math.ceil(steps / rollout) * rollout  # whole rollouts, as PPO counts
-    gone = wait_until(lambda: not [m for m in family(os.getpid()) if m.kind != "mother"], 10)
+    gone = wait_until(lambda: not [m for m in family(os.getpid()) if m.kind != "fork server"], 10)
     parameters = torch.cat([weights.detach().flatten() for weights in model.policy.parameters()])
     problems = [
         *watch.problems,

@@ -31,7 +31,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from stkzoo.whole_file import whole_file
+from stkzoo._os import atomic_write
 
 RESULTS = Path(__file__).parent / "results" / "robustness" / "fuzz.json"
 #: How the inputs are shared out: the quick readers get more.
@@ -117,7 +117,7 @@ def _run_reader(
         row["how"] = "at random" if plain else "atheris"
         row["findings"] += [finding] if finding else []
         output.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(output) as part:
+        with atomic_write(output) as part:
             part.write_text(json.dumps({"readers": state}, indent=2) + "\n")
         print(f"{name}: {row['inputs']} of {goal} inputs", file=sys.stderr)
 

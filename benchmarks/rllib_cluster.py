@@ -26,7 +26,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from stkzoo.whole_file import whole_file
+from stkzoo._os import atomic_write
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results" / "rllib_cluster.json"
@@ -54,7 +54,7 @@ def main() -> int:
         return _with_ray(args.folder)
     with tempfile.TemporaryDirectory(prefix="stkzoo-rllib-") as folder:
         result = _Trial(Path(folder), args.iterations, args.timeout, args.pack).run()
-    with whole_file(RESULTS) as part:
+    with atomic_write(RESULTS) as part:
         part.write_text(json.dumps(result, indent=1) + "\n")
     print(json.dumps({k: v for k, v in result.items() if k != "log"}, indent=1))
     return 0 if result["passed"] else 1

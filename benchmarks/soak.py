@@ -107,10 +107,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             file.flush()
         progress.update(task, completed=arguments.races)
     gc.collect()
-    left = [member for member in family(os.getpid()) if member.kind != "mother"]
+    left = [member for member in family(os.getpid()) if member.kind != "fork server"]
     rows = _read(arguments.output)
     _show(rows)
-    print(f"processes besides the mother at the end: {len(left)}")
+    print(f"processes besides the fork server at the end: {len(left)}")
     return 1 if left or any(row["events"] or row["problem"] for row in rows) else 0
 
 
@@ -185,12 +185,12 @@ def _complaints(env: Any) -> dict[str, int]:
 
 def _burden() -> dict[str, Any]:
     members = family(os.getpid())
-    (mother,) = [member.pid for member in members if member.kind == "mother"] or [0]
+    (fork_server,) = [member.pid for member in members if member.kind == "fork server"] or [0]
     return {
         "memory": round(_memory("self"), 2),
-        "mother_memory": round(_memory(str(mother)), 2) if mother else 0.0,
+        "fork_server_memory": round(_memory(str(fork_server)), 2) if fork_server else 0.0,
         "open_files": len(os.listdir("/proc/self/fd")),
-        "mother_files": len(_listed(f"/proc/{mother}/fd")) if mother else 0,
+        "fork_server_files": len(_listed(f"/proc/{fork_server}/fd")) if fork_server else 0,
         "threads": threading.active_count(),
         "processes": len(members),
     }
@@ -246,7 +246,14 @@ def _trend(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
         return
     yield f"program {rows[0]['program']}", f"races {warm[0]['number']} to {warm[-1]['number']}"
     numbers = [row["number"] for row in warm]
-    for name in ("memory", "mother_memory", "open_files", "mother_files", "threads", "processes"):
+    for name in (
+        "memory",
+        "fork_server_memory",
+        "open_files",
+        "fork_server_files",
+        "threads",
+        "processes",
+    ):
         values = [row[name] for row in warm]
         slope = float(np.polyfit(numbers, values, 1)[0]) * 1000
         low, high = min(values), max(values)

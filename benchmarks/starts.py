@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 
 from stkzoo import Start, race_v0
+from stkzoo._os import atomic_write
 from stkzoo.agents import heuristic
 from stkzoo.engine.road import Road
 from stkzoo.errors import ConfigError
 from stkzoo.names import AttachmentType
 from stkzoo.tracks import SPLITS
-from stkzoo.whole_file import whole_file
 
 RESULTS = Path(__file__).parent / "results" / "starts.json"
 
@@ -152,7 +152,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def write(path: Path, results: dict[str, Any]) -> None:
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         part.write_text(json.dumps(results, indent=1) + "\n")
 
 

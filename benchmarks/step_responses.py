@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from stkzoo import AgentSpec, Start, race_v0
+from stkzoo._os import atomic_write
 from stkzoo.agents.pursuit import PursuitDriver, PursuitState, control_of
-from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.control import CarParameters, ControlView
 from stkzoo.wrappers.control.parameters import KARTS
 
@@ -50,7 +50,7 @@ def main() -> None:
         "laps": [lap(kinds) for kinds in KINDS],
     }
     results = kart | {"responses": responses}
-    with whole_file(arguments.output) as part:
+    with atomic_write(arguments.output) as part:
         part.write_text(json.dumps(results, indent=1) + "\n")
     show(results)
     draw(responses, arguments.plot)

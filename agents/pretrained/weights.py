@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._os import atomic_write
 from stkzoo.errors import ConfigError
-from stkzoo.whole_file import whole_file
 
 __all__ = ["digest_of", "load_weights", "save_weights"]
 
@@ -51,7 +51,7 @@ def save_weights(path: str | os.PathLike[str], weights: Mapping[str, FloatArray]
         place += len(block)
     text = json.dumps(header, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 8)
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         part.write_bytes(b"".join([_SIZE.pack(len(text)), text, *blocks]))
 
 

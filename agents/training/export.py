@@ -28,13 +28,13 @@ import numpy as np
 import numpy.typing as npt
 
 import stkzoo
+from stkzoo._os import atomic_write
 from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.advice import check_trust, join_networks
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, check_shapes
 from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
 from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
 from stkzoo.errors import ConfigError
-from stkzoo.whole_file import whole_file
 
 from .common.arguments import ARGUMENTS
 from .common.plan_parameters import numbers_of_run
@@ -196,7 +196,7 @@ def _told(run: dict[str, Any]) -> str:
 
 
 def _write(path: Path, text: str) -> None:
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         part.write_text(text)
 
 

@@ -24,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stkzoo._os import atomic_write
 from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.mlp import MlpDriver, Seat, load_driver
 from stkzoo.agents.pretrained.policy import RacingPolicy
@@ -33,7 +34,6 @@ from stkzoo.evaluation.plotting import new_figure, save_figure
 from stkzoo.evaluation.ratings import Rating
 from stkzoo.evaluation.statistics import percentile_interval
 from stkzoo.tracks import TRAIN_TRACKS
-from stkzoo.whole_file import whole_file
 
 from .common.arguments import changes, keep_to_one_thread
 from .common.plan_parameters import numbers_of_run
@@ -192,7 +192,7 @@ def _write(
         for name, rating in sorted(ratings.items())
     ]
     report = {"matches": len(matches), "learned_longer": asdict(progress), "ratings": rows}
-    with whole_file(folder / _RATINGS) as part:
+    with atomic_write(folder / _RATINGS) as part:
         part.write_text(json.dumps(report, indent=1) + "\n")
     _draw(ratings, len(matches), folder / _PICTURE)
 

@@ -29,11 +29,11 @@ from typing import Any
 
 import numpy as np
 
+from stkzoo._os import atomic_write
 from stkzoo.agents.heuristic import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.errors import ConfigError
 from stkzoo.tracks import TRAIN_TRACKS
-from stkzoo.whole_file import whole_file
 
 from .common.arguments import keep_to_one_thread, training_library
 from .common.fleet import Beginning, Fleet, RaceForm
@@ -204,7 +204,7 @@ class _Search:
         with (self.folder / _LOG).open("a") as log:
             log.write(json.dumps(line) + "\n")
         mean = from_unit(list(map(float, self._strategy.result.xfavorite)))
-        with whole_file(self.folder / _BEST) as part:
+        with atomic_write(self.folder / _BEST) as part:
             part.write_text(json.dumps(asdict(mean), indent=1) + "\n")
         return line
 

@@ -11,9 +11,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from stkzoo._os import atomic_write
 from stkzoo.cli.flags import add_flags, flags_given
 from stkzoo.errors import AgentError, ConfigError
-from stkzoo.whole_file import whole_file
 
 if TYPE_CHECKING:
     from stkzoo.race import Driver, RaceListener, RaceResult
@@ -209,7 +209,7 @@ def _as_json(results: Sequence[RaceResult], *, is_series: bool) -> str:
 def _write(text: str, file: Path) -> int:
     """Writes the whole file or none."""
     try:
-        with whole_file(file) as part:
+        with atomic_write(file) as part:
             part.write_text(text + "\n", encoding="utf-8")
     except OSError as error:
         print(f"stkzoo: the result could not be written: {error}", file=sys.stderr)

@@ -174,9 +174,9 @@ def _draw(names: Sequence[str], file: Path) -> int:
     if file.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
         raise ConfigError(f"--map is {str(file)!r}, expected a name ending in .png, .jpg or .webp")
     from stkzoo import race_v0
+    from stkzoo._os import atomic_write
     from stkzoo.render.map import MapView
     from stkzoo.render.pillow import pillow
-    from stkzoo.whole_file import whole_file
 
     with race_v0.parallel_env(num_kart=1, track=names[0]) as env:
         env.reset(seed=0)
@@ -186,7 +186,7 @@ def _draw(names: Sequence[str], file: Path) -> int:
         picture = MapView(scene, (1024, 768), panel=False).draw(snapshot)
     image, formats = pillow().Image.fromarray(picture), pillow().Image.registered_extensions()
     try:
-        with whole_file(file) as part:
+        with atomic_write(file) as part:
             image.save(part, format=formats[file.suffix.lower()])
     except OSError as error:
         raise ConfigError(f"{file} cannot be written: {error}") from error

@@ -1,7 +1,7 @@
 """The processes that hold the game, seen from the program that uses them.
 
 A race runs in a :class:`RaceProcess`. :func:`start_race_process` makes one: a fork of
-this program's mother process (:mod:`stkzoo.engine.mother`) where that exists, else a fresh
+this program's fork server (:mod:`stkzoo.engine.fork_server`) where that exists, else a fresh
 interpreter. Both speak :mod:`stkzoo.engine.wire`.
 """
 
@@ -23,10 +23,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
 
+from stkzoo._os import LockedTemporaryDirectory
 from stkzoo.engine import wire
-from stkzoo.engine.mother import READY
+from stkzoo.engine.fork_server import READY
 from stkzoo.errors import ConfigError, EngineCrashed, EngineError, EngineTimeout
-from stkzoo.scratch import ScratchFolder
 
 __all__ = [
     "DRAWING_START_TIMEOUT",
@@ -35,7 +35,7 @@ __all__ = [
     "RaceProcess",
     "can_fork",
     "engine_environment",
-    "start_mother",
+    "start_fork_server",
     "start_race_process",
     "start_shadow_process",
 ]
@@ -62,7 +62,7 @@ main(*map(int, sys.argv[2:]))
 
 
 def can_fork() -> bool:
-    """Whether races are forked from a mother process here (Linux), not spawned."""
+    """Whether races are forked from a fork server here (Linux), not spawned."""
     return sys.platform == "linux" and os.environ.get("STKZOO_START_METHOD") != "spawn"
 
 
@@ -173,9 +173,9 @@ def start_race_process(root: Path) -> RaceProcess:
         if not can_fork():
             return _SpawnedRace(root, "worker")
         try:
-            return start_mother(root).fork()
-        except EngineCrashed:  # the mother was killed since it was last used
-            return start_mother(root).fork()
+            return start_fork_server(root).fork()
+        except EngineCrashed:  # the fork server was killed since it was last used
+            return start_fork_server(root).fork()
 
 
 def start_shadow_process(root: Path, graphics: str, variables: Mapping[str, str]) -> RaceProcess:
@@ -239,12 +239,12 @@ def _spawn(
     )
 
 
-class Mother:
-    """This program's connection to one mother process."""
+class ForkServerClient:
+    """This program's connection to one fork server."""
 
     def __init__(self, root: Path) -> None:
         self._log = Log()
-        self._home = ScratchFolder("home")
+        self._home = LockedTemporaryDirectory("home")
         self._lock = threading.Lock()
         self._is_ready = False
         self._number = 0  # of the last request
@@ -252,7 +252,7 @@ class Mother:
         self._control.settimeout(START_TIMEOUT)
         with theirs:
             self._process = _spawn(
-                "mother",
+                "fork_server",
                 [theirs.fileno(), _SELF_DESTRUCT_SECONDS],
                 engine_environment(root, str(self._home.path)),
                 self._log,
@@ -286,12 +286,12 @@ class Mother:
             self._control.send(json.dumps({"do": "drop", "pid": pid}).encode())
 
     def adopt(self, pid: int) -> None:
-        """Tells the mother of a copy that one of her children has made of itself."""
-        with contextlib.suppress(OSError):  # a mother that is gone has ended the copy too
+        """Reports a clone that one of the fork server's children has made of itself."""
+        with contextlib.suppress(OSError):  # a fork server that is gone has ended the clone too
             self._control.send(json.dumps({"do": "adopt", "pid": pid}).encode())
 
     def close(self) -> None:
-        """Ends the mother and with her all her children."""
+        """Ends the fork server and with it all its children."""
         self._control.close()
         try:
             self._process.wait(2.0)
@@ -302,13 +302,13 @@ class Mother:
         self._log.close()
 
     def forget(self) -> None:
-        """Lets go of a mother that belongs to the process this one was forked from."""
+        """Lets go of a fork server that belongs to the process this one was forked from."""
         self._control.close()
         self._process.returncode = 0  # not our child: nothing to wait for
-        self._home.let_go()
+        self._home.release()
 
     def _ask(self, request: Mapping[str, Any], fds: list[int] | None = None) -> Any:
-        """Waits for the answer to a request; that to an interrupted one is passed over."""
+        """Sends a request and waits for its reply; discards replies to interrupted requests."""
         self._number += 1
         form = json.dumps({"number": self._number, **request}).encode()
         try:
@@ -328,7 +328,7 @@ class Mother:
         except TimeoutError:
             _retire(self)
             raise EngineTimeout(
-                f"the game's mother process gave no answer in {START_TIMEOUT:.0f} s and was ended",
+                f"the game's fork server gave no answer in {START_TIMEOUT:.0f} s and was ended",
                 self._log.tail(),
             ) from None
         except OSError:
@@ -339,22 +339,24 @@ class Mother:
         what = "is gone" if self._is_ready else "could not start"
         _retire(self)
         raise EngineCrashed(
-            f"the game's mother process {what}; `stkzoo doctor` looks for the cause", log
+            f"the game's fork server {what}; `stkzoo doctor` looks for the cause", log
         )
 
 
 class _ForkedRace(RaceProcess):
-    def __init__(self, connection: socket.socket, pid: int, log: Log, mother: Mother) -> None:
+    def __init__(
+        self, connection: socket.socket, pid: int, log: Log, fork_server: ForkServerClient
+    ) -> None:
         super().__init__(connection, pid, log)
-        self._mother = mother
+        self._fork_server = fork_server
 
     def end(self) -> str:
         self.connection.close()
-        status = self._mother.end_child(self.pid)
+        status = self._fork_server.end_child(self.pid)
         return "was lost" if status is None else _describe_end(os.waitstatus_to_exitcode(status))
 
     def drop(self) -> None:
-        self._mother.drop_child(self.pid)
+        self._fork_server.drop_child(self.pid)
         self._free()
 
     def fork(self) -> RaceProcess:
@@ -368,15 +370,15 @@ class _ForkedRace(RaceProcess):
                 wire.send_files(self.connection, [theirs.fileno(), log.fileno()])
             pid = int(self.reply()[0])
             ours.settimeout(self.connection.gettimeout())
-            self._mother.adopt(pid)
-            on_failure.callback(self._mother.drop_child, pid)
+            self._fork_server.adopt(pid)
+            on_failure.callback(self._fork_server.drop_child, pid)
             try:
                 wire.receive(ours)
             except (EOFError, OSError):
                 message = "a copy of the game's process ended before it could answer"
                 raise EngineCrashed(message, log.tail()) from None
             on_failure.pop_all()
-        return _ForkedRace(ours, pid, log, self._mother)
+        return _ForkedRace(ours, pid, log, self._fork_server)
 
 
 def _connection_and_log() -> tuple[socket.socket, socket.socket, Log]:
@@ -400,7 +402,7 @@ class _SpawnedRace(RaceProcess):
     """An interpreter of its own, reached over the loopback interface."""
 
     def __init__(self, root: Path, module: str, variables: Mapping[str, str] | None = None) -> None:
-        self._home = ScratchFolder("home")
+        self._home = LockedTemporaryDirectory("home")
         home = str(self._home.path)
         log = Log()
         token = secrets.token_bytes(_TOKEN_BYTES)
@@ -466,44 +468,44 @@ def _describe_end(returncode: int) -> str:
         return f"was ended by signal {-returncode}"
 
 
-_mothers: dict[Path, Mother] = {}
-_mothers_lock = threading.Lock()
+_fork_servers: dict[Path, ForkServerClient] = {}
+_fork_servers_lock = threading.Lock()
 
 
-def start_mother(root: Path) -> Mother:
-    """This program's mother process for the given game data; does not wait for it."""
-    with _mothers_lock:
-        if root not in _mothers:
+def start_fork_server(root: Path) -> ForkServerClient:
+    """This program's fork server for the given game data; does not wait for it."""
+    with _fork_servers_lock:
+        if root not in _fork_servers:
             with _told_what_is_missing():
-                _mothers[root] = Mother(root)
-        return _mothers[root]
+                _fork_servers[root] = ForkServerClient(root)
+        return _fork_servers[root]
 
 
-def _retire(mother: Mother) -> None:
-    with _mothers_lock:
-        for root, known in tuple(_mothers.items()):
-            if known is mother:
-                del _mothers[root]
-    mother.close()
+def _retire(fork_server: ForkServerClient) -> None:
+    with _fork_servers_lock:
+        for root, known in tuple(_fork_servers.items()):
+            if known is fork_server:
+                del _fork_servers[root]
+    fork_server.close()
 
 
 @atexit.register
 def _close_all() -> None:
-    while _mothers:
-        _mothers.popitem()[1].close()
+    while _fork_servers:
+        _fork_servers.popitem()[1].close()
 
 
 def _forget_all() -> None:
-    global _mothers_lock
-    _mothers_lock = threading.Lock()
-    while _mothers:
-        mother = _mothers.popitem()[1]
-        mother.forget()
-        _forgotten.append(mother)
+    global _fork_servers_lock
+    _fork_servers_lock = threading.Lock()
+    while _fork_servers:
+        fork_server = _fork_servers.popitem()[1]
+        fork_server.forget()
+        _forgotten.append(fork_server)
 
 
-#: Mothers of the process this one was forked from, kept so that nothing tidies them up here.
-_forgotten: list[Mother] = []
+#: Fork servers of the process this one was forked from, kept so that nothing tidies them up here.
+_forgotten: list[ForkServerClient] = []
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_forget_all)

@@ -8,7 +8,7 @@ import signal
 import socket
 import traceback
 
-from stkzoo.engine import offspring, wire
+from stkzoo.engine import process_clone, wire
 from stkzoo.engine.race import GameRace
 from stkzoo.engine.setup import RaceSetup
 
@@ -16,7 +16,7 @@ __all__ = ["describe", "serve", "set_alarm"]
 
 
 def serve(
-    connection: socket.socket, *, self_destruct_after: int, mother: int | None = None
+    connection: socket.socket, *, self_destruct_after: int, fork_server: int | None = None
 ) -> None:
     """Serves requests until the other end quits or is gone.
 
@@ -24,15 +24,15 @@ def serve(
         connection: socket to the program.
         self_destruct_after: seconds after which a single request that is still running
             ends this process, so that a game which hangs cannot outlive a program that
-            can no longer end it. With a mother process, her end is this one's too.
-        mother: process id of the parent, if it is a mother process, whose children copies
-            of this process become; without her, there are no copies.
+            can no longer end it. A child of a fork server ends with it instead.
+        fork_server: process id of the parent, if that is a fork server. Clones of this process
+            become its children; without a fork server this process cannot be cloned.
     """
     race: GameRace | None = None
-    has_alarm = mother is None
+    has_alarm = fork_server is None
     while True:
         try:
-            kind, frames = _next_request(connection, race, mother)
+            kind, frames = _next_request(connection, race, fork_server)
             if has_alarm:
                 set_alarm(self_destruct_after)
             if kind == wire.ACT and race is not None:
@@ -43,8 +43,8 @@ def serve(
                     race = None  # the engine counts a race until its object is gone
                 race = GameRace(RaceSetup.from_json(frames[0]))
                 wire.send(connection, wire.OK, *race.begin().to_frames())
-            elif kind == wire.FORK and mother is not None:
-                connection = _fork(connection, mother)
+            elif kind == wire.FORK and fork_server is not None:
+                connection = _fork(connection, fork_server)
             else:
                 return
         except (EOFError, ConnectionError):
@@ -56,23 +56,23 @@ def serve(
 
 
 def _next_request(
-    connection: socket.socket, race: GameRace | None, mother: int | None
+    connection: socket.socket, race: GameRace | None, fork_server: int | None
 ) -> tuple[bytes, list[bytes]]:
     """The next request but for steps that the race can take at once.
 
-    Only children of a mother have a packet socket, and no alarm to set.
+    Only children of a fork server have a packet socket, and no alarm to set.
     """
-    if race is None or mother is None or not race.can_serve:
+    if race is None or fork_server is None or not race.can_serve:
         return wire.receive(connection)
     return wire.complete(connection, race.serve(connection))
 
 
-def _fork(connection: socket.socket, mother: int) -> socket.socket:
+def _fork(connection: socket.socket, fork_server: int) -> socket.socket:
     """Copies this process; returns the connection to serve, a new one in the copy."""
     wire.send(connection, wire.OK)
     session_fd, log_fd = wire.receive_files(connection, 2)
     try:
-        pid = offspring.fork_beside(mother)
+        pid = process_clone.fork_beside(fork_server)
     except OSError:
         os.close(session_fd)
         os.close(log_fd)
@@ -82,7 +82,7 @@ def _fork(connection: socket.socket, mother: int) -> socket.socket:
         os.close(log_fd)
         wire.send(connection, wire.OK, str(pid).encode())
     else:
-        connection = offspring.move_to(connection, session_fd, log_fd)
+        connection = process_clone.move_to(connection, session_fd, log_fd)
         wire.send(connection, wire.OK)
     return connection
 

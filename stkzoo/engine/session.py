@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._os import LockedTemporaryDirectory
 from stkzoo.engine import wire
 from stkzoo.engine.process import (
     START_TIMEOUT,
@@ -26,7 +27,6 @@ from stkzoo.engine.race import GameRace, RaceStart, init_engine
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import ApiOrderError, EngineCrashed, EngineError, EngineTimeout
-from stkzoo.scratch import ScratchFolder
 
 __all__ = ["LocalSession", "Session", "WorkerSession"]
 
@@ -338,7 +338,7 @@ def _flush_c_streams() -> None:
 
 def _init_here(root: Path) -> None:
     """Starts the engine in this process, with the environment that engine processes have."""
-    home = ScratchFolder("home")
+    home = LockedTemporaryDirectory("home")
     atexit.register(home.close)
     environment = dict(os.environ)
     os.environ.update(engine_environment(root, str(home.path)))

@@ -13,7 +13,7 @@ from gymnasium.utils import EzPickle
 
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import find_assets
-from stkzoo.engine.process import can_fork, start_mother
+from stkzoo.engine.process import can_fork, start_fork_server
 from stkzoo.engine.track import TrackMap
 from stkzoo.env.graphics import RENDER_MODES
 from stkzoo.env.parallel import RaceParallelEnv
@@ -67,7 +67,7 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], EzPickle):
         """
         assets = find_assets(graphics=with_graphics)
         if use_subprocess and not with_graphics and can_fork():
-            start_mother(assets.root)
+            start_fork_server(assets.root)
         return list(assets.tracks)
 
     @property

@@ -17,7 +17,7 @@ from pettingzoo import ParallelEnv
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import Assets, find_assets
 from stkzoo.engine.ground import Ground
-from stkzoo.engine.process import can_fork, start_mother
+from stkzoo.engine.process import can_fork, start_fork_server
 from stkzoo.engine.session import LocalSession, Session, WorkerSession
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.engine.track import TrackMap
@@ -500,5 +500,5 @@ def _session(assets: Assets, use_subprocess: bool, timeout: float) -> Session:
     if not use_subprocess:
         return LocalSession(assets.root)
     if can_fork():
-        start_mother(assets.root)  # the game starts while the program goes on
+        start_fork_server(assets.root)  # the game starts while the program goes on
     return WorkerSession(assets.root, timeout=timeout)

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._os import atomic_write
 from stkzoo.engine.race import RaceStart
 from stkzoo.engine.session import Session
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.env.grid import RaceInfo
 from stkzoo.errors import ConfigError
-from stkzoo.whole_file import whole_file
 
 __all__ = ["Scenario", "digest_of", "past_controls", "read_scenario"]
 
@@ -73,7 +73,7 @@ class Scenario:
         }
         file = Path(path)
         try:
-            with whole_file(file) as part, zipfile.ZipFile(part, "w") as archive:
+            with atomic_write(file) as part, zipfile.ZipFile(part, "w") as archive:
                 compress = {"compress_type": zipfile.ZIP_DEFLATED}
                 archive.writestr(_ABOUT, json.dumps(about, indent=1), **compress)
                 archive.writestr(_CONTROLS, self.controls.astype("<f4").tobytes(), **compress)

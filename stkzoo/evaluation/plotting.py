@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from stkzoo._os import atomic_write
 from stkzoo.errors import ConfigError
-from stkzoo.whole_file import whole_file
 
 __all__ = [
     "BLUE",
@@ -104,7 +104,7 @@ def save_figure(figure: Any, path: str | os.PathLike[str]) -> None:
     """
     file = Path(path)
     try:
-        with whole_file(file) as part:
+        with atomic_write(file) as part:
             figure.savefig(part, format=file.suffix[1:] or "png", dpi=110)
     except (OSError, ValueError) as error:
         raise ConfigError(f"the plot {file} cannot be written: {error}") from error

@@ -134,9 +134,9 @@ def _limit_memory(limit: int) -> None:
 def _die_with(parent: int) -> None:
     """Makes the kernel end this process when the race's ends (Linux)."""
     if sys.platform == "linux":
-        from stkzoo.engine import offspring
+        from stkzoo.engine import process_clone
 
-        offspring.die_with(parent)
+        process_clone.die_with(parent)
 
 
 def _exactly(connection: Incoming, size: int) -> bytes:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 
+from stkzoo._os import LockedTemporaryDirectory
 from stkzoo.errors import ConfigError
 from stkzoo.race.unpacking import members_of, unpack
-from stkzoo.scratch import ScratchFolder
 
 __all__ = ["ACTOR_MODULE", "AgentFiles", "AgentPlace", "declared_env", "find_files"]
 
@@ -71,7 +71,7 @@ class AgentFiles:
             return _place_in(self.path, self.source)
         if self.path.suffix == ".py":
             return AgentPlace((self.path.stem,), first=str(self.path.parent))
-        folder = life.enter_context(ScratchFolder("agent"))
+        folder = life.enter_context(LockedTemporaryDirectory("agent"))
         home = folder.path / self.path.stem
         unpack(self.path, home)
         return _place_in(_only_folder(home), self.source)

@@ -209,14 +209,14 @@ def test_no_process_outlives_a_driver_that_is_killed():
     assert wait_until_gone(living) == []
 
 
-def test_memory_is_told_of_program_mother_and_race():
+def test_memory_is_told_of_program_fork_server_and_race():
     spec = Spec("stkzoo", num_kart=1, num_agents=1, subprocess=True)
     with Contender(spec) as contender:
         contender.ask("load")
         contender.ask("make")
         contender.ask("reset", track="olivermath", seed=1)
         found = processes(contender.pid)
-    assert list(found) == ["program", "mother or game", "race"]
+    assert list(found) == ["program", "fork server or game", "race"]
     for sizes in found.values():
         assert 0 < sizes["own"] <= sizes["share"] <= sizes["resident"]
 

@@ -10,7 +10,7 @@ __all__ = ["Member", "alive", "family", "marked"]
 
 #: What stands in a command line, and what the process is for.
 _KINDS = (
-    ("stkzoo.engine.mother", "mother"),
+    ("stkzoo.engine.fork_server", "fork server"),
     ("stkzoo.engine.worker", "race"),
     ("stkzoo.engine.shadow", "drawing"),
     ("stkzoo.race.agent_process", "agent"),
@@ -26,7 +26,7 @@ class Member:
     Attributes:
         pid: its id.
         parent: its parent's id.
-        kind: what it is for: ``"mother"``, ``"race"``, ``"drawing"``, ``"agent"``,
+        kind: what it is for: ``"fork server"``, ``"race"``, ``"drawing"``, ``"agent"``,
             ``"worker"``, ``"encoder"`` or ``"other"``.
     """
 
@@ -43,7 +43,7 @@ def family(program: int) -> list[Member]:
         following: dict[int, str] = {}
         for parent, kind in generation.items():
             for pid in filter(alive, _children(parent)):
-                following[pid] = "race" if kind == "mother" else _kind(pid)
+                following[pid] = "race" if kind == "fork server" else _kind(pid)
                 members.append(Member(pid, parent, following[pid]))
         generation = following
     return members

@@ -52,7 +52,7 @@ def draw_fault(
     """A fault of a form, drawn from a seeded source."""
     moment, target = chance.choice(moments), chance.choice(targets)
     if moment == "construct" and target == "race":
-        target = "mother"  # there is no race yet
+        target = "fork server"  # there is no race yet
     return Fault(
         form=form,
         moment=moment,

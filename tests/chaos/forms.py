@@ -38,7 +38,7 @@ class Form:
 
     name = ""
     moments: tuple[str, ...] = ("construct", "begin", "reset", "reset", "step", "step", "close")
-    targets: tuple[str, ...] = ("race", "race", "race", "mother", "program")
+    targets: tuple[str, ...] = ("race", "race", "race", "fork server", "program")
 
     def __init__(self) -> None:
         self._env: Any = None
@@ -53,7 +53,7 @@ class Form:
         self._env = self.make()
 
     def begin(self) -> None:
-        """The first environment of a program: with a mother that is started for it."""
+        """The first environment of a program: with a fork server that is started for it."""
         process._close_all()
         self.construct()
         self.reset()
@@ -262,7 +262,7 @@ class RunnerForm(Form):
 
     name = "run_race"
     moments = ("race",)
-    targets = ("race", "mother", "agent", "agent", "program")
+    targets = ("race", "fork server", "agent", "agent", "program")
 
     def reset(self) -> None:
         """Nothing: every race is a whole one."""

@@ -149,7 +149,7 @@ _KEPT = ("--output", "out/race.json", "--replay", "out/race.stkz")
 _LEAGUE = ("-m", "stkzoo", "tournament", "heuristic", "ai", "plain.zip", "--races", str(_RACES))
 _SHORT = ("--tracks", "olivermath", "--max-steps", "60", "--no-plot", "--jobs", "2")
 _SPAWN = (("STKZOO_START_METHOD", "spawn"),)
-_ALL = ("race", "mother", "program")
+_ALL = ("race", "fork server", "program")
 
 #: Everything that is hit from outside, by name.
 PROGRAMS: dict[str, Program] = {
@@ -276,7 +276,7 @@ class _Run:
         self._program.judge(self._folder / "out")
 
     def _next_program(self) -> None:
-        code = "from stkzoo.scratch import ScratchFolder; ScratchFolder('next').close()"
+        code = "from stkzoo._os import remove_stale_directories as run; run()"
         variables = {**os.environ, "TMPDIR": str(self._folder / "tmp")}
         subprocess.run([sys.executable, "-c", code], env=variables, check=True, timeout=_LIMIT)
 

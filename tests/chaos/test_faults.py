@@ -57,7 +57,7 @@ def test_so_it_is_with_the_forms_that_take_long_to_load(inside, form, moment, si
     assert outcome.survived, outcome.problem
 
 
-@pytest.mark.parametrize("target", ["race", "mother"])
+@pytest.mark.parametrize("target", ["race", "fork server"])
 def test_a_game_that_is_killed_in_the_midst_of_steps_is_hit_at_all(inside, target):
     """The harness itself: its blows land, and the form says so."""
     answers = []
@@ -119,4 +119,4 @@ def test_no_process_has_shared_memory_that_could_be_left(outside):
                         seen.add(member.kind)
         finally:
             run.close()
-    assert {"race", "mother", "agent"} <= seen
+    assert {"race", "fork server", "agent"} <= seen

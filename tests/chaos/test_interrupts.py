@@ -33,9 +33,9 @@ def trace(env):
     return digest(parts)
 
 
-def mother_pid():
-    (mother,) = process._mothers.values()
-    return mother._process.pid
+def fork_server_pid():
+    (fork_server,) = process._fork_servers.values()
+    return fork_server._process.pid
 
 
 def interrupt_when(condition):
@@ -51,24 +51,24 @@ def interrupt_when(condition):
     return thread
 
 
-def test_a_reset_interrupted_while_the_mother_is_asked_mixes_up_no_answers():
+def test_a_reset_interrupted_while_the_fork_server_is_asked_mixes_up_no_answers():
     """The answer that nobody waited for used to come to the next question."""
     with make() as env, make() as other:
         expected = trace(env)
         other.reset(seed=1)
-        mother = mother_pid()
+        fork_server = fork_server_pid()
         for _ in range(3):
-            os.kill(mother, signal.SIGSTOP)  # her answers will be late
+            os.kill(fork_server, signal.SIGSTOP)  # its answers will be late
             thread = interrupt_when(lambda: True)
             with pytest.raises(KeyboardInterrupt):
                 env.reset(seed=5)
             thread.join()
-            os.kill(mother, signal.SIGCONT)
+            os.kill(fork_server, signal.SIGCONT)
         assert trace(env) == expected
-        assert mother_pid() == mother
+        assert fork_server_pid() == fork_server
         other.step(dict.fromkeys(other.agents, 0))
         # The races that were asked for in vain end by themselves.
-        assert wait_until(lambda: len(children_of(mother)) == 2)
+        assert wait_until(lambda: len(children_of(fork_server)) == 2)
 
 
 def test_an_interrupted_vector_step_is_over_with_the_next_reset():
@@ -90,7 +90,7 @@ def test_an_interrupted_vector_step_is_over_with_the_next_reset():
     with pytest.raises(stkzoo.ApiOrderError, match="reset"):
         envs.step(actions)
     assert seen() == expected
-    assert wait_until(lambda: stopped not in children_of(mother_pid()))
+    assert wait_until(lambda: stopped not in children_of(fork_server_pid()))
     envs.close()
 
 

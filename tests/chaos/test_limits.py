@@ -37,9 +37,9 @@ def trace(env):
     return digest([env.reset(seed=1), *(step(env) for _ in range(20))])
 
 
-def mother_pid():
-    (mother,) = process._mothers.values()
-    return mother._process.pid
+def fork_server_pid():
+    (fork_server,) = process._fork_servers.values()
+    return fork_server._process.pid
 
 
 # ---------------------------------------------------------------------- open files
@@ -76,19 +76,19 @@ def test_a_program_that_may_open_no_more_files_says_so_and_goes_on_with_fewer(me
     assert done.stdout.split() == ["3", "True"], done.stderr
 
 
-def test_a_mother_that_may_open_no_more_files_says_so_and_her_races_go_on():
+def test_a_fork_server_that_may_open_no_more_files_says_so_and_its_races_go_on():
     with make() as env, make() as other:
         expected = trace(env)
         other.reset(seed=1)
-        mother = mother_pid()
-        used = len(os.listdir(f"/proc/{mother}/fd"))
-        _, hard = resource.prlimit(mother, resource.RLIMIT_NOFILE)
-        resource.prlimit(mother, resource.RLIMIT_NOFILE, (used, hard))
-        with pytest.raises(EngineError, match="mother process may open no more files"):
+        fork_server = fork_server_pid()
+        used = len(os.listdir(f"/proc/{fork_server}/fd"))
+        _, hard = resource.prlimit(fork_server, resource.RLIMIT_NOFILE)
+        resource.prlimit(fork_server, resource.RLIMIT_NOFILE, (used, hard))
+        with pytest.raises(EngineError, match="fork server may open no more files"):
             env.reset(seed=1)
         step(other)
-        resource.prlimit(mother, resource.RLIMIT_NOFILE, (hard, hard))
-        assert mother_pid() == mother
+        resource.prlimit(fork_server, resource.RLIMIT_NOFILE, (hard, hard))
+        assert fork_server_pid() == fork_server
         assert trace(env) == expected
 
 
@@ -116,17 +116,17 @@ def test_a_game_without_memory_is_an_error_of_its_own_race():
         assert trace(env) == expected
 
 
-def test_a_mother_without_memory_is_told_and_works_when_there_is_some():
+def test_a_fork_server_without_memory_is_told_and_works_when_there_is_some():
     with make() as env:
         expected = trace(env)
-        mother = mother_pid()
-        _, hard = resource.prlimit(mother, resource.RLIMIT_AS)
-        limit = memory_of(mother) + (4 << 20)
-        resource.prlimit(mother, resource.RLIMIT_AS, (limit, hard))
+        fork_server = fork_server_pid()
+        _, hard = resource.prlimit(fork_server, resource.RLIMIT_AS)
+        limit = memory_of(fork_server) + (4 << 20)
+        resource.prlimit(fork_server, resource.RLIMIT_AS, (limit, hard))
         with pytest.raises(EngineError):
             race_v0.parallel_env(**{**OPTIONS, "track": "black_forest"}).reset(seed=1)
-        if process_exists(mother):
-            resource.prlimit(mother, resource.RLIMIT_AS, (hard, hard))
+        if process_exists(fork_server):
+            resource.prlimit(fork_server, resource.RLIMIT_AS, (hard, hard))
         assert trace(env) == expected
 
 
@@ -299,7 +299,7 @@ def test_an_environment_may_go_from_thread_to_thread():
         thread.join()
         return results.pop()
 
-    process._close_all()  # the mother is a child of a thread that ends
+    process._close_all()  # the fork server is a child of a thread that ends
     env = in_thread(make)
     first = in_thread(lambda: trace(env))
     assert in_thread(lambda: trace(env)) == first
@@ -312,7 +312,7 @@ def test_an_environment_may_go_from_thread_to_thread():
 def test_races_in_threads_recover_while_all_of_them_are_killed():
     with make() as env:
         expected = trace(env)
-    mother, stop, lost = mother_pid(), threading.Event(), []
+    fork_server, stop, lost = fork_server_pid(), threading.Event(), []
 
     def race():
         with make() as env:
@@ -333,12 +333,12 @@ def test_races_in_threads_recover_while_all_of_them_are_killed():
     while time.monotonic() < end:
         time.sleep(0.05)
         with contextlib.suppress(ProcessLookupError, IndexError):
-            os.kill(chance.choice(children_of(mother)), signal.SIGKILL)
+            os.kill(chance.choice(children_of(fork_server)), signal.SIGKILL)
             kills += 1
     stop.set()
     for thread in threads:
         thread.join(60)
     assert lost == []
     assert kills > 5
-    assert mother_pid() == mother
-    assert wait_until(lambda: not children_of(mother))
+    assert fork_server_pid() == fork_server
+    assert wait_until(lambda: not children_of(fork_server))

@@ -83,14 +83,14 @@ options = st.fixed_dictionaries(
 
 
 @pytest.fixture(scope="module", autouse=True)
-def one_mother():
+def one_fork_server():
     """The process that all races come from lives through all of it."""
     with race_v0.parallel_env(num_kart=1, track=TRACKS[0]) as env:
         env.reset(seed=1)
-        (mother,) = process._mothers.values()
+        (fork_server,) = process._fork_servers.values()
         yield
-        assert list(process._mothers.values()) == [mother]
-        assert mother._process.poll() is None
+        assert list(process._fork_servers.values()) == [fork_server]
+        assert fork_server._process.poll() is None
         env.step({"kart_0": env.action_space("kart_0").sample()})
 
 

@@ -78,7 +78,7 @@ class Trials:
         self._folder = tempfile.TemporaryDirectory(prefix="chaos-")
         self._patches = contextlib.ExitStack()
         self._patches.enter_context(_replaced(tempfile, "tempdir", self._folder.name))
-        process._close_all()  # the mother's home is to be in that folder
+        process._close_all()  # the fork server's home is to be in that folder
         self._witness = _Witness()
         self._traces: dict[str, str] = {}
         self._durations: dict[tuple[str, str], float] = {}
@@ -113,7 +113,9 @@ class Trials:
             limit = _DRAWING_LIMIT if "drawn" in form.name else _LIMIT
             self._check(seconds < limit, f"it took {seconds:.1f} s")
             resets = self._race_again(form)
-            self._witness.go_on(may_be_lost=fault.target == "mother" or fault.moment == "begin")
+            self._witness.go_on(
+                may_be_lost=fault.target == "fork server" or fault.moment == "begin"
+            )
             form.close()
             self._check_nothing_is_left(form)
         except Exception:  # noqa: BLE001 - that is what is looked for
@@ -184,9 +186,9 @@ class Trials:
         files, threads = self._numbers[form.name]
         kept = set(self._witness.pids)
         others = lambda: [m for m in family(os.getpid()) if m.pid not in kept]  # noqa: E731
-        rest = lambda: [m for m in others() if m.kind != "mother"]  # noqa: E731
+        rest = lambda: [m for m in others() if m.kind != "fork server"]  # noqa: E731
         self._check(wait_until(lambda: not rest(), _SETTLE), lambda: f"processes: {rest()}")
-        self._check(len(others()) <= 1, lambda: f"several mothers: {others()}")
+        self._check(len(others()) <= 1, lambda: f"several fork servers: {others()}")
         self._check(
             wait_until(lambda: _open_files() <= files, _SETTLE),
             lambda: f"{_open_files()} open files, {files} before: {_file_names()}",
@@ -245,7 +247,7 @@ class _Witness:
         """Steps on.
 
         Args:
-            may_be_lost: the mother of all races was hit.
+            may_be_lost: the fork server of all races was hit.
         """
         for _ in range(3):
             self._number += 1

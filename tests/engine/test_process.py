@@ -130,15 +130,15 @@ def test_others_do_not_notice_a_crash(root, session):
     other.close()
 
 
-def test_a_killed_mother_is_replaced(root, session):
+def test_a_killed_fork_server_is_replaced(root, session):
     expected = trajectory(session)
-    mother = process.start_mother(root)
-    os.kill(mother._process.pid, signal.SIGKILL)
-    mother._process.wait()
+    fork_server = process.start_fork_server(root)
+    os.kill(fork_server._process.pid, signal.SIGKILL)
+    fork_server._process.wait()
     with pytest.raises(EngineCrashed):
         drive_on(session)
     assert trajectory(session) == expected
-    assert process.start_mother(root) is not mother
+    assert process.start_fork_server(root) is not fork_server
 
 
 def test_an_engine_error_carries_the_games_own_traceback(session):
@@ -185,8 +185,8 @@ PROGRAM = """
     from stkzoo.engine.setup import KartSetup, RaceSetup
     session = WorkerSession(Path({root!r}))
     session.start(RaceSetup("olivermath", (KartSetup(is_bot=False), KartSetup())))
-    print(session.pid, process.start_mother(Path({root!r}))._process.pid,
-          process.start_mother(Path({root!r}))._home.path, flush=True)
+    print(session.pid, process.start_fork_server(Path({root!r}))._process.pid,
+          process.start_fork_server(Path({root!r}))._home.path, flush=True)
     {ending}
 """
 
@@ -205,18 +205,18 @@ PROGRAM = """
 def test_nothing_outlives_the_program(root, ending):
     program = textwrap.dedent(PROGRAM).format(root=str(root), ending=textwrap.dedent(ending))
     child = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
-    race, mother, home = child.stdout.readline().split()
+    race, fork_server, home = child.stdout.readline().split()
     child.stdout.close()
     child.wait(30)
-    assert wait_until(lambda: not process_exists(race) and not process_exists(mother))
+    assert wait_until(lambda: not process_exists(race) and not process_exists(fork_server))
     assert wait_until(lambda: not Path(home).exists())
 
 
-def test_a_killed_mother_takes_her_races_along(root, session):
+def test_a_killed_fork_server_takes_its_races_along(root, session):
     session.start(SETUP)
-    pid, mother = session.pid, process.start_mother(root)
+    pid, fork_server = session.pid, process.start_fork_server(root)
     os.kill(pid, signal.SIGSTOP)
-    os.kill(mother._process.pid, signal.SIGKILL)
+    os.kill(fork_server._process.pid, signal.SIGKILL)
     assert wait_until(lambda: not process_exists(pid))
 
 
@@ -284,8 +284,8 @@ def test_a_second_race_in_this_process_is_refused_while_the_first_lives(root):
 def test_quick_restarts_leave_no_process_behind(root, session):
     for _ in range(30):
         session.start(RaceSetup("olivermath", (PLAYER,)))
-    mother = process.start_mother(root)
-    assert wait_until(lambda: len(children_of(mother._process.pid)) == 1)
+    fork_server = process.start_fork_server(root)
+    assert wait_until(lambda: len(children_of(fork_server._process.pid)) == 1)
 
 
 def test_a_step_before_the_start_says_reset(root):

@@ -74,8 +74,8 @@ def started(env, steps=30, seed=3):
     return env
 
 
-def mother_pid():
-    return process.start_mother(find_assets().root)._process.pid
+def fork_server_pid():
+    return process.start_fork_server(find_assets().root)._process.pid
 
 
 @pytest.mark.parametrize("track", ["olivermath", "zengarden"])
@@ -509,10 +509,10 @@ def test_a_killed_race_does_not_harm_its_states(env):
     assert drive(env) == expected
 
 
-def test_states_are_lost_with_a_killed_mother_and_say_so(env):
+def test_states_are_lost_with_a_killed_fork_server_and_say_so(env):
     state = started(env).save_state()
     pid = state.pid
-    os.kill(mother_pid(), signal.SIGKILL)
+    os.kill(fork_server_pid(), signal.SIGKILL)
     assert wait_until(lambda: not process_exists(pid))
     with pytest.raises(EngineCrashed, match="saved state"):
         env.restore_state(state)
@@ -521,13 +521,13 @@ def test_states_are_lost_with_a_killed_mother_and_say_so(env):
 
 def test_many_states_leave_no_process_and_no_open_file_behind(env):
     started(env).save_state().close()
-    before = children_of(mother_pid())
+    before = children_of(fork_server_pid())
     files = len(os.listdir("/proc/self/fd"))
     for _ in range(100):
         with env.save_state() as state:
             env.restore_state(state)
             env.step(actions_at(env, 30))
-    assert wait_until(lambda: len(children_of(mother_pid())) == 1), before
+    assert wait_until(lambda: len(children_of(fork_server_pid())) == 1), before
     assert len(os.listdir("/proc/self/fd")) == files
 
 
@@ -589,8 +589,8 @@ PROGRAM = """
     env.reset(seed=1)
     states = [env.save_state() for _ in range(3)]
     clone = env.clone()
-    (mother,) = process._mothers.values()
-    print(mother._process.pid, env._session.pid, clone._session.pid,
+    (fork_server,) = process._fork_servers.values()
+    print(fork_server._process.pid, env._session.pid, clone._session.pid,
           *(state.pid for state in states), flush=True)
     {ending}
 """
@@ -603,11 +603,11 @@ PROGRAM = """
         "os._exit(3)",
         "os.kill(os.getpid(), signal.SIGKILL)",
         "[os.kill(s.pid, signal.SIGSTOP) for s in states]; os.kill(os.getpid(), signal.SIGKILL)",
-        "os.kill(states[0].pid, signal.SIGSTOP); os.kill(mother._process.pid, signal.SIGKILL)",
+        "os.kill(states[0].pid, signal.SIGSTOP); os.kill(fork_server._process.pid, signal.SIGKILL)",
         "env.close(); os.kill(os.getpid(), signal.SIGKILL)",
         "time.sleep(4) if os.fork() == 0 else os.kill(os.getpid(), signal.SIGKILL)",
     ],
-    ids=["normal", "exit", "killed", "stopped", "mother-killed", "race-over", "forked"],
+    ids=["normal", "exit", "killed", "stopped", "fork-server-killed", "race-over", "forked"],
 )
 def test_no_state_outlives_the_program(ending):
     program = textwrap.dedent(PROGRAM).format(ending=ending)

@@ -373,7 +373,7 @@ def test_a_hanging_game_is_replaced():
 
 
 @pytest.mark.parametrize("prefetch", [False, True])
-def test_a_killed_mother_is_replaced(prefetch):
+def test_a_killed_fork_server_is_replaced(prefetch):
     envs = make(2, prefetch=prefetch)
     envs.reset(seed=1)
     status = Path(f"/proc/{pids(envs)[0]}/status").read_text()

@@ -72,6 +72,6 @@ def test_tuning_goes_on_where_it_was(tmp_path):
 def test_nothing_goes_on_when_tuning_is_killed(tmp_path):
     with subprocess.Popen(command(tmp_path, 50)) as program:
         assert wait_until(lambda: children_of(program.pid), 30)
-        (mother,) = children_of(program.pid)
+        (fork_server,) = children_of(program.pid)
         program.kill()
-    assert wait_until(lambda: not process_exists(mother), 10)
+    assert wait_until(lambda: not process_exists(fork_server), 10)

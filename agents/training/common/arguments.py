@@ -10,8 +10,8 @@ from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 from typing import Any
 
+from stkzoo._os import atomic_write
 from stkzoo.errors import ConfigError
-from stkzoo.whole_file import whole_file
 
 __all__ = [
     "ARGUMENTS",
@@ -88,7 +88,7 @@ def keep_arguments(folder: Path, arguments: Any, free: Collection[str] = ()) -> 
             )
         return
     folder.mkdir(parents=True, exist_ok=True)
-    with whole_file(file) as part:
+    with atomic_write(file) as part:
         part.write_text(json.dumps(now, indent=1) + "\n")
 
 

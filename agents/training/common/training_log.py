@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from stkzoo._os import atomic_write
 from stkzoo.errors import ConfigError
-from stkzoo.whole_file import whole_file
 
 __all__ = ["LOG", "Journal", "log_of_run", "read_log", "write_log"]
 
@@ -36,7 +36,7 @@ def log_of_run(folder: str | Path) -> list[dict[str, Any]]:
 
 def write_log(folder: Path, log: Sequence[Mapping[str, Any]]) -> None:
     """Writes all of a run's log, whole or not at all."""
-    with whole_file(folder / LOG) as part:
+    with atomic_write(folder / LOG) as part:
         part.write_text("".join(json.dumps(dict(line)) + "\n" for line in log))
 
 

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._os import atomic_write
 from stkzoo.agents.pretrained.drivers import View
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.plans import BRAKE as BRAKE_PLAN
@@ -32,7 +33,6 @@ from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.reflexes import INPUT_SIZE, steering
 from stkzoo.errors import StkzooError, check_whole
 from stkzoo.tracks import TRAIN_TRACKS
-from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.racing import BRAKE
 
 from ..common.arguments import RunBar, add_arguments, keep_arguments, training_torch, values_of
@@ -216,7 +216,7 @@ def _drive(
                 bar.show(number * arguments.steps + count, f"round {number} drives")
     finally:
         fleet.close()
-    with whole_file(_lessons(folder, number)) as part, part.open("wb") as file:
+    with atomic_write(_lessons(folder, number)) as part, part.open("wb") as file:
         np.savez_compressed(
             file, seen=np.concatenate(seen), answers=np.concatenate(answers).astype(np.int8)
         )

@@ -33,12 +33,11 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo.cores import usable_cores
+from stkzoo._os import atomic_write, cpu_count
 from stkzoo.errors import ConfigError, StkzooError, check_whole
 from stkzoo.evaluation.demonstrations import Demonstrations, load, record
 from stkzoo.race import find_driver
 from stkzoo.tracks import SPLITS
-from stkzoo.whole_file import whole_file
 
 from ..common.arguments import add_arguments, keep_arguments, values_of
 from ..common.training_log import write_log
@@ -233,7 +232,7 @@ def _in_parallel(orders: Sequence[LessonOrder], jobs: int) -> Iterator[str]:
     if not orders:
         return
     context = multiprocessing.get_context("spawn")
-    workers = min(jobs or usable_cores(), len(orders))
+    workers = min(jobs or cpu_count(), len(orders))
     with ProcessPoolExecutor(workers, context, end_with_parent) as pool:
         tasks = [pool.submit(run_order, order) for order in orders]
         try:
@@ -272,7 +271,7 @@ def _learn(
     )
     save_driver(file, network)
     line = {"examples": len(actions), "loss": result.loss, "accuracy": list(result.accuracy)}
-    with whole_file(facts) as part:
+    with atomic_write(facts) as part:
         part.write_text(json.dumps(line) + "\n")
     return line
 

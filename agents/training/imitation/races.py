@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from stkzoo._os import atomic_write
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.benchmark import load_ai_times
@@ -24,7 +25,6 @@ from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race import Driver, find_driver, run_race
 from stkzoo.race.replay.record import action_of, controls_of
 from stkzoo.race.seats import Seat, SeatRequest
-from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.racing import controls_of_choices
 
 __all__ = ["Lesson", "LessonOrder", "end_with_parent", "read_lesson", "run_order"]
@@ -140,7 +140,7 @@ def run_order(order: LessonOrder) -> str:
         "ratios": ratios,
         "finished": sum(time is not None for time in times),
     }
-    with whole_file(order.file) as part, part.open("wb") as file:
+    with atomic_write(order.file) as part, part.open("wb") as file:
         np.savez_compressed(
             file,
             observations=np.array(seen, np.float32),

@@ -31,12 +31,12 @@ from typing import Any
 
 import numpy as np
 
+from stkzoo._os import atomic_write
 from stkzoo.agents.pretrained.driver import check_shapes
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.evaluation.ratings import require_openskill
-from stkzoo.whole_file import whole_file
 
 from ..common.arguments import RunBar, add_arguments, changes, values_of
 from ..common.training_log import Journal
@@ -213,7 +213,7 @@ class League:
             if is_played:  # the program ended between the checkpoint and the league's state
                 matchmaker.restore(json.loads((folder / _DUELS).read_text()))
             else:
-                with whole_file(folder / _DUELS) as part:
+                with atomic_write(folder / _DUELS) as part:
                     part.write_text(json.dumps(matchmaker.state()))
                 learner.save_checkpoint()
             player.pool = matchmaker.pool.state()
@@ -259,7 +259,7 @@ class League:
     def _save(self) -> None:
         state = self._state
         if state.ratings:
-            with whole_file(self.folder / _PAGE) as part:
+            with atomic_write(self.folder / _PAGE) as part:
                 part.write_text(page(state.members, state.matches, state.ratings))
         found = {
             "version": _VERSION,
@@ -271,7 +271,7 @@ class League:
             "matches": [asdict(match) for match in state.matches],
             "ratings": state.ratings,
         }
-        with whole_file(self.folder / _STATE) as part:
+        with atomic_write(self.folder / _STATE) as part:
             part.write_text(json.dumps(found, indent=1) + "\n")
 
     def _restore(self) -> None:

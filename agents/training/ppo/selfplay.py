@@ -33,6 +33,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._os import atomic_write
 from stkzoo.agents.pretrained.drivers import (
     CHOICE_NAMES,
     CHOICES,
@@ -45,7 +46,6 @@ from stkzoo.agents.pretrained.policy import INPUT_CLIP, RacingPolicy, network
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.tracks import TRAIN_TRACKS
-from stkzoo.whole_file import whole_file
 
 from ..common.arguments import ARGUMENTS, add_arguments, changes, training_torch, values_of
 from ..common.fleet import Finish, Fleet, RaceForm, StepOutcome
@@ -308,7 +308,7 @@ class Learner:
             self._views = self._restore(may_change)
         else:
             self._views = [fleet.begin() for fleet in self._fleets]
-        with whole_file(self.folder / ARGUMENTS) as part:
+        with atomic_write(self.folder / ARGUMENTS) as part:
             part.write_text(json.dumps(self._history, indent=1) + "\n")
 
     def iterate(self) -> dict[str, float]:
@@ -514,7 +514,7 @@ class Learner:
             "network": self._network.state(),
             "fleets": [_tensors(torch, fleet.state()) for fleet in self._fleets],
         }
-        with whole_file(self.folder / _CHECKPOINT) as part:
+        with atomic_write(self.folder / _CHECKPOINT) as part:
             torch.save(state, part)
 
     def save_policy(self) -> Path:

@@ -23,10 +23,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._os import atomic_write
 from stkzoo.agents.pretrained.mlp import Seat, load_driver
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.evaluation.ratings import Rating, rate
-from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.racing import CHOICES
 
 from .matches import Heat, drive
@@ -111,7 +111,7 @@ def judge(run: Path, name: str, tracks: Sequence[str], races: int) -> Judgement:
             ratios[driver].append(round(ratio, 4))
     judgement = Judgement(own, kart_steps_of(name), orders, ratios)
     (run / FOLDER).mkdir(exist_ok=True)
-    with whole_file(run / FOLDER / f"{name}.json") as part:
+    with atomic_write(run / FOLDER / f"{name}.json") as part:
         part.write_text(json.dumps(asdict(judgement), indent=1) + "\n")
     return judgement
 
@@ -170,7 +170,7 @@ def write_ratings(run: Path) -> list[str]:
     known = {judgement.name for judgement in judgements}
     others = {name: asdict(rating) for name, rating in ratings.items() if name not in known}
     table = _table(judgements, ratings)
-    with whole_file(run / RATINGS) as part:
+    with atomic_write(run / RATINGS) as part:
         found = {"policies": policies, "others": others, "table": table}
         part.write_text(json.dumps(found, indent=1) + "\n")
     return table

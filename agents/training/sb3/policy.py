@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._os import atomic_write
 from stkzoo.agents.pretrained.memory import MEMORY_SIZE
 from stkzoo.agents.pretrained.mlp import HOLD, MlpDriver
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
-from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.racing import SIZE
 
 __all__ = ["save_driver", "start_weights", "write_agent"]
@@ -95,6 +95,6 @@ def write_agent(folder: str | Path, policy: Any, name: str, hold: int = 0) -> Pa
     path = Path(folder)
     path.mkdir(parents=True, exist_ok=True)
     save_driver(path / "policy.safetensors", policy, hold)
-    with whole_file(path / "pystk_actor.py") as part:
+    with atomic_write(path / "pystk_actor.py") as part:
         part.write_text(_MODULE.format(name=name))
     return path

@@ -41,10 +41,10 @@ from typing import Any
 
 import numpy as np
 
+from stkzoo._os import atomic_write
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.evaluation.ratings import require_openskill
-from stkzoo.whole_file import whole_file
 from stkzoo.wrappers.racing import CHOICES, RESCUE
 
 from ..common.arguments import ARGUMENTS, RunBar, add_arguments, changes, values_of
@@ -164,7 +164,7 @@ class Run:
             self._keep(is_rival=False)
             self._evaluate_if_due(-1)
             self.save_checkpoint()
-        with whole_file(self.folder / ARGUMENTS) as part:
+        with atomic_write(self.folder / ARGUMENTS) as part:
             part.write_text(json.dumps(asdict(arguments), indent=1) + "\n")
 
     def play_round(self, tell: Callable[[dict[str, float]], None]) -> None:
@@ -204,7 +204,7 @@ class Run:
             "policy": self._model.policy.state_dict(),
             "optimiser": self._model.policy.optimizer.state_dict(),
         }
-        with whole_file(self.folder / _CHECKPOINT) as part:
+        with atomic_write(self.folder / _CHECKPOINT) as part:
             self._torch.save(state, part)
 
     def save_agent(self) -> Path:

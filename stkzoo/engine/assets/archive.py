@@ -13,11 +13,11 @@ from lzma import LZMAError
 from pathlib import Path, PurePosixPath
 from typing import Final
 
+from stkzoo._os import atomic_write
 from stkzoo.engine.assets.progress import Progress
 from stkzoo.engine.assets.staging import check_space
 from stkzoo.engine.assets.tree import MARKER, check_files, read_marker
 from stkzoo.errors import AssetError
-from stkzoo.whole_file import whole_file
 
 __all__ = ["SUMS", "read_archive", "write_archive"]
 
@@ -48,7 +48,7 @@ def write_archive(root: Path, file: Path, progress: Progress) -> None:
     names = sorted(path.relative_to(root).as_posix() for path in _regular_files(root))
     sums = "".join(f"{_sha256(root / name)}  {name}\n" for name in names)
     try:
-        with whole_file(file) as part:
+        with atomic_write(file) as part:
             _write_members(root, names, sums.encode(), part, progress)
     except OSError as error:
         raise AssetError(f"the archive {file} cannot be written: {error}.") from error

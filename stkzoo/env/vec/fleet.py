@@ -11,7 +11,7 @@ from gymnasium import spaces
 from gymnasium.vector.utils import concatenate, create_empty_array
 from gymnasium.wrappers.utils import create_zero_array
 
-from stkzoo.cores import usable_cores
+from stkzoo._os import cpu_count
 from stkzoo.env.vec.ahead import AheadRace
 from stkzoo.env.vec.slots import RaceSlots, SlotSteps
 from stkzoo.errors import ActionError, ApiOrderError, ConfigError, check_whole
@@ -49,7 +49,7 @@ class RaceFleet:
         check_whole("num_races", num_races, 1)
         if not isinstance(prefetch, (bool, type(None))):
             raise ConfigError(f"prefetch is {prefetch!r}, expected True, False or None")
-        self.prefetch = usable_cores() > num_races if prefetch is None else prefetch
+        self.prefetch = cpu_count() > num_races if prefetch is None else prefetch
         self.races = tuple(AheadRace(**options) for _ in range(num_races))
         self.agents = tuple(self.races[0].possible_agents)
         self.single_observation_space = _shared(self.races[0].observation_spaces, "observation")

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Generic, Protocol, TypeVar
 
+from stkzoo._os import PART_FILES, atomic_write
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.order import Order, RaceOrder
 from stkzoo.race.result import RaceResult
-from stkzoo.whole_file import PARTS, whole_file
 
 __all__ = ["BatchFolder", "BatchKind", "BatchPlan", "read_races", "write_whole"]
 
@@ -90,7 +90,7 @@ class BatchFolder(Generic[Plan]):
                 "choose another folder"
             )
         for place in (self.path, self.path / _RACES):
-            for part in place.glob(PARTS):  # of a program that was killed while it wrote
+            for part in place.glob(PART_FILES):  # of a program that was killed while it wrote
                 part.unlink(missing_ok=True)
 
     def __enter__(self) -> BatchFolder[Plan]:
@@ -175,7 +175,7 @@ def write_whole(file: Path, text: str) -> None:
         ConfigError: it cannot be written.
     """
     try:
-        with whole_file(file) as part:
+        with atomic_write(file) as part:
             part.write_text(text, encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{file} cannot be written: {error}") from error

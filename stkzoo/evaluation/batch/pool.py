@@ -13,9 +13,9 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from stkzoo._os import remove_stale_directories
 from stkzoo.evaluation.batch.order import Order
 from stkzoo.race.output_tail import OutputTail
-from stkzoo.scratch import sweep
 
 __all__ = ["Outcome", "run_in_parallel"]
 
@@ -63,7 +63,7 @@ def run_in_parallel(
     finally:
         for lane in lanes:
             lane.close()
-        sweep()  # what races that were ended had in temporary folders
+        remove_stale_directories()  # what races that were ended had in temporary folders
 
 
 def _next(outcomes: queue.SimpleQueue[Outcome]) -> Outcome:

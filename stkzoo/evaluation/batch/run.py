@@ -7,7 +7,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
-from stkzoo.cores import usable_cores
+from stkzoo._os import cpu_count
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.evaluation.batch.folder import BatchFolder
 from stkzoo.evaluation.batch.order import RaceOrder
@@ -63,7 +63,7 @@ class BatchRunner:
             check_whole("jobs", jobs, 1)
         if not 0 < race_timeout < 1e9:
             raise ConfigError(f"race_timeout is {race_timeout!r}, expected seconds above 0")
-        self._jobs = jobs or usable_cores()
+        self._jobs = jobs or cpu_count()
         self._race_timeout, self._on_race = race_timeout, on_race
 
     def run(

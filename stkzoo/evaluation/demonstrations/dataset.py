@@ -27,10 +27,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._os import atomic_write
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.demonstrations.columns import Columns, tree_of
-from stkzoo.whole_file import whole_file
 
 __all__ = ["Demonstrations", "Episode", "EpisodeFacts", "join", "load", "save"]
 
@@ -187,7 +187,7 @@ def save(demos: Demonstrations, path: str | os.PathLike[str]) -> None:
         "about": np.array(json.dumps(demos.to_form())),
     }
     try:
-        with whole_file(path) as part, part.open("wb") as file:
+        with atomic_write(path) as part, part.open("wb") as file:
             np.savez_compressed(file, **arrays)
     except OSError as error:
         raise ConfigError(f"the demonstrations {path} cannot be written: {error}") from error

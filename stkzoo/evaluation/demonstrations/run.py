@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from stkzoo.cores import usable_cores
+from stkzoo._os import cpu_count
 from stkzoo.errors import ConfigError, StkzooError, check_whole
 from stkzoo.evaluation.batch import (
     RACE_TIMEOUT,
@@ -94,7 +94,7 @@ def record_plan(
     with BatchFolder(DEMOS, folder_path) as folder:
         plan = folder.keep_plan(plan)
         orders = [replace(o, file=str(_part(folder_path, o))) for o in plan.orders()]
-        _run(orders, jobs or usable_cores(), race_timeout, on_race)
+        _run(orders, jobs or cpu_count(), race_timeout, on_race)
         parts = [load(order.file) for order in orders]
         demos = replace(join(parts), plan=plan.to_form())
         save(demos, target)

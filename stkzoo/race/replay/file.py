@@ -19,13 +19,13 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._os import atomic_write
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.race.replay.record import DIGEST_SIZE, Replay, ReplayAgent
 from stkzoo.race.result import RaceResult
 from stkzoo.race.tracebacks import printable
-from stkzoo.whole_file import whole_file
 
 __all__ = ["FORMAT", "ReplayError", "load_replay", "save_replay"]
 
@@ -67,7 +67,7 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> None:
     }
     file = Path(path)
     try:
-        with whole_file(file) as part, zipfile.ZipFile(part, "w") as archive:
+        with atomic_write(file) as part, zipfile.ZipFile(part, "w") as archive:
             for member, data in members.items():
                 entry = zipfile.ZipInfo(member, _DATE)
                 entry.compress_type = ZIP_DEFLATED

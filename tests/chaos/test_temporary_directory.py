@@ -7,12 +7,12 @@ import threading
 
 import pytest
 
-from stkzoo.scratch import ScratchFolder, sweep
+from stkzoo._os import LockedTemporaryDirectory, remove_stale_directories
 
 PROGRAM = """
 import os, time
-from stkzoo.scratch import ScratchFolder
-folder = ScratchFolder("test")
+from stkzoo._os import LockedTemporaryDirectory
+folder = LockedTemporaryDirectory("test")
 (folder.path / "file").write_text("x")
 print(folder.path, flush=True)
 time.sleep(60)
@@ -37,7 +37,7 @@ def start_program():
 
 
 def test_a_folder_is_there_until_it_is_closed(tmp_path):
-    with ScratchFolder("test") as folder:
+    with LockedTemporaryDirectory("test") as folder:
         assert folder.path.is_dir()
         assert names(tmp_path) == [folder.path.name]
     assert names(tmp_path) == []
@@ -49,14 +49,14 @@ def test_a_killed_programs_folder_is_removed_by_the_next(tmp_path):
     program.kill()
     program.wait()
     assert os.path.isdir(program.folder)
-    ScratchFolder("next").close()
+    LockedTemporaryDirectory("next").close()
     assert names(tmp_path) == []
 
 
 def test_a_living_programs_folder_is_left_alone():
     program = start_program()
     try:
-        sweep()
+        remove_stale_directories()
         assert os.path.isfile(f"{program.folder}/file")
     finally:
         program.kill()
@@ -64,9 +64,9 @@ def test_a_living_programs_folder_is_left_alone():
 
 
 def test_a_folder_that_is_let_go_is_the_next_ones_to_remove(tmp_path):
-    folder = ScratchFolder("test")
-    folder.let_go()
-    sweep()
+    folder = LockedTemporaryDirectory("test")
+    folder.release()
+    remove_stale_directories()
     assert names(tmp_path) == []
 
 
@@ -75,7 +75,7 @@ def test_nothing_else_is_removed(tmp_path):
     (tmp_path / "stkzoo-run-file").write_text("mine")
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "stkzoo-run-link").symlink_to(tmp_path / "elsewhere")
-    sweep()
+    remove_stale_directories()
     assert names(tmp_path) == ["elsewhere", "stkzoo-other", "stkzoo-run-file", "stkzoo-run-link"]
 
 
@@ -84,7 +84,7 @@ def test_many_at_once_do_not_take_each_others_away(tmp_path):
 
     def make():
         for _ in range(50):
-            with ScratchFolder("test") as folder:
+            with LockedTemporaryDirectory("test") as folder:
                 if not folder.path.is_dir():
                     lost.append(folder.path)
 

@@ -1,10 +1,10 @@
 """How a process that runs a race makes a copy of itself in the middle of it (Linux).
 
-The copy has to outlive the process that it was made of, and to die with the mother process
+The copy has to outlive the process that it was made of, and to die with the fork server
 of them all. A plain fork gives a child of the race, so the copy is forked as a *sibling*:
-the kernel's ``clone`` call with ``CLONE_PARENT`` makes it the mother's own child from its
-first moment, which she can end and reap, and which the kernel ends when she dies. (A fork
-of a fork, with an orphan adopted by the mother, does the same in twice the time.)
+the kernel's ``clone`` call with ``CLONE_PARENT`` makes it the fork server's own child from its
+first moment, which it can end and reap, and which the kernel ends when it dies. (A fork
+of a fork, with an orphan adopted by the fork server, does the same in twice the time.)
 
 Python's and the C library's own preparations for a fork are left out by this call. They
 matter to processes with threads; a race without a window has none, which is checked.
@@ -41,11 +41,11 @@ def die_with(parent: int) -> None:
         os._exit(1)
 
 
-def fork_beside(mother: int) -> int:
+def fork_beside(fork_server: int) -> int:
     """Forks this process into a sibling: a child of its parent, not of its own.
 
     Args:
-        mother: process id of this process's parent.
+        fork_server: process id of this process's parent.
 
     Returns:
         Process id of the new process; 0 in the new process itself.
@@ -64,7 +64,7 @@ def fork_beside(mother: int) -> int:
         error = ctypes.get_errno()
         raise OSError(error, os.strerror(error))
     if pid == 0:
-        die_with(mother)
+        die_with(fork_server)
     return pid
 
 

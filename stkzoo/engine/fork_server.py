@@ -1,15 +1,15 @@
-"""The mother process: starts the engine once and forks one child for each race.
+"""The fork server: starts the engine once and forks one child for each race.
 
 Every child is the first race of its process, which is what makes a race repeat bit for
-bit (the engine carries hidden random state from one race to the next). The mother has
+bit (the engine carries hidden random state from one race to the next). The fork server has
 never run a race, holds no graphics and runs no threads, so that forking it is safe.
 
-A race's process can make copies of itself (:mod:`stkzoo.engine.offspring`), which become
-children of the mother too: she ends and reaps them like all others, once the program has
-told her of them.
+A race's process can clone itself (:mod:`stkzoo.engine.process_clone`). Clones are children of
+the fork server too: it ends and reaps them like all others once the program has reported them.
 
-It talks with the program over one packet socket: a JSON object a packet, with the
-child's socket and log file handed over as file descriptors. An answer has its request's number.
+The fork server talks with the program over one packet socket: each packet is a JSON object,
+and file descriptors carry the child's socket and log file. A reply repeats the number of its
+request, so the program discards a late reply to an interrupted request.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ import time
 import traceback
 from typing import Any, NoReturn
 
-from stkzoo.engine import offspring
+from stkzoo.engine import process_clone
 from stkzoo.engine.race import init_engine
 from stkzoo.engine.serve import serve
 
 __all__ = ["READY", "main"]
 
-#: The mother's first packet: the engine has started.
+#: The fork server's first packet: the engine has started.
 READY = b"ready"
 
 _POLL_SECONDS = 0.5
@@ -50,12 +50,12 @@ def main(control_fd: int, self_destruct_after: int) -> None:
     try:
         init_engine()
         control.send(READY)
-        _Mother(control, self_destruct_after).run()
+        _ForkServer(control, self_destruct_after).run()
     finally:
         shutil.rmtree(os.environ["HOME"], ignore_errors=True)
 
 
-class _Mother:
+class _ForkServer:
     def __init__(self, control: socket.socket, self_destruct_after: int):
         self._control = control
         self._pid = os.getpid()
@@ -96,7 +96,7 @@ class _Mother:
 
     def _try_to_fork(self, fds: list[int]) -> dict[str, Any]:
         """A child, or why there is none, which is no reason to end the others."""
-        problem = "the game's mother process may open no more files"
+        problem = "the game's fork server may open no more files"
         if len(fds) == 2:
             try:
                 return {"pid": self._fork(*fds)}
@@ -118,11 +118,11 @@ class _Mother:
     def _run_child(self, session_fd: int, log_fd: int) -> NoReturn:
         status = 1
         try:
-            offspring.die_with(self._pid)
-            session = offspring.move_to(self._control, session_fd, log_fd)
-            serve(session, self_destruct_after=self._self_destruct_after, mother=self._pid)
+            process_clone.die_with(self._pid)
+            session = process_clone.move_to(self._control, session_fd, log_fd)
+            serve(session, self_destruct_after=self._self_destruct_after, fork_server=self._pid)
             status = 0
-        except BaseException:  # noqa: BLE001 - nothing of the mother may run in the child
+        except BaseException:  # noqa: BLE001 - nothing of the fork server may run in the child
             traceback.print_exc()
         finally:
             os._exit(status)

@@ -1,0 +1,146 @@
+"""What the library needs of the operating system: CPU count, atomic writes, locked directories."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import shutil
+import stat
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+__all__ = [
+    "PART_FILES",
+    "LockedTemporaryDirectory",
+    "atomic_write",
+    "cpu_count",
+    "remove_stale_directories",
+]
+
+#: Glob pattern of the files that :func:`atomic_write` has not finished.
+PART_FILES = ".*.part"
+
+_PREFIX = "stkzoo-run-"
+
+
+def cpu_count() -> int:
+    """The number of CPU cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@contextlib.contextmanager
+def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yields a temporary file to write, which replaces ``path`` when the block ends.
+
+    The temporary file is flushed to the disk first: after a crash of the program or the
+    machine, ``path`` holds the new content or the old one, never a part. An error in the
+    block removes the temporary file.
+
+    Raises:
+        OSError: the file cannot be written, or ``path`` is a device, a pipe or a folder.
+    """
+    file = Path(path)
+    if file.exists() and not file.is_file():  # replacing a device would destroy it
+        raise FileExistsError(errno.EEXIST, "it exists and is not a regular file", str(file))
+    folder = file.absolute().parent
+    handle, name = tempfile.mkstemp(prefix=f".{file.name}.", suffix=".part", dir=folder)
+    os.close(handle)
+    part = Path(name)
+    try:
+        yield part
+        part.chmod(0o644)
+        _flush(part)
+        part.replace(file)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            part.unlink()
+        raise
+    with contextlib.suppress(OSError):  # some systems cannot flush folders
+        _flush(folder)
+
+
+def _flush(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+class LockedTemporaryDirectory:
+    """A temporary directory that does not outlive its program, however that ends.
+
+    The directory is locked for as long as the program runs; the system releases the lock of
+    a killed program. Each new directory removes those that are no longer locked. A context
+    manager.
+
+    Args:
+        kind: what the directory is for; part of its name.
+
+    Attributes:
+        path: the directory.
+    """
+
+    def __init__(self, kind: str) -> None:
+        remove_stale_directories()
+        self._lock: int | None = None
+        is_locked = False
+        while not is_locked:  # another program may remove the directory before it is locked
+            self.path = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{kind}-"))
+            is_locked = fcntl is None or self._acquire()
+
+    def __enter__(self) -> LockedTemporaryDirectory:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Removes the directory. You may call it again."""
+        shutil.rmtree(self.path, ignore_errors=True)
+        self.release()
+
+    def release(self) -> None:
+        """Releases the lock and leaves the directory in place."""
+        lock, self._lock = self._lock, None
+        if lock is not None:
+            os.close(lock)
+
+    def _acquire(self) -> bool:
+        with contextlib.suppress(FileNotFoundError, BlockingIOError):
+            self._lock = os.open(self.path, os.O_RDONLY)
+            fcntl.flock(self._lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            if self.path.exists():
+                return True
+        self.release()
+        return False
+
+
+def remove_stale_directories() -> None:
+    """Removes the temporary directories of programs that were killed."""
+    if fcntl is None:
+        return
+    with contextlib.suppress(OSError):
+        for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
+            with contextlib.suppress(OSError):
+                _remove_if_unlocked(folder)
+
+
+def _remove_if_unlocked(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        status = os.fstat(handle)
+        if status.st_uid == os.geteuid() and stat.S_ISDIR(status.st_mode):
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(folder, ignore_errors=True)
+    finally:
+        os.close(handle)
