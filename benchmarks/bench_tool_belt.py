@@ -147,7 +147,7 @@ def _camera_step(spec: Mapping[str, Any], options: argparse.Namespace) -> float:
 
 
 def _filmed(camera: Mapping[str, Any], env: Any) -> Any:
-    from stkzoo.env.views import VIEWS
+    from stkzoo.views import VIEWS
     from stkzoo.wrappers import CameraObservations
 
     return CameraObservations(VIEWS["flattened_discrete"](env), **camera)

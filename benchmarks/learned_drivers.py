@@ -33,7 +33,7 @@ from stkzoo.agents.pretrained.driver import read_numbers, read_policy
 from stkzoo.agents.pretrained.drivers import ALL_LOOKS, Drivers
 from stkzoo.race.drivers import driver_names
 from stkzoo.tracks import SPLITS
-from stkzoo.wrappers.racing import CrowdView, RoadTable
+from stkzoo.wrappers.racing import BatchedRacingView, RoadTable
 
 RESULTS = Path(__file__).parent / "results" / "learned_drivers.json"
 #: Karts of one race.
@@ -56,7 +56,7 @@ class Batch:
 
     folder: Path
     sizes: Sequence[int]
-    crowd: CrowdView
+    crowd: BatchedRacingView
     marks: list[list[float]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -97,7 +97,7 @@ def cost(name: str, karts: int, track: str, steps: int) -> dict[str, float]:
         for seed, env in enumerate(envs):
             env.reset(seed=seed)
         assert envs[0].track_map is not None  # noqa: S101 - since reset
-        crowd = CrowdView([RoadTable(envs[0].track_map)])
+        crowd = BatchedRacingView([RoadTable(envs[0].track_map)])
         batch = Batch(folder, sizes, crowd)
         for _ in range(steps):
             moments.append([env.snapshot for env in envs])

@@ -22,7 +22,7 @@ from rich.table import Table
 from stkzoo import race_v0
 from stkzoo.kernel import kernel
 from stkzoo.tracks import SPLITS
-from stkzoo.wrappers.racing import CrowdView, RoadTable, racing_features
+from stkzoo.wrappers.racing import BatchedRacingView, RoadTable, racing_features
 
 RESULTS = Path(__file__).parent / "results" / "racing_view.json"
 #: Steps before the moments that are seen, and how many of these there are.
@@ -41,7 +41,7 @@ def cost(karts: int, track: str) -> dict[str, float]:
             env.step({agent: env.action_space(agent).sample() for agent in env.agents})
             snapshots.append(env.snapshot)
         assert env.track_map is not None  # noqa: S101 - since reset
-        crowd = CrowdView([RoadTable(env.track_map)])
+        crowd = BatchedRacingView([RoadTable(env.track_map)])
     who = [np.arange(karts)]
     ways: dict[str, Callable[[object], object]] = {
         "kernel": lambda snapshot: crowd.observe([snapshot], [0], who),

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError
+from stkzoo.views.bases import BatchedWrapper
 from stkzoo.wrappers.arguments import dict_space, whole_number
-from stkzoo.wrappers.batched import BatchedWrapper
 
 __all__ = ["ConstantSizedObservations"]
 

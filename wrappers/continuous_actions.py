@@ -10,9 +10,8 @@ import numpy as np
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError
-from stkzoo.wrappers.action_observation import ActionObservationWrapper
+from stkzoo.views.bases import ActionObservationWrapper, BatchedWrapper
 from stkzoo.wrappers.arguments import dict_space, observed_action, with_observed_action
-from stkzoo.wrappers.batched import BatchedWrapper
 
 __all__ = ["OnlyContinuousActionsWrapper"]
 

@@ -11,14 +11,13 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError
-from stkzoo.wrappers.action_observation import ActionObservationWrapper
+from stkzoo.views.bases import ActionObservationWrapper, BatchedWrapper
 from stkzoo.wrappers.arguments import (
     dict_space,
     observed_action,
     whole_number,
     with_observed_action,
 )
-from stkzoo.wrappers.batched import BatchedWrapper
 
 __all__ = ["DiscreteActionsWrapper", "Discretizer"]
 

@@ -8,9 +8,8 @@ from typing import Any
 import gymnasium as gym
 from gymnasium import spaces
 
-from stkzoo.wrappers.action_observation import ActionObservationWrapper
+from stkzoo.views.bases import ActionObservationWrapper, BatchedWrapper
 from stkzoo.wrappers.arguments import dict_space, observed_action, with_observed_action
-from stkzoo.wrappers.batched import BatchedWrapper
 from stkzoo.wrappers.space_flattener import SpaceFlattener
 
 __all__ = ["FlattenerWrapper"]

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError
-from stkzoo.wrappers.batched import BatchedWrapper
+from stkzoo.views.bases import BatchedWrapper
 
 __all__ = ["JoinedObservations"]
 

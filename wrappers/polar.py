@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.errors import ConfigError
+from stkzoo.views.bases import BatchedWrapper
 from stkzoo.wrappers.arguments import dict_space
-from stkzoo.wrappers.batched import BatchedWrapper
 
 __all__ = ["PolarObservations"]
 

@@ -13,8 +13,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from stkzoo.checks.factory import EnvFactory, bind, load_factory, takes
 from stkzoo.checks.runner import CHECKS, Outcome, run_check
-from stkzoo.env.views import VIEWS
 from stkzoo.errors import ConfigError, StkzooError, unknown_name
+from stkzoo.views import VIEWS
 
 __all__ = ["main"]
 

@@ -16,7 +16,7 @@ from stkzoo.env.options import RaceOptions
 from stkzoo.env.scenario import Scenario, digest_of
 from stkzoo.env.state import Moment, RaceState, check_max_snapshots
 from stkzoo.errors import ApiOrderError, ConfigError
-from stkzoo.wrappers.chain import AgentChains
+from stkzoo.views.chains import AgentChains
 
 if TYPE_CHECKING:
     from typing_extensions import Self

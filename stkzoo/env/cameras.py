@@ -11,11 +11,11 @@ import gymnasium as gym
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.env.episode import Episode
 from stkzoo.env.rendering import scene_of
-from stkzoo.env.views import View
 from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.names import CameraMode
 from stkzoo.render.renderer import RaceRenderer
 from stkzoo.render.scene import Scene
+from stkzoo.views import View
 from stkzoo.wrappers.camera import Camera, CameraKind, Shot
 
 __all__ = ["RaceCameras"]

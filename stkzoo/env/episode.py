@@ -24,7 +24,7 @@ from stkzoo.kernel import kernel
 from stkzoo.mdp.observations import KartObserver, ai_actions
 from stkzoo.mdp.rewards import Reward
 from stkzoo.mdp.state import race_state
-from stkzoo.wrappers.chain import AgentChains, StepParts
+from stkzoo.views.chains import AgentChains, StepParts
 from stkzoo.wrappers.racing import GroundSight, RacingSight, ground_table
 
 __all__ = ["Episode"]
@@ -178,7 +178,7 @@ class Episode:
         return Sight(self, self._karts(agents), agents, chains)
 
     def through(self, view: Any, karts: IntArray) -> list[Any] | None:
-        """What some karts see now in a view that needs no batch (``wrappers/fused.py``)."""
+        """What some karts see now in a view that needs no batch (``views/compile.py``)."""
         if isinstance(view, RacingSight):
             return view.observe(self.track_map, self.snapshot, karts, self._observer.max_paths)
         if isinstance(view, GroundSight):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import gymnasium
 import pettingzoo
 
-from stkzoo.env.views import CAMERA_VIEWS, VIEWS, View
 from stkzoo.errors import ConfigError
+from stkzoo.views import CAMERA_VIEWS, VIEWS, View
 
 __all__ = ["MAX_EPISODE_STEPS", "register_ids", "register_view"]
 

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.agent_names import by_agent, find_agent
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import kernel
 from stkzoo.mdp.rewards import Reward, as_reward
 from stkzoo.mdp.transition import Transition
-from stkzoo.wrappers.agent_names import by_agent, find_agent
 
 __all__ = ["EpisodeRecord", "rewards_of_agents"]
 

@@ -15,10 +15,10 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.wrappers.utils import create_zero_array
 
-from stkzoo.env.views import View, sees_ground
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
-from stkzoo.wrappers.agent_chain import AgentChain
+from stkzoo.views import View, sees_ground
+from stkzoo.views.agent_chain import AgentChain
 from stkzoo.wrappers.camera import CameraKind, Shot
 
 __all__ = ["KEYS", "Key", "base_action", "keys_to_action"]

@@ -11,7 +11,7 @@ from gymnasium.utils import EzPickle
 from stkzoo.config import AgentSpec
 from stkzoo.env.gymnasium_base import GymnasiumRaceEnv
 from stkzoo.errors import ActionError, ApiOrderError
-from stkzoo.wrappers.batch import split, take
+from stkzoo.views.batch import split, take
 
 __all__ = ["STKRaceMultiEnv"]
 

@@ -37,12 +37,12 @@ from stkzoo.env.options import (
 from stkzoo.env.rendering import Rendering, scene_of
 from stkzoo.env.scenario import read_scenario
 from stkzoo.env.starts import MAX_START_DRAWS, is_random
-from stkzoo.env.views import sees_ground, views_of_agents
 from stkzoo.errors import ApiOrderError, ConfigError, unknown_name
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.mdp.state import state_space
 from stkzoo.render.scene import Scene
-from stkzoo.wrappers.chain import AgentChains, StepParts
+from stkzoo.views import sees_ground, views_of_agents
+from stkzoo.views.chains import AgentChains, StepParts
 
 __all__ = ["RaceParallelEnv"]
 
@@ -63,7 +63,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         num_kart: see :class:`~stkzoo.env.options.RaceOptions`, as for ``track``, ``laps``,
             ``difficulty``, ``max_paths``, ``step_size``, ``reverse``, ``max_cycles`` and
             ``start``.
-        view: name of a view for all agents (:data:`stkzoo.env.views.VIEWS`), a function
+        view: name of a view for all agents (:data:`stkzoo.views.VIEWS`), a function
             that wraps a Gymnasium environment, or a mapping from agents to these.
         reward: see :mod:`stkzoo.mdp.rewards`.
         render_mode: ``"rgb_array"``: :meth:`render` gives a picture; ``"rgb_array_list"``: the

@@ -9,8 +9,8 @@ from gymnasium.utils import EzPickle
 from stkzoo.config import AgentSpec
 from stkzoo.env.gymnasium_base import GymnasiumRaceEnv
 from stkzoo.env.keyboard import keys_to_action
-from stkzoo.env.views import views_of_agents
 from stkzoo.errors import ApiOrderError, ConfigError
+from stkzoo.views import views_of_agents
 from stkzoo.wrappers.camera import Camera
 
 __all__ = ["STKRaceEnv"]

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from stkzoo.agent_names import by_agent
 from stkzoo.config import RandomStart, Start
 from stkzoo.errors import ConfigError
-from stkzoo.wrappers.agent_names import by_agent
 
 __all__ = ["MAX_START_DRAWS", "StartCurriculum", "check_start", "draw_starts", "is_random"]
 

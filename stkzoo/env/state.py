@@ -14,7 +14,7 @@ from stkzoo.engine.snapshot import Snapshot
 from stkzoo.env.episode import Episode
 from stkzoo.env.grid import RaceInfo
 from stkzoo.errors import ApiOrderError, ConfigError, check_whole
-from stkzoo.wrappers.memory import Memory
+from stkzoo.views.memory import Memory
 
 __all__ = ["Moment", "RaceState", "check_max_snapshots"]
 

@@ -11,11 +11,11 @@ import numpy as np
 from gymnasium.spaces import Space
 
 import stkzoo
-from stkzoo.env.views import VIEWS, sees_ground
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race import RaceListener, RaceProgress, RaceResult
-from stkzoo.wrappers.agent_chain import AgentChain
+from stkzoo.views import VIEWS, sees_ground
+from stkzoo.views.agent_chain import AgentChain
 
 __all__ = ["DatasetWriter"]
 

@@ -11,13 +11,13 @@ from gymnasium import spaces
 
 from stkzoo.env.graphics import checked_size
 from stkzoo.env.keyboard import keys_to_action
-from stkzoo.env.views import VIEWS
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.names import Phase, PowerupType
 from stkzoo.play.dataset import DatasetWriter
 from stkzoo.play.screen import PlayScreen
 from stkzoo.race import Driver, RaceListener, RaceProgress, RaceResult, run_race
 from stkzoo.render.renderer import BACKENDS, RaceRenderer
+from stkzoo.views import VIEWS
 
 __all__ = ["play_race"]
 

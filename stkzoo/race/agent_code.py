@@ -15,10 +15,10 @@ import gymnasium as gym
 from gymnasium import spaces
 from gymnasium.envs.registration import load_env_creator
 
-from stkzoo.env.views import VIEWS, View, sees_ground
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.race.files import AgentPlace
 from stkzoo.race.modules import ModuleScope
+from stkzoo.views import VIEWS, View, sees_ground
 
 __all__ = ["Actor", "ActorMaker", "AgentCode", "env_sees_ground", "load_agent", "read_module"]
 

@@ -9,8 +9,8 @@ from gymnasium import spaces
 from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo.race.agent_code import AgentCode
-from stkzoo.wrappers.agent_chain import AgentChain
-from stkzoo.wrappers.batch import split
+from stkzoo.views.agent_chain import AgentChain
+from stkzoo.views.batch import split
 
 __all__ = ["AgentRunner"]
 

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Any
 
-from stkzoo.env.views import VIEWS
 from stkzoo.errors import AgentError, AgentTimeout, unknown_name
 from stkzoo.race.agent_code import ActorMaker, AgentCode, load_agent
 from stkzoo.race.agent_runner import AgentRunner
 from stkzoo.race.files import AgentFiles
 from stkzoo.race.seats import Decision, Seat, SeatRequest
 from stkzoo.race.tracebacks import agent_trace, in_words
+from stkzoo.views import VIEWS
 
 __all__ = ["ActorOpener", "InlineFilesOpener", "InlineSeat"]
 

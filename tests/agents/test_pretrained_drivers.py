@@ -35,7 +35,7 @@ from stkzoo.agents.pretrained.plans import (
     table_rows,
 )
 from stkzoo.agents.pretrained.policy import RacingPolicy
-from stkzoo.wrappers.racing import CrowdView, RoadTable, Surroundings, surroundings_of
+from stkzoo.wrappers.racing import BatchedRacingView, RoadTable, Surroundings, surroundings_of
 
 STRAIGHT = CHOICES[1] // 2
 SIDE = np.array([-1, 1, 1], np.float32)
@@ -99,7 +99,7 @@ def test_karts_see_together_what_each_sees_alone():
 def test_a_crowd_sees_what_the_full_view_tells():
     crowd = None
     for count, (env, own, around, *_) in enumerate(driven_race(90)):
-        crowd = crowd or CrowdView([RoadTable(env.track_map)])
+        crowd = crowd or BatchedRacingView([RoadTable(env.track_map)])
         if count % 15:
             continue
         karts = np.array(env.race.kart_indices)

@@ -6,7 +6,7 @@ from stkzoo import race_v0
 from stkzoo.agents.pretrained.drivers import ALL_LOOKS
 from stkzoo.agents.pretrained.rivals import RIVALS, RivalTracker
 from stkzoo.agents.pretrained.road import LINE_MARKS, Road
-from stkzoo.wrappers.racing import LOOKS, CrowdView, RoadTable
+from stkzoo.wrappers.racing import LOOKS, BatchedRacingView, RoadTable
 
 STRAIGHT = np.zeros((1, len(LINE_MARKS), 4), np.float32)
 STRAIGHT[0, :, 2], STRAIGHT[0, :, 3] = LINE_MARKS, 5.0
@@ -81,7 +81,7 @@ def test_in_a_race_they_are_as_fast_as_the_engine_says():
     errors = []
     with race_v0.parallel_env(num_kart=5, agents=1, track="lighthouse", difficulty=3) as env:
         env.reset(seed=3)
-        crowd, tracker = CrowdView([RoadTable(env.track_map)]), RivalTracker(5)
+        crowd, tracker = BatchedRacingView([RoadTable(env.track_map)]), RivalTracker(5)
         idle = {agent: env.action_space(agent).sample() for agent in env.agents}
         for step in range(100):
             env.step(idle)

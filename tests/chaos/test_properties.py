@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 import stkzoo
 from stkzoo import ActionError, AgentSpec, ConfigError, StkzooError, race_v0
 from stkzoo.engine import process
-from stkzoo.env.views import VIEWS
 from stkzoo.race import RaceSettings, run_race
+from stkzoo.views import VIEWS
 
 EXAMPLES = int(os.environ.get("STKZOO_EXAMPLES", "30"))
 QUICK = settings(

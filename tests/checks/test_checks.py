@@ -21,8 +21,8 @@ from pettingzoo import ParallelEnv
 
 from stkzoo import race_v0
 from stkzoo.checks import CHECKS, load_factory, play, run_check, trace
-from stkzoo.env.views import VIEWS
 from stkzoo.errors import ConfigError
+from stkzoo.views import VIEWS
 
 # Classes of a test module cannot be imported by a fresh process.
 cloudpickle.register_pickle_by_value(sys.modules[__name__])

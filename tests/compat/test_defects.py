@@ -23,7 +23,7 @@ from stkzoo.mdp.spaces import kart_observation_space
 from stkzoo.wrappers import ConstantSizedObservations, Discretizer, PolarObservations
 from tests.support.paths import ROOT
 
-SINGLE_IDS = [f"supertuxkart/{view}-v0" for view in stkzoo.env.views.VIEWS]
+SINGLE_IDS = [f"supertuxkart/{view}-v0" for view in stkzoo.views.VIEWS]
 MULTI_ID = "supertuxkart/multi-full-v0"
 SHORT_TRACK = "lighthouse"
 #: Steps until karts move, and some.
@@ -316,7 +316,7 @@ def test_d07_labels_of_the_games_ai_are_the_nearest_steps():
 # ------------------------------------------------------------------------------------ D08
 
 
-@pytest.mark.parametrize("view", [v for v in stkzoo.env.views.VIEWS if v.startswith("flattened")])
+@pytest.mark.parametrize("view", [v for v in stkzoo.views.VIEWS if v.startswith("flattened")])
 def test_d08_flattened_views_have_exactly_two_keys(view):
     env = gym.make(f"supertuxkart/{view}-v0", track=SHORT_TRACK)
     observation, _ = env.reset(seed=0)

@@ -9,9 +9,8 @@ from gymnasium import spaces
 import stkzoo
 from stkzoo import race_v0
 from stkzoo.cli.main import COMMANDS
-from stkzoo.env.views import CAMERA_VIEWS, VIEWS
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
-from stkzoo.wrappers.mono_env import MonoAgentEnv
+from stkzoo.views.split_step import MonoAgentEnv
 from tests.support.paths import ROOT
 
 PAGE = (ROOT / "docs" / "environment.md").read_text("utf-8")

@@ -17,7 +17,7 @@ from pettingzoo.test.state_test import state_test
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from stkzoo import RaceParallelEnv, race_v0
-from stkzoo.env.views import VIEWS
+from stkzoo.views import VIEWS
 
 BUILT_IN_VIEWS = tuple(VIEWS)
 

@@ -213,6 +213,6 @@ def test_a_registered_view_of_ones_own_is_copied_and_rebuilt():
             assert race(pickle.loads(pickle.dumps(env))) == expected
             assert race(gym.make(EnvSpec.from_json(env.spec.to_json()))) == expected
     finally:
-        from stkzoo.env.views import VIEWS as KNOWN
+        from stkzoo.views import VIEWS as KNOWN
 
         del KNOWN["pickled_polar"], gym.registry["supertuxkart/pickled_polar-v0"]

@@ -15,8 +15,8 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector
 
 import stkzoo
-from stkzoo.env.views import VIEWS
 from stkzoo.errors import ConfigError
+from stkzoo.views import VIEWS
 
 RACE = {"track": "lighthouse", "num_kart": 2}
 DRAWN = {"render_mode": "rgb_array", "render_backend": "map", "render_size": (64, 64)}

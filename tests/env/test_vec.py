@@ -27,7 +27,7 @@ from stkzoo import (
     race_v0,
 )
 from stkzoo.engine.session import WorkerSession
-from stkzoo.env.views import VIEWS
+from stkzoo.views import VIEWS
 
 OPTIONS = {"num_kart": 3, "agents": 2, "track": "olivermath", "max_cycles": 30}
 NUM_STEPS = 70  # two ends and a piece of a third race

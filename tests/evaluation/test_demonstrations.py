@@ -14,11 +14,11 @@ import pytest
 from stkzoo import AgentSpec, race_v0
 from stkzoo.cli.main import main
 from stkzoo.engine.snapshot import CONTROLS
-from stkzoo.env.views import VIEWS
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.demonstrations import check, load, plan_demos, record, save, to_minari
 from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
 from stkzoo.race import run_race
+from stkzoo.views import VIEWS
 from stkzoo.wrappers.racing import SIZE, controls_of_choices
 
 SHORT = {"tracks": "lighthouse", "karts": 2, "max_steps": 60, "jobs": 1}

@@ -15,14 +15,14 @@ from stkzoo import race_v0
 from stkzoo.config import AgentSpec
 from stkzoo.engine.snapshot import HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
 from stkzoo.engine.track import TrackMap
-from stkzoo.env.views import VIEWS as ALL_VIEWS
 from stkzoo.errors import ActionError
 from stkzoo.kernel import kernel
 from stkzoo.names import AttachmentType, ItemType, PowerupType
 from stkzoo.tracks import SPLITS
+from stkzoo.views import VIEWS as ALL_VIEWS
+from stkzoo.views import chains as chain_module
 from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarObservations
-from stkzoo.wrappers import chain as chain_module
-from stkzoo.wrappers.racing import SIZE, CrowdView, RoadTable, racing_features
+from stkzoo.wrappers.racing import SIZE, BatchedRacingView, RoadTable, racing_features
 from stkzoo.wrappers.racing.features import KERNEL_TABLES
 from stkzoo.wrappers.racing.road import NUM_POINTS
 
@@ -87,7 +87,7 @@ def numpy_only(monkeypatch):
     """A switch that makes everything made from then on do without the kernel."""
 
     def turn_off():
-        for module in ("wrappers.fused", "env.episode", "mdp.rewards"):
+        for module in ("views.compile", "env.episode", "mdp.rewards"):
             monkeypatch.setattr(f"stkzoo.{module}.kernel", None)
 
     return turn_off
@@ -127,7 +127,7 @@ def test_the_racing_view_is_the_same_with_and_without_the_kernel(track):
         env.reset(seed=3)
         for agent, space in env.action_spaces.items():
             space.seed(int(agent[-1]))
-        crowd, who = CrowdView([RoadTable(env.track_map)]), np.array([5, 0, 3])
+        crowd, who = BatchedRacingView([RoadTable(env.track_map)]), np.array([5, 0, 3])
         for _ in range(80):
             env.step({agent: env.action_space(agent).sample() for agent in env.agents})
             seen = crowd.observe([env.snapshot], [0], [who])
@@ -154,7 +154,7 @@ def test_the_racing_view_is_the_same_wherever_things_are(seed):
     karts["powerup_num"], karts["jumping"] = random.integers(0, 20, 9), random.integers(0, 2, 9)
     items["type"] = random.choice(list(ItemType), 12)
     snapshot = Snapshot.of(np.zeros((), HEADER_DTYPE), karts, items)
-    crowd, who = CrowdView([road_of(random)]), np.arange(9)
+    crowd, who = BatchedRacingView([road_of(random)]), np.arange(9)
     seen = crowd.observe([snapshot], [0], [who])
     made = racing_features(*crowd.surroundings([snapshot], [0], [who]))
     np.testing.assert_allclose(seen, made, atol=2e-4)

@@ -16,10 +16,10 @@ import pytest
 import stkzoo
 from stkzoo.cli.main import main
 from stkzoo.env.keyboard import KEYS, base_action
-from stkzoo.env.views import VIEWS
 from stkzoo.errors import ConfigError
 from stkzoo.play import play_race
 from stkzoo.race import RaceListener
+from stkzoo.views import VIEWS
 
 pygame = pytest.importorskip("pygame")
 

@@ -8,9 +8,9 @@ import pytest
 
 import stkzoo
 from stkzoo import race_v0
-from stkzoo.env.views import VIEWS
 from stkzoo.errors import ConfigError
 from stkzoo.render.renderer import RaceRenderer
+from stkzoo.views import VIEWS
 from stkzoo.wrappers import CameraObservations
 from tests.support.rendering import who_draws
 

@@ -10,7 +10,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from stkzoo import AgentSpec, race_v0
-from stkzoo.env.views import VIEWS
+from stkzoo.views import VIEWS
 
 OPTIONS = {"track": "olivermath", "num_kart": 3}
 LEARNING = {"n_steps": 64, "batch_size": 32, "n_epochs": 1, "device": "cpu", "seed": 1}

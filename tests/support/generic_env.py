@@ -11,6 +11,8 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.views.actions import read_actions
+from stkzoo.views.batch import split
 from stkzoo.wrappers import (
     ConstantSizedObservations,
     DiscreteActionsWrapper,
@@ -19,8 +21,6 @@ from stkzoo.wrappers import (
     OnlyContinuousActionsWrapper,
     PolarObservations,
 )
-from stkzoo.wrappers.actions import read_actions
-from stkzoo.wrappers.batch import split
 
 #: The wrappers of each registered view, innermost first.
 VIEWS = {

@@ -19,13 +19,13 @@ from gymnasium.wrappers import (
 
 from stkzoo.errors import ActionError, AgentException, ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.views import AgentChains
+from stkzoo.views.batch import split
 from stkzoo.wrappers import (
-    AgentChains,
     ConstantSizedObservations,
     DiscreteActionsWrapper,
     PolarObservations,
 )
-from stkzoo.wrappers.batch import split
 from tests.support.generic_env import VIEWS, Counter, assert_same, kart_env, random_batch, wrap
 
 

@@ -445,7 +445,7 @@ def test_the_ids_are_there():
     assert env.observation_space.contains(observation)
     assert np.isfinite(reward)
     env.close()
-    assert "control" in stkzoo.env.views.VIEWS
+    assert "control" in stkzoo.views.VIEWS
 
 
 @pytest.mark.slow

@@ -105,7 +105,7 @@ def test_it_is_the_same_without_the_compiled_kernel(monkeypatch):
             return env.reset(seed=2)[0], env.observation_spaces
 
     quick, _ = first()
-    monkeypatch.setattr("stkzoo.wrappers.fused.kernel", None)
+    monkeypatch.setattr("stkzoo.views.compile.kernel", None)
     slow, spaces = first()
     for agent, seen in slow.items():
         assert spaces[agent].contains(seen)
@@ -144,7 +144,7 @@ def test_views_of_others_may_ask_for_it():
 
 def test_the_racing_view_may_be_made_of_it():
     def racing(env):
-        return RacingObservations(stkzoo.env.views.VIEWS["ground"](env))
+        return RacingObservations(stkzoo.views.VIEWS["ground"](env))
 
     with race_v0.parallel_env(num_kart=2, track="lighthouse", view="racing") as env:
         plain, _ = env.reset(seed=1)
@@ -166,7 +166,7 @@ def test_demonstrations_of_who_sees_it_are_like_those_of_others():
 
 def test_around_an_environment_without_it_the_view_says_what_to_do():
     with pytest.raises(ConfigError, match=r"shows the ground.*choose view='ground'"):
-        stkzoo.env.views.VIEWS["ground"](gym.make("supertuxkart/full-v0"))
+        stkzoo.views.VIEWS["ground"](gym.make("supertuxkart/full-v0"))
 
 
 # ------------------------------------------------------------------ agents of files

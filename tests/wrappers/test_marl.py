@@ -1,4 +1,4 @@
-"""Teams, masks, messages and limited sight, on real races."""
+"""Teams, masks, messages and partial observations, on real races."""
 
 import math
 
@@ -9,9 +9,9 @@ from pettingzoo.test import parallel_api_test
 from pettingzoo.utils import parallel_to_aec
 
 from stkzoo import ActionError, ConfigError, race_v0
-from stkzoo.env.views import VIEWS
+from stkzoo.views import VIEWS
 from stkzoo.wrappers import FlattenerWrapper, JoinedObservations, PolarObservations
-from stkzoo.wrappers.marl import ActionMasks, LimitedSight, MessageChannel, Teams
+from stkzoo.wrappers.marl import ActionMasks, MessageChannel, PartialObservations, Teams
 
 TEAMS = [["kart_0", 3], ["1", "kart_2"]]
 
@@ -137,12 +137,12 @@ def test_masks_need_discrete_actions():
         race(view=masked("flattened"))
 
 
-# ------------------------------------------------------------------ limited sight
+# ------------------------------------------------------------------ partial observations
 
 
 def test_who_is_far_away_or_behind_is_not_seen():
     def near(env):
-        return LimitedSight(env, radius=20.0, angle=math.pi, of=["karts", "items"])
+        return PartialObservations(env, radius=20.0, angle=math.pi, of=["karts", "items"])
 
     with race(view={0: near, 1: near}) as env:
         observations, _ = env.reset(seed=1)
@@ -167,7 +167,7 @@ def test_who_is_far_away_or_behind_is_not_seen():
 
 def test_limited_sight_goes_inside_of_flat_views():
     def view(env):
-        return VIEWS["box_discrete"](LimitedSight(env, radius=30.0))
+        return VIEWS["box_discrete"](PartialObservations(env, radius=30.0))
 
     with race(view=view) as env:
         observations, _ = env.reset(seed=1)
@@ -184,12 +184,12 @@ def test_limited_sight_goes_inside_of_flat_views():
 )
 def test_limited_sight_refuses(options, text):
     with pytest.raises(Exception, match=text):
-        race(view=lambda env: LimitedSight(env, **options))
+        race(view=lambda env: PartialObservations(env, **options))
 
 
 def test_limited_sight_needs_lists():
     with pytest.raises(Exception, match="needs a list"):
-        race(view=lambda env: LimitedSight(PolarObservations(VIEWS["simple"].__call__(env))))
+        race(view=lambda env: PartialObservations(PolarObservations(VIEWS["simple"].__call__(env))))
 
 
 # ------------------------------------------------------------------ teams

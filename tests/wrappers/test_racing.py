@@ -8,17 +8,17 @@ import pytest
 from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo import AgentSpec, race_v0
-from stkzoo.env.views import VIEWS
 from stkzoo.errors import AgentException
 from stkzoo.mdp.geometry import rotation_matrices
 from stkzoo.names import ItemType
+from stkzoo.views import VIEWS
 from stkzoo.wrappers.racing import (
     CHOICES,
     MIRROR,
     PARTS,
     SIZE,
     STEERS,
-    CrowdView,
+    BatchedRacingView,
     RacingActions,
     RacingObservations,
     RoadTable,
@@ -83,7 +83,7 @@ def test_one_kart_a_race_and_a_crowd_see_the_same(track, reverse):
         view = RacingObservations(OneKart(env))
         crowd = None
         for observations in itertools.islice(moments(env), 0, None, 9):
-            crowd = crowd or CrowdView([RoadTable(env.track_map)])
+            crowd = crowd or BatchedRacingView([RoadTable(env.track_map)])
             alone = np.stack([view.observation(observations[agent]) for agent in env.agents])
             together = view.observation(env.observe_batch(env.agents))
             from_above = crowd.observe([env.snapshot], [0], [places_of(env)])
@@ -96,11 +96,11 @@ def test_crowds_of_several_races_see_what_each_sees_alone():
     with race() as one, race(track="olivermath", num_kart=3) as two:
         one.reset(seed=1), two.reset(seed=2)
         roads = [RoadTable(env.track_map) for env in (one, two)]
-        both = CrowdView(roads).observe(
+        both = BatchedRacingView(roads).observe(
             [one.snapshot, two.snapshot], [0, 1], [places_of(one), places_of(two)]
         )
-        first = CrowdView(roads[:1]).observe([one.snapshot], [0], [places_of(one)])
-        second = CrowdView(roads[1:]).observe([two.snapshot], [0], [places_of(two)])
+        first = BatchedRacingView(roads[:1]).observe([one.snapshot], [0], [places_of(one)])
+        second = BatchedRacingView(roads[1:]).observe([two.snapshot], [0], [places_of(two)])
     np.testing.assert_allclose(both, np.concatenate([first, second]), atol=1e-6)
 
 

@@ -16,6 +16,7 @@ from hypothesis.extra import numpy as npst
 import stkzoo.wrappers
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.views.batch import split
 from stkzoo.wrappers import (
     ActionObservationWrapper,
     BatchedWrapper,
@@ -28,7 +29,6 @@ from stkzoo.wrappers import (
     PolarObservations,
     SpaceFlattener,
 )
-from stkzoo.wrappers.batch import split
 from tests.support.generic_env import (
     VIEWS,
     ScriptedEnv,

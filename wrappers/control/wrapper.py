@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError, unknown_name
-from stkzoo.wrappers.action_observation import ActionObservationWrapper
+from stkzoo.views.bases import ActionObservationWrapper
 from stkzoo.wrappers.arguments import dict_space, observed_action, with_observed_action
 from stkzoo.wrappers.control.car_action import CarAction
 from stkzoo.wrappers.control.parameters import CarParameters

@@ -13,8 +13,7 @@ from gymnasium import spaces
 
 from stkzoo.errors import ConfigError
 from stkzoo.names import PowerupType
-from stkzoo.wrappers.action_observation import ActionObservationWrapper
-from stkzoo.wrappers.batched import BatchedWrapper
+from stkzoo.views.bases import ActionObservationWrapper, BatchedWrapper
 from stkzoo.wrappers.flattener import FlattenerWrapper
 
 __all__ = ["ActionMasks"]

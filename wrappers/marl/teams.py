@@ -12,10 +12,10 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
+from stkzoo.agent_names import find_agent
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.geometry import rotation_matrices
 from stkzoo.mdp.transition import progress_of
-from stkzoo.wrappers.agent_names import find_agent
 
 __all__ = ["MATE_FEATURES", "Teams"]
 

@@ -1,6 +1,6 @@
 """The racing view: a fixed-size driver's view of the race, and a few choices to act by."""
 
-from stkzoo.wrappers.racing.crowd import CrowdView, KartColumns, RacingSight
+from stkzoo.wrappers.racing.batched_view import BatchedRacingView, KartColumns, RacingSight
 from stkzoo.wrappers.racing.features import (
     ABSENT,
     LOOKS,
@@ -33,7 +33,7 @@ __all__ = [
     "RESCUE",
     "SIZE",
     "STEERS",
-    "CrowdView",
+    "BatchedRacingView",
     "GroundAhead",
     "GroundSight",
     "GroundTable",

@@ -13,9 +13,8 @@ from gymnasium import spaces
 
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
-from stkzoo.wrappers.action_observation import ActionObservationWrapper
+from stkzoo.views.bases import ActionObservationWrapper, BatchedWrapper
 from stkzoo.wrappers.arguments import dict_space, observed_action, with_observed_action
-from stkzoo.wrappers.batched import BatchedWrapper
 from stkzoo.wrappers.racing.features import LOOKS, Surroundings, line_places, racing_features
 from stkzoo.wrappers.racing.layout import SIZE
 from stkzoo.wrappers.racing.road import MAX_SEGMENTS, road_line

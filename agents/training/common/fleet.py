@@ -31,7 +31,7 @@ from stkzoo.engine.snapshot import Snapshot
 from stkzoo.engine.track import TrackMap, decode_track
 from stkzoo.evaluation.benchmark import load_ai_times
 from stkzoo.names import Phase
-from stkzoo.wrappers.racing import CrowdView, RoadTable
+from stkzoo.wrappers.racing import BatchedRacingView, RoadTable
 
 __all__ = ["Beginning", "Finish", "Fleet", "RaceForm", "StepOutcome"]
 
@@ -128,7 +128,7 @@ class _Parked:
         self._sessions: dict[_Kind, tuple[WorkerSession, Snapshot]] = {}
         self._roads: dict[tuple[str, bool], int] = {}
         self._tables: list[RoadTable] = []
-        self.crowd = CrowdView([])
+        self.crowd = BatchedRacingView([])
 
     def new_session(self) -> WorkerSession:
         return WorkerSession(self._root)
@@ -157,7 +157,7 @@ class _Parked:
         if key not in self._roads:
             self._roads[key] = len(self._tables)
             self._tables.append(RoadTable(track))
-            self.crowd = CrowdView(self._tables)
+            self.crowd = BatchedRacingView(self._tables)
 
     def road(self, kind: _Kind) -> int:
         """The number of a kind's road in ``crowd``; the kind has begun before."""

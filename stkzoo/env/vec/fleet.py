@@ -15,7 +15,7 @@ from stkzoo._os import cpu_count
 from stkzoo.env.vec.ahead import AheadRace
 from stkzoo.env.vec.slots import RaceSlots, SlotSteps
 from stkzoo.errors import ActionError, ApiOrderError, ConfigError, check_whole
-from stkzoo.wrappers.actions import read_actions
+from stkzoo.views.actions import read_actions
 
 __all__ = ["RaceFleet"]
 

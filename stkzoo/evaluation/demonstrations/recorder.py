@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.snapshot import CONTROLS
-from stkzoo.env.views import VIEWS, sees_ground
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.evaluation.demonstrations.columns import Columns, columns_of
 from stkzoo.evaluation.demonstrations.dataset import Demonstrations, EpisodeFacts, join
@@ -17,7 +16,8 @@ from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.replay.record import action_of, controls_of
 from stkzoo.race.result import RaceResult
-from stkzoo.wrappers.agent_chain import AgentChain
+from stkzoo.views import VIEWS, sees_ground
+from stkzoo.views.agent_chain import AgentChain
 
 __all__ = ["STEP", "DemoRecorder", "DemoView"]
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import gymnasium as gym
 
+from stkzoo.agent_names import by_agent
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.mdp.spaces import shows_ground
 from stkzoo.wrappers import (
@@ -23,7 +24,6 @@ from stkzoo.wrappers import (
     OnlyContinuousActionsWrapper,
     PolarObservations,
 )
-from stkzoo.wrappers.agent_names import by_agent
 from stkzoo.wrappers.control import ControlView
 from stkzoo.wrappers.marl import ActionMasks
 from stkzoo.wrappers.racing import RacingActions, RacingObservations

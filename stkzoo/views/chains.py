@@ -14,11 +14,11 @@ from gymnasium.wrappers.utils import create_zero_array
 from stkzoo.errors import ActionError, ConfigError
 from stkzoo.kernel import kernel
 from stkzoo.mdp.spaces import shows_ground
-from stkzoo.wrappers.actions import read_actions
-from stkzoo.wrappers.agent_chain import AgentChain, WrapperFactory, agent_failures
-from stkzoo.wrappers.batch import split, take
-from stkzoo.wrappers.memory import Memory
-from stkzoo.wrappers.mono_env import AgentStep
+from stkzoo.views.actions import read_actions
+from stkzoo.views.agent_chain import AgentChain, WrapperFactory, agent_failures
+from stkzoo.views.batch import split, take
+from stkzoo.views.memory import Memory
+from stkzoo.views.split_step import AgentStep
 
 __all__ = ["AgentChains", "Sight"]
 
@@ -46,7 +46,7 @@ class Sight(Protocol):
         """What some agents see in a view that needs no batch, in Gymnasium's form.
 
         Args:
-            view: of :func:`stkzoo.wrappers.fused.fused_view`.
+            view: of :func:`stkzoo.views.compile.fused_view`.
             rows: which agents.
 
         Returns:
@@ -75,7 +75,7 @@ class AgentChains:
     ``(A,)``, ``Box`` ``(A, *shape)``, ``Sequence`` ``(A, M, ...)``, ``Dict`` a dict of
     these); they go out by agent in Gymnasium's form. Agents whose wrappers are all
     :class:`BatchedWrapper`, of equal arguments around equal spaces, are run together, and
-    chains that the compiled kernel knows (:mod:`stkzoo.wrappers.fused`) in one pass. All
+    chains that the compiled kernel knows (:mod:`stkzoo.views.compile`) in one pass. All
     other chains run agent by agent; a wrapper with a ``step`` of its own works too, and
     waits in a small thread while the race moves. Observations that are handed out share no
     memory with the batch or with earlier results.

@@ -23,7 +23,7 @@ from stkzoo.wrappers.discrete_actions import DiscreteActionsWrapper
 from stkzoo.wrappers.flatten_multidiscrete import FlattenMultiDiscreteActions
 from stkzoo.wrappers.flattener import FlattenerWrapper
 from stkzoo.wrappers.polar import PolarObservations
-from stkzoo.wrappers.racing.crowd import RacingSight
+from stkzoo.wrappers.racing.batched_view import RacingSight
 from stkzoo.wrappers.racing.ground import GroundSight
 from stkzoo.wrappers.racing.wrapper import RacingActions, RacingObservations
 

@@ -12,12 +12,12 @@ import numpy as np
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.wrappers.arguments import dict_space
 
-__all__ = ["LimitedSight"]
+__all__ = ["PartialObservations"]
 
 _SEEN = {"karts": ("karts_position",), "items": ("items_position", "items_type")}
 
 
-class LimitedSight(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
+class PartialObservations(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Hides the karts and items that a driver could not see.
 
     It goes around the ``full`` view, inside of the wrappers that fix sizes or flatten; what is
@@ -44,7 +44,7 @@ class LimitedSight(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstr
     ) -> None:
         gym.utils.RecordConstructorArgs.__init__(self, radius=radius, angle=angle, of=tuple(of))
         super().__init__(env)
-        space = dict_space(env.observation_space, "observations", "LimitedSight")
+        space = dict_space(env.observation_space, "observations", "PartialObservations")
         self.radius = _positive("radius", radius)
         self.angle = _positive("angle", angle)
         for name in of:
@@ -54,7 +54,7 @@ class LimitedSight(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstr
         for key in (key for group in self._groups for key in group):
             if not isinstance(space.spaces.get(key), gym.spaces.Sequence):
                 raise ConfigError(
-                    f"LimitedSight needs a list (a Sequence space) under {key!r}, but found "
+                    f"PartialObservations needs a list (a Sequence space) under {key!r}, but found "
                     f"{space.spaces.get(key)!r}. It goes around the full view."
                 )
 

@@ -32,7 +32,7 @@ from stkzoo.wrappers.racing.road import MAX_SEGMENTS, RoadTable
 if TYPE_CHECKING:
     from stkzoo.engine.track import TrackMap
 
-__all__ = ["CrowdView", "KartColumns", "RacingSight"]
+__all__ = ["BatchedRacingView", "KartColumns", "RacingSight"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
@@ -76,7 +76,7 @@ def _place(field: str) -> slice | int:
     return slice(begin, begin + width) if part.shape else begin
 
 
-class CrowdView:
+class BatchedRacingView:
     """Sees for all karts of races on some tracks.
 
     Args:
@@ -242,5 +242,5 @@ class RacingSight:
 
 
 @functools.lru_cache(maxsize=64)
-def _view_of(track: TrackMap) -> CrowdView:
-    return CrowdView([RoadTable(track)])
+def _view_of(track: TrackMap) -> BatchedRacingView:
+    return BatchedRacingView([RoadTable(track)])

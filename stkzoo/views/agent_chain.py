@@ -10,15 +10,11 @@ import gymnasium as gym
 from gymnasium import spaces
 
 from stkzoo.errors import ActionError, AgentError, AgentException
-from stkzoo.wrappers.action_observation import ActionObservationWrapper
-from stkzoo.wrappers.actions import read_actions
-from stkzoo.wrappers.batch import space_identity, split
-from stkzoo.wrappers.batched import BatchedWrapper
-from stkzoo.wrappers.constant_size import ConstantSizedObservations
-from stkzoo.wrappers.fused import fused_controls, fused_view
-from stkzoo.wrappers.handover import ParkedStep
-from stkzoo.wrappers.memory import Memory
-from stkzoo.wrappers.mono_env import AgentStep, MonoAgentEnv
+from stkzoo.views.actions import read_actions
+from stkzoo.views.bases import ActionObservationWrapper, BatchedWrapper
+from stkzoo.views.batch import space_identity, split
+from stkzoo.views.memory import Memory
+from stkzoo.views.split_step import AgentStep, MonoAgentEnv, SplitStep
 
 __all__ = ["AgentChain", "WrapperFactory", "agent_failures"]
 
@@ -78,7 +74,7 @@ class AgentChain:
         self.base_observation_space = observation_space
         self.base_action_space = action_space
         self._mono = MonoAgentEnv(observation_space, action_space)
-        self._parked: ParkedStep | None = None
+        self._split_step: SplitStep | None = None
         with agent_failures(agent, "wrap its environment"):
             self.env = self._mono if factory is None else factory(self._mono)
             self._wrappers = _wrappers_between(self.env, self._mono)
@@ -92,6 +88,8 @@ class AgentChain:
 
     def fused_view(self) -> Any:
         """The kernel's view that shows the same; ``None`` if it has none."""
+        from stkzoo.views.compile import fused_view  # the wrappers stand above this module
+
         if not self.is_batched:
             return None
         return fused_view(self._wrappers[::-1], self.base_observation_space)
@@ -102,6 +100,8 @@ class AgentChain:
         Args:
             columns: the keys of the base actions, in the order of the controls' columns.
         """
+        from stkzoo.views.compile import fused_controls
+
         if not self.is_batched:
             return None
         return fused_controls(self._wrappers[::-1], self.base_action_space, columns)
@@ -116,6 +116,8 @@ class AgentChain:
 
     def paths_used(self) -> int | None:
         """How many track segments the chain looks at; ``None`` is all."""
+        from stkzoo.wrappers.constant_size import ConstantSizedObservations
+
         innermost = self._wrappers[-1] if self._wrappers else None
         if isinstance(innermost, ConstantSizedObservations) and innermost.keeps_batch_promise():
             return innermost.state_paths
@@ -153,10 +155,10 @@ class AgentChain:
         with agent_failures(self.agent, "change its action"):
             if self._is_plain:
                 return self.act(action)
-            self._parked = ParkedStep(self.env.step, action)
-            self._mono.connect(self._parked)
+            self._split_step = SplitStep(self.env.step, action)
+            self._mono.connect(self._split_step)
             try:
-                return self._parked.begin()
+                return self._split_step.begin()
             except BaseException:
                 self.abandon()
                 raise
@@ -178,7 +180,7 @@ class AgentChain:
         """Runs the half after the race's step on the agent's part of the result."""
         with agent_failures(self.agent, "change the result of a step"):
             observation, reward, terminated, truncated, info = (
-                self._pass_out(result) if self._is_plain else self._finish_parked(result)
+                self._pass_out(result) if self._is_plain else self._finish_split_step(result)
             )
             return observation, float(reward), bool(terminated), bool(truncated), dict(info)
 
@@ -205,21 +207,21 @@ class AgentChain:
                 reward = wrapper.reward(reward)
         return observation, reward, terminated, truncated, info
 
-    def _finish_parked(self, result: AgentStep) -> AgentStep:
-        parked, self._parked = self._parked, None
-        if parked is None:
+    def _finish_split_step(self, result: AgentStep) -> AgentStep:
+        begun, self._split_step = self._split_step, None
+        if begun is None:
             raise RuntimeError("a step was finished that was never begun.")
         try:
-            return parked.finish(result)
+            return begun.finish(result)
         finally:
             self._mono.connect(None)
 
     def abandon(self) -> None:
         """Forgets a step that was begun and will not be finished."""
         self._mono.connect(None)
-        if self._parked is not None:
-            self._parked.abandon()
-            self._parked = None
+        if self._split_step is not None:
+            self._split_step.abandon()
+            self._split_step = None
 
     def memory(self) -> Memory | None:
         """What the wrappers remember between steps; ``None`` if they are pure functions.
@@ -268,9 +270,9 @@ class AgentChain:
         return self.__dict__
 
     def __del__(self) -> None:
-        parked = self.__dict__.get("_parked")
-        if parked is not None:
-            parked.abandon()
+        begun = self.__dict__.get("_split_step")
+        if begun is not None:
+            begun.abandon()
 
 
 def _wrappers_between(env: object, mono: MonoAgentEnv) -> tuple[Any, ...]:
