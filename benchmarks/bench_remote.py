@@ -26,7 +26,7 @@ from typing import Any
 
 from benchmarks.bench_common import RESULTS, Table, print_tables, save
 from stkzoo.race import Driver, RaceListener, RaceProgress, find_driver, run_race
-from stkzoo.race.remote import RemoteCrew
+from stkzoo.race.remote import RemoteDriverGroup
 
 _AGENT = """\
 env_name = "supertuxkart/flattened_discrete-v0"
@@ -88,11 +88,11 @@ def _race(drivers: Sequence[Driver], track: str, steps: int) -> tuple[float, obj
 def _compare(agents: Sequence[str], options: argparse.Namespace) -> dict[str, Any]:
     here, there = [], []
     local = [find_driver(agent) for agent in agents]
-    with _servers(agents) as addresses, RemoteCrew(addresses) as crew:
+    with _servers(agents) as addresses, RemoteDriverGroup(addresses) as group:
         for _ in range(options.rounds):
             mean, rows = _race(local, options.track, options.steps)
             here.append(mean)
-            mean, others = _race(crew.drivers, options.track, options.steps)
+            mean, others = _race(group.drivers, options.track, options.steps)
             there.append(mean)
             if rows != others:
                 raise SystemExit("the networked race went another way than the local one")

@@ -57,9 +57,9 @@ _INSTRUMENTED = [
     "stkzoo.race.codec",
     "stkzoo.race.replay.file",
     "stkzoo.race.result",
-    "stkzoo.race.space_codec",
+    "stkzoo.race.remote.spaces",
     "stkzoo.evaluation.tournament.plan",
-    "stkzoo.race.unpacking",
+    "stkzoo.race.agents.files",
     "tarfile",
     "zipfile",
 ]

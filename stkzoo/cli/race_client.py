@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from stkzoo.errors import ConfigError
 
 if TYPE_CHECKING:
-    from stkzoo.race.remote import RemoteCrew
+    from stkzoo.race.remote import RemoteDriverGroup
 
 __all__ = ["add_parser"]
 
@@ -82,17 +82,17 @@ def _run(arguments: argparse.Namespace) -> int:
     from stkzoo.cli.race import run_races
 
     try:
-        crew = _crew(arguments)
+        group = _remote_group(arguments)
     except ConfigError as error:
         arguments.fail(str(error))
-    with crew:
-        return run_races(arguments, crew.drivers)
+    with group:
+        return run_races(arguments, group.drivers)
 
 
-def _crew(arguments: argparse.Namespace) -> RemoteCrew:
-    from stkzoo.race.remote import RemoteCrew, read_public, read_secret
+def _remote_group(arguments: argparse.Namespace) -> RemoteDriverGroup:
+    from stkzoo.race.remote import RemoteDriverGroup, read_public, read_secret
 
-    return RemoteCrew(
+    return RemoteDriverGroup(
         arguments.server,
         keys=None if arguments.secret is None else read_secret(arguments.secret),
         server_keys=[read_public(key) for key in arguments.server_key],

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from stkzoo.race.drivers import Driver, driver_names, find_driver
+    from stkzoo.race.instances import Decision, DriverInstance, DriverLimits, DriverRequest
     from stkzoo.race.listeners import RaceListener, RaceProgress
     from stkzoo.race.result import ActionTime, AgentFailure, AgentResult, RaceResult
     from stkzoo.race.runner import RaceInterrupted, run_race
@@ -23,7 +24,11 @@ __all__ = [
     "ActionTime",
     "AgentFailure",
     "AgentResult",
+    "Decision",
     "Driver",
+    "DriverInstance",
+    "DriverLimits",
+    "DriverRequest",
     "RaceInterrupted",
     "RaceListener",
     "RaceProgress",
@@ -37,6 +42,7 @@ __all__ = [
 #: Names by module, loaded when they are first used: the process of an agent needs few.
 _LAZY = {
     "drivers": ("Driver", "driver_names", "find_driver"),
+    "instances": ("Decision", "DriverInstance", "DriverLimits", "DriverRequest"),
     "listeners": ("RaceListener", "RaceProgress"),
     "result": ("ActionTime", "AgentFailure", "AgentResult", "RaceResult"),
     "runner": ("RaceInterrupted", "run_race"),

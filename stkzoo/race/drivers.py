@@ -12,11 +12,11 @@ from typing import Any
 from gymnasium import spaces
 
 from stkzoo.errors import AgentError, ConfigError, unknown_name
-from stkzoo.race.agent_code import Actor, ActorMaker, AgentCode, env_sees_ground, read_module
-from stkzoo.race.files import AgentFiles, declared_env, find_files
-from stkzoo.race.inline import ActorOpener, InlineFilesOpener, InlineSeat
-from stkzoo.race.isolation import IsolatedOpener
-from stkzoo.race.seats import Seat, SeatOpener, SeatRequest
+from stkzoo.race.agents.code import Actor, ActorMaker, AgentCode, env_sees_ground, read_module
+from stkzoo.race.agents.files import AgentFiles, declared_env, find_files
+from stkzoo.race.agents.inline import ActorOpener, InlineFilesOpener, InlineInstance
+from stkzoo.race.agents.isolated import IsolatedOpener
+from stkzoo.race.instances import DriverInstance, DriverRequest, DriverStart
 
 __all__ = ["Actor", "ActorMaker", "Driver", "driver_names", "find_driver"]
 
@@ -36,14 +36,14 @@ class Driver:
 
     Attributes:
         name: what it is called; empty if it says so itself when it is loaded.
-        open_seat: opens its seat in one race; ``None`` for the game's AI.
+        start: opens its seat in one race; ``None`` for the game's AI.
         source: where it comes from, as the user wrote it.
         difficulty: that of the race, if it says so: the game's AI of one race has one level.
         sees_ground: whether its observations tell of the ground beside the road.
     """
 
     name: str
-    open_seat: SeatOpener | None
+    start: DriverStart | None
     source: str = ""
     difficulty: int | None = None
     sees_ground: bool = False
@@ -51,7 +51,7 @@ class Driver:
     @property
     def is_game_ai(self) -> bool:
         """Whether the game drives the kart itself."""
-        return self.open_seat is None
+        return self.start is None
 
     @classmethod
     def of_actor(cls, name: str, make_actor: ActorMaker, view: str = "full") -> Driver:
@@ -149,8 +149,8 @@ class _ShippedOpener:
 
     module: str
 
-    def __call__(self, request: SeatRequest) -> Seat:
-        return InlineSeat(request, lambda _: self._code(request.agent))
+    def __call__(self, request: DriverRequest) -> DriverInstance:
+        return InlineInstance(request, lambda _: self._code(request.agent))
 
     def _code(self, agent: str) -> AgentCode:
         try:

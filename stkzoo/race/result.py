@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from stkzoo.errors import ConfigError
-from stkzoo.race.tracebacks import printable
+from stkzoo.race.agents.failures import printable
 
 __all__ = [
     "SCHEMA_VERSION",

@@ -15,7 +15,7 @@ import numpy as np
 from stkzoo.config import AgentSpec
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import ActionError, ConfigError, unknown_name
-from stkzoo.race.crew import Crew
+from stkzoo.race.driver_group import DriverGroup
 from stkzoo.race.drivers import Driver, find_driver
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.rescues import RescueCounter
@@ -86,13 +86,13 @@ def run_race(
     chosen = _settings(settings, changes)
     places = _places(start_positions, len(drivers))
     awaited = _awaited(wait_for, len(drivers))
-    crew = [_driver(driver, chosen) for driver in drivers]
-    chosen = _of_level(chosen, crew)
+    found = [_driver(driver, chosen) for driver in drivers]
+    chosen = _of_level(chosen, found)
     with ExitStack() as life:
         for listener in listeners:
             life.callback(listener.closed)
-        env = life.enter_context(_env(crew, chosen, places, listeners))
-        return _Run(env, crew, awaited, chosen, listeners, life).to_the_end()
+        env = life.enter_context(_env(found, chosen, places, listeners))
+        return _Run(env, found, awaited, chosen, listeners, life).to_the_end()
 
 
 def _check_listeners(listeners: Sequence[RaceListener]) -> None:
@@ -120,9 +120,9 @@ def _driver(driver: str | Driver, settings: RaceSettings) -> Driver:
     return find_driver(driver, inline=settings.inline, adapter=settings.adapter)
 
 
-def _of_level(settings: RaceSettings, crew: Sequence[Driver]) -> RaceSettings:
+def _of_level(settings: RaceSettings, drivers: Sequence[Driver]) -> RaceSettings:
     """The settings with the difficulty that drivers ask for, if some do."""
-    levels = {driver.difficulty for driver in crew if driver.difficulty is not None}
+    levels = {driver.difficulty for driver in drivers if driver.difficulty is not None}
     if len(levels) > 1:
         raise ConfigError(
             f"drivers ask for the difficulties {sorted(levels)}, but the game's AI has one level "
@@ -154,7 +154,7 @@ def _awaited(wait_for: Sequence[int] | None, count: int) -> list[str]:
 
 
 def _env(
-    crew: Sequence[Driver],
+    drivers: Sequence[Driver],
     settings: RaceSettings,
     places: Sequence[int | None],
     listeners: Sequence[RaceListener],
@@ -162,11 +162,11 @@ def _env(
     options: dict[str, Any] = {}
     for listener in listeners:
         options |= listener.env_options()
-    count = len(crew)
+    count = len(drivers)
     return RaceParallelEnv(
         agents=[
             AgentSpec(place, driver.is_game_ai, driver.name, color=number / count)
-            for number, (driver, place) in enumerate(zip(crew, places, strict=True))
+            for number, (driver, place) in enumerate(zip(drivers, places, strict=True))
         ],
         num_kart=count,
         track=settings.track,
@@ -175,7 +175,7 @@ def _env(
         reverse=settings.reverse,
         max_paths=settings.max_paths,
         max_cycles=None,
-        view={f"kart_{n}": "ground" for n, driver in enumerate(crew) if driver.sees_ground},
+        view={f"kart_{n}": "ground" for n, driver in enumerate(drivers) if driver.sees_ground},
         **options,
     )
 
@@ -197,8 +197,10 @@ class _Run:
         self._drivers = dict(zip(env.possible_agents, drivers, strict=True))
         self._awaited = awaited
         self._rescues = RescueCounter(len(self._drivers), env.options.step_size)
-        self._crew = Crew(self._drivers, env.observation_spaces, env.action_spaces, settings)
-        life.callback(self._crew.close)
+        self._group = DriverGroup(
+            self._drivers, env.observation_spaces, env.action_spaces, settings
+        )
+        life.callback(self._group.close)
         self._steps = 0
         self._stop = ""
         self._steps_at_first: int | None = None
@@ -222,9 +224,9 @@ class _Run:
         return self._end(status)
 
     def _start(self) -> None:
-        self._crew.get_ready()
+        self._group.get_ready()
         self._names = {
-            agent: self._crew.members[agent].name if agent in self._crew.members else driver.name
+            agent: self._group.members[agent].name if agent in self._group.members else driver.name
             for agent, driver in self._drivers.items()
         }
         for spec, name in zip(self._env.specs, self._names.values(), strict=True):
@@ -237,7 +239,7 @@ class _Run:
 
     def _step(self) -> None:
         racing = {agent: self._observations[agent] for agent in self._env.agents}
-        self._actions = self._crew.decide(racing, self._steps)
+        self._actions = self._group.decide(racing, self._steps)
         self._observations, self._rewards, _, _, infos = self._step_checked()
         self._infos.update(infos)
         for agent, reward in self._rewards.items():
@@ -254,16 +256,16 @@ class _Run:
             try:
                 return self._env.step(self._actions)
             except ActionError as error:  # noqa: PERF203 - it is rare
-                self._actions[error.agent] = self._crew.refuse(error, self._steps)
+                self._actions[error.agent] = self._group.refuse(error, self._steps)
 
     def _ending(self) -> str:
         """Why the race is over; empty if it is not."""
         settings, finished = self._settings, self._num_finished()
         if self._stop:
             return self._stop
-        if not self._crew.driving(self._env.agents):
+        if not self._group.driving(self._env.agents):
             return "finished" if finished else "abandoned"
-        if self._awaited and not self._crew.driving(self._racing(self._awaited)):
+        if self._awaited and not self._group.driving(self._racing(self._awaited)):
             return "awaited_finished"
         if settings.karts_finished is not None and finished >= settings.karts_finished:
             return "karts_finished"
@@ -293,7 +295,7 @@ class _Run:
                 getattr(listener, event)(progress)
 
     def _progress(self) -> RaceProgress:
-        members = self._crew.members
+        members = self._group.members
         return RaceProgress(
             env=self._env,
             names=MappingProxyType(self._names),
@@ -310,7 +312,7 @@ class _Run:
             rewards=MappingProxyType(self._rewards),
             total_rewards=dict(self._totals),
             infos=dict(self._infos),
-            failures=self._crew.failures(),
+            failures=self._group.failures(),
             seconds={agent: m.seconds[-1] for agent, m in members.items() if m.seconds},
             stop=self._set_stop,
         )
@@ -348,7 +350,7 @@ class _Run:
 
     def _agent_result(self, agent: str, start_position: int) -> AgentResult:
         info: Mapping[str, Any] = self._infos[agent]
-        member = self._crew.members.get(agent)
+        member = self._group.members.get(agent)
         finish_time = info["finish_time"] or None
         status = "racing" if finish_time is None else "finished"
         if member is not None and member.is_retired and finish_time is None:

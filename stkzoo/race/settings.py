@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from stkzoo.errors import ConfigError, check_whole
-from stkzoo.race.seats import SeatLimits
+from stkzoo.race.instances import DriverLimits
 
 __all__ = ["ERROR_HANDLING", "RaceSettings"]
 
@@ -94,9 +94,9 @@ class RaceSettings:
             )
 
     @property
-    def limits(self) -> SeatLimits:
+    def limits(self) -> DriverLimits:
         """What each driver may use."""
-        return SeatLimits(self.action_timeout, self.start_timeout, self.agent_memory)
+        return DriverLimits(self.action_timeout, self.start_timeout, self.agent_memory)
 
 
 def _check_seconds(name: str, value: object) -> None:

@@ -13,7 +13,7 @@ _KINDS = (
     ("stkzoo.engine.fork_server", "fork server"),
     ("stkzoo.engine.worker", "race"),
     ("stkzoo.engine.shadow", "drawing"),
-    ("stkzoo.race.agent_process", "agent"),
+    ("stkzoo.race.agents.process", "agent"),
     ("stkzoo.evaluation.batch.worker", "worker"),
     ("ffmpeg", "encoder"),
 )

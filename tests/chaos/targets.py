@@ -30,10 +30,10 @@ from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, plan_benchmark
 from stkzoo.evaluation.benchmark.result import BenchmarkResult, benchmark_result
 from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament
 from stkzoo.race import RaceResult, run_race
+from stkzoo.race.agents.files import members_of, unpack
 from stkzoo.race.codec import Limits, decode, encode
+from stkzoo.race.remote.spaces import space_from_data, space_to_data
 from stkzoo.race.replay import ReplayError, ReplayWriter, load_replay, save_replay
-from stkzoo.race.space_codec import space_from_data, space_to_data
-from stkzoo.race.unpacking import members_of, unpack
 
 __all__ = ["TARGETS", "Target"]
 

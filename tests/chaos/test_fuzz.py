@@ -25,8 +25,8 @@ from stkzoo.errors import AssetError, ConfigError
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, plan_benchmark
 from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament
 from stkzoo.race import RaceResult
+from stkzoo.race.agents.files import unpack
 from stkzoo.race.replay import ReplayError, load_replay
-from stkzoo.race.unpacking import unpack
 from tests.chaos.mutation import mutated
 from tests.chaos.targets import TARGETS
 

@@ -7,7 +7,7 @@ import sys
 import time
 
 from stkzoo.race import run_race
-from stkzoo.race.remote import RemoteCrew
+from stkzoo.race.remote import RemoteDriverGroup
 from tests.fuzz.messages import bad_messages, flood, resident_memory
 from tests.support.remote_race import raw_client, server_process
 
@@ -33,8 +33,8 @@ def main(count: int) -> None:
 
 
 def _race(address):
-    with RemoteCrew([address]) as crew:
-        result = run_race([*crew.drivers, "ai"], track="lighthouse", seed=1, max_steps=20)
+    with RemoteDriverGroup([address]) as group:
+        result = run_race([*group.drivers, "ai"], track="lighthouse", seed=1, max_steps=20)
     assert not any(row.errors for row in result.agents), result
 
 

@@ -10,9 +10,9 @@ import sys
 
 import atheris
 
-with atheris.instrument_imports(include=["stkzoo.race.codec", "stkzoo.race.space_codec"]):
+with atheris.instrument_imports(include=["stkzoo.race.codec", "stkzoo.race.remote.spaces"]):
     from stkzoo.race.codec import Limits, decode, encode
-    from stkzoo.race.space_codec import space_from_data, space_to_data
+    from stkzoo.race.remote.spaces import space_from_data, space_to_data
 
 from stkzoo.errors import ProtocolError
 

@@ -12,7 +12,7 @@ import zmq
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race.codec import encode
 from stkzoo.race.remote.protocol import pack
-from stkzoo.race.space_codec import space_to_data
+from stkzoo.race.remote.spaces import space_to_data
 
 _KINDS = (b"H", b"O", b"A", b"C", b"B", b"W", b"D", b"", b"OO", b"\x00")
 _ODD = (None, True, -1, 2**63, 1.5, float("nan"), "", "x" * 300, b"\xff", [], {}, (), np.zeros(3))

@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 
 from stkzoo.errors import ConfigError
-from stkzoo.race import find_driver, run_race, unpacking
-from stkzoo.race.agent_code import load_agent
-from stkzoo.race.files import find_files
+from stkzoo.race import find_driver, run_race
+from stkzoo.race.agents import files
+from stkzoo.race.agents.code import load_agent
+from stkzoo.race.agents.files import find_files
 from tests.support.paths import AGENTS, ROOT
 
 FORMS = ("plain", "alpha", "beta", "wrapped", "weights", "reference")
@@ -214,7 +215,7 @@ def test_a_zip_bomb_is_refused(tmp_path):
 
 
 def test_a_zip_of_too_many_files_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(unpacking, "MAX_FILES", 3)
+    monkeypatch.setattr(files, "MAX_FILES", 3)
     members = [(f"{number}", stat.S_IFREG, "") for number in range(3)]
     with pytest.raises(ConfigError, match="it holds 4 files, at most 3"):
         find_driver(written(tmp_path / "a.zip", *members))
@@ -225,9 +226,9 @@ def test_a_zip_that_lies_about_its_size_is_refused(tmp_path, monkeypatch):
     path = Path(written(tmp_path / "a.zip", ("big", stat.S_IFREG, b"ab" * 4000)))
     data = path.read_bytes().replace((8000).to_bytes(4, "little"), (80).to_bytes(4, "little"))
     path.write_bytes(data)
-    monkeypatch.setattr(unpacking, "MAX_BYTES", 1000)
+    monkeypatch.setattr(files, "MAX_BYTES", 1000)
     with pytest.raises(ConfigError, match=r"larger than|cannot be|no zip that can be read"):
-        unpacking.unpack(path, tmp_path / "out")
+        files.unpack(path, tmp_path / "out")
     assert sum(file.stat().st_size for file in (tmp_path / "out").rglob("*")) < 2000
 
 
@@ -235,10 +236,10 @@ def test_two_files_of_one_name_do_not_overwrite_each_other(tmp_path):
     with pytest.warns(UserWarning, match="Duplicate name"):
         path = written(tmp_path / "a.zip", *[("twice", stat.S_IFREG, "x")] * 2)
     with pytest.raises(ConfigError, match="cannot be unpacked"):
-        unpacking.unpack(Path(path), tmp_path / "out")
+        files.unpack(Path(path), tmp_path / "out")
 
 
 def test_unpacked_files_are_plain(tmp_path):
     path = written(tmp_path / "a.zip", ("run", stat.S_IFREG | 0o6777, "x"))
-    unpacking.unpack(Path(path), tmp_path / "out")
+    files.unpack(Path(path), tmp_path / "out")
     assert stat.S_IMODE((tmp_path / "out" / "run").stat().st_mode) == 0o600

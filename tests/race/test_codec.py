@@ -16,7 +16,7 @@ from hypothesis.extra import numpy as npst
 from stkzoo import race_v0
 from stkzoo.errors import ProtocolError
 from stkzoo.race.codec import Encoded, Limits, decode, encode
-from stkzoo.race.space_codec import space_from_data, space_to_data
+from stkzoo.race.remote.spaces import space_from_data, space_to_data
 
 DTYPES = (
     *(np.bool_, np.int8, np.int16, np.int32, np.int64),

@@ -79,7 +79,11 @@ NOT_RUN = [
     ("docs/agents.md", "def get_wrappers", "a part of an agent: tests/race/test_agent_files.py"),
     ("docs/play.md", "play_race", "opens a window: tests/play/test_play.py"),
     ("docs/play.md", "play(env", "opens a window: tests/play/test_play.py"),
-    ("docs/networked-races.md", "RemoteCrew", "asks two servers: tests/race/remote/test_remote.py"),
+    (
+        "docs/networked-races.md",
+        "RemoteDriverGroup",
+        "asks two servers: tests/race/remote/test_remote.py",
+    ),
     (
         "docs/benchmark-protocol.md",
         "run_benchmark",

@@ -17,8 +17,8 @@ from stkzoo.errors import AgentError, ConfigError
 from stkzoo.evaluation.demonstrations.recorder import DemoView
 from stkzoo.mdp.spaces import GROUND_LANES, GROUND_MARKS
 from stkzoo.race import find_driver, run_race
-from stkzoo.race.files import declared_env, find_files
-from stkzoo.race.remote import RemoteCrew
+from stkzoo.race.agents.files import declared_env, find_files
+from stkzoo.race.remote import RemoteDriverGroup
 from stkzoo.wrappers.racing import (
     GroundTable,
     RacingObservations,
@@ -221,10 +221,13 @@ def test_agents_are_shown_it_by_their_env_name(mole, inline):
 
 
 def test_agents_on_servers_are_shown_it_too(mole):
-    with server_thread([find_driver(str(mole))]) as server, RemoteCrew([server.address]) as crew:
-        assert [driver.sees_ground for driver in crew.drivers] == [True]
+    with (
+        server_thread([find_driver(str(mole))]) as server,
+        RemoteDriverGroup([server.address]) as group,
+    ):
+        assert [driver.sees_ground for driver in group.drivers] == [True]
         result = run_race(
-            [*crew.drivers, "ai"], track="lighthouse", seed=1, max_steps=10, error_handling="raise"
+            [*group.drivers, "ai"], track="lighthouse", seed=1, max_steps=10, error_handling="raise"
         )
     assert [row.num_errors for row in result.agents] == [0, 0]
 

@@ -22,9 +22,8 @@ from stkzoo.errors import ConfigError
 from stkzoo.evaluation.benchmark import load_ai_times
 from stkzoo.evaluation.demonstrations.recorder import DemoView
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
-from stkzoo.race import Driver, find_driver, run_race
+from stkzoo.race import Driver, DriverInstance, DriverRequest, find_driver, run_race
 from stkzoo.race.replay.record import action_of, controls_of
-from stkzoo.race.seats import Seat, SeatRequest
 from stkzoo.wrappers.racing import controls_of_choices
 
 __all__ = ["Lesson", "LessonOrder", "end_with_parent", "read_lesson", "run_order"]
@@ -110,7 +109,7 @@ def run_order(order: LessonOrder) -> str:
     def make_actor(
         _: spaces.Space[Any], __: spaces.Space[Any], seed: int
     ) -> Callable[[Any], dict[str, Any]]:
-        teacher = _seat(order.teacher, seed)
+        teacher = _instance(order.teacher, seed)
 
         def act(observation: Any) -> dict[str, Any]:
             own = view.observe(observation)
@@ -172,10 +171,10 @@ def read_lesson(path: str | os.PathLike[str]) -> Lesson:
         ) from error
 
 
-def _seat(teacher: str, seed: int) -> Seat:
+def _instance(teacher: str, seed: int) -> DriverInstance:
     """The teacher, ready to be asked."""
-    open_seat = find_driver(teacher, inline=True).open_seat
-    assert open_seat is not None  # noqa: S101 - checked before
-    seat = open_seat(SeatRequest("kart_0", kart_observation_space(), kart_action_space(), seed))
-    seat.ready()
-    return seat
+    start = find_driver(teacher, inline=True).start
+    assert start is not None  # noqa: S101 - checked before
+    instance = start(DriverRequest("kart_0", kart_observation_space(), kart_action_space(), seed))
+    instance.ready()
+    return instance

@@ -10,9 +10,9 @@ from pathlib import Path, PurePath
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.fingerprint import fingerprint
 from stkzoo.evaluation.batch.order import NAME_MARK
+from stkzoo.race.agents.failures import printable
 from stkzoo.race.drivers import driver_names, find_driver
 from stkzoo.race.settings import RaceSettings
-from stkzoo.race.tracebacks import printable
 
 __all__ = ["Entrant", "find_entrants"]
 

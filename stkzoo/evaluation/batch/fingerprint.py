@@ -9,8 +9,8 @@ import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from stkzoo.race.agents.files import find_files
 from stkzoo.race.drivers import driver_names
-from stkzoo.race.files import find_files
 
 __all__ = ["fingerprint"]
 

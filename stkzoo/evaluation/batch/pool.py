@@ -15,7 +15,7 @@ from typing import Any
 
 from stkzoo._os import remove_stale_directories
 from stkzoo.evaluation.batch.order import Order
-from stkzoo.race.output_tail import OutputTail
+from stkzoo.race.agents.failures import OutputTail
 
 __all__ = ["Outcome", "run_in_parallel"]
 

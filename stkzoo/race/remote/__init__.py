@@ -6,8 +6,7 @@ client or a server sends can at worst cost its own part in the race.
 
 from __future__ import annotations
 
-from stkzoo.race.remote.address import DEFAULT_ADDRESS, full_address
-from stkzoo.race.remote.crew import RemoteCrew
+from stkzoo.race.remote.drivers import RemoteDriverGroup
 from stkzoo.race.remote.keys import (
     KeyPair,
     new_key_files,
@@ -17,13 +16,13 @@ from stkzoo.race.remote.keys import (
     read_secret,
 )
 from stkzoo.race.remote.server import RaceServer
-from stkzoo.race.remote.sockets import ServerKeys
+from stkzoo.race.remote.sockets import DEFAULT_ADDRESS, ServerKeys, full_address
 
 __all__ = [
     "DEFAULT_ADDRESS",
     "KeyPair",
     "RaceServer",
-    "RemoteCrew",
+    "RemoteDriverGroup",
     "ServerKeys",
     "full_address",
     "new_key_files",

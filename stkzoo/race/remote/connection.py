@@ -11,6 +11,7 @@ from typing import Any
 
 from stkzoo.errors import ProtocolError, RemoteError
 from stkzoo.race.codec import decode, encode
+from stkzoo.race.instances import Decision
 from stkzoo.race.remote.keys import KeyPair
 from stkzoo.race.remote.library import zmq_module
 from stkzoo.race.remote.protocol import (
@@ -32,7 +33,6 @@ from stkzoo.race.remote.protocol import (
     unpack,
 )
 from stkzoo.race.remote.sockets import client_socket
-from stkzoo.race.seats import Decision
 
 __all__ = ["Connection", "Failure", "Opened", "Server"]
 
@@ -121,7 +121,7 @@ class Connection:
         self._seats: set[int] = set()
         self._send(HELLO, pack(protocol=VERSION, stkzoo=version("stkzoo")))
 
-    # ------------------------------------------------------------------ what the crew does
+    # ------------------------------------------------------------------ what the group does
 
     def wait_welcome(self, deadline: float) -> dict[str, Any]:
         """What the server says of itself."""

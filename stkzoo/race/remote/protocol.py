@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, TypeVar
 
 from stkzoo.errors import ProtocolError
-from stkzoo.race import tracebacks
+from stkzoo.race.agents import failures
 from stkzoo.race.codec import Limits, decode, encode
 
 __all__ = [
@@ -102,4 +102,4 @@ def take_version(fields: dict[str, Any]) -> int:
 
 def printable(text: object, limit: int = _MAX_TEXT) -> str:
     """What somebody else wrote, fit for a terminal: no control codes, not too long."""
-    return tracebacks.printable(text)[:limit]
+    return failures.printable(text)[:limit]

@@ -15,7 +15,7 @@ from typing import Any
 from stkzoo.errors import ConfigError, ProtocolError
 from stkzoo.race.codec import Limits
 from stkzoo.race.drivers import Driver
-from stkzoo.race.remote.address import DEFAULT_ADDRESS, full_address
+from stkzoo.race.instances import DriverLimits
 from stkzoo.race.remote.library import zmq_module
 from stkzoo.race.remote.protocol import (
     ALIVE,
@@ -31,8 +31,13 @@ from stkzoo.race.remote.protocol import (
     unpack,
 )
 from stkzoo.race.remote.session import Reply, Session
-from stkzoo.race.remote.sockets import Doorkeeper, ServerKeys, server_socket
-from stkzoo.race.seats import SeatLimits
+from stkzoo.race.remote.sockets import (
+    DEFAULT_ADDRESS,
+    ClientAuthenticator,
+    ServerKeys,
+    full_address,
+    server_socket,
+)
 
 __all__ = ["RaceServer"]
 
@@ -90,13 +95,13 @@ class RaceServer:
         drivers: Sequence[Driver],
         address: str = DEFAULT_ADDRESS,
         *,
-        limits: SeatLimits | None = None,
+        limits: DriverLimits | None = None,
         max_sessions: int = 8,
         keys: ServerKeys | None = None,
         insecure: bool = False,
     ) -> None:
         self._zmq = zmq_module()
-        self._drivers, self._limits = _checked(drivers), limits or SeatLimits()
+        self._drivers, self._limits = _checked(drivers), limits or DriverLimits()
         if type(max_sessions) is not int or max_sessions < 1:
             raise ConfigError(f"{max_sessions!r} sessions at once, expected 1 or more")
         self._max_sessions, keys = max_sessions, keys or ServerKeys()
@@ -108,7 +113,9 @@ class RaceServer:
         self._stop = threading.Event()
         with contextlib.ExitStack() as life:
             self._context = life.enter_context(contextlib.closing(_Context(self._zmq))).context
-            self._doorkeeper = Doorkeeper(self._context, keys.allowed) if keys.own else None
+            self._doorkeeper = (
+                ClientAuthenticator(self._context, keys.allowed) if keys.own else None
+            )
             if self._doorkeeper is not None:
                 life.callback(self._doorkeeper.socket.close, 0)
             self._outbox = self._context.socket(self._zmq.PULL)

@@ -13,6 +13,7 @@ from typing import Any
 from stkzoo.errors import AgentError, AgentTimeout, ProtocolError
 from stkzoo.race.codec import Encoded, decode, encode
 from stkzoo.race.drivers import Driver
+from stkzoo.race.instances import DriverInstance, DriverLimits, DriverRequest
 from stkzoo.race.remote.protocol import (
     ACT,
     ACTED,
@@ -27,8 +28,7 @@ from stkzoo.race.remote.protocol import (
     take_version,
     unpack,
 )
-from stkzoo.race.seats import Seat, SeatLimits, SeatRequest
-from stkzoo.race.space_codec import space_from_data
+from stkzoo.race.remote.spaces import space_from_data
 
 __all__ = ["Session"]
 
@@ -55,7 +55,7 @@ class Session(threading.Thread):
     def __init__(
         self,
         drivers: Sequence[Driver],
-        limits: SeatLimits,
+        limits: DriverLimits,
         replier: Callable[[], contextlib.AbstractContextManager[Reply]],
     ) -> None:
         super().__init__(name="stkzoo-session", daemon=True)
@@ -64,7 +64,7 @@ class Session(threading.Thread):
         self._waiting = 0
         self._changed = threading.Condition()
         self._is_ending = False
-        self._seats: dict[int, Seat] = {}
+        self._seats: dict[int, DriverInstance] = {}
         self._starting: list[int] = []
         self._used: set[int] = set()
 
@@ -134,18 +134,18 @@ class Session(threading.Thread):
         if not 0 <= driver < len(self._drivers):
             raise ProtocolError(f"driver {driver}, expected 0 to {len(self._drivers) - 1}")
         request = self._request(fields)
-        open_seat = self._drivers[driver].open_seat
-        if open_seat is None:
+        start = self._drivers[driver].start
+        if start is None:
             raise ProtocolError(f"driver {driver} is the game's own AI, which has no seat")
         self._used.add(number)
         try:
-            self._seats[number] = open_seat(request)
+            self._seats[number] = start(request)
             self._starting.append(number)
         except Exception as error:  # noqa: BLE001 - of anybody's code
             self._reply(OPENED, pack(seat=number, error=_failure(error)))
 
-    def _request(self, fields: dict[str, Any]) -> SeatRequest:
-        return SeatRequest(
+    def _request(self, fields: dict[str, Any]) -> DriverRequest:
+        return DriverRequest(
             agent=printable(take(fields, "agent", str), 100),
             observation_space=space_from_data(fields.get("observation_space")),
             action_space=space_from_data(fields.get("action_space")),
@@ -207,7 +207,7 @@ class Session(threading.Thread):
         self._reply(ACTED, pack(step=step, decisions=decisions, failures=failures))
 
     def _attempt(
-        self, number: int, failures: list[list[Any]], deed: Callable[[Seat], object]
+        self, number: int, failures: list[list[Any]], deed: Callable[[DriverInstance], object]
     ) -> bool:
         """Whether it went well; if not, it is noted, and the seat is closed if it is of no use."""
         seat = self._seats.get(number)
@@ -232,12 +232,12 @@ def _observation(entry: Any) -> tuple[int, bytes]:
     raise ProtocolError(f"{entry!r:.100} came, expected a seat and its observation")
 
 
-def _ask(seat: Seat, data: bytes) -> None:
+def _ask(seat: DriverInstance, data: bytes) -> None:
     """Hands an observation over, undecoded if it goes on to another process."""
     seat.ask(Encoded(data) if getattr(seat, "takes_encoded", False) else decode(data))
 
 
-def _answer(number: int, seat: Seat) -> list[Any]:
+def _answer(number: int, seat: DriverInstance) -> list[Any]:
     decision = seat.answer()
     return [number, encode(decision.action), float(decision.seconds)]
 

@@ -23,9 +23,9 @@ from stkzoo._os import atomic_write
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError, StkzooError
+from stkzoo.race.agents.failures import printable
 from stkzoo.race.replay.record import DIGEST_SIZE, Replay, ReplayAgent
 from stkzoo.race.result import RaceResult
-from stkzoo.race.tracebacks import printable
 
 __all__ = ["FORMAT", "ReplayError", "load_replay", "save_replay"]
 

@@ -10,8 +10,7 @@ True
 
 from __future__ import annotations
 
-from stkzoo.race.web.broadcast import RaceBroadcast
 from stkzoo.race.web.control import SPEEDS
-from stkzoo.race.web.page import LivePage
+from stkzoo.race.web.page import LivePage, RaceBroadcast
 
 __all__ = ["SPEEDS", "LivePage", "RaceBroadcast"]

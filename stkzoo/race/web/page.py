@@ -1,16 +1,178 @@
-"""The listener that shows a race in browsers."""
+"""The live page: shows a race in browsers."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
+from stkzoo.engine.snapshot import Snapshot
+from stkzoo.errors import ConfigError
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.result import RaceResult
-from stkzoo.race.web.broadcast import RaceBroadcast
+from stkzoo.race.web.control import RaceControl
+from stkzoo.race.web.feed import RaceFeed
+from stkzoo.race.web.messages import control_rows, moment_form, race_form, trace_row
 from stkzoo.render.scene import Scene
 
-__all__ = ["LivePage"]
+if TYPE_CHECKING:
+    from stkzoo.race.web.server import LiveServer
+
+__all__ = ["LivePage", "RaceBroadcast"]
+
+
+class RaceBroadcast:
+    """A page that shows a race from its snapshots; knows nothing of who drives.
+
+    It serves from the moment it is made; :meth:`begin`, :meth:`add` and :meth:`finish`
+    tell it of a race, :meth:`close` ends it. Only :meth:`wait_turn` ever waits.
+
+    Args:
+        host: address to serve on. Beyond this machine (``"0.0.0.0"``) all may watch; only
+            who opens :attr:`url` with its key may steer.
+        port: port to serve on; 0 takes a free one.
+        speed: times real time: 1, 2 or 4, or ``None`` for as fast as it goes.
+        paused: wait on the grid until a viewer lets the race run.
+
+    Raises:
+        ConfigError: an argument cannot be, the port is taken, or aiohttp is missing.
+    """
+
+    def __init__(
+        self,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 8000,
+        speed: float | None = 1.0,
+        paused: bool = False,
+    ) -> None:
+        if not isinstance(port, int) or isinstance(port, bool) or not 0 <= port <= 65535:
+            raise ConfigError(f"port is {port!r}, expected a whole number from 0 to 65535")
+        self.control = RaceControl(speed, paused=paused)
+        self._board = RaceFeed()
+        self._server = _server(host, port, self._board, self.control)
+        self._scene: Scene | None = None
+        self.control.on_change = self._tell_state
+        self._tell_state()
+
+    @property
+    def port(self) -> int:
+        """Port that the page is served on."""
+        return self._server.port
+
+    @property
+    def url(self) -> str:
+        """Where the page is; with the key to steer, if one is needed."""
+        address = self._server.address
+        host = f"[{address}]" if ":" in address else address
+        key = f"#key={self._server.key}" if self._server.key else ""
+        return f"http://{host}:{self.port}/{key}"
+
+    @property
+    def num_viewers(self) -> int:
+        """How many watch now."""
+        return self._server.num_viewers
+
+    def begin(
+        self,
+        scene: Scene,
+        snapshot: Snapshot,
+        *,
+        sources: Mapping[str, str] | None = None,
+        seed: int | None = None,
+        sights: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
+        """A race begins.
+
+        Args:
+            scene: the race.
+            snapshot: the karts on the grid.
+            sources: where agents come from, by id.
+            seed: what the race was started with.
+            sights: see :meth:`add`.
+        """
+        self._scene = scene
+        self._board.set_race(race_form(scene, sources or {}, seed))
+        self.control.begin()
+        self.add(snapshot, 0, sights=sights)
+
+    def add(
+        self,
+        snapshot: Snapshot,
+        steps: int,
+        *,
+        actions: Mapping[str, Any] | None = None,
+        rewards: Mapping[str, float] | None = None,
+        sights: Mapping[str, Mapping[str, Any]] | None = None,
+        failures: Mapping[str, str] | None = None,
+    ) -> None:
+        """The race has moved.
+
+        Args:
+            snapshot: its moment.
+            steps: environment steps so far.
+            actions: what agents did, in the game's own form.
+            rewards: sums since the start, by agent.
+            sights: for each agent what the page's tree can show: parts by name.
+            failures: what went wrong last, by agent.
+
+        Raises:
+            ConfigError: before :meth:`begin`.
+        """
+        scene = self._scene
+        if scene is None:
+            raise ConfigError("add() before begin(); begin with the race's first moment")
+        totals = [0.0] * scene.num_kart
+        for number, kart in enumerate(scene.kart_indices):
+            totals[kart] = (rewards or {}).get(f"kart_{number}", 0.0)
+        controls = control_rows(scene, snapshot, actions or {})
+        traces = trace_row(scene, snapshot, controls, totals)
+        self._board.traces.add(steps, traces)
+
+        def make_form() -> dict[str, Any]:
+            form = moment_form(scene, snapshot, steps, traces, controls)
+            return {**form, "failures": dict(failures or {})}
+
+        self._board.set_moment(steps, make_form, sights or {})
+        self._server.wake()
+
+    def wait_turn(self) -> bool:
+        """Waits until the race may go on, as viewers have it.
+
+        Returns:
+            Whether it may; ``False`` if it is to be stopped.
+        """
+        step_size = self._scene.setup.step_size if self._scene else 0.0
+        return self.control.wait_turn(step_size)
+
+    def finish(self, result: Mapping[str, Any]) -> None:
+        """The race is over.
+
+        Args:
+            result: as :meth:`stkzoo.race.RaceResult.to_json` has it.
+        """
+        self.control.finish()
+        self._board.set_result({"type": "result", "result": result})
+        self._server.wake()
+
+    def close(self) -> None:
+        """Ends the page; viewers keep what they have. May be called again."""
+        self._server.close()
+
+    def _tell_state(self) -> None:
+        self._board.set_state(lambda: {"type": "state", **self.control.form})
+        self._server.wake()
+
+
+def _server(host: str, port: int, board: RaceFeed, control: RaceControl) -> LiveServer:
+    try:
+        from stkzoo.race.web.server import LiveServer
+    except ImportError as error:
+        raise ConfigError(
+            "the live page needs aiohttp, which is not installed: pip install 'stkzoo[web]'"
+        ) from error
+    return LiveServer(host, port, board, control)
 
 
 class LivePage(RaceListener):

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import asyncio
+import hmac
 import ipaddress
 import logging
 import mimetypes
+import secrets
 import socket
 import threading
 from collections.abc import Awaitable, Callable
 from concurrent.futures import TimeoutError as FutureTimeout
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from aiohttp import web
 
 from stkzoo.errors import ConfigError
-from stkzoo.race.web.board import Board
 from stkzoo.race.web.control import RaceControl
-from stkzoo.race.web.guard import Guard
+from stkzoo.race.web.feed import RaceFeed
 from stkzoo.race.web.viewer import PROTOCOL_VERSION, Viewer
 
 __all__ = ["LiveServer"]
@@ -45,6 +47,70 @@ _HEADERS = {
 _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
+class Guard:
+    """Decides by a request's headers who may watch a race and who may steer it.
+
+    A page of another site, open in the viewer's browser, can send requests to this machine.
+    Two headers, which the browser writes and the page cannot change, identify such a request:
+    ``Origin`` names the other site, and ``Host`` names that site's own domain if the domain was
+    made to point here (DNS rebinding).
+
+    Args:
+        host: the name or address that the page is served on.
+
+    Attributes:
+        key: who shows it may steer; empty if everybody may who can reach the page, which is
+            so on the loopback address.
+    """
+
+    def __init__(self, host: str) -> None:
+        self._host = host.lower()
+        self.key = "" if is_loopback(host) else secrets.token_urlsafe(16)
+
+    def knows_host(self, header: str | None) -> bool:
+        """Whether a ``Host`` header is this page's: an address, ``localhost`` or its name."""
+        name = _name_of(f"//{header}") if header else None
+        if name is None:
+            return False
+        return name in ("localhost", self._host) or _address_of(name) is not None
+
+    def knows_origin(self, origin: str | None, host: str | None) -> bool:
+        """Whether a request comes from this page.
+
+        Programs that are no browsers send no ``Origin``, and could send any.
+        """
+        if origin is None:
+            return True
+        return host is not None and origin.lower() == f"http://{host.lower()}"
+
+    def may_steer(self, key: str) -> bool:
+        """Whether somebody with this key may steer."""
+        return hmac.compare_digest(key.encode(), self.key.encode()) or not self.key
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address can be reached from this machine only."""
+    address = _address_of(host)
+    return host.lower() == "localhost" or (address is not None and address.is_loopback)
+
+
+def _name_of(url: str) -> str | None:
+    try:
+        parts = urlsplit(url)
+        has_port = parts.port is None or parts.port >= 0
+    except ValueError:
+        return None
+    is_plain = not (parts.username or parts.path or parts.query or parts.fragment)
+    return parts.hostname if is_plain and has_port else None
+
+
+def _address_of(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    try:
+        return ipaddress.ip_address(name)
+    except ValueError:
+        return None
+
+
 class LiveServer:
     """The page and its viewers. It serves from the moment it is made.
 
@@ -58,7 +124,7 @@ class LiveServer:
         ConfigError: nothing can be served there.
     """
 
-    def __init__(self, host: str, port: int, board: Board, control: RaceControl) -> None:
+    def __init__(self, host: str, port: int, board: RaceFeed, control: RaceControl) -> None:
         self._board, self._control = board, control
         self._guard = Guard(host)
         self._pages = {f"/{file.name}": file for file in _FILES.iterdir() if file.is_file()}

@@ -11,9 +11,9 @@ from typing import Any
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from stkzoo.errors import ConfigError, ProtocolError
-from stkzoo.race.web.board import Board, Sight
 from stkzoo.race.web.control import RaceControl
-from stkzoo.race.web.forms import encoded
+from stkzoo.race.web.feed import RaceFeed, ViewerState
+from stkzoo.race.web.messages import encoded
 
 __all__ = ["PROTOCOL_VERSION", "Viewer"]
 
@@ -41,11 +41,16 @@ class Viewer:
     """
 
     def __init__(
-        self, socket: web.WebSocketResponse, board: Board, control: RaceControl, *, may_steer: bool
+        self,
+        socket: web.WebSocketResponse,
+        board: RaceFeed,
+        control: RaceControl,
+        *,
+        may_steer: bool,
     ) -> None:
         self._socket, self._board, self._control = socket, board, control
         self._may_steer = may_steer
-        self._sight = Sight()
+        self._sight = ViewerState()
         self._news = asyncio.Event()
         self._leaving = False
         self._observed_at = 0.0

@@ -11,7 +11,7 @@ import pytest
 from stkzoo.errors import RemoteError
 from stkzoo.race import find_driver, run_race
 from stkzoo.race.codec import encode
-from stkzoo.race.remote import RemoteCrew
+from stkzoo.race.remote import RemoteDriverGroup
 from stkzoo.race.remote.protocol import pack, unpack
 from tests.fuzz.messages import bad_messages, flood, resident_memory
 from tests.support.remote_race import LyingServer, raw_client, server_process, server_thread
@@ -20,8 +20,8 @@ TRACK = {"track": "lighthouse", "seed": 3}
 
 
 def assert_serves(address):
-    with RemoteCrew([address]) as crew:
-        result = run_race([*crew.drivers, "ai"], max_steps=10, **TRACK)
+    with RemoteDriverGroup([address]) as group:
+        result = run_race([*group.drivers, "ai"], max_steps=10, **TRACK)
     assert not any(row.errors for row in result.agents)
 
 
@@ -81,7 +81,7 @@ def test_a_bad_message_gets_an_answer_that_says_what_is_wrong(frames, text):
 def test_a_client_cannot_touch_the_seats_of_another():
     with (
         server_thread([find_driver("heuristic")]) as server,
-        RemoteCrew([server.address]) as crew,
+        RemoteDriverGroup([server.address]) as group,
         raw_client(server.address) as socket,
     ):
         done = threading.Event()
@@ -96,7 +96,7 @@ def test_a_client_cannot_touch_the_seats_of_another():
 
         thread = threading.Thread(target=disturb)
         thread.start()
-        result = run_race([*crew.drivers, "ai"], max_steps=30, **TRACK)
+        result = run_race([*group.drivers, "ai"], max_steps=30, **TRACK)
         done.set()
         thread.join()
     assert not any(row.errors for row in result.agents)
@@ -152,10 +152,10 @@ def test_a_lying_server_costs_its_own_kart_only(name):
     with (
         LyingServer(lie) as liar,
         server_process("heuristic") as (_, address),
-        RemoteCrew([liar.address, address], timeout=2.0) as crew,
+        RemoteDriverGroup([liar.address, address], timeout=2.0) as group,
     ):
         begin = time.monotonic()
-        result = run_race(crew.drivers, max_steps=12, **TRACK)
+        result = run_race(group.drivers, max_steps=12, **TRACK)
         assert time.monotonic() - begin < 60
     rows = {row.agent: row for row in result.agents}
     assert text in rows["kart_0"].errors[0].message
@@ -174,4 +174,4 @@ def test_what_is_no_server_of_ours_is_told_before_the_race(welcome):
             self._socket.send_multipart([identity, b"W", welcome])
 
     with Odd(None) as server, pytest.raises(RemoteError, match="broke the protocol"):
-        RemoteCrew([server.address])
+        RemoteDriverGroup([server.address])

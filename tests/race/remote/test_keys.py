@@ -10,7 +10,7 @@ from stkzoo.errors import ConfigError, RemoteError
 from stkzoo.race import find_driver, run_race
 from stkzoo.race.remote import (
     RaceServer,
-    RemoteCrew,
+    RemoteDriverGroup,
     ServerKeys,
     new_key_files,
     new_keys,
@@ -34,8 +34,8 @@ def closed_server():
 
 def test_a_client_on_the_list_races(closed_server):
     address, server_key, client = closed_server
-    with RemoteCrew([address], keys=client, server_keys=[server_key]) as crew:
-        result = run_race([*crew.drivers, "ai"], max_steps=5, **TRACK)
+    with RemoteDriverGroup([address], keys=client, server_keys=[server_key]) as group:
+        result = run_race([*group.drivers, "ai"], max_steps=5, **TRACK)
     assert not any(row.errors for row in result.agents)
 
 
@@ -45,14 +45,14 @@ def test_others_get_nothing(closed_server, stranger):
     keys = {"another key": new_keys(), "wrong server": client}.get(stranger)
     server_keys = {"no encryption": [], "wrong server": [new_keys().public]}
     with pytest.raises(RemoteError, match=r"does not let us in|in time"):
-        RemoteCrew(
+        RemoteDriverGroup(
             [address],
             keys=keys,
             server_keys=server_keys.get(stranger, [server_key]),
             connect_timeout=3.0,
         )
-    with RemoteCrew([address], keys=client, server_keys=[server_key]) as crew:
-        assert len(crew.drivers) == 1
+    with RemoteDriverGroup([address], keys=client, server_keys=[server_key]) as group:
+        assert len(group.drivers) == 1
 
 
 def test_a_message_without_keys_gets_no_answer(closed_server):
@@ -66,9 +66,9 @@ def test_a_server_with_a_key_and_no_list_lets_all_in_who_know_it():
     own = new_keys()
     with (
         server_thread([find_driver("heuristic")], keys=ServerKeys(own)) as server,
-        RemoteCrew([server.address], server_keys=[own.public]) as crew,
+        RemoteDriverGroup([server.address], server_keys=[own.public]) as group,
     ):
-        assert len(crew.drivers) == 1
+        assert len(group.drivers) == 1
 
 
 @pytest.mark.parametrize("address", ["*:5599", "0.0.0.0:5599", "[::]:5599", "192.168.3.4:5599"])

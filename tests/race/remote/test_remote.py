@@ -10,7 +10,7 @@ import pytest
 
 from stkzoo.errors import ConfigError, RemoteError
 from stkzoo.race import RaceListener, find_driver, run_race
-from stkzoo.race.remote import RaceServer, RemoteCrew
+from stkzoo.race.remote import RaceServer, RemoteDriverGroup
 from stkzoo.race.remote.server import _PATIENCE, _Guest
 from stkzoo.race.remote.sockets import _QUEUE
 from tests.support.remote_race import server_process, server_thread, write_agent
@@ -43,10 +43,10 @@ def test_a_race_over_two_servers_to_the_finish_is_the_same_as_here():
     with (
         server_process("heuristic") as (_, first),
         server_process("heuristic") as (_, second),
-        RemoteCrew([first, second]) as crew,
+        RemoteDriverGroup([first, second]) as group,
     ):
-        assert [driver.name for driver in crew.drivers] == ["heuristic", "heuristic"]
-        result = run_race([*crew.drivers, "ai"], **TRACK)
+        assert [driver.name for driver in group.drivers] == ["heuristic", "heuristic"]
+        result = run_race([*group.drivers, "ai"], **TRACK)
     assert all(row.finish_time for row in result.agents)
     assert all(not row.errors for row in result.agents)
     assert essence(result) == essence(run_race(["heuristic", "heuristic", "ai"], **TRACK))
@@ -55,9 +55,9 @@ def test_a_race_over_two_servers_to_the_finish_is_the_same_as_here():
 def test_one_server_with_several_agents_in_any_order_of_seats(tmp_path):
     names = ["ada", "bob", "eve"]
     agents = [write_agent(tmp_path, name) for name in names]
-    with server_process(*agents) as (_, address), RemoteCrew([address]) as crew:
+    with server_process(*agents) as (_, address), RemoteDriverGroup([address]) as group:
         for order in ([0, 1, 2], [2, 0, 1]):
-            drivers = [crew.drivers[number] for number in order]
+            drivers = [group.drivers[number] for number in order]
             result = run_race([*drivers, "heuristic"], max_steps=15, **TRACK)
             seats = rows(result)
             assert [seats[f"kart_{k}"].driver for k in range(3)] == [names[k] for k in order]
@@ -68,8 +68,8 @@ def test_servers_in_another_order_serve_the_next_race(tmp_path):
     one, two = write_agent(tmp_path, "one"), write_agent(tmp_path, "two")
     with server_process(one) as (_, first), server_process(two) as (_, second):
         for order in ([first, second], [second, first]):
-            with RemoteCrew(order) as crew:
-                result = run_race(crew.drivers, max_steps=10, **TRACK)
+            with RemoteDriverGroup(order) as group:
+                result = run_race(group.drivers, max_steps=10, **TRACK)
             assert not any(row.errors for row in result.agents)
 
 
@@ -77,10 +77,10 @@ def test_a_server_killed_in_the_race_costs_its_own_karts_only():
     with (
         server_process("heuristic") as (process, first),
         server_process("heuristic") as (_, second),
-        RemoteCrew([first, second]) as crew,
+        RemoteDriverGroup([first, second]) as group,
     ):
         killer = Watcher(30, lambda: process.send_signal(signal.SIGKILL))
-        result = run_race(crew.drivers, listeners=[killer], error_handling="retire", **TRACK)
+        result = run_race(group.drivers, listeners=[killer], error_handling="retire", **TRACK)
     lost, other = rows(result)["kart_0"], rows(result)["kart_1"]
     assert "the connection to" in lost.errors[0].message
     assert lost.finish_time is None
@@ -92,11 +92,11 @@ def test_a_server_that_stands_still_costs_its_own_karts_only():
     with (
         server_process("heuristic") as (process, first),
         server_process("heuristic") as (_, second),
-        RemoteCrew([first, second], timeout=1.0) as crew,
+        RemoteDriverGroup([first, second], timeout=1.0) as group,
     ):
         stopper = Watcher(10, lambda: process.send_signal(signal.SIGSTOP))
         begin = time.monotonic()
-        result = run_race(crew.drivers, listeners=[stopper], max_steps=30, **TRACK)
+        result = run_race(group.drivers, listeners=[stopper], max_steps=30, **TRACK)
         assert time.monotonic() - begin < 30
     assert "did not answer in time" in rows(result)["kart_0"].errors[0].message
     assert not rows(result)["kart_1"].errors
@@ -104,7 +104,7 @@ def test_a_server_that_stands_still_costs_its_own_karts_only():
 
 def test_a_server_restarted_in_the_race_drives_on(tmp_path):
     agent = write_agent(tmp_path, "ada")
-    with server_process(agent) as (process, address), RemoteCrew([address]) as crew:
+    with server_process(agent) as (process, address), RemoteDriverGroup([address]) as group:
         restarts = []
 
         def restart():
@@ -115,7 +115,7 @@ def test_a_server_restarted_in_the_race_drives_on(tmp_path):
 
         try:
             result = run_race(
-                [*crew.drivers, "ai"],
+                [*group.drivers, "ai"],
                 listeners=[Watcher(10, restart)],
                 max_steps=40,
                 error_handling="restart",
@@ -129,10 +129,10 @@ def test_a_server_restarted_in_the_race_drives_on(tmp_path):
 def test_a_server_restarted_between_races_serves_the_next(tmp_path):
     agent = write_agent(tmp_path, "ada")
     with server_process(agent) as (_, address):
-        crew = RemoteCrew([address])
-        run_race(crew.drivers, max_steps=5, **TRACK)
-    with crew, server_process(agent, address=address.removeprefix("tcp://")):
-        result = run_race(crew.drivers, max_steps=5, **TRACK)
+        group = RemoteDriverGroup([address])
+        run_race(group.drivers, max_steps=5, **TRACK)
+    with group, server_process(agent, address=address.removeprefix("tcp://")):
+        result = run_race(group.drivers, max_steps=5, **TRACK)
     assert not any(row.errors for row in result.agents)
 
 
@@ -141,10 +141,10 @@ def test_a_slow_agent_is_ended_and_the_others_of_its_server_race_on(tmp_path):
     good = write_agent(tmp_path, "good")
     with (
         server_process(slow, good, "--action-timeout", "0.5") as (_, address),
-        RemoteCrew([address]) as crew,
+        RemoteDriverGroup([address]) as group,
     ):
         begin = time.monotonic()
-        result = run_race(crew.drivers, max_steps=20, **TRACK)
+        result = run_race(group.drivers, max_steps=20, **TRACK)
         assert time.monotonic() - begin < 40
     assert "longer than 0.5 s" in rows(result)["kart_0"].errors[0].message
     assert not rows(result)["kart_1"].errors
@@ -152,8 +152,8 @@ def test_a_slow_agent_is_ended_and_the_others_of_its_server_race_on(tmp_path):
 
 def test_the_client_may_give_agents_less_time_than_the_server_does(tmp_path):
     slow = write_agent(tmp_path, "slow", act="import time; time.sleep(60)")
-    with server_process(slow) as (_, address), RemoteCrew([address]) as crew:
-        result = run_race([*crew.drivers, "ai"], max_steps=10, action_timeout=0.3, **TRACK)
+    with server_process(slow) as (_, address), RemoteDriverGroup([address]) as group:
+        result = run_race([*group.drivers, "ai"], max_steps=10, action_timeout=0.3, **TRACK)
     assert "longer than 0.3 s" in rows(result)["kart_0"].errors[0].message
 
 
@@ -163,9 +163,9 @@ def test_the_client_may_give_agents_less_time_than_the_server_does(tmp_path):
 )
 def test_an_agent_that_fails_does_not_spoil_its_server(tmp_path, act, text):
     bad, good = write_agent(tmp_path, "bad", act), write_agent(tmp_path, "good")
-    with server_process(bad, good) as (_, address), RemoteCrew([address]) as crew:
+    with server_process(bad, good) as (_, address), RemoteDriverGroup([address]) as group:
         for _ in range(2):
-            result = run_race(crew.drivers, max_steps=8, **TRACK)
+            result = run_race(group.drivers, max_steps=8, **TRACK)
             failure = rows(result)["kart_0"].errors[0]
             assert text in failure.message
             assert not rows(result)["kart_1"].errors
@@ -175,8 +175,8 @@ def test_an_agent_that_cannot_be_loaded_costs_only_itself(tmp_path):
     bad, good = write_agent(tmp_path, "bad"), write_agent(tmp_path, "good")
     with open(os.path.join(bad, "pystk_actor.py"), "w") as file:
         file.write("import no_such_module\n")
-    with server_process(bad, good) as (_, address), RemoteCrew([address]) as crew:
-        result = run_race(crew.drivers, max_steps=8, **TRACK)
+    with server_process(bad, good) as (_, address), RemoteDriverGroup([address]) as group:
+        result = run_race(group.drivers, max_steps=8, **TRACK)
     assert "no_such_module" in rows(result)["kart_0"].errors[0].message
     assert not rows(result)["kart_1"].errors
 
@@ -184,8 +184,8 @@ def test_an_agent_that_cannot_be_loaded_costs_only_itself(tmp_path):
 def test_two_races_at_once_on_one_server():
     with (
         server_thread([find_driver("heuristic")]) as server,
-        RemoteCrew([server.address]) as crew,
-        RemoteCrew([server.address]) as other,
+        RemoteDriverGroup([server.address]) as group,
+        RemoteDriverGroup([server.address]) as other,
     ):
         inner = []
 
@@ -193,7 +193,7 @@ def test_two_races_at_once_on_one_server():
             inner.append(run_race([*other.drivers, "ai"], max_steps=20, **TRACK))
 
         outer = run_race(
-            [*crew.drivers, "ai"], listeners=[Watcher(10, race_between)], max_steps=20, **TRACK
+            [*group.drivers, "ai"], listeners=[Watcher(10, race_between)], max_steps=20, **TRACK
         )
     assert essence(outer) == essence(inner[0])
 
@@ -201,8 +201,8 @@ def test_two_races_at_once_on_one_server():
 def test_a_busy_server_says_so():
     with (
         server_thread([find_driver("heuristic")], max_sessions=1) as server,
-        RemoteCrew([server.address]) as crew,
-        RemoteCrew([server.address]) as other,
+        RemoteDriverGroup([server.address]) as group,
+        RemoteDriverGroup([server.address]) as other,
     ):
         late = []
 
@@ -210,7 +210,7 @@ def test_a_busy_server_says_so():
             late.append(run_race([*other.drivers, "ai"], max_steps=3, **TRACK))
 
         result = run_race(
-            [*crew.drivers, "ai"], listeners=[Watcher(2, race_between)], max_steps=5, **TRACK
+            [*group.drivers, "ai"], listeners=[Watcher(2, race_between)], max_steps=5, **TRACK
         )
         assert not any(row.errors for row in result.agents)
         assert "all of its 1 sessions" in rows(late[0])["kart_0"].errors[0].message
@@ -224,19 +224,19 @@ def test_a_client_that_is_gone_frees_its_place(tmp_path):
     code = (
         "import os\n"
         "from stkzoo.race import run_race\n"
-        "from stkzoo.race.remote import RemoteCrew\n"
+        "from stkzoo.race.remote import RemoteDriverGroup\n"
         "from tests.race.remote.test_remote import Watcher\n"
         "import sys\n"
-        "crew = RemoteCrew([sys.argv[1]])\n"
-        "run_race(crew.drivers, track='lighthouse', listeners=[Watcher(3, lambda: os._exit(7))])\n"
+        "group = RemoteDriverGroup([sys.argv[1]])\n"
+        "run_race(group.drivers, track='lighthouse', listeners=[Watcher(3, lambda: os._exit(7))])\n"
     )
     with server_process(agent, "--threads", "1") as (_, address):
         command = [sys.executable, "-c", code, address]
         assert subprocess.run(command, timeout=60).returncode == 7
         deadline = time.monotonic() + 30
         while time.monotonic() < deadline:
-            with RemoteCrew([address]) as crew:
-                result = run_race(crew.drivers, max_steps=3, **TRACK)
+            with RemoteDriverGroup([address]) as group:
+                result = run_race(group.drivers, max_steps=3, **TRACK)
             if not result.agents[0].errors:
                 return
             time.sleep(0.5)
@@ -258,7 +258,7 @@ def test_a_client_that_pauses_is_not_flooded():
 def test_no_server_is_told_before_the_race():
     begin = time.monotonic()
     with pytest.raises(RemoteError, match="did not connect in time"):
-        RemoteCrew(["127.0.0.1:9"], connect_timeout=0.5)
+        RemoteDriverGroup(["127.0.0.1:9"], connect_timeout=0.5)
     assert time.monotonic() - begin < 10
 
 

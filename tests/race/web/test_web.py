@@ -19,8 +19,8 @@ from stkzoo.race import RaceResult, run_race
 from stkzoo.race.replay import ReplayWriter, load_replay, play_replay
 from stkzoo.race.web import SPEEDS, LivePage
 from stkzoo.race.web.control import RaceControl
-from stkzoo.race.web.forms import encoded, plain
-from stkzoo.race.web.traces import COLUMNS, TraceLog
+from stkzoo.race.web.feed import COLUMNS, TraceLog
+from stkzoo.race.web.messages import encoded, plain
 from tests.support.processes import run_program, wait_until
 from tests.support.web_race import WatchedRace, viewer
 

@@ -1,4 +1,4 @@
-"""What the page is to show now, between the thread that races and the one that serves."""
+"""What the page shows now, handed from the race's thread to the server's."""
 
 from __future__ import annotations
 
@@ -7,16 +7,70 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from stkzoo.race.web.forms import encoded, plain
-from stkzoo.race.web.traces import TraceLog
+import numpy as np
+import numpy.typing as npt
 
-__all__ = ["Board", "Sight"]
+from stkzoo.race.web.messages import encoded, plain
+
+__all__ = ["COLUMNS", "RaceFeed", "TraceLog", "ViewerState"]
+
+#: ``gap`` is the way behind the leader [m]; ``throttle`` is the acceleration, 0 to 1, or -1
+#: while the kart brakes; ``reward`` is the sum since the start.
+COLUMNS = ("speed", "rank", "gap", "reward", "steer", "throttle")
+
+FloatArray = npt.NDArray[np.float32]
+
+
+class TraceLog:
+    """The past of a race in bounded memory. One thread adds, others read.
+
+    Once it is full, every second entry goes, and from then on every second is kept.
+
+    Args:
+        most: how many steps it holds.
+    """
+
+    def __init__(self, most: int = 3000) -> None:
+        self._lock = threading.Lock()
+        self._most, self._stride = most, 1
+        self._steps: list[int] = []
+        self._rows: list[FloatArray] = []
+
+    def add(self, step: int, row: FloatArray) -> None:
+        """Adds a step.
+
+        Args:
+            step: its number.
+            row: ``(C, K)`` float32, in the order of :data:`COLUMNS`.
+        """
+        if step % self._stride:
+            return
+        with self._lock:
+            self._steps.append(step)
+            self._rows.append(row)
+            if len(self._steps) > self._most:
+                self._stride *= 2
+                kept = [n for n, known in enumerate(self._steps) if known % self._stride == 0]
+                self._steps = [self._steps[n] for n in kept]
+                self._rows = [self._rows[n] for n in kept]
+
+    def since(self, step: int) -> dict[str, Any]:
+        """The steps after one, for JSON; ``steps`` is empty if there are none."""
+        with self._lock:
+            first = int(np.searchsorted(self._steps, step, side="right"))
+            steps, rows = self._steps[first:], self._rows[first:]
+        if not rows:
+            return {"steps": []}
+        values = np.nan_to_num(np.stack(rows, axis=1).astype(np.float64)).round(3)
+        columns = dict(zip(COLUMNS, values.tolist(), strict=True))
+        return {"steps": steps, "values": columns}
+
 
 _Form = Mapping[str, Any]
 
 
 @dataclass
-class Sight:
+class ViewerState:
     """What one viewer has been sent.
 
     Attributes:
@@ -54,7 +108,7 @@ class _Present:
     result_text: str = ""
 
 
-class Board:
+class RaceFeed:
     """The present of a race. One thread races and writes, one serves and reads.
 
     The writer hands over references and goes on: texts are made by the reader, once for
@@ -116,7 +170,7 @@ class Board:
 
     # ------------------------------------------------------------------ the reader
 
-    def news(self, sight: Sight, *, with_observation: bool) -> list[str]:
+    def news(self, sight: ViewerState, *, with_observation: bool) -> list[str]:
         """The texts that a viewer lacks; marks them as sent."""
         now, texts = self._present, []
         if sight.race != now.race:
@@ -137,7 +191,7 @@ class Board:
             texts.append(now.result_text)
         return texts
 
-    def owes_observation(self, sight: Sight) -> bool:
+    def owes_observation(self, sight: ViewerState) -> bool:
         """Whether a viewer's agent has seen something that the viewer has not."""
         return _owes_observation(sight, self._present)
 
@@ -150,11 +204,11 @@ class Board:
         return text
 
 
-def _owes_observation(sight: Sight, now: _Present) -> bool:
+def _owes_observation(sight: ViewerState, now: _Present) -> bool:
     return sight.watched in now.sights and sight.observed != (sight.watched, now.moment)
 
 
-def _traces_after(sight: Sight, traces: TraceLog) -> list[str]:
+def _traces_after(sight: ViewerState, traces: TraceLog) -> list[str]:
     past = traces.since(sight.step)
     if not past["steps"]:
         return []

@@ -11,18 +11,18 @@ from gymnasium import spaces
 from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo.errors import ActionError, AgentError, AgentTimeout
+from stkzoo.race.agents.failures import in_words, printable
 from stkzoo.race.drivers import Driver
+from stkzoo.race.instances import DriverInstance, DriverRequest
 from stkzoo.race.result import AgentFailure
-from stkzoo.race.seats import Seat, SeatRequest
 from stkzoo.race.settings import RaceSettings
-from stkzoo.race.tracebacks import in_words, printable
 
-__all__ = ["Crew", "CrewMember"]
+__all__ = ["DriverGroup", "GroupMember"]
 
 _MAX_FAILURES_KEPT = 20
 
 
-class Crew:
+class DriverGroup:
     """All drivers of a race but the game's AI.
 
     Args:
@@ -40,9 +40,9 @@ class Crew:
         settings: RaceSettings,
     ) -> None:
         self.members = {
-            agent: CrewMember(
+            agent: GroupMember(
                 driver,
-                SeatRequest(
+                DriverRequest(
                     agent,
                     observation_spaces[agent],
                     action_spaces[agent],
@@ -101,7 +101,7 @@ class Crew:
             member.close()
 
 
-class CrewMember:
+class GroupMember:
     """A driver in one race, from seat to seat.
 
     Attributes:
@@ -113,7 +113,7 @@ class CrewMember:
         is_retired: whether it has been taken out of the race.
     """
 
-    def __init__(self, driver: Driver, request: SeatRequest, settings: RaceSettings) -> None:
+    def __init__(self, driver: Driver, request: DriverRequest, settings: RaceSettings) -> None:
         self.agent = request.agent
         self.name = driver.name
         self.failures: list[AgentFailure] = []
@@ -121,7 +121,7 @@ class CrewMember:
         self.seconds: list[float] = []
         self.is_retired = False
         self._driver, self._request, self._settings = driver, request, settings
-        self._seat: Seat | None = None
+        self._seat: DriverInstance | None = None
         self._is_ready = self._is_asked = False
         self._restarts = 0
         self._chance = copy.deepcopy(request.action_space)
@@ -131,8 +131,8 @@ class CrewMember:
         """Opens the seat; the driver gets ready meanwhile."""
         self._is_ready = False
         try:
-            assert self._driver.open_seat is not None  # noqa: S101 - not the game's AI
-            self._seat = self._driver.open_seat(self._request)
+            assert self._driver.start is not None  # noqa: S101 - not the game's AI
+            self._seat = self._driver.start(self._request)
         except Exception as error:  # noqa: BLE001 - told in get_ready()
             self._seat = _FailedSeat(self._as_agent_error(error))
 

@@ -10,15 +10,15 @@ from typing import Any, NoReturn
 
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError, RemoteError
 from stkzoo.race.drivers import Driver
-from stkzoo.race.remote.address import full_address
+from stkzoo.race.instances import Decision, DriverInstance, DriverRequest
 from stkzoo.race.remote.connection import Connection, Failure, Server
 from stkzoo.race.remote.keys import KeyPair
 from stkzoo.race.remote.library import zmq_module
 from stkzoo.race.remote.protocol import printable
-from stkzoo.race.seats import Decision, Seat, SeatRequest
-from stkzoo.race.space_codec import space_to_data
+from stkzoo.race.remote.sockets import full_address
+from stkzoo.race.remote.spaces import space_to_data
 
-__all__ = ["RemoteCrew", "RemoteSeat"]
+__all__ = ["RemoteDriverGroup", "RemoteInstance"]
 
 #: How long a server that has failed in this race may take to be there again [s].
 _SECOND_CHANCE = 1.0
@@ -28,12 +28,12 @@ _MARGIN = 5.0
 _TIMEOUT = 60.0
 
 
-class RemoteCrew:
+class RemoteDriverGroup:
     """The agents of some servers, as drivers of races.
 
     >>> from stkzoo.race import run_race
-    >>> with RemoteCrew(["tcp://127.0.0.1:5555"]) as crew:  # doctest: +SKIP
-    ...     result = run_race([*crew.drivers, "ai"])
+    >>> with RemoteDriverGroup(["tcp://127.0.0.1:5555"]) as group:  # doctest: +SKIP
+    ...     result = run_race([*group.drivers, "ai"])
 
     Use it in one thread. It serves race after race; a connection lasts as long as a race.
 
@@ -84,7 +84,7 @@ class RemoteCrew:
             self.close()
             raise
 
-    def __enter__(self) -> RemoteCrew:
+    def __enter__(self) -> RemoteDriverGroup:
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -142,24 +142,24 @@ class RemoteOpener:
     """Opens seats of one agent of a server.
 
     Attributes:
-        crew: the agents of all servers.
+        group: the agents of all servers.
         server: where the agent is.
         number: which of the server's agents it is.
         agent: what the server said of it before the race: its name, empty if it did not know,
             where it comes from, and whether it sees the ground.
     """
 
-    crew: RemoteCrew
+    group: RemoteDriverGroup
     server: Server
     number: int
     agent: list[Any]
 
-    def __call__(self, request: SeatRequest) -> Seat:
+    def __call__(self, request: DriverRequest) -> DriverInstance:
         """Opens a seat."""
-        return RemoteSeat(self, request)
+        return RemoteInstance(self, request)
 
 
-class RemoteSeat:
+class RemoteInstance:
     """An agent of a server in one race.
 
     Args:
@@ -170,14 +170,14 @@ class RemoteSeat:
         AgentError: the server cannot be reached.
     """
 
-    def __init__(self, opener: RemoteOpener, request: SeatRequest) -> None:
-        self._opener, self._crew = opener, opener.crew
+    def __init__(self, opener: RemoteOpener, request: DriverRequest) -> None:
+        self._opener, self._group = opener, opener.group
         self._agent, self._limits = request.agent, request.limits
         self._paths: int | None = None
         self.is_usable = True
         self._begin = time.monotonic()
         try:
-            self._connection = self._crew.connection(opener.server)
+            self._connection = self._group.connection(opener.server)
             self._seat = self._connection.open(
                 driver=opener.number,
                 agent=request.agent,
@@ -194,7 +194,7 @@ class RemoteSeat:
         """Waits until the agent can drive."""
         server, begin = self._opener.server, self._begin
         try:
-            patience = min(self._crew.patience(server), self._limits.start_timeout)
+            patience = min(self._group.patience(server), self._limits.start_timeout)
             welcome = self._connection.wait_welcome(begin + patience)
             self._check_same(welcome["agents"])
             deadline = begin + self._limits.start_timeout + _MARGIN
@@ -203,7 +203,7 @@ class RemoteSeat:
             self._lost(error)
         if isinstance(opened, Failure):
             self._failed(opened)
-        self._crew.note(server, is_there=True)
+        self._group.note(server, is_there=True)
         self._paths = opened.paths_used
         return opened.name
 
@@ -222,7 +222,7 @@ class RemoteSeat:
 
     def answer(self) -> Decision:
         """Waits for the decision."""
-        self._crew.flush()
+        self._group.flush()
         try:
             outcome = self._connection.wait_decision(self._seat, self._begin + self._time())
         except RemoteError as error:
@@ -238,8 +238,8 @@ class RemoteSeat:
 
     def _time(self) -> float:
         """How long the server may take for an answer [s]."""
-        if self._crew.timeout is not None:
-            return self._crew.timeout
+        if self._group.timeout is not None:
+            return self._group.timeout
         limit = self._limits.action_timeout
         return _TIMEOUT if limit is None else limit + _MARGIN
 
@@ -252,7 +252,7 @@ class RemoteSeat:
     def _lost(self, error: RemoteError) -> NoReturn:
         """Raises for a server that is gone; all its seats fail with it."""
         self.is_usable = False
-        self._crew.note(self._opener.server, is_there=False)
+        self._group.note(self._opener.server, is_there=False)
         is_late = "in time" in str(error)
         raise (AgentTimeout if is_late else AgentError)(str(error), self._agent) from error
 

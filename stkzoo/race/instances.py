@@ -15,11 +15,11 @@ from typing import Any, Protocol
 
 from gymnasium import spaces
 
-__all__ = ["Decision", "Seat", "SeatLimits", "SeatOpener", "SeatRequest"]
+__all__ = ["Decision", "DriverInstance", "DriverLimits", "DriverRequest", "DriverStart"]
 
 
 @dataclass(frozen=True, slots=True)
-class SeatLimits:
+class DriverLimits:
     """What a driver may use.
 
     Attributes:
@@ -34,7 +34,7 @@ class SeatLimits:
 
 
 @dataclass(frozen=True, slots=True)
-class SeatRequest:
+class DriverRequest:
     """What a seat is opened with.
 
     Attributes:
@@ -49,7 +49,7 @@ class SeatRequest:
     observation_space: spaces.Space[Any]
     action_space: spaces.Space[Any]
     seed: int
-    limits: SeatLimits = field(default_factory=SeatLimits)
+    limits: DriverLimits = field(default_factory=DriverLimits)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class Decision:
     seconds: float
 
 
-class Seat(Protocol):
+class DriverInstance(Protocol):
     """One driver in one race.
 
     Each method but :meth:`close` raises :class:`~stkzoo.errors.AgentError` when the driver
@@ -101,4 +101,4 @@ class Seat(Protocol):
 
 
 #: Opens a seat. Returns before the driver is ready, so that all drivers start together.
-SeatOpener = Callable[[SeatRequest], Seat]
+DriverStart = Callable[[DriverRequest], DriverInstance]

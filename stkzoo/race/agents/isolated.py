@@ -21,18 +21,18 @@ from typing import Any, NoReturn
 
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError
 from stkzoo.mdp.spaces import shows_ground
-from stkzoo.race.agent_process import receive, send
+from stkzoo.race.agents.failures import OutputTail
+from stkzoo.race.agents.files import AgentFiles
+from stkzoo.race.agents.process import receive, send
 from stkzoo.race.codec import Encoded
-from stkzoo.race.files import AgentFiles
-from stkzoo.race.output_tail import OutputTail
-from stkzoo.race.seats import Decision, Seat, SeatRequest
+from stkzoo.race.instances import Decision, DriverInstance, DriverRequest
 
-__all__ = ["IsolatedOpener", "IsolatedSeat"]
+__all__ = ["IsolatedInstance", "IsolatedOpener"]
 
 _CODE = """\
 import json, sys
 sys.path[:] = json.loads(sys.argv[1])
-from stkzoo.race.agent_process import main
+from stkzoo.race.agents.process import main
 main(*map(int, sys.argv[2:]))
 """
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
@@ -48,18 +48,18 @@ class IsolatedOpener:
 
     Attributes:
         files: the agent's files.
-        adapter: as for :func:`~stkzoo.race.agent_code.load_agent`.
+        adapter: as for :func:`~stkzoo.race.agents.code.load_agent`.
     """
 
     files: AgentFiles
     adapter: str | None = None
 
-    def __call__(self, request: SeatRequest) -> Seat:
+    def __call__(self, request: DriverRequest) -> DriverInstance:
         """Opens a seat."""
-        return IsolatedSeat(request, self.files, self.adapter)
+        return IsolatedInstance(request, self.files, self.adapter)
 
 
-class IsolatedSeat:
+class IsolatedInstance:
     """An agent in a process of its own.
 
     The process ends with the thread that opened the seat, so open it in one that lasts.
@@ -67,13 +67,15 @@ class IsolatedSeat:
     Args:
         request: what the runner asks for; its spaces are those of the ``full`` view.
         files: the agent's files.
-        adapter: as for :func:`~stkzoo.race.agent_code.load_agent`.
+        adapter: as for :func:`~stkzoo.race.agents.code.load_agent`.
 
     Raises:
         AgentError: the files are no agent.
     """
 
-    def __init__(self, request: SeatRequest, files: AgentFiles, adapter: str | None = None) -> None:
+    def __init__(
+        self, request: DriverRequest, files: AgentFiles, adapter: str | None = None
+    ) -> None:
         self._agent, self._limits = request.agent, request.limits
         self._life = ExitStack()
         self._number = 0

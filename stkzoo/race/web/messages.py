@@ -106,7 +106,7 @@ def control_rows(scene: Scene, snapshot: Snapshot, actions: Mapping[str, Any]) -
 def trace_row(
     scene: Scene, snapshot: Snapshot, controls: FloatArray, rewards: Sequence[float]
 ) -> FloatArray:
-    """What the charts show of a moment: ``(C, K)``; see :data:`stkzoo.race.web.traces.COLUMNS`."""
+    """What the charts show of a moment: ``(C, K)``; see :data:`stkzoo.race.web.feed.COLUMNS`."""
     karts = snapshot.karts
     distances = _distances(scene, snapshot)
     brakes = controls[:, _COLUMN["brake"]] > 0

@@ -18,10 +18,10 @@ import numpy as np
 
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race import codec
-from stkzoo.race.agent_code import load_agent
-from stkzoo.race.agent_runner import AgentRunner
-from stkzoo.race.files import AgentPlace
-from stkzoo.race.tracebacks import agent_trace, in_words
+from stkzoo.race.agents.code import load_agent
+from stkzoo.race.agents.failures import agent_trace, in_words
+from stkzoo.race.agents.files import AgentPlace
+from stkzoo.race.agents.inline import AgentRunner
 
 __all__ = ["Incoming", "main", "receive", "send"]
 

@@ -1,17 +1,21 @@
-"""Errors of agents as text; tracebacks without the frames of stkzoo, which no author can mend."""
+"""What an agent that failed leaves: its error in words, its traceback, its last lines of output."""
 
 from __future__ import annotations
 
+import threading
 import traceback
 from collections.abc import Iterable
 from pathlib import Path
+from typing import IO
 
 from stkzoo.errors import StkzooError
 
-__all__ = ["agent_trace", "in_words", "printable"]
+__all__ = ["OutputTail", "agent_trace", "in_words", "printable"]
 
-_PACKAGE = Path(__file__).resolve().parents[1]
+_PACKAGE = Path(__file__).resolve().parents[2]
 _MAX_FRAMES = 30
+_KEEP = 8192  # [bytes]
+_LINES = 20
 
 
 def in_words(error: BaseException) -> str:
@@ -53,3 +57,33 @@ def _chain_of(
 
 def _is_ours(file: str) -> bool:
     return file.startswith("<frozen importlib") or Path(file).is_relative_to(_PACKAGE)
+
+
+class OutputTail:
+    """Reads what a process writes so that it never waits, and keeps the end of it.
+
+    Args:
+        stream: the reading end of its output.
+    """
+
+    def __init__(self, stream: IO[bytes] | None) -> None:
+        assert stream is not None  # noqa: S101 - opened as a pipe
+        self._stream = stream
+        self._tail = b""
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def text(self) -> str:
+        """The last lines, as far as they have come."""
+        lines = self._tail.decode(errors="replace").splitlines()
+        return "\n".join(lines[-_LINES:])
+
+    def close(self) -> None:
+        """Waits a little for the last lines of a process that has ended."""
+        self._thread.join(0.5)
+        if not self._thread.is_alive():
+            self._stream.close()
+
+    def _read(self) -> None:
+        while block := self._stream.read1(65536):  # type: ignore[attr-defined]
+            self._tail = (self._tail + block)[-_KEEP:]
