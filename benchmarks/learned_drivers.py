@@ -3,8 +3,8 @@
 All karts of some races are driven as one batch, as training and evaluation do it. The moments of
 such races are then decided again, turn by turn, without the game; the quickest of several turns
 counts. Four parts are timed apart: to *see* (the karts' surroundings, of snapshots), to *plan*
-(weigh the plans, gather what the policy is given), to *choose* (the policy's network, or its
-advisers) and to *act* (the controls).
+(weigh the plans, gather what the policy is given), to *choose* (the policy, its network or
+ensemble) and to *act* (the controls).
 
     python -m benchmarks.learned_drivers
     python -m benchmarks.learned_drivers --karts 32 --track black_forest
@@ -29,8 +29,8 @@ from rich.console import Console
 from rich.table import Table
 
 from stkzoo import race_v0
+from stkzoo.agents.planning import ALL_LOOKS, PlanDriver
 from stkzoo.agents.pretrained.driver import read_numbers, read_policy
-from stkzoo.agents.pretrained.drivers import ALL_LOOKS, Drivers
 from stkzoo.race.drivers import driver_names
 from stkzoo.tracks import SPLITS
 from stkzoo.wrappers.racing import BatchedRacingView, RoadTable
@@ -61,7 +61,7 @@ class Batch:
 
     def __post_init__(self) -> None:
         self._policy = read_policy(self.folder)
-        self._drivers = Drivers(sum(self.sizes), read_numbers(self.folder))
+        self._drivers = PlanDriver(sum(self.sizes), read_numbers(self.folder))
         self._who = [np.arange(size) for size in self.sizes]
 
     def decide(self, snapshots: Sequence[Any]) -> npt.NDArray[np.float32]:

@@ -15,8 +15,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from stkzoo.agents.planning import DriverParameters
+
 from .driver import DriverState, HeuristicDriver
-from .parameters import DriverParameters
 
 __all__ = [
     "DriverParameters",

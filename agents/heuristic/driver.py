@@ -11,10 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo import PowerupType
-
-from .forecast import Forecast, Motion, forecast
-from .items import RoadItems
-from .kart import (
+from stkzoo.agents.planning import DriverParameters
+from stkzoo.agents.planning.kart import (
     BOOST_LASTS,
     BOOST_STEPS,
     DRIFT_APART,
@@ -23,8 +21,10 @@ from .kart import (
     RESCUE_STEPS,
     STEP,
 )
+
+from .forecast import Forecast, Motion, forecast
+from .items import RoadItems
 from .line import CentreLine
-from .parameters import DriverParameters
 from .plans import ITEM_LANES, SPANS, Plans, plans_in_drift, plans_without_drift
 from .road import Road
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .kart import RELEASE_TURN, STEERING_LAG
+from stkzoo.agents.planning.kart import RELEASE_TURN, STEERING_LAG
+
 from .plans import SPANS, Plans
 from .road import SPACING, Road
 

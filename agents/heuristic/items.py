@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo import ItemType, PowerupType
+from stkzoo.agents.planning import DriverParameters
 
 from .forecast import Forecast
-from .parameters import DriverParameters
 from .plans import ITEM_LANES
 from .road import SPACING, Road
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,7 +10,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .kart import BOOST_STEPS, BRAKING, DRIFT_TURN, RELEASE_STEPS, STEP
+from stkzoo.agents.planning.kart import BOOST_STEPS, BRAKING, DRIFT_TURN, RELEASE_STEPS, STEP
+from stkzoo.agents.planning.plans import (
+    BIG_BOOST_IN_SIGHT,
+    BRAKE_TIME,
+    CHANGE_AT,
+    FEW_LANES,
+    GAIN,
+    ITEM_LANES,
+    SOME_LANES,
+    SWINGS,
+    Lanes,
+    all_lanes,
+)
 
 __all__ = [
     "BIG_BOOST_IN_SIGHT",
@@ -37,26 +48,6 @@ BoolArray = npt.NDArray[np.bool_]
 SPANS = np.array([0.1] * 4 + [0.2] * 8)
 _ENDS = np.cumsum(SPANS)
 _BEGINS, _MIDDLES = _ENDS - SPANS, _ENDS - SPANS / 2
-
-#: Plans aim at so many items, each at one of its own.
-ITEM_LANES = 2
-
-#: Lanes to aim at, before and after a change: -1 is the left edge of the road, 1 the right one.
-Lanes = Sequence[tuple[float, float]]
-SOME_LANES: Lanes = [(lane, lane) for lane in np.linspace(-0.9, 0.9, 5).tolist()]
-FEW_LANES: Lanes = [(lane, lane) for lane in np.linspace(-0.8, 0.8, 4).tolist()]
-
-#: A lane is changed after this time [s].
-CHANGE_AT = 0.8
-
-#: Before a drift the kart may turn away from it for so many steps.
-SWINGS = (1, 2, 3)
-
-#: A plan with brakes brakes for so long [s], then gains speed [m/s²].
-BRAKE_TIME, GAIN = 0.3, 4.0
-
-#: The big boost counts for plans that come so near to it [steps].
-BIG_BOOST_IN_SIGHT = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,12 +79,6 @@ class Plans:
     brakes: BoolArray
     boosts: npt.NDArray[np.intp]
     boost_steps: FloatArray
-
-
-def all_lanes(changes: int) -> Lanes:
-    """Nine lanes, and those of plans that go over from one of ``changes`` lanes to another."""
-    kept = [(lane, lane) for lane in np.linspace(-1.0, 1.0, 9).tolist()]
-    return [*kept, *itertools.permutations(np.linspace(-0.9, 0.9, changes).tolist(), 2)]
 
 
 @lru_cache(maxsize=64)

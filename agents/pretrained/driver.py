@@ -1,4 +1,4 @@
-"""Learned drivers in a race: policies over plans, advised or not, and networks without plans."""
+"""Learned drivers in a race: policies over plans, ensembles, and networks without plans."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.heuristic import DriverParameters
+from stkzoo.agents.planning import ALL_LOOKS, CHOICES, INPUT_SIZE, DriverParameters, PlanDriver
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import surroundings_of
 
-from .advice import AdvisedPolicy, networks_of
-from .drivers import ALL_LOOKS, CHOICES, INPUT_SIZE, Drivers
-from .mlp import MlpDriver, Seat
+from .ensemble import EnsemblePolicy, networks_of
+from .mlp import KartPolicy, MlpDriver
 from .policy import RacingPolicy
 from .weights import load_weights
 
@@ -28,7 +27,7 @@ __all__ = [
     "check_shapes",
     "make_actor",
     "make_network_actor",
-    "new_seat",
+    "new_network_state",
     "new_state",
     "read_network",
     "read_numbers",
@@ -39,7 +38,7 @@ FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 
 #: What chooses among plans.
-Policy = RacingPolicy | AdvisedPolicy
+Policy = RacingPolicy | EnsemblePolicy
 
 #: An agent's files.
 CARD, WEIGHTS = "card.json", "weights.safetensors"
@@ -59,7 +58,7 @@ def read_policy(folder: str | Path) -> Policy:
     file = Path(folder) / WEIGHTS
     weights = load_weights(file, str(_on_card(folder, "sha256")))
     if networks := networks_of(weights, repr(str(file))):
-        return AdvisedPolicy(networks, _on_card(folder, "trust"))
+        return EnsemblePolicy(networks, _on_card(folder, "ensemble_weight"))
     check_shapes(weights, str(file))
     return RacingPolicy(weights)
 
@@ -75,18 +74,18 @@ def read_network(folder: str | Path) -> MlpDriver:
     return MlpDriver(load_weights(file, str(_on_card(folder, "sha256"))), repr(str(file)))
 
 
-def new_seat(folder: str | Path) -> Seat:
+def new_network_state(folder: str | Path) -> KartPolicy:
     """The driver of one kart in one race, by the network of an agent's folder.
 
     Raises:
         ConfigError: as :func:`read_policy`.
     """
-    return read_network(folder).seat()
+    return read_network(folder).new_race()
 
 
 def make_network_actor(
     module_dir: str | Path, observation_space: Any = None, action_space: Any = None
-) -> Callable[[Seat, FloatArray], IntArray]:
+) -> Callable[[KartPolicy, FloatArray], IntArray]:
     """The actor of an agent's folder that has no plans, for the view ``racing``.
 
     Args:
@@ -99,7 +98,7 @@ def make_network_actor(
     """
     del observation_space, action_space
     read_network(module_dir)
-    return lambda seat, observation: seat(observation[None])[0]
+    return lambda state, observation: state(observation[None])[0]
 
 
 def check_shapes(weights: Mapping[str, FloatArray], name: str) -> None:
@@ -122,13 +121,13 @@ def check_shapes(weights: Mapping[str, FloatArray], name: str) -> None:
         )
 
 
-def new_state(folder: str | Path) -> Drivers:
+def new_state(folder: str | Path) -> PlanDriver:
     """What the driver of an agent's folder remembers in one race.
 
     Raises:
         ConfigError: as :func:`read_numbers`.
     """
-    return Drivers(1, read_numbers(folder))
+    return PlanDriver(1, read_numbers(folder))
 
 
 def read_numbers(folder: str | Path) -> DriverParameters:
@@ -149,14 +148,20 @@ def read_numbers(folder: str | Path) -> DriverParameters:
 def _on_card(folder: str | Path, name: str) -> Any:
     file = Path(folder) / CARD
     try:
-        return json.loads(file.read_text())[name]
+        card = json.loads(file.read_text())
+        if name == "ensemble_weight" and name not in card and "trust" in card:
+            raise ConfigError(
+                f"{str(file)!r} is from another version of stkzoo; "
+                "rename its entry trust to ensemble_weight"
+            )
+        return card[name]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigError(f"{str(file)!r} is no card of a learned agent: {error!r}") from error
 
 
 def make_actor(
     module_dir: str | Path, observation_space: Any = None, action_space: Any = None
-) -> Callable[[Drivers, Mapping[str, Any]], dict[str, Any]]:
+) -> Callable[[PlanDriver, Mapping[str, Any]], dict[str, Any]]:
     """The actor of an agent's folder, for the ``full`` view.
 
     Args:
@@ -170,7 +175,7 @@ def make_actor(
     del observation_space, action_space
     policy = read_policy(module_dir)
 
-    def actor(state: Drivers, observation: Mapping[str, Any]) -> dict[str, Any]:
+    def actor(state: PlanDriver, observation: Mapping[str, Any]) -> dict[str, Any]:
         if observation["phase"] < _GO_PHASE:
             return _action(np.array([1, 0, 0, 0, 0, 0, 0], np.float32))
         view = state.look(*surroundings_of(observation, ALL_LOOKS))
@@ -183,3 +188,12 @@ def make_actor(
 def _action(controls: FloatArray) -> dict[str, Any]:
     action: dict[str, Any] = {key: int(controls[n]) for n, key in enumerate(_COLUMNS) if n > 1}
     return {"acceleration": controls[:1], "steer": controls[1:2], **action}
+
+
+def __getattr__(name: str) -> Any:
+    if name == "new_seat":  # what agents of older versions import
+        raise ConfigError(
+            "this agent was exported by another version of stkzoo; "
+            "export it again, or write new_network_state for new_seat in its pystk_actor.py"
+        )
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

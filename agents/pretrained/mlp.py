@@ -14,10 +14,10 @@ import numpy.typing as npt
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
-from .reflexes import INPUT_SIZE, Reflexes
+from .action_filter import INPUT_SIZE, ActionFilter
 from .weights import load_weights
 
-__all__ = ["HOLD", "SPLITS", "MlpDriver", "Seat", "is_network", "load_driver"]
+__all__ = ["HOLD", "SPLITS", "KartPolicy", "MlpDriver", "is_network", "load_driver"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
@@ -30,7 +30,7 @@ SPLITS = np.cumsum(CHOICES)[:-1].tolist()
 HOLD = "drift_hold"
 
 #: Chooses for one kart at a time: choices ``(1, 5)`` by its view ``(1, 165)``; it may remember.
-Seat = Callable[[FloatArray], IntArray]
+KartPolicy = Callable[[FloatArray], IntArray]
 
 
 class MlpDriver:
@@ -42,7 +42,7 @@ class MlpDriver:
 
     Attributes:
         hold: for how many steps it holds a drift.
-        inputs: how many numbers it sees: the view, and mostly what the reflexes remember.
+        inputs: how many numbers it sees: the view, and mostly what the the action filter remembers.
 
     Raises:
         ConfigError: they are not of an ``MlpPolicy`` on the view ``racing``.
@@ -71,8 +71,8 @@ class MlpDriver:
             raise ConfigError(
                 f"{name} have layers of the shapes {found}, expected finite ones of a "
                 f"Stable-Baselines3 MlpPolicy from the {SIZE} numbers of the view 'racing', or "
-                f"{INPUT_SIZE} with what reflexes remember, to its {sum(CHOICES)} choices "
-                "(mlp_extractor.policy_net.*, action_net.*)"
+                f"{INPUT_SIZE} with what the action filter remembers, to its "
+                f"{sum(CHOICES)} choices (mlp_extractor.policy_net.*, action_net.*)"
             )
 
     def logits(self, observations: FloatArray) -> FloatArray:
@@ -89,10 +89,10 @@ class MlpDriver:
         parts = np.split(self.logits(observations), SPLITS, axis=1)
         return np.stack([part.argmax(axis=1) for part in parts], axis=1)
 
-    def seat(self) -> Seat:
+    def new_race(self) -> KartPolicy:
         """Drives one kart through one race by the likeliest choices."""
-        reflexes = Reflexes(1, self.hold)
-        return lambda view: reflexes.apply(self.best(reflexes.look(view)))
+        action_filter = ActionFilter(1, self.hold)
+        return lambda view: action_filter.apply(self.best(action_filter.look(view)))
 
     def sample(self, observations: FloatArray, random: np.random.Generator) -> IntArray:
         """Choices drawn by their probabilities, ``(A, 5)``."""

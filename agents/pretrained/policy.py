@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .drivers import CHOICES, HEADS, INPUT_SIZE, View
+from stkzoo.agents.planning import CHOICES, HEADS, INPUT_SIZE, PolicyInput
 
 __all__ = ["INPUT_CLIP", "RacingPolicy", "log_sum", "network"]
 
@@ -60,19 +60,19 @@ class RacingPolicy:
             shapes |= {f"w{layer}": sizes[layer : layer + 2], f"b{layer}": (sizes[layer + 1],)}
         return cls({name: np.zeros(shape, np.float32) for name, shape in shapes.items()})
 
-    def logits(self, view: View) -> FloatArray:
+    def logits(self, view: PolicyInput) -> FloatArray:
         """The logits ``(A, sum(CHOICES))``."""
         learned: FloatArray = view.prior + network(self.weights, view.inputs)
         return learned
 
-    def best(self, view: View) -> IntArray:
+    def best(self, view: PolicyInput) -> IntArray:
         """The likeliest choices ``(A, 4)``."""
         logits = self.logits(view)
         return np.stack([logits[:, head].argmax(axis=1) for head in HEADS], axis=1)
 
     def sample(
         self,
-        view: View,
+        view: PolicyInput,
         random: np.random.Generator,
         columns: Sequence[int] = range(len(HEADS)),
     ) -> tuple[IntArray, FloatArray]:

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stkzoo.agents.heuristic import DriverParameters
+from stkzoo.agents.planning import DriverParameters, PolicyInput
 from stkzoo.agents.pretrained.driver import (
     WEIGHTS,
     Policy,
@@ -29,7 +29,6 @@ from stkzoo.agents.pretrained.driver import (
     read_numbers,
     read_policy,
 )
-from stkzoo.agents.pretrained.drivers import View
 from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
@@ -88,7 +87,7 @@ class Entrant:
         rules: the numbers that its plans go by.
     """
 
-    take_over: Callable[[Fleet], Callable[[View], object]]
+    take_over: Callable[[Fleet], Callable[[PolicyInput], object]]
     rules: DriverParameters
 
     @classmethod
@@ -120,12 +119,12 @@ class Entrant:
         return cls(_by_plans(read_policy(folder)), read_numbers(folder))
 
 
-def _by_plans(policy: Policy) -> Callable[[Fleet], Callable[[View], object]]:
+def _by_plans(policy: Policy) -> Callable[[Fleet], Callable[[PolicyInput], object]]:
     return lambda fleet: lambda view: fleet.send(policy.best(view))
 
 
-def _by_network(driver: MlpDriver) -> Callable[[Fleet], Callable[[View], object]]:
-    def take_over(fleet: Fleet) -> Callable[[View], object]:
+def _by_network(driver: MlpDriver) -> Callable[[Fleet], Callable[[PolicyInput], object]]:
+    def take_over(fleet: Fleet) -> Callable[[PolicyInput], object]:
         karts = NetworkKarts(fleet, driver.hold)
         return lambda view: karts.send(view, driver.best(seen_by_networks(view)))
 

@@ -3,9 +3,9 @@ r"""Makes an agent of learned weights: a folder to race, to ship and to send aro
     python -m stkzoo.agents.training.export runs/first/policy-002000000.safetensors \
         --name swift --output agents/pretrained/swift
 
-The run is of ``ppo_selfplay``, ``sb3_selfplay`` or ``distil``. With ``--trust 1`` networks of the
-latter two, one or several, become advisers: they do not drive, but plans are chosen by both, what
-they are worth and what the networks would do, which count as much as ``--trust`` says.
+The run is of ``ppo_selfplay``, ``sb3_selfplay`` or ``distil``. With ``--ensemble-weight 1`` one or
+several networks of the latter two form an ensemble with the plans: a plan is chosen by its worth
+and, with this weight, by how likely the networks are to do the same.
 
 The folder has the weights, ``card.json`` with their digest, how they were learned (from the runs'
 ``arguments.json`` beside them, if it is there) and, if they choose among plans, the numbers that
@@ -29,9 +29,9 @@ import numpy.typing as npt
 
 import stkzoo
 from stkzoo._os import atomic_write
-from stkzoo.agents.heuristic import DriverParameters
-from stkzoo.agents.pretrained.advice import check_trust, join_networks
+from stkzoo.agents.planning import DriverParameters
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, check_shapes
+from stkzoo.agents.pretrained.ensemble import check_ensemble_weight, join_networks
 from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
 from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
 from stkzoo.errors import ConfigError
@@ -67,7 +67,7 @@ create_state = partial({state}, Path(__file__).parent)
 
 #: What its gaps are filled with for policies over plans, and for networks that answer at once.
 _OF_PLANS = {"make": "make_actor", "state": "new_state", "view": "full"}
-_OF_NETWORKS = {"make": "make_network_actor", "state": "new_seat", "view": "racing"}
+_OF_NETWORKS = {"make": "make_network_actor", "state": "new_network_state", "view": "racing"}
 
 _PACKAGE = '''"""The learned driver {name}; see ``CARD.md``."""
 
@@ -96,15 +96,15 @@ def export_policy(
     weights: str | Path | Sequence[str | Path],
     name: str,
     folder: str | Path,
-    trust: float | None = None,
+    ensemble_weight: float | None = None,
 ) -> Path:
     """Makes the folder of an agent; one that is there must be an agent's, and is made anew.
 
     Args:
-        weights: a policy of a run; with ``trust`` one or more networks, the advisers.
+        weights: a policy of a run; with ``ensemble_weight`` one or more networks of an ensemble.
         name: what the agent is called: a Python name.
         folder: where it goes.
-        trust: how much advisers count beside the worth of plans.
+        ensemble_weight: the weight of the networks beside the worth of plans.
 
     Returns:
         The folder.
@@ -116,7 +116,7 @@ def export_policy(
         raise ConfigError(f"the name {name!r} cannot be; expected letters, digits and _")
     sources = [Path(weights)] if isinstance(weights, (str, Path)) else [Path(w) for w in weights]
     target = Path(folder)
-    arrays, gaps, rules = _agent_of(sources, trust)
+    arrays, gaps, rules = _agent_of(sources, ensemble_weight)
     if target.exists() and any(target.iterdir()) and not (target / CARD).exists():
         raise ConfigError(f"{str(target)!r} is no agent's folder; give another --output")
     target.mkdir(parents=True, exist_ok=True)
@@ -139,17 +139,21 @@ def export_policy(
 
 
 def _agent_of(
-    sources: Sequence[Path], trust: float | None
+    sources: Sequence[Path], ensemble_weight: float | None
 ) -> tuple[Arrays, dict[str, str], dict[str, Any]]:
     """An agent's arrays, what fills the gaps of its module, and what its plans go by."""
-    if trust is not None:
-        check_trust(trust)
+    if ensemble_weight is not None:
+        check_ensemble_weight(ensemble_weight)
         joined = join_networks([_network(source) for source in sources])
-        return joined, _OF_PLANS, {"trust": trust, "rules": asdict(DriverParameters())}
+        return (
+            joined,
+            _OF_PLANS,
+            {"ensemble_weight": ensemble_weight, "rules": asdict(DriverParameters())},
+        )
     if len(sources) > 1:
         raise ConfigError(
             f"there are {len(sources)} files of weights, expected one; several networks can "
-            "advise plans together, with --trust 1"
+            "choose plans together, with --ensemble-weight 1"
         )
     arrays = load_weights(sources[0])
     if is_network(arrays):
@@ -211,11 +215,15 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--name", required=True, help="what the agent is called")
     parser.add_argument("--output", required=True, help="its folder")
     parser.add_argument(
-        "--trust", type=float, help="let networks advise plans, and count so much; 1 is usual"
+        "--ensemble-weight",
+        type=float,
+        help="let networks choose among plans with this weight; 1 is usual",
     )
     options = parser.parse_args(words)
     try:
-        folder = export_policy(options.weights, options.name, options.output, options.trust)
+        folder = export_policy(
+            options.weights, options.name, options.output, options.ensemble_weight
+        )
     except ConfigError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -25,8 +25,8 @@ from pathlib import Path
 import numpy as np
 
 from stkzoo._os import atomic_write
-from stkzoo.agents.heuristic import DriverParameters
-from stkzoo.agents.pretrained.mlp import MlpDriver, Seat, load_driver
+from stkzoo.agents.planning import DriverParameters
+from stkzoo.agents.pretrained.mlp import KartPolicy, MlpDriver, load_driver
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
@@ -142,13 +142,13 @@ def players_of(runs: Sequence[Path], files: Mapping[str, Path]) -> tuple[list[st
         policies = {START: RacingPolicy.of_plans_alone()}
         policies |= {name: RacingPolicy(own) for name, own in weights.items()}
         return sorted(policies), lambda pairings: play(pairings, policies, 0, rules)
-    drivers = {name: MlpDriver(own, str(files[name])).seat for name, own in weights.items()}
-    drivers[START] = load_driver(min(runs[0].glob(_KEPT))).seat
+    drivers = {name: MlpDriver(own, str(files[name])).new_race for name, own in weights.items()}
+    drivers[START] = load_driver(min(runs[0].glob(_KEPT))).new_race
     return sorted(drivers), lambda pairings: play_heats(pairings, drivers)
 
 
 def play_heats(
-    pairings: Sequence[Pairing], drivers: Mapping[str, Callable[[], Seat]]
+    pairings: Sequence[Pairing], drivers: Mapping[str, Callable[[], KartPolicy]]
 ) -> list[Match]:
     """Plays matches of drivers on the view ``racing``, the game's AI at the end of the grid."""
     ends = drive([Heat(p.members, p.track, p.number, p.reverse) for p in pairings], drivers)

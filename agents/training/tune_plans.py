@@ -3,7 +3,7 @@
     python -m stkzoo.agents.training.tune_plans --output tuned --generations 60
 
 CMA-ES (Hansen, "The CMA Evolution Strategy: A Tutorial", 2016; library ``cma``) asks for sets of
-:class:`~stkzoo.agents.heuristic.DriverParameters` around its present mean, and is told how well
+:class:`~stkzoo.agents.planning.DriverParameters` around its present mean, and is told how well
 each drove: the mean logarithm of its time over the game AI's median time there. In a generation
 all sets drive the same races on all training tracks, both ways, by the plans alone and many races
 side by side. Alone by default: then a race tells nothing but how well it was driven, where in
@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from stkzoo._os import atomic_write
-from stkzoo.agents.heuristic import DriverParameters
+from stkzoo.agents.planning import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.errors import ConfigError
 from stkzoo.tracks import TRAIN_TRACKS

@@ -22,7 +22,7 @@ __all__ = ["Actor", "ActorMaker", "Driver", "driver_names", "find_driver"]
 
 _AGENTS = "stkzoo.agents"
 #: What is there beside drivers that can be raced by name.
-_NO_DRIVERS = {"planner", "pretrained", "training"}
+_NO_DRIVERS = {"planner", "pretrained", "planning", "training"}
 #: Learned drivers, each a package of this one.
 _PRETRAINED = "pretrained"
 _NAME_MARK = "@:"

@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from stkzoo.agents.pretrained import reflexes
-from stkzoo.agents.pretrained.advice import AdvisedPolicy, join_networks, networks_of
+from stkzoo.agents.planning import OFFSETS, START_STEER, is_drifting, plan_turns
+from stkzoo.agents.planning.plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT
+from stkzoo.agents.pretrained import action_filter
 from stkzoo.agents.pretrained.driver import read_policy
-from stkzoo.agents.pretrained.drivers import OFFSETS, START_STEER, is_drifting, plan_turns
+from stkzoo.agents.pretrained.ensemble import EnsemblePolicy, join_networks, networks_of
 from stkzoo.agents.pretrained.mlp import MlpDriver
-from stkzoo.agents.pretrained.plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.agents.training.common.fleet import Fleet, RaceForm
@@ -25,8 +25,8 @@ from tests.support.networks import small_network
 STEER, PEDAL, DRIFT, NITRO, FIRE = np.cumsum((0, *CHOICES[:-1]))
 
 
-def advised(trust, *networks):
-    return AdvisedPolicy([MlpDriver(weights) for weights in networks or [small_network()]], trust)
+def ensemble(weight, *networks):
+    return EnsemblePolicy([MlpDriver(weights) for weights in networks or [small_network()]], weight)
 
 
 @pytest.fixture(scope="module")
@@ -47,14 +47,14 @@ def views():
     return seen
 
 
-def test_without_trust_it_is_the_plans_alone(views):
+def test_without_weight_it_is_the_plans_alone(views):
     plans = RacingPolicy.of_plans_alone()
-    assert all((advised(0.0).best(view) == plans.best(view)).all() for view in views)
+    assert all((ensemble(0.0).best(view) == plans.best(view)).all() for view in views)
 
 
-def test_a_little_trust_changes_some_choices_and_much_trust_more(views):
-    def changed(trust):
-        policy, plans = advised(trust), RacingPolicy.of_plans_alone()
+def test_a_small_weight_changes_some_choices_and_a_large_one_more(views):
+    def changed(weight):
+        policy, plans = ensemble(weight), RacingPolicy.of_plans_alone()
         return np.mean([policy.best(view) != plans.best(view) for view in views])
 
     assert 0 < changed(0.5) < changed(50.0)
@@ -67,7 +67,7 @@ def _nearest(turns):
 @pytest.mark.parametrize("side", [-1, 1])
 def test_it_steers_as_far_as_its_plans_let_it_where_networks_would(views, side):
     for view in views:
-        begin, turn, *_ = advised(1e3, small_network(steers=side)).best(view).T
+        begin, turn, *_ = ensemble(1e3, small_network(steers=side)).best(view).T
         planned = plan_turns(view.inputs)[range(4), begin]
         chosen, reach = (np.clip(planned + more, -1, 1) for more in (OFFSETS[turn], side * 0.45))
         assert _nearest(chosen) == _nearest(reach)
@@ -78,20 +78,20 @@ def test_networks_decide_on_drifts_brakes_nitro_and_fire(views):
         DRIFT + 1: (DRIFT_LEFT, DRIFT_RIGHT),
         PEDAL + BRAKE_PEDAL: (BRAKE,),
     }.items():
-        begins = [advised(1e3, small_network([likes])).best(view)[:, 0] for view in views]
+        begins = [ensemble(1e3, small_network([likes])).best(view)[:, 0] for view in views]
         possible = [view.prior[:, list(wanted)].max(axis=1) > -29 for view in views]
         assert all(np.isin(b[can], wanted).all() for b, can in zip(begins, possible, strict=True))
         assert np.concatenate(possible).any()
     for choice, place in ((2, NITRO), (3, FIRE)):
         for pressed in (0, 1):
-            policy = advised(1e3, small_network([place + pressed]))
+            policy = ensemble(1e3, small_network([place + pressed]))
             assert all((policy.best(view)[:, choice] == pressed).all() for view in views)
 
 
 def test_who_begins_a_drift_steers_far_enough_to_its_side(views):
-    """The same advice counts for a turn of 0.1 and one of 0.3: both are steered as 0.3."""
+    """The networks say the same for a turn of 0.1 and one of 0.3: both are steered as 0.3."""
     nearest = np.abs(STEERS - START_STEER).argmin()
-    policy = advised(1e3, small_network([DRIFT + 1, STEER + nearest]))
+    policy = ensemble(1e3, small_network([DRIFT + 1, STEER + nearest]))
     count = 0
     for view in views:
         begin, turn, *_ = policy.best(view).T
@@ -103,20 +103,20 @@ def test_who_begins_a_drift_steers_far_enough_to_its_side(views):
     assert count > 0
 
 
-def test_several_networks_advise_by_their_mean(views):
+def test_several_networks_count_by_their_mean(views):
     one, other = small_network(seed=1), small_network(seed=2)
     view = views[20]
-    both, swapped = advised(2.0, one, other), advised(2.0, other, one)
+    both, swapped = ensemble(2.0, one, other), ensemble(2.0, other, one)
     assert (both.best(view) == swapped.best(view)).all()
-    assert (advised(2.0, one, one).best(view) == advised(2.0, one).best(view)).all()
+    assert (ensemble(2.0, one, one).best(view) == ensemble(2.0, one).best(view)).all()
     drifts, brakes = small_network([DRIFT + 1]), small_network([DRIFT])
-    undecided = [advised(1e3, drifts, brakes).best(view) for view in views]
+    undecided = [ensemble(1e3, drifts, brakes).best(view) for view in views]
     assert len({int(begin) for best in undecided for begin in best[:, 0]}) > 1
 
 
 def test_networks_come_back_from_one_file():
     found = networks_of(join_networks([small_network(seed=1), small_network(seed=2)]), "both")
-    seen = np.random.default_rng(0).normal(size=(3, reflexes.INPUT_SIZE)).astype(np.float32)
+    seen = np.random.default_rng(0).normal(size=(3, action_filter.INPUT_SIZE)).astype(np.float32)
     for driver, seed in zip(found, (1, 2), strict=True):
         assert (driver.logits(seen) == MlpDriver(small_network(seed=seed)).logits(seen)).all()
     assert networks_of(small_network(), "one that drives") == []
@@ -135,9 +135,9 @@ def files(tmp_path):
     return paths
 
 
-def test_advisers_become_an_agent(files, tmp_path, capsys):
+def test_networks_become_an_agent(files, tmp_path, capsys):
     folder = tmp_path / "wise"
-    assert main([*files, "--name=wise", f"--output={folder}", "--trust=0.5"]) == 0
+    assert main([*files, "--name=wise", f"--output={folder}", "--ensemble-weight=0.5"]) == 0
     capsys.readouterr()
     card = json.loads((folder / "card.json").read_text())
     assert [run["history"][0]["arguments"]["seed"] for run in card["runs"]] == [0, 1]
@@ -148,15 +148,15 @@ def test_advisers_become_an_agent(files, tmp_path, capsys):
     assert "seed 0" in text
     assert "seed 1" in text
     policy = read_policy(folder)
-    assert isinstance(policy, AdvisedPolicy)
-    assert (len(policy.networks), policy.trust) == (2, 0.5)
+    assert isinstance(policy, EnsemblePolicy)
+    assert (len(policy.networks), policy.weight) == (2, 0.5)
     result = run_race([str(folder), "ai"], track="olivermath", seed=1, max_steps=60)
     mine = next(row for row in result.agents if row.agent == "kart_0")
     assert (mine.driver, mine.errors) == ("wise", ())
 
 
 def test_agents_are_compared_with_policies(files, tmp_path):
-    one = export_policy(files[:1], "one", tmp_path / "one", trust=0.0)
+    one = export_policy(files[:1], "one", tmp_path / "one", ensemble_weight=0.0)
     quick = export_policy(files[0], "quick", tmp_path / "quick")
     entrants = [Entrant.of(source) for source in ("prior", str(one), files[0], str(quick))]
     prior, own, network, agent = evaluate(entrants, ["olivermath"], RaceForm(1, 0), 1)
@@ -166,24 +166,29 @@ def test_agents_are_compared_with_policies(files, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("trust", "told"), [(None, "several networks"), (-1.0, "trust is -1"), (np.nan, "trust is nan")]
+    ("weight", "message"),
+    [
+        (None, "several networks"),
+        (-1.0, "ensemble_weight is -1"),
+        (np.nan, "ensemble_weight is nan"),
+    ],
 )
-def test_advisers_that_cannot_be_are_refused(files, tmp_path, trust, told):
-    with pytest.raises(ConfigError, match=told):
-        export_policy(files, "wise", tmp_path / "wise", trust)
+def test_invalid_ensembles_are_refused(files, tmp_path, weight, message):
+    with pytest.raises(ConfigError, match=message):
+        export_policy(files, "wise", tmp_path / "wise", weight)
     assert not (tmp_path / "wise").exists()
 
 
-def test_a_card_whose_trust_is_no_number_is_refused(files, tmp_path):
-    folder = export_policy(files, "wise", tmp_path / "wise", trust=1.0)
+def test_a_card_whose_weight_is_no_number_is_refused(files, tmp_path):
+    folder = export_policy(files, "wise", tmp_path / "wise", ensemble_weight=1.0)
     card = json.loads((folder / "card.json").read_text())
-    (folder / "card.json").write_text(json.dumps({**card, "trust": "much"}))
-    with pytest.raises(ConfigError, match="trust is 'much', expected a number"):
+    (folder / "card.json").write_text(json.dumps({**card, "ensemble_weight": "much"}))
+    with pytest.raises(ConfigError, match="ensemble_weight is 'much', expected a number"):
         read_policy(folder)
 
 
-def test_a_policy_over_plans_is_no_adviser(tmp_path):
+def test_a_policy_over_plans_is_no_network_of_an_ensemble(tmp_path):
     file = tmp_path / "plans.safetensors"
     save_weights(file, RacingPolicy.of_plans_alone().weights)
     with pytest.raises(ConfigError, match="MlpPolicy"):
-        export_policy([file], "wise", tmp_path / "wise", trust=1.0)
+        export_policy([file], "wise", tmp_path / "wise", ensemble_weight=1.0)

@@ -10,9 +10,9 @@ from gymnasium.utils.env_checker import data_equivalence
 
 from stkzoo import AgentSpec, race_v0
 from stkzoo.agents import heuristic
-from stkzoo.agents.heuristic.kart import RESCUE_STEPS, STEP
 from stkzoo.agents.heuristic.line import CentreLine
 from stkzoo.agents.heuristic.road import Road
+from stkzoo.agents.planning.kart import RESCUE_STEPS, STEP
 from stkzoo.race import run_race
 
 SEEDS = range(1, 7)

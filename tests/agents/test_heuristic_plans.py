@@ -9,14 +9,6 @@ import pytest
 from stkzoo import race_v0
 from stkzoo.agents import heuristic
 from stkzoo.agents.heuristic.forecast import Motion, forecast
-from stkzoo.agents.heuristic.kart import (
-    BOOST_STEPS,
-    DRIFT_APART,
-    DRIFT_TURN,
-    RELEASE_STEPS,
-    RELEASE_TURN,
-    STEERING_LAG,
-)
 from stkzoo.agents.heuristic.line import CentreLine
 from stkzoo.agents.heuristic.plans import (
     ITEM_LANES,
@@ -25,6 +17,14 @@ from stkzoo.agents.heuristic.plans import (
     plans_without_drift,
 )
 from stkzoo.agents.heuristic.road import COUNT, Road
+from stkzoo.agents.planning.kart import (
+    BOOST_STEPS,
+    DRIFT_APART,
+    DRIFT_TURN,
+    RELEASE_STEPS,
+    RELEASE_TURN,
+    STEERING_LAG,
+)
 
 RADIUS = 60.0
 LOCK = 1.45

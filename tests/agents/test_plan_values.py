@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from stkzoo.agents.heuristic import DriverParameters
-from stkzoo.agents.pretrained.planner import NEVER, Scene, Situation, weigh
-from stkzoo.agents.pretrained.plans import BRAKE, FREE
-from stkzoo.agents.pretrained.rivals import Rivals
-from stkzoo.agents.pretrained.road import LINE_MARKS, Road
+from stkzoo.agents.planning import DriverParameters
+from stkzoo.agents.planning.plans import BRAKE, FREE
+from stkzoo.agents.planning.rivals import Rivals
+from stkzoo.agents.planning.road import LINE_MARKS, RoadAhead
+from stkzoo.agents.planning.worth import NEVER, KartSituation, PlanScene, weigh
 
 STRAIGHT = np.zeros((1, len(LINE_MARKS), 4), np.float32)
 STRAIGHT[0, :, 2], STRAIGHT[0, :, 3] = LINE_MARKS, 5.0
@@ -28,17 +28,17 @@ def weighed(speed=25.0, ahead=0.0, closing=0.0, across=0.0, **rules):
         gain=of_first(-closing),
         drift=of_first(0.0),
     )
-    scene = Scene(
+    scene = PlanScene(
         speed=speed * one,
         max_steer_angle=0.06 * one,
         is_jumping=false,
         has_powerup=false,
-        road=Road.of(STRAIGHT),
+        road=RoadAhead.of(STRAIGHT),
         items=np.zeros((1, 0, 3), np.float32),
         item_types=np.zeros((1, 0), np.intp),
         rivals=rivals,
     )
-    now = Situation(zero, zero, none, none, false, none, zero, zero, false)
+    now = KartSituation(zero, zero, none, none, false, none, zero, zero, false)
     return weigh(scene, now, DriverParameters(**rules))
 
 

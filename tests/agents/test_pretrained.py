@@ -8,18 +8,17 @@ import numpy as np
 import pytest
 
 from stkzoo import race_v0
-from stkzoo.agents.heuristic import DriverParameters
-from stkzoo.agents.pretrained import reflexes
-from stkzoo.agents.pretrained.advice import AdvisedPolicy
+from stkzoo.agents.planning import ALL_LOOKS, CHOICES, INPUT_SIZE, DriverParameters
+from stkzoo.agents.pretrained import action_filter
 from stkzoo.agents.pretrained.driver import (
     check_shapes,
     make_actor,
-    new_seat,
+    new_network_state,
     new_state,
     read_network,
     read_policy,
 )
-from stkzoo.agents.pretrained.drivers import ALL_LOOKS, CHOICES, INPUT_SIZE
+from stkzoo.agents.pretrained.ensemble import EnsemblePolicy
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
 from stkzoo.agents.training.export import export_policy, main
@@ -67,7 +66,7 @@ def test_a_network_without_plans_becomes_an_agent_too(quick_agent):
     assert "rules" not in card
     assert "value_net.bias" not in load_weights(quick_agent / "weights.safetensors")
     driver = read_network(quick_agent)
-    assert (driver.hold, driver.inputs) == (1, reflexes.INPUT_SIZE)
+    assert (driver.hold, driver.inputs) == (1, action_filter.INPUT_SIZE)
     result = run_race([str(quick_agent)], track="olivermath", max_steps=25)
     assert result.agents[0].num_errors == 0
 
@@ -77,7 +76,7 @@ def test_a_network_that_is_not_the_cards_is_refused(quick_agent):
     save_weights(file, {n: a + 1 for n, a in load_weights(file).items()})
     read_network.cache_clear()
     with pytest.raises(ConfigError, match="not those of the card"):
-        new_seat(quick_agent)
+        new_network_state(quick_agent)
 
 
 def test_weights_come_back_as_they_were(tmp_path):
@@ -226,7 +225,7 @@ def test_a_shipped_driver_is_small_and_has_a_card(name):
     folder = Path(module.__file__).parent
     assert (folder / "weights.safetensors").stat().st_size < 2_000_000
     assert "TO BE WRITTEN" not in (folder / "CARD.md").read_text()
-    kinds = {"pretrained:ace": AdvisedPolicy, "pretrained:scout": RacingPolicy}
+    kinds = {"pretrained:ace": EnsemblePolicy, "pretrained:scout": RacingPolicy}
     assert isinstance(read_policy(folder), kinds[name])
 
 

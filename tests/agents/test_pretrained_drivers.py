@@ -6,27 +6,27 @@ import numpy as np
 import pytest
 
 from stkzoo import race_v0
-from stkzoo.agents.heuristic import DriverParameters
-from stkzoo.agents.heuristic.kart import (
+from stkzoo.agents.planning import (
+    ALL_LOOKS,
+    CHOICES,
+    HEADS,
+    INPUT_SIZE,
+    DriverParameters,
+    PlanDriver,
+    PolicyInput,
+    mirrored_choices,
+    mirrored_inputs,
+    mirrored_prior,
+)
+from stkzoo.agents.planning.kart import (
     BOOST_LASTS,
     BOOST_STEPS,
     DRIFT_APART,
     RESCUE_STEPS,
     STEP,
 )
-from stkzoo.agents.pretrained.drivers import (
-    ALL_LOOKS,
-    CHOICES,
-    HEADS,
-    INPUT_SIZE,
-    Drivers,
-    View,
-    mirrored_choices,
-    mirrored_inputs,
-    mirrored_prior,
-)
-from stkzoo.agents.pretrained.memory import MEMORY_MIRROR, DriverMemory
-from stkzoo.agents.pretrained.plans import (
+from stkzoo.agents.planning.memory import MEMORY_MIRROR, DriverMemory
+from stkzoo.agents.planning.plans import (
     BRAKE,
     DRIFT_LEFT,
     DRIFT_RIGHT,
@@ -50,7 +50,7 @@ def driven_race(steps, karts=3, track="lighthouse"):
     controls_of = ("acceleration", "steer", "brake", "drift", "fire", "nitro", "rescue")
     with race_v0.parallel_env(num_kart=karts, track=track, max_paths=96) as env:
         env.reset(seed=3)
-        drivers = Drivers(karts)
+        drivers = PlanDriver(karts)
         for _ in range(steps):
             own, around = surroundings_of(env.observe_batch(env.agents), ALL_LOOKS)
             if env.snapshot.phase < 2:
@@ -87,7 +87,7 @@ def test_karts_see_together_what_each_sees_alone():
         if count % 20:
             continue
         for kart in range(3):
-            alone = Drivers(1)
+            alone = PlanDriver(1)
             alone.restore({name: row[[kart]] for name, row in drivers.state().items()})
             seen = alone.view(*rows_of(own, around, [kart]))
             np.testing.assert_allclose(seen.inputs[0], view.inputs[kart], atol=1e-3)
@@ -104,7 +104,7 @@ def test_a_crowd_sees_what_the_full_view_tells():
             continue
         karts = np.array(env.race.kart_indices)
         own_too, around_too = crowd.surroundings([env.snapshot], [0], [karts], ALL_LOOKS)
-        here, there = Drivers(3).view(own, around), Drivers(3).view(own_too, around_too)
+        here, there = PlanDriver(3).view(own, around), PlanDriver(3).view(own_too, around_too)
         np.testing.assert_allclose(here.inputs, there.inputs, atol=1e-3)
         np.testing.assert_allclose(here.prior, there.prior, atol=1e-2)
 
@@ -119,14 +119,14 @@ def mirrored_race(own, around):
 
 
 def test_the_mirrored_race_is_seen_mirrored():
-    signs = dict.fromkeys(Drivers(1).state(), 1.0)
+    signs = dict.fromkeys(PlanDriver(1).state(), 1.0)
     signs |= {"turn": -1.0, "drift_turn": -1.0, "drift_side": -1.0}
     signs |= dict.fromkeys(("rivals spots", "rivals velocity"), np.array([-1, 1], np.float32))
     signs |= {"rivals headings": -1.0}
     for count, (_, own, around, drivers, view) in enumerate(driven_race(110)):
         if count % 15:
             continue
-        twin = Drivers(3)
+        twin = PlanDriver(3)
         twin.restore({n: row * signs[n] for n, row in drivers.state().items()})
         seen = twin.view(*mirrored_race(own, around))
         np.testing.assert_allclose(seen.inputs, mirrored_inputs(view.inputs), atol=2e-3)
@@ -149,7 +149,7 @@ def test_mirroring_twice_changes_nothing():
 
 def test_mirrored_choices_steer_the_other_way():
     *_, (_, own, around, _, _) = driven_race(70)
-    here, there = Drivers(3), Drivers(3)
+    here, there = PlanDriver(3), PlanDriver(3)
     view = here.view(own, around)
     there.view(*mirrored_race(own, around))
     choices = best(view.prior)
@@ -279,7 +279,7 @@ def flat_policy(**last):
 def test_sampled_choices_follow_their_probabilities():
     prior = np.zeros((4000, sum(CHOICES)), np.float32)
     prior[:, HEADS[2]] = 0.0, np.log(3.0)
-    view = View(np.zeros((4000, INPUT_SIZE), np.float32), prior)
+    view = PolicyInput(np.zeros((4000, INPUT_SIZE), np.float32), prior)
     drawn, logs = flat_policy().sample(view, np.random.default_rng(0))
     assert drawn[:, 2].mean() == pytest.approx(0.75, abs=0.03)
     assert drawn[:, 0].mean() == pytest.approx(1.5, abs=0.1)
@@ -292,7 +292,7 @@ def test_sampled_choices_follow_their_probabilities():
 def test_what_is_learned_is_added_to_the_prior():
     prior = np.zeros((1, sum(CHOICES)), np.float32)
     prior[0, FREE] = 2.0
-    view = View(np.zeros((1, INPUT_SIZE), np.float32), prior)
+    view = PolicyInput(np.zeros((1, INPUT_SIZE), np.float32), prior)
     learned = np.zeros(sum(CHOICES), np.float32)
     learned[BRAKE] = 3.0
     assert flat_policy().best(view)[0, 0] == FREE

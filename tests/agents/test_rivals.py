@@ -3,9 +3,9 @@
 import numpy as np
 
 from stkzoo import race_v0
-from stkzoo.agents.pretrained.drivers import ALL_LOOKS
-from stkzoo.agents.pretrained.rivals import RIVALS, RivalTracker
-from stkzoo.agents.pretrained.road import LINE_MARKS, Road
+from stkzoo.agents.planning import ALL_LOOKS
+from stkzoo.agents.planning.rivals import RIVALS, RivalTracker
+from stkzoo.agents.planning.road import LINE_MARKS, RoadAhead
 from stkzoo.wrappers.racing import LOOKS, BatchedRacingView, RoadTable
 
 STRAIGHT = np.zeros((1, len(LINE_MARKS), 4), np.float32)
@@ -18,7 +18,7 @@ def karts(*places):
 
 
 def test_one_that_gains_and_one_that_crosses_are_told_apart():
-    tracker, road = RivalTracker(1), Road.of(STRAIGHT)
+    tracker, road = RivalTracker(1), RoadAhead.of(STRAIGHT)
     tracker.watch(karts((1.0, 6.0), (-2.0, 12.0)), STILL, road)
     tracker.look()
     seen = tracker.watch(karts((-1.9, 11.8), (1.3, 6.5)), STILL, road)
@@ -30,7 +30,7 @@ def test_one_that_gains_and_one_that_crosses_are_told_apart():
 
 
 def test_what_comes_out_of_nowhere_has_no_speed_yet():
-    tracker, road = RivalTracker(1), Road.of(STRAIGHT)
+    tracker, road = RivalTracker(1), RoadAhead.of(STRAIGHT)
     tracker.watch(karts((0.0, 20.0)), STILL, road)
     tracker.look()
     seen = tracker.watch(karts((0.0, 10.0), (np.inf, np.inf)), STILL, road)
@@ -43,7 +43,7 @@ def test_the_own_turn_and_way_are_taken_off():
     tracker = RivalTracker(1)
     turn, way = 0.12, 2.0
     velocity = np.array([[0.0, 0.0, 20.0]], np.float32)
-    tracker.watch(karts((1.0, 9.0)), velocity, Road.of(STRAIGHT))
+    tracker.watch(karts((1.0, 9.0)), velocity, RoadAhead.of(STRAIGHT))
     tracker.look()
     # the same road and a kart that stands, seen from an arc of 2 m to the right
     start = way * np.array([np.sin(turn / 2), np.cos(turn / 2)])
@@ -52,13 +52,13 @@ def test_the_own_turn_and_way_are_taken_off():
     line[0, :, 0] = -start[0] * np.cos(turn) - np.sin(turn) * LINE_MARKS
     line[0, :, 2] = -start[0] * np.sin(turn) + np.cos(turn) * LINE_MARKS
     spot = x * np.cos(turn) - z * np.sin(turn), x * np.sin(turn) + z * np.cos(turn)
-    seen = tracker.watch(karts(spot), velocity, Road.of(line))
+    seen = tracker.watch(karts(spot), velocity, RoadAhead.of(line))
     np.testing.assert_allclose(seen.gain[0, 0], -20.0, atol=0.01)
     np.testing.assert_allclose(seen.drift[0, 0], 0.0, atol=0.01)
 
 
 def test_to_look_again_changes_nothing_and_to_forget_forgets():
-    tracker, road = RivalTracker(1), Road.of(STRAIGHT)
+    tracker, road = RivalTracker(1), RoadAhead.of(STRAIGHT)
     tracker.watch(karts((0.0, 8.0)), STILL, road)
     tracker.look()
     first = tracker.watch(karts((0.0, 8.4)), STILL, road)
@@ -69,7 +69,7 @@ def test_to_look_again_changes_nothing_and_to_forget_forgets():
 
 
 def test_no_kart_and_many_karts_are_as_good():
-    tracker, road = RivalTracker(1), Road.of(STRAIGHT)
+    tracker, road = RivalTracker(1), RoadAhead.of(STRAIGHT)
     nobody = tracker.watch(np.zeros((1, 0, 3), np.float32), STILL, road)
     assert not nobody.is_there.any()
     assert nobody.numbers(road.offset).shape == (1, 5 * RIVALS)
@@ -89,7 +89,7 @@ def test_in_a_race_they_are_as_fast_as_the_engine_says():
             _, around = crowd.surroundings([env.snapshot], [0], [np.arange(5)], ALL_LOOKS)
             tracker.look()
             velocity = karts["velocity_lc"]
-            seen = tracker.watch(around.karts, velocity, Road.of(around.road[:, len(LOOKS) :]))
+            seen = tracker.watch(around.karts, velocity, RoadAhead.of(around.road[:, len(LOOKS) :]))
             apart = np.linalg.norm(karts["location"][:, None] - karts["location"], axis=2)
             np.fill_diagonal(apart, np.inf)
             nearest, speed = apart.argmin(axis=1), karts["velocity_lc"][:, 2]

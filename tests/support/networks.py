@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stkzoo.agents.pretrained import reflexes
+from stkzoo.agents.pretrained import action_filter
 from stkzoo.wrappers.racing import CHOICES, STEERS
 
 __all__ = ["small_network"]
@@ -14,7 +14,7 @@ def small_network(likes=(), seed=0, *, steers=0):
     With ``steers`` -1 or 1 it likes each choice of steering more, the farther to that side it is.
     """
     chance = np.random.default_rng(seed)
-    sizes = (reflexes.INPUT_SIZE, 8, 8)
+    sizes = (action_filter.INPUT_SIZE, 8, 8)
     weights = {"drift_hold": np.ones(1, np.float32), "value_net.bias": np.zeros(1, np.float32)}
     for layer, name in enumerate(["policy_net.0", "policy_net.2"]):
         shape = sizes[layer + 1], sizes[layer]

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from stkzoo.agents.pretrained.action_filter import INPUT_SIZE
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.agents.pretrained.policy import RacingPolicy
-from stkzoo.agents.pretrained.reflexes import INPUT_SIZE
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.agents.training import evaluate
 from stkzoo.agents.training.common.fleet import Fleet, RaceForm

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from stkzoo.agents.heuristic import DriverParameters
-from stkzoo.agents.pretrained.drivers import CHOICES, HEADS, INPUT_SIZE
+from stkzoo.agents.planning import CHOICES, HEADS, INPUT_SIZE, DriverParameters
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.agents.training.common.fleet import Fleet, RaceForm
 from stkzoo.agents.training.common.plan_parameters import NUMBERS, numbers_of_run

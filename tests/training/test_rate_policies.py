@@ -7,7 +7,7 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from stkzoo.agents.heuristic import DriverParameters
+from stkzoo.agents.planning import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training.common.plan_parameters import NUMBERS

@@ -11,8 +11,8 @@ import pytest
 from stable_baselines3 import PPO
 
 from stkzoo import Start
+from stkzoo.agents.pretrained.action_filter import INPUT_MIRROR, INPUT_SIZE, ActionFilter
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
-from stkzoo.agents.pretrained.reflexes import INPUT_MIRROR, INPUT_SIZE, Reflexes
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.agents.training.common.opponents import Pool
 from stkzoo.agents.training.sb3 import races as sb3_races
@@ -264,71 +264,71 @@ def views(*speeds, skid=2.0, **parts):
     return seen
 
 
-def drives(reflexes, steers, drifts, **others):
+def drives(action_filter, steers, drifts, **others):
     """What is done of one step's steering and drifting."""
-    reflexes.look(views(*[20.0] * len(steers), **others))
+    action_filter.look(views(*[20.0] * len(steers), **others))
     choices = np.zeros((len(steers), 5), int)
     choices[:, 0], choices[:, 2] = steers, drifts
-    return reflexes.apply(choices)
+    return action_filter.apply(choices)
 
 
 def test_a_drift_is_held_from_where_it_begins():
-    reflexes = Reflexes(2, 3)
+    action_filter = ActionFilter(2, 3)
 
     def down(*asked):
-        return drives(reflexes, [RIGHT, LEFT], asked)[:, 2].tolist()
+        return drives(action_filter, [RIGHT, LEFT], asked)[:, 2].tolist()
 
     assert down(1, 0) == [1, 0]
     assert down(0, 0) == [1, 0]
     assert down(0, 1) == [1, 1]
     assert down(0, 0) == [0, 1]
-    reflexes.forget(slice(1, 2))
+    action_filter.forget(slice(1, 2))
     assert down(0, 0) == [0, 0]
 
 
 def test_a_drift_needs_speed_and_a_side_and_a_hop_that_is_over():
-    assert drives(Reflexes(1, 3), [10], [1])[0, 2] == 0
-    slow, choices = Reflexes(1, 3), np.array([[RIGHT, 0, 1, 0, 0]])
+    assert drives(ActionFilter(1, 3), [10], [1])[0, 2] == 0
+    slow, choices = ActionFilter(1, 3), np.array([[RIGHT, 0, 1, 0, 0]])
     slow.look(views(8.0))
     assert slow.apply(choices)[0, 2] == 0
-    hops = Reflexes(1, 1)
+    hops = ActionFilter(1, 1)
     assert [drives(hops, [RIGHT], [asked])[0, 2] for asked in (1, 0, 1, 1, 1)] == [1, 0, 0, 0, 1]
 
 
 def test_who_steers_to_the_other_side_lets_go_of_a_drift():
-    reflexes = Reflexes(2, 11)
-    drives(reflexes, [RIGHT, RIGHT], [1, 1])
-    assert drives(reflexes, [LEFT, 9], [1, 1])[:, 2].tolist() == [0, 1]
+    action_filter = ActionFilter(2, 11)
+    drives(action_filter, [RIGHT, RIGHT], [1, 1])
+    assert drives(action_filter, [LEFT, 9], [1, 1])[:, 2].tolist() == [0, 1]
 
 
 def test_a_drift_that_the_game_has_ended_is_over():
-    reflexes = Reflexes(1, 11)
-    held = [drives(reflexes, [RIGHT], [step == 0], skid=1.0)[0, 2] for step in range(6)]
+    action_filter = ActionFilter(1, 11)
+    held = [drives(action_filter, [RIGHT], [step == 0], skid=1.0)[0, 2] for step in range(6)]
     assert held == [1, 1, 1, 1, 0, 0]
 
 
 def test_in_a_drift_a_choice_turns_as_much_as_without():
-    reflexes = Reflexes(1, 11)
-    first = drives(reflexes, [RIGHT], [1])
+    action_filter = ActionFilter(1, 11)
+    first = drives(action_filter, [RIGHT], [1])
     assert STEERS[first[0, 0]] == pytest.approx(0.31)  # or it could not tell the side
     for choice in (14, 15, 16, 17, 18):
-        steer = STEERS[drives(reflexes, [choice], [1])[0, 0]]
+        steer = STEERS[drives(action_filter, [choice], [1])[0, 0]]
         assert 0.2 + 0.6 * (1 + steer) / 2 == pytest.approx(STEERS[choice], abs=0.04)
-    assert drives(reflexes, [20], [1])[0, 0] == 20  # all that a drift can
-    assert drives(reflexes, [10], [1])[0, 0] == 0
+    assert drives(action_filter, [20], [1])[0, 0] == 20  # all that a drift can
+    assert drives(action_filter, [10], [1])[0, 0] == 0
 
 
 def test_nitro_works_before_there_is_more_of_it():
-    reflexes, choices = Reflexes(1, 1), np.array([[10, 0, 0, 1, 0]])
+    action_filter, choices = ActionFilter(1, 1), np.array([[10, 0, 0, 1, 0]])
     pressed = []
     for step in range(60):
-        reflexes.look(views(20.0, energy=0.1 if step > 5 else 0.0))
-        pressed.append(int(reflexes.apply(choices)[0, 3]))
+        action_filter.look(views(20.0, energy=0.1 if step > 5 else 0.0))
+        pressed.append(int(action_filter.apply(choices)[0, 3]))
     assert np.flatnonzero(pressed).tolist() == [6, 35]
 
 
 def test_without_hold_drifts_and_nitro_are_as_chosen():
-    free, random = Reflexes(4, 0), np.random.default_rng(1)
+    free, random = ActionFilter(4, 0), np.random.default_rng(1)
     for _ in range(30):
         choices = random.integers(0, [21, 3, 2, 2, 2], (4, 5))
         free.look(views(*[15.0] * 4))
@@ -336,26 +336,26 @@ def test_without_hold_drifts_and_nitro_are_as_chosen():
 
 
 def test_what_is_remembered_is_seen():
-    reflexes = Reflexes(2, 11)
+    action_filter = ActionFilter(2, 11)
     for step in range(12):
-        seen = reflexes.look(views(20.0, 20.0))
+        seen = action_filter.look(views(20.0, 20.0))
         assert seen.shape == (2, INPUT_SIZE)
-        reflexes.apply(np.array([[RIGHT, 0, step > 0, 0, 0], [LEFT, 0, step > 0, 0, 0]]))
-    ones, others = reflexes.look(views(20.0, 20.0))
+        action_filter.apply(np.array([[RIGHT, 0, step > 0, 0, 0], [LEFT, 0, step > 0, 0, 0]]))
+    ones, others = action_filter.look(views(20.0, 20.0))
     drifted = 11 / 30
     assert ones[SIZE + 2 : SIZE + 4].tolist() == pytest.approx([drifted, drifted])
     assert ones == pytest.approx(others * INPUT_MIRROR)
-    fresh = Reflexes(2, 11).look(views(0.0, 0.0))
-    reflexes.forget(slice(0, 2))
-    assert (reflexes.look(views(0.0, 0.0)) == fresh).all()
+    fresh = ActionFilter(2, 11).look(views(0.0, 0.0))
+    action_filter.forget(slice(0, 2))
+    assert (action_filter.look(views(0.0, 0.0)) == fresh).all()
 
 
 def test_who_is_stuck_gets_away_but_not_on_the_grid():
-    reflexes, choices = Reflexes(2, 0), np.array([[10, 0, 0, 0, 0]] * 2)
+    action_filter, choices = ActionFilter(2, 0), np.array([[10, 0, 0, 0, 0]] * 2)
     pedals = []
     for step in range(60):
-        reflexes.look(views(0.0, 0.0 if step != 10 else 8.0, line_position=0.1))
-        done = reflexes.apply(choices)
+        action_filter.look(views(0.0, 0.0 if step != 10 else 8.0, line_position=0.1))
+        done = action_filter.apply(choices)
         pedals.append(done[:, 1].tolist())
     grid, stuck = np.array(pedals).T
     assert not grid.any()  # it has never moved
@@ -364,17 +364,17 @@ def test_who_is_stuck_gets_away_but_not_on_the_grid():
     backs = np.flatnonzero(stuck == BRAKE)
     assert backs[0] > called[0] + 14  # a rescue takes a while
     assert done[1, 0] in (0, 10)  # away from the road's middle, which is on the right
-    reflexes.forget(slice(0, 2))
-    reflexes.look(views(0.0, 0.0))
-    assert (reflexes.apply(choices) == choices).all()
+    action_filter.forget(slice(0, 2))
+    action_filter.look(views(0.0, 0.0))
+    assert (action_filter.apply(choices) == choices).all()
 
 
 def test_who_is_far_off_the_road_calls_for_the_rescue():
-    reflexes, choices = Reflexes(1, 0), np.array([[10, 0, 0, 0, 0]])
+    action_filter, choices = ActionFilter(1, 0), np.array([[10, 0, 0, 0, 0]])
     calls = []
     for _ in range(15):
-        reflexes.look(views(12.0, line_position=1.5, line_room=0.5))  # 10 m beyond the edge
-        calls.append(int(reflexes.apply(choices)[0, 1] == RESCUE))
+        action_filter.look(views(12.0, line_position=1.5, line_room=0.5))  # 10 m beyond the edge
+        calls.append(int(action_filter.apply(choices)[0, 1] == RESCUE))
     assert np.flatnonzero(calls).tolist() == [10]
 
 
@@ -383,7 +383,7 @@ def test_a_kept_policy_knows_how_long_it_holds(tmp_path, policy):
     driver = load_driver(tmp_path / "held")
     driver.best = lambda _: np.array([[RIGHT, 0, next(asked), 0, 0]])
     asked = iter([1, 0, 0, 0, 0])
-    seat = driver.seat()
+    seat = driver.new_race()
     assert [int(seat(views(20.0))[0, 2]) for _ in range(5)] == [1, 1, 1, 1, 0]
 
 

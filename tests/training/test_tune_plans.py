@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from stkzoo.agents.heuristic import DriverParameters
+from stkzoo.agents.planning import DriverParameters
 from stkzoo.agents.training.common.fleet import RaceForm
 from stkzoo.agents.training.tune_plans import BOUNDS, drive_all, from_unit, to_unit
 from tests.support.processes import children_of, process_exists, wait_until

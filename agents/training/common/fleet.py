@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.heuristic import DriverParameters
-from stkzoo.agents.pretrained.drivers import (
+from stkzoo.agents.planning import (
     ALL_LOOKS,
-    Drivers,
-    View,
+    DriverParameters,
+    PlanDriver,
+    PolicyInput,
     mirrored_choices,
     mirrored_inputs,
     mirrored_prior,
@@ -293,10 +293,10 @@ class Fleet:
         self._races = [_Race(form, self.parked, place_reward) for form in forms]
         self._first = np.cumsum([0, *(form.learners for form in forms)])
         self.num_slots = int(self._first[-1])
-        self.drivers = Drivers(self.num_slots, rules)
+        self.drivers = PlanDriver(self.num_slots, rules)
         self._is_mirrored = np.zeros(self.num_slots, bool)
 
-    def begin(self) -> View:
+    def begin(self) -> PolicyInput:
         """Begins all races; what the learners see first."""
         for number in range(len(self._races)):
             self._begin(number)
@@ -304,9 +304,9 @@ class Fleet:
 
     def set_rules(self, rules: DriverParameters) -> None:
         """The learners' plans go by these numbers from the next beginning on."""
-        self.drivers = Drivers(self.num_slots, rules)
+        self.drivers = PlanDriver(self.num_slots, rules)
 
-    def begin_at(self, beginnings: Sequence[Beginning]) -> View:
+    def begin_at(self, beginnings: Sequence[Beginning]) -> PolicyInput:
         """Begins each race as told, with nobody mirrored; what the learners see first."""
         for race, (track, reverse, number) in zip(self._races, beginnings, strict=True):
             kind = _Kind(track, reverse, race.form, number)
@@ -337,7 +337,7 @@ class Fleet:
         for race, first in zip(self._races, self._first, strict=False):
             race.send(controls[first : first + race.form.learners])
 
-    def receive(self) -> tuple[View, StepOutcome]:
+    def receive(self) -> tuple[PolicyInput, StepOutcome]:
         """What the learners see after the step that was asked for, and what came of it."""
         active = self.active
         parts = [race.receive() for race in self._races]
@@ -363,7 +363,7 @@ class Fleet:
             "is_mirrored": self._is_mirrored.copy(),
         }
 
-    def restore(self, state: dict[str, Any]) -> View:
+    def restore(self, state: dict[str, Any]) -> PolicyInput:
         """Brings all back to what it was; what the learners saw then."""
         self._random.bit_generator.state = state["random"]
         self._drive_again(state["races"])
@@ -410,7 +410,7 @@ class Fleet:
         self.drivers.forget(rows)
         self._is_mirrored[rows] = self._random.random(len(rows)) < 0.5 * self._mirrors
 
-    def _look(self, is_later: bool) -> View:
+    def _look(self, is_later: bool) -> PolicyInput:
         own, around = self.parked.crowd.surroundings(
             [race.snapshot for race in self._races],
             [race.road for race in self._races],
@@ -422,7 +422,7 @@ class Fleet:
         if not self._is_mirrored.any():
             return view
         is_mirrored = self._is_mirrored[:, None]
-        return View(
+        return PolicyInput(
             np.where(is_mirrored, mirrored_inputs(view.inputs), view.inputs),
             np.where(is_mirrored, mirrored_prior(view.prior), view.prior),
         )

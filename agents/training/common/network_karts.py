@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy.typing as npt
 
-from stkzoo.agents.pretrained.drivers import View
-from stkzoo.agents.pretrained.reflexes import INPUT_SIZE, Reflexes
+from stkzoo.agents.planning import PolicyInput
+from stkzoo.agents.pretrained.action_filter import INPUT_SIZE, ActionFilter
 from stkzoo.wrappers.racing import SIZE, controls_of_choices
 
 from .fleet import Fleet
@@ -15,7 +15,7 @@ from .fleet import Fleet
 __all__ = ["NetworkKarts", "seen_by_networks"]
 
 
-def seen_by_networks(view: View) -> npt.NDArray[Any]:
+def seen_by_networks(view: PolicyInput) -> npt.NDArray[Any]:
     """What networks see of what drivers by plans do, ``(S, 177)``: theirs begins with it."""
     return view.inputs[:, :INPUT_SIZE]
 
@@ -30,14 +30,14 @@ class NetworkKarts:
 
     def __init__(self, fleet: Fleet, hold: int) -> None:
         self._fleet = fleet
-        self._reflexes = Reflexes(fleet.num_slots, hold, fleet.drivers.memory)
+        self._action_filter = ActionFilter(fleet.num_slots, hold, fleet.drivers.memory)
 
-    def send(self, view: View, choices: npt.NDArray[Any]) -> None:
+    def send(self, view: PolicyInput, choices: npt.NDArray[Any]) -> None:
         """Asks all races for a step.
 
         Args:
             view: what is seen.
             choices: ``(S, 5)`` of the view ``racing``.
         """
-        self._reflexes.see(view.inputs[:, :SIZE])
-        self._fleet.control(controls_of_choices(self._reflexes.apply(choices)))
+        self._action_filter.see(view.inputs[:, :SIZE])
+        self._fleet.control(controls_of_choices(self._action_filter.apply(choices)))

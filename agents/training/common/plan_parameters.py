@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from stkzoo.agents.heuristic import DriverParameters
+from stkzoo.agents.planning import DriverParameters
 from stkzoo.errors import ConfigError
 
 from .arguments import ARGUMENTS

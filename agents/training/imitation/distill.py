@@ -5,9 +5,10 @@ r"""Teaches one network what the plans of the learned drivers would do, by DAgge
         --start runs/distil/policy.safetensors
 
 The plans weigh what may come in the next two seconds; the network sees the view ``racing`` and what
-its reflexes remember, and answers at once. In the first round the plans drive, then the network
-does, while the plans say what they would do where it got to (DAgger: Ross, Gordon and Bagnell,
-2011). Each round it learns from all that was seen so far, and drives every track once alone.
+its action filter remembers, and answers at once. In the first round the plans drive, then the
+network does, while the plans say what they would do where it got to (DAgger: Ross, Gordon and
+Bagnell, 2011). Each round it learns from all that was seen so far, and drives every track once
+alone.
 
 In the folder: ``policy.safetensors``, ``agent`` (`stkzoo race runs/distil/agent ai`), ``log.jsonl``
 and the rounds' lessons. A killed run goes on with its round when the same command is given again.
@@ -26,11 +27,9 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._os import atomic_write
-from stkzoo.agents.pretrained.drivers import View
+from stkzoo.agents.planning import PolicyInput
 from stkzoo.agents.pretrained.mlp import MlpDriver
-from stkzoo.agents.pretrained.plans import BRAKE as BRAKE_PLAN
 from stkzoo.agents.pretrained.policy import RacingPolicy
-from stkzoo.agents.pretrained.reflexes import INPUT_SIZE, steering
 from stkzoo.errors import StkzooError, check_whole
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.wrappers.racing import BRAKE
@@ -100,7 +99,7 @@ class Class:
         view: what is seen first.
     """
 
-    def __init__(self, fleet: Fleet, view: View) -> None:
+    def __init__(self, fleet: Fleet, view: PolicyInput) -> None:
         self.fleet, self.view = fleet, view
         self._plans = RacingPolicy.of_plans_alone()
         self._karts = NetworkKarts(fleet, _HOLD)

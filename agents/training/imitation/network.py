@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.pretrained.reflexes import INPUT_MIRROR
+from stkzoo.agents.pretrained.action_filter import INPUT_MIRROR
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.wrappers.racing import CHOICES, SIZE
 

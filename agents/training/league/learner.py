@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.pretrained.drivers import View
+from stkzoo.agents.planning import PolicyInput
 from stkzoo.agents.pretrained.policy import RacingPolicy
 
 from ..common.fleet import Finish, RaceForm, StepOutcome
@@ -106,7 +106,9 @@ class LeagueLearner(Learner):
         rival = self._matchmaker.draw(self._chance) if can_meet else None
         table.deal(rival, self._chance)
 
-    def _choose(self, group: int, view: View, actor: RacingPolicy) -> tuple[IntArray, FloatArray]:
+    def _choose(
+        self, group: int, view: PolicyInput, actor: RacingPolicy
+    ) -> tuple[IntArray, FloatArray]:
         choices, log_probability = super()._choose(group, view, actor)
         for table in self._tables[group]:
             if table.rival is not None:
@@ -139,6 +141,6 @@ class LeagueLearner(Learner):
         self._deal(table)
 
 
-def rows_of(view: View, rows: IntArray) -> View:
+def rows_of(view: PolicyInput, rows: IntArray) -> PolicyInput:
     """What some of the karts see."""
-    return View(view.inputs[rows], view.prior[rows])
+    return PolicyInput(view.inputs[rows], view.prior[rows])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stkzoo.agents.heuristic import DriverParameters
+from stkzoo.agents.planning import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.evaluation.ratings import Rating, rate
 

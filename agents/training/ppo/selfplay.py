@@ -34,12 +34,12 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._os import atomic_write
-from stkzoo.agents.pretrained.drivers import (
+from stkzoo.agents.planning import (
     CHOICE_NAMES,
     CHOICES,
     HEADS,
     INPUT_SIZE,
-    View,
+    PolicyInput,
     mirrored_inputs,
 )
 from stkzoo.agents.pretrained.policy import INPUT_CLIP, RacingPolicy, network
@@ -379,7 +379,7 @@ class Learner:
     def _choose(
         self,
         group: int,  # noqa: ARG002 - a league lets others drive some karts of a group
-        view: View,
+        view: PolicyInput,
         actor: RacingPolicy,
     ) -> tuple[npt.NDArray[np.intp], FloatArray]:
         """What the karts of a group do, and the logarithms of its probabilities."""
@@ -528,7 +528,7 @@ class Learner:
         rules = asdict(self._rules)
         return {"from": kart_steps, "arguments": asdict(self.arguments), "rules": rules}
 
-    def _restore(self, may_change: bool) -> list[View]:
+    def _restore(self, may_change: bool) -> list[PolicyInput]:
         torch = self._network.torch
         state = torch.load(self.folder / _CHECKPOINT, weights_only=True)
         facts = json.loads(state["facts"])

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._os import atomic_write
-from stkzoo.agents.pretrained.mlp import Seat, load_driver
+from stkzoo.agents.pretrained.mlp import KartPolicy, load_driver
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.evaluation.ratings import Rating, rate
 from stkzoo.wrappers.racing import CHOICES
@@ -89,7 +89,7 @@ def judge(run: Path, name: str, tracks: Sequence[str], races: int) -> Judgement:
     """
     older = sorted(path.stem for path in run.glob("policy-*.safetensors") if path.stem < name)
     own = name if older else START
-    drivers: dict[str, Callable[[], Seat]] = {own: _likeliest(run, name)}
+    drivers: dict[str, Callable[[], KartPolicy]] = {own: _likeliest(run, name)}
     if older:
         drivers[START] = _likeliest(run, older[0])
     if len(older) > 1:
@@ -116,11 +116,11 @@ def judge(run: Path, name: str, tracks: Sequence[str], races: int) -> Judgement:
     return judgement
 
 
-def _likeliest(run: Path, name: str) -> Callable[[], Seat]:
-    return load_driver(run / f"{name}.safetensors").seat
+def _likeliest(run: Path, name: str) -> Callable[[], KartPolicy]:
+    return load_driver(run / f"{name}.safetensors").new_race
 
 
-def _random_choices(seed: int) -> Seat:
+def _random_choices(seed: int) -> KartPolicy:
     random = np.random.default_rng(seed)
 
     def choose(observations: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stkzoo import race_v0
-from stkzoo.agents.pretrained.mlp import Seat
+from stkzoo.agents.pretrained.mlp import KartPolicy
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.evaluation.benchmark import load_ai_times
 
@@ -86,7 +86,7 @@ class HeatEnd:
 class _Run:
     """A heat that is being driven."""
 
-    def __init__(self, heat: Heat, drivers: Mapping[str, Callable[[], Seat]]) -> None:
+    def __init__(self, heat: Heat, drivers: Mapping[str, Callable[[], KartPolicy]]) -> None:
         self.heat = heat
         self.ai_time = ai_time(heat.track, heat.reverse, heat.difficulty)
         self.env: RaceParallelEnv = race_v0.parallel_env(
@@ -145,7 +145,7 @@ def _ratio(info: Mapping[str, Any], ai_speed: float) -> float:
     return 1.0 / max(pace, 1.0 / WORST)
 
 
-def drive(heats: Sequence[Heat], drivers: Mapping[str, Callable[[], Seat]]) -> list[HeatEnd]:
+def drive(heats: Sequence[Heat], drivers: Mapping[str, Callable[[], KartPolicy]]) -> list[HeatEnd]:
     """Drives some races side by side.
 
     Args:

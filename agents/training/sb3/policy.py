@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._os import atomic_write
-from stkzoo.agents.pretrained.memory import MEMORY_SIZE
+from stkzoo.agents.planning.memory import MEMORY_SIZE
 from stkzoo.agents.pretrained.mlp import HOLD, MlpDriver
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
@@ -31,7 +31,7 @@ driver = load_driver(Path(__file__).with_name("policy.safetensors"))
 
 
 def create_state():
-    return driver.seat()
+    return driver.new_race()
 
 
 def get_actor(module_dir, observation_space, action_space):
@@ -54,7 +54,7 @@ def save_driver(path: str | Path, policy: Any, hold: int = 0) -> None:
 def start_weights(path: str | Path, policy: Any) -> dict[str, FloatArray]:
     """A state dict for a policy from a file, which may lack the value's part.
 
-    If its layers see the view alone, what reflexes remember has no effect on them at first.
+    If its layers see the view alone, the action filter's memory has no effect on them at first.
 
     Args:
         path: of the file; ``imitate`` and ``sb3_selfplay`` write such.

@@ -23,8 +23,8 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
 from stkzoo import RandomStart, Reward
+from stkzoo.agents.pretrained.action_filter import INPUT_SIZE, ActionFilter
 from stkzoo.agents.pretrained.mlp import MlpDriver
-from stkzoo.agents.pretrained.reflexes import INPUT_SIZE, Reflexes
 from stkzoo.errors import ConfigError
 from stkzoo.sb3 import RaceVecEnv
 
@@ -230,7 +230,7 @@ class SelfPlayVecEnv(VecEnv):
                 first += group.agents
         self._cuts = np.cumsum([env.num_envs for env in self._envs])[:-1].tolist()
         self._random = np.random.default_rng()
-        self._reflexes = Reflexes(first, hold)
+        self._action_filter = ActionFilter(first, hold)
         self.kart_steps, self.rewarded = 0, 0.0
         self.ends: list[RaceEnd] = []
         self._observations = np.zeros((first, INPUT_SIZE), np.float32)
@@ -261,7 +261,7 @@ class SelfPlayVecEnv(VecEnv):
         infos = [info for env in self._envs for info in env.reset_infos]
         for race in self._races:
             self._begin(race, infos[race.slots])
-        self._observations = self._reflexes.see(views)
+        self._observations = self._action_filter.see(views)
         self._reset_seeds()
         self._reset_options()
         return self._observations
@@ -274,7 +274,7 @@ class SelfPlayVecEnv(VecEnv):
                 rows = np.flatnonzero(~race.is_learner) + race.slots.start
                 driver = self._drivers[race.rival]
                 chosen[rows] = driver.sample(self._observations[rows], self._random)
-        done = self._reflexes.apply(chosen)
+        done = self._action_filter.apply(chosen)
         for env, part in zip(self._envs, np.split(done, self._cuts), strict=True):
             env.step_async(part)
 
@@ -298,7 +298,7 @@ class SelfPlayVecEnv(VecEnv):
             if race.ended.all():
                 self._report(race)
                 self._begin(race, first_infos[race.slots])
-        self._observations = self._reflexes.see(views)
+        self._observations = self._action_filter.see(views)
         return self._observations, rewards, dones, infos
 
     def close(self) -> None:
@@ -329,11 +329,11 @@ class SelfPlayVecEnv(VecEnv):
     # ------------------------------------------------------------------ race by race
 
     def _look(self, views: Any, dones: Any, infos: list[Any]) -> None:
-        """Has the reflexes take in the step, those whose race has ended by what they saw last."""
+        """Has the action filter update, those whose race has ended by what they saw last."""
         last = np.array(views)
         for slot in np.flatnonzero(dones):
             last[slot] = infos[slot]["terminal_observation"]
-        seen = self._reflexes.look(last)
+        seen = self._action_filter.look(last)
         for slot in np.flatnonzero(dones):
             infos[slot]["terminal_observation"] = seen[slot]
 
@@ -364,7 +364,7 @@ class SelfPlayVecEnv(VecEnv):
 
     def _begin(self, race: _Race, infos: Sequence[dict[str, Any]]) -> None:
         race.begin(infos)
-        self._reflexes.forget(race.slots)
+        self._action_filter.forget(race.slots)
         is_faced = not race.group.bots and race.group.agents > 1 and self._snapshots.rivals
         if is_faced and self._random.random() < self._share:
             race.face(self._snapshots.draw(self._random), self._random)

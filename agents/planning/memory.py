@@ -8,8 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.heuristic import DriverParameters
-from stkzoo.agents.heuristic.kart import (
+from .kart import (
     BOOST_LASTS,
     BOOST_STEPS,
     DRIFT_APART,
@@ -17,10 +16,9 @@ from stkzoo.agents.heuristic.kart import (
     RESCUE_STEPS,
     STEP,
 )
+from .parameters import DriverParameters
 
-from .planner import Situation
-
-__all__ = ["MEMORY_MIRROR", "MEMORY_NAMES", "MEMORY_SIZE", "DriverMemory"]
+__all__ = ["MEMORY_MIRROR", "MEMORY_NAMES", "MEMORY_SIZE", "DriverMemory", "KartSituation"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
@@ -49,6 +47,33 @@ _SIGNS = {
 MEMORY_NAMES = tuple(_SIGNS)
 MEMORY_SIZE = len(_SIGNS)
 MEMORY_MIRROR = np.array(list(_SIGNS.values()), np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class KartSituation:
+    """What A karts are in the middle of, ``(A,)`` each; times in steps.
+
+    Attributes:
+        turn: the share of full lock of the last step, positive to the right.
+        drift_turn: the same of the last step in a drift.
+        drift_side: 1 in a drift to the right, -1 to the left, 0 in none.
+        drift_steps: how long the drift has lasted.
+        may_hop: whether a drift can begin.
+        release_steps: how much longer the kart turns after a drift.
+        boost_steps: how much longer the boost of a short drift lasts.
+        big_boost_steps: how much longer that of a long one lasts.
+        is_cautious: whether something was hit lately.
+    """
+
+    turn: FloatArray
+    drift_turn: FloatArray
+    drift_side: IntArray
+    drift_steps: IntArray
+    may_hop: BoolArray
+    release_steps: IntArray
+    boost_steps: FloatArray
+    big_boost_steps: FloatArray
+    is_cautious: BoolArray
 
 
 @dataclass(slots=True)
@@ -141,10 +166,10 @@ class DriverMemory:
         is_off = (beyond >= self._rules.lost_room) & (of.rescue_steps == 0)
         of.lost_steps[:] = np.where(is_off, of.lost_steps + 1, 0)
 
-    def situation(self) -> Situation:
+    def situation(self) -> KartSituation:
         """What the karts are in the middle of."""
         of = self._of
-        return Situation(
+        return KartSituation(
             turn=of.turn.copy(),
             drift_turn=of.drift_turn.copy(),
             drift_side=of.drift_side.astype(np.intp),

@@ -15,8 +15,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.heuristic import DriverParameters
-from stkzoo.agents.heuristic.kart import DRIFT_TURN
 from stkzoo.mdp.geometry import squared
 from stkzoo.names import PowerupType
 from stkzoo.wrappers.racing import (
@@ -27,11 +25,13 @@ from stkzoo.wrappers.racing import (
     racing_features,
 )
 
+from .kart import DRIFT_TURN
 from .memory import MEMORY_MIRROR, MEMORY_NAMES, DriverMemory
-from .planner import Options, Scene, has_powerup, weigh
+from .parameters import DriverParameters
 from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, FREE, MANOEUVRES
 from .rivals import RIVALS_MIRROR, RivalTracker
-from .road import LINE_MARKS, Road
+from .road import LINE_MARKS, RoadAhead
+from .worth import PlanOptions, PlanScene, has_powerup, weigh
 
 __all__ = [
     "ALL_LOOKS",
@@ -41,8 +41,8 @@ __all__ = [
     "INPUT_SIZE",
     "OFFSETS",
     "START_STEER",
-    "Drivers",
-    "View",
+    "PlanDriver",
+    "PolicyInput",
     "is_drifting",
     "mirrored_choices",
     "mirrored_inputs",
@@ -136,7 +136,7 @@ def is_drifting(inputs: FloatArray) -> BoolArray:
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class PolicyInput:
     """What a policy is given for A karts.
 
     Attributes:
@@ -148,7 +148,7 @@ class View:
     prior: FloatArray
 
 
-class Drivers:
+class PlanDriver:
     """A karts.
 
     Args:
@@ -160,9 +160,9 @@ class Drivers:
         self._rules = rules or DriverParameters()
         self.memory = DriverMemory(count, self._rules)
         self._tracker = RivalTracker(count)
-        self._options: Options | None = None
+        self._options: PlanOptions | None = None
 
-    def look(self, own: Mapping[str, Any], around: Surroundings) -> View:
+    def look(self, own: Mapping[str, Any], around: Surroundings) -> PolicyInput:
         """A step has passed: what the policy sees now.
 
         Args:
@@ -176,11 +176,11 @@ class Drivers:
         self.memory.look_around(self.options.beyond)
         return view
 
-    def view(self, own: Mapping[str, Any], around: Surroundings) -> View:
+    def view(self, own: Mapping[str, Any], around: Surroundings) -> PolicyInput:
         """What the policy sees, when no step has passed."""
-        road = Road.of(around.road[:, len(LOOKS) :])
+        road = RoadAhead.of(around.road[:, len(LOOKS) :])
         rivals = self._tracker.watch(around.karts, own["velocity"], road)
-        scene = Scene(
+        scene = PlanScene(
             speed=np.asarray(own["velocity"][:, 2], np.float32),
             max_steer_angle=np.reshape(own["max_steer_angle"], -1),
             is_jumping=np.asarray(own["jumping"]) > 0,
@@ -198,7 +198,7 @@ class Drivers:
             _numbers(options),
             rivals.numbers(road.offset),
         )
-        return View(np.concatenate(parts, axis=1), self._prior(own, around, scene, options))
+        return PolicyInput(np.concatenate(parts, axis=1), self._prior(own, around, scene, options))
 
     def forget(self, rows: IntArray) -> None:
         """Starts some karts anew."""
@@ -215,7 +215,7 @@ class Drivers:
         self._tracker.restore(state)
 
     @property
-    def options(self) -> Options:
+    def options(self) -> PlanOptions:
         """The best plans, of what was seen last."""
         assert self._options is not None  # noqa: S101 - since view
         return self._options
@@ -260,7 +260,7 @@ class Drivers:
         return controls, is_driven
 
     def _prior(
-        self, own: Mapping[str, Any], around: Surroundings, scene: Scene, options: Options
+        self, own: Mapping[str, Any], around: Surroundings, scene: PlanScene, options: PlanOptions
     ) -> FloatArray:
         """The logits by which rules would choose, ``(A, sum(CHOICES))``."""
         rules, rows = self._rules, np.arange(len(options.worth))
@@ -300,7 +300,7 @@ class Drivers:
         return useful
 
 
-def _numbers(options: Options) -> FloatArray:
+def _numbers(options: PlanOptions) -> FloatArray:
     """What the policy sees of the plans, ``(A, 4 * MANOEUVRES + 3)``."""
     behind = options.worth - options.worth.max(axis=1, keepdims=True)
     each = np.stack(

@@ -7,15 +7,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.heuristic import DriverParameters
-from stkzoo.agents.heuristic.kart import DRIFT_TURN
+from stkzoo.agents.planning import (
+    DRIFT_TURN,
+    MEMORY_MIRROR,
+    MEMORY_SIZE,
+    START_STEER,
+    DriverMemory,
+    DriverParameters,
+    KartSituation,
+    steer_of_turn,
+)
 from stkzoo.wrappers.racing import BRAKE, CHOICES, MIRROR, PLACES, RESCUE, SIZE, STEERS
 
-from .drivers import START_STEER, steer_of_turn
-from .memory import MEMORY_MIRROR, MEMORY_SIZE, DriverMemory
-from .planner import Situation
-
-__all__ = ["INPUT_MIRROR", "INPUT_SIZE", "Reflexes", "steering"]
+__all__ = ["INPUT_MIRROR", "INPUT_SIZE", "ActionFilter", "steering"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
@@ -42,7 +46,7 @@ _BETWEEN = (STEERS[1:] + STEERS[:-1]) / 2
 _MOVES = 3.0 / 20.0
 
 
-class Reflexes:
+class ActionFilter:
     """What karts do without deciding, and what they remember of it, which the policy sees too.
 
     - **Drifts are carried through.** A drift pays after a second; who decides anew in each step
@@ -114,7 +118,7 @@ class Reflexes:
         self._memory.forget(np.arange(len(self._has_moved))[karts])
         self._has_moved[karts] = False
 
-    def _drift_side(self, chosen: IntArray, now: Situation) -> IntArray:
+    def _drift_side(self, chosen: IntArray, now: KartSituation) -> IntArray:
         """To which side karts drift now: 1 to the right, -1 to the left, 0 for not at all."""
         turn, is_asked = STEERS[chosen[:, _STEER]], chosen[:, _DRIFT] == 1
         begins = is_asked & (np.abs(turn) >= START_STEER) & now.may_hop

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from stkzoo.mdp.geometry import squared
 
-__all__ = ["LINE_MARKS", "MARK_COUNT", "MARK_SPACING", "Places", "Road"]
+__all__ = ["LINE_MARKS", "MARK_COUNT", "MARK_SPACING", "RoadAhead", "RoadPlaces"]
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -22,7 +22,7 @@ _TURN_MARKS, _MOST_TURNED = 9, 0.6
 
 
 @dataclass(frozen=True, slots=True)
-class Places:
+class RoadPlaces:
     """Where spots are, ``(A, I)`` each.
 
     Attributes:
@@ -41,7 +41,7 @@ class Places:
 
 
 @dataclass(frozen=True, slots=True)
-class Road:
+class RoadAhead:
     """The road ahead of A karts.
 
     Attributes:
@@ -61,7 +61,7 @@ class Road:
     angle: FloatArray
 
     @classmethod
-    def of(cls, line: FloatArray) -> Road:
+    def of(cls, line: FloatArray) -> RoadAhead:
         """The road of a line ``(A, 37, 4)``: :data:`LINE_MARKS` in the kart's frame, half width."""
         points = line[..., :3]
         steps = points[:, 1:] - points[:, :-1]
@@ -109,7 +109,7 @@ class Road:
         turned = (turned + np.pi) % (2 * np.pi) - np.pi
         return np.where(np.abs(turned) < _MOST_TURNED, turned, 0).astype(np.float32)
 
-    def place(self, spots: FloatArray) -> Places:
+    def place(self, spots: FloatArray) -> RoadPlaces:
         """Where spots ``(A, I, 3)`` in the kart's frame are."""
         # of |point - spot|² what differs from point to point
         apart = squared(self.points)[:, None] - 2.0 * (spots @ self.points.transpose(0, 2, 1))
@@ -120,4 +120,4 @@ class Road:
         sines, cosines = np.sin(heading), np.cos(heading)
         along = nearest * np.float32(MARK_SPACING) + x * sines + z * cosines
         marks = np.clip((along / MARK_SPACING).astype(np.intp), 0, MARK_COUNT - 1)
-        return Places(along, x * cosines - z * sines, y, self.half_widths[rows, marks], heading)
+        return RoadPlaces(along, x * cosines - z * sines, y, self.half_widths[rows, marks], heading)

@@ -13,10 +13,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.heuristic.kart import STEP
 from stkzoo.mdp.geometry import squared
 
-from .road import MARK_COUNT, Road
+from .kart import STEP
+from .road import MARK_COUNT, RoadAhead
 
 __all__ = ["RIVALS", "RIVALS_MIRROR", "RivalTracker", "Rivals"]
 
@@ -115,7 +115,7 @@ class RivalTracker:
         """A step has passed."""
         self._before = self._now
 
-    def watch(self, karts: FloatArray, velocity: FloatArray, road: Road) -> Rivals:
+    def watch(self, karts: FloatArray, velocity: FloatArray, road: RoadAhead) -> Rivals:
         """The karts nearby; may be asked again before the next step.
 
         Args:
@@ -144,7 +144,7 @@ class RivalTracker:
             np.where(is_known, drift, 0),
         )
 
-    def _moved(self, road: Road) -> FloatArray:
+    def _moved(self, road: RoadAhead) -> FloatArray:
         """The velocities of the karts nearby, right and forward, ``(A, RIVALS, 2)`` [m/s]."""
         now, before = self._now, self._before
         way = (now.velocity + before.velocity) * np.float32(STEP / 2)

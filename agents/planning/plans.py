@@ -7,37 +7,35 @@ that those of many karts stand in one array; plans that a kart does not have are
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.heuristic import plans as heuristic_plans
-from stkzoo.agents.heuristic.kart import BOOST_STEPS, BRAKING, DRIFT_TURN, RELEASE_STEPS, STEP
-from stkzoo.agents.heuristic.plans import (
-    BIG_BOOST_IN_SIGHT,
-    BRAKE_TIME,
-    CHANGE_AT,
-    FEW_LANES,
-    GAIN,
-    ITEM_LANES,
-    SOME_LANES,
-    SWINGS,
-    Lanes,
-    all_lanes,
-)
+from .kart import BOOST_STEPS, BRAKING, DRIFT_TURN, RELEASE_STEPS, STEP
 
 __all__ = [
+    "BIG_BOOST_IN_SIGHT",
     "BRAKE",
+    "BRAKE_TIME",
+    "CHANGE_AT",
     "DRIFT_LEFT",
     "DRIFT_RIGHT",
     "ENDS",
+    "FEW_LANES",
     "FREE",
+    "GAIN",
     "ITEM_LANES",
     "MANOEUVRES",
+    "SOME_LANES",
     "SPANS",
+    "SWINGS",
+    "Lanes",
     "PlanTable",
+    "all_lanes",
     "plan_table",
     "table_rows",
 ]
@@ -46,7 +44,7 @@ FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 
 #: How long the moments of a plan last [s].
-SPANS = heuristic_plans.SPANS.astype(np.float32)
+SPANS = np.array([0.1] * 4 + [0.2] * 8, np.float32)
 #: When they end [s].
 ENDS = np.cumsum(SPANS)
 _BEGINS, _MIDDLES = ENDS - SPANS, ENDS - SPANS / 2
@@ -54,6 +52,33 @@ _BEGINS, _MIDDLES = ENDS - SPANS, ENDS - SPANS / 2
 #: What plans begin with; each plan has one of these.
 FREE, BRAKE, DRIFT_LEFT, DRIFT_RIGHT = range(4)
 MANOEUVRES = 4
+
+
+#: Plans aim at so many items, each at one of its own.
+ITEM_LANES = 2
+
+#: Lanes to aim at, before and after a change: -1 is the left edge of the road, 1 the right one.
+Lanes = Sequence[tuple[float, float]]
+SOME_LANES: Lanes = [(lane, lane) for lane in np.linspace(-0.9, 0.9, 5).tolist()]
+FEW_LANES: Lanes = [(lane, lane) for lane in np.linspace(-0.8, 0.8, 4).tolist()]
+
+#: A lane is changed after this time [s].
+CHANGE_AT = 0.8
+
+#: Before a drift the kart may turn away from it for so many steps.
+SWINGS = (1, 2, 3)
+
+#: A plan with brakes brakes for so long [s], then gains speed [m/s²].
+BRAKE_TIME, GAIN = 0.3, 4.0
+
+#: The big boost counts for plans that come so near to it [steps].
+BIG_BOOST_IN_SIGHT = 20
+
+
+def all_lanes(changes: int) -> Lanes:
+    """Nine lanes, and those of plans that go over from one of ``changes`` lanes to another."""
+    kept = [(lane, lane) for lane in np.linspace(-1.0, 1.0, 9).tolist()]
+    return [*kept, *itertools.permutations(np.linspace(-0.9, 0.9, changes).tolist(), 2)]
 
 
 @dataclass(slots=True)

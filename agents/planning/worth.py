@@ -12,11 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.heuristic import DriverParameters
-from stkzoo.agents.heuristic.kart import BOOST_LASTS, RELEASE_TURN, STEERING_LAG, STEP
 from stkzoo.mdp.geometry import squared
 from stkzoo.names import ItemType, PowerupType
 
+from .kart import BOOST_LASTS, RELEASE_TURN, STEERING_LAG, STEP
+from .memory import KartSituation
+from .parameters import DriverParameters
 from .plans import (
     BRAKE,
     ENDS,
@@ -28,9 +29,9 @@ from .plans import (
     table_rows,
 )
 from .rivals import Rivals
-from .road import MARK_COUNT, MARK_SPACING, Road
+from .road import MARK_COUNT, MARK_SPACING, RoadAhead
 
-__all__ = ["ITEMS", "Options", "Scene", "Situation", "weigh"]
+__all__ = ["ITEMS", "NEVER", "PlanOptions", "PlanScene", "has_powerup", "weigh"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
@@ -61,7 +62,7 @@ NEVER = -1e4
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class PlanScene:
     """What A karts see that bears on plans.
 
     Attributes:
@@ -79,41 +80,14 @@ class Scene:
     max_steer_angle: FloatArray
     is_jumping: BoolArray
     has_powerup: BoolArray
-    road: Road
+    road: RoadAhead
     items: FloatArray
     item_types: npt.NDArray[np.integer]
     rivals: Rivals
 
 
 @dataclass(frozen=True, slots=True)
-class Situation:
-    """What A karts are in the middle of, ``(A,)`` each; times in steps.
-
-    Attributes:
-        turn: the share of full lock of the last step, positive to the right.
-        drift_turn: the same of the last step in a drift.
-        drift_side: 1 in a drift to the right, -1 to the left, 0 in none.
-        drift_steps: how long the drift has lasted.
-        may_hop: whether a drift can begin.
-        release_steps: how much longer the kart turns after a drift.
-        boost_steps: how much longer the boost of a short drift lasts.
-        big_boost_steps: how much longer that of a long one lasts.
-        is_cautious: whether something was hit lately.
-    """
-
-    turn: FloatArray
-    drift_turn: FloatArray
-    drift_side: IntArray
-    drift_steps: IntArray
-    may_hop: BoolArray
-    release_steps: IntArray
-    boost_steps: FloatArray
-    big_boost_steps: FloatArray
-    is_cautious: BoolArray
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
+class PlanOptions:
     """The best plan of each manoeuvre, ``(A, 4)`` each; and the road.
 
     Attributes:
@@ -145,7 +119,7 @@ class _Items:
     radius: FloatArray
 
     @classmethod
-    def of(cls, scene: Scene, road: Road, rules: DriverParameters) -> _Items:
+    def of(cls, scene: PlanScene, road: RoadAhead, rules: DriverParameters) -> _Items:
         worths = _worths(scene, rules)
         types = np.clip(scene.item_types, -1, max(ItemType) + 1)
         worth = np.take_along_axis(worths, types % worths.shape[1], axis=1)
@@ -171,7 +145,7 @@ class _Items:
         return lanes
 
 
-def _worths(scene: Scene, rules: DriverParameters) -> FloatArray:
+def _worths(scene: PlanScene, rules: DriverParameters) -> FloatArray:
     """What items are worth to each kart by type, ``(A, types)`` [m]."""
     worths = np.zeros((len(scene.speed), max(ItemType) + 3), np.float32)
     worths[:, ItemType.BONUS_BOX] = np.where(
@@ -184,7 +158,7 @@ def _worths(scene: Scene, rules: DriverParameters) -> FloatArray:
     return worths
 
 
-def weigh(scene: Scene, now: Situation, rules: DriverParameters) -> Options:
+def weigh(scene: PlanScene, now: KartSituation, rules: DriverParameters) -> PlanOptions:
     """The best plan of each manoeuvre.
 
     Args:
@@ -216,7 +190,7 @@ def weigh(scene: Scene, now: Situation, rules: DriverParameters) -> Options:
         [(is_there & (manoeuvres == m)).any(axis=1) for m in range(MANOEUVRES)], axis=1
     )
     take = np.take_along_axis
-    return Options(
+    return PlanOptions(
         worth=np.where(exists, take(worth, best, axis=1), NEVER).astype(np.float32),
         turn=np.where(exists, take(turns, best, axis=1), 0).astype(np.float32),
         danger=np.where(exists, take(danger, best, axis=1), 0).astype(np.float32),
@@ -228,8 +202,8 @@ def weigh(scene: Scene, now: Situation, rules: DriverParameters) -> Options:
 
 
 def _forecast(
-    scene: Scene,
-    now: Situation,
+    scene: PlanScene,
+    now: KartSituation,
     items: _Items,
     table: PlanTable,
     rows: IntArray,
@@ -310,7 +284,7 @@ def _danger(
 
 
 def _boosts(
-    now: Situation, table: PlanTable, rows: IntArray, rules: DriverParameters
+    now: KartSituation, table: PlanTable, rows: IntArray, rules: DriverParameters
 ) -> FloatArray:
     """What plans earn by drifting, ``(A, C)`` [m]: less while such a boost still lasts."""
     small, big = BOOST_LASTS

@@ -11,17 +11,25 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.agents.planning import BRAKE as BRAKE_PLAN
+from stkzoo.agents.planning import (
+    DRIFT_LEFT,
+    DRIFT_RIGHT,
+    HEADS,
+    MANOEUVRES,
+    OFFSETS,
+    PolicyInput,
+    is_drifting,
+    plan_turns,
+)
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import BRAKE
 
-from .drivers import HEADS, OFFSETS, View, is_drifting, plan_turns
+from .action_filter import INPUT_SIZE, steering
 from .mlp import SPLITS, MlpDriver
-from .plans import BRAKE as BRAKE_PLAN
-from .plans import DRIFT_LEFT, DRIFT_RIGHT, MANOEUVRES
 from .policy import log_sum
-from .reflexes import INPUT_SIZE, steering
 
-__all__ = ["AdvisedPolicy", "check_trust", "join_networks", "networks_of"]
+__all__ = ["EnsemblePolicy", "check_ensemble_weight", "join_networks", "networks_of"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
@@ -34,52 +42,54 @@ _DRIFTS = np.abs(_SIDES).astype(np.intp)
 _IN_FILE = "adviser{}."
 
 
-def check_trust(trust: object) -> None:
-    """Checks how much advisers count.
+def check_ensemble_weight(weight: object) -> None:
+    """Checks the weight of the networks.
 
     Raises:
         ConfigError: it is no number of 0 or more.
     """
-    if not (isinstance(trust, (int, float)) and 0 <= trust < np.inf):
-        raise ConfigError(f"trust is {trust!r}, expected a number of 0 or more; 1 is usual")
+    if not (isinstance(weight, (int, float)) and 0 <= weight < np.inf):
+        raise ConfigError(
+            f"ensemble_weight is {weight!r}, expected a number of 0 or more; 1 is usual"
+        )
 
 
-class AdvisedPolicy:
+class EnsemblePolicy:
     """Chooses among plans by their worth and by what networks would do.
 
-    The logit of a manoeuvre with a turn is the prior's, of what the plan is worth, and ``trust``
+    The logit of a manoeuvre with a turn is the prior's, of what the plan is worth, and ``weight``
     times the mean logarithm of the networks' probabilities of what it comes to: steering, pedal,
     drift. Likewise for nitro and fire.
 
     Args:
         networks: on the view ``racing``, one or more.
-        trust: how much they count; 0 is the plans alone.
+        weight: how much they count; 0 is the plans alone.
 
     Raises:
-        ConfigError: as :func:`check_trust`.
+        ConfigError: as :func:`check_ensemble_weight`.
     """
 
-    def __init__(self, networks: Sequence[MlpDriver], trust: float) -> None:
-        check_trust(trust)
-        self.networks, self.trust = tuple(networks), trust
+    def __init__(self, networks: Sequence[MlpDriver], weight: float) -> None:
+        check_ensemble_weight(weight)
+        self.networks, self.weight = tuple(networks), weight
 
-    def best(self, view: View) -> IntArray:
+    def best(self, view: PolicyInput) -> IntArray:
         """The likeliest choices ``(A, 4)``, as those of a policy over plans."""
-        steer, pedal, drift, nitro, fire = self._advice(view.inputs[:, :INPUT_SIZE])
+        steer, pedal, drift, nitro, fire = self._log_probabilities(view.inputs[:, :INPUT_SIZE])
         begin, turn, *buttons = (view.prior[:, head] for head in HEADS)
         rows = np.arange(len(begin))[:, None, None]
         liked = (
             steer[rows, _steering(view.inputs)] + (pedal[:, _PEDALS] + drift[:, _DRIFTS])[..., None]
         )
-        moves = begin[..., None] + turn[:, None] + np.float32(self.trust) * liked
+        moves = begin[..., None] + turn[:, None] + np.float32(self.weight) * liked
         best = moves.reshape(len(begin), -1).argmax(axis=1)
         presses = [
-            (prior + np.float32(self.trust) * own).argmax(axis=1)
+            (prior + np.float32(self.weight) * own).argmax(axis=1)
             for prior, own in zip(buttons, (nitro, fire), strict=True)
         ]
         return np.stack([*np.divmod(best, len(OFFSETS)), *presses], axis=1)
 
-    def _advice(self, seen: FloatArray) -> list[FloatArray]:
+    def _log_probabilities(self, seen: FloatArray) -> list[FloatArray]:
         """The networks' mean logarithms of probabilities, an array for each choice."""
         logits = np.stack([network.logits(seen) for network in self.networks])
         parts = np.split(logits, SPLITS, axis=2)

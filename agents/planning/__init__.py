@@ -1,0 +1,75 @@
+"""The planner of the heuristic driver and of the learned ones, for any number of karts at once.
+
+Ten times a second it lists what each kart can do in the next two seconds (:mod:`.plans`): which
+lane to drive in, whether to brake, when to drift and for how long. It drives all plans over the
+road ahead by a simple model of a kart, and weighs them in metres of way (:mod:`.worth`): boosts and
+items count, and so do the edge of the road and slower karts ahead. :class:`PlanDriver` holds what
+karts remember between steps and turns a policy's choices among the best plans into controls.
+
+It was built on the training tracks of :mod:`stkzoo.tracks` alone, and an evolution strategy found
+most of its numbers there (:mod:`stkzoo.agents.training.tune_plans`).
+"""
+
+from .driver import (
+    ALL_LOOKS,
+    CHOICE_NAMES,
+    CHOICES,
+    HEADS,
+    INPUT_SIZE,
+    OFFSETS,
+    START_STEER,
+    PlanDriver,
+    PolicyInput,
+    is_drifting,
+    mirrored_choices,
+    mirrored_inputs,
+    mirrored_prior,
+    plan_turns,
+    steer_of_turn,
+)
+from .kart import DRIFT_TURN, STEP
+from .memory import MEMORY_MIRROR, MEMORY_SIZE, DriverMemory, KartSituation
+from .parameters import DriverParameters
+from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, FREE, MANOEUVRES, PlanTable, plan_table
+from .rivals import Rivals, RivalTracker
+from .road import RoadAhead, RoadPlaces
+from .worth import PlanOptions, PlanScene, weigh
+
+__all__ = [
+    "ALL_LOOKS",
+    "BRAKE",
+    "CHOICES",
+    "CHOICE_NAMES",
+    "DRIFT_LEFT",
+    "DRIFT_RIGHT",
+    "DRIFT_TURN",
+    "FREE",
+    "HEADS",
+    "INPUT_SIZE",
+    "MANOEUVRES",
+    "MEMORY_MIRROR",
+    "MEMORY_SIZE",
+    "OFFSETS",
+    "START_STEER",
+    "STEP",
+    "DriverMemory",
+    "DriverParameters",
+    "KartSituation",
+    "PlanDriver",
+    "PlanOptions",
+    "PlanScene",
+    "PlanTable",
+    "PolicyInput",
+    "RivalTracker",
+    "Rivals",
+    "RoadAhead",
+    "RoadPlaces",
+    "is_drifting",
+    "mirrored_choices",
+    "mirrored_inputs",
+    "mirrored_prior",
+    "plan_table",
+    "plan_turns",
+    "steer_of_turn",
+    "weigh",
+]
