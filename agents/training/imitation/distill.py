@@ -27,7 +27,9 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._os import atomic_write
+from stkzoo.agents.planning import BRAKE as BRAKE_PLAN
 from stkzoo.agents.planning import PolicyInput
+from stkzoo.agents.pretrained.action_filter import INPUT_SIZE, steering
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.errors import StkzooError, check_whole
