@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -75,6 +76,8 @@ class RaceSettings:
     def __post_init__(self) -> None:
         check_whole("seed", self.seed, 0)
         check_whole("max_restarts", self.max_restarts, 0)
+        if self.adapter is not None and not isinstance(self.adapter, (str, os.PathLike)):
+            raise ConfigError(f"adapter is {self.adapter!r}, expected the path of a Python file")
         for name in ("max_steps", "max_steps_after_first", "karts_finished"):
             if getattr(self, name) is not None:
                 check_whole(name, getattr(self, name), 1)

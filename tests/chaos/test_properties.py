@@ -10,6 +10,7 @@ import os
 
 import numpy as np
 import pytest
+from gymnasium import spaces
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -45,8 +46,36 @@ odd = st.one_of(
 )
 
 
+class Tally:
+    """Counts which inputs were accepted, so that a test notices when all are refused.
+
+    Args:
+        refusal: the error by which an input may be refused; any other one fails the test.
+    """
+
+    def __init__(self, refusal=StkzooError):
+        self._refusal = refusal
+        self.num_accepted = self.num_refused = 0
+
+    def try_call(self, call):
+        """Calls; returns whether the input was accepted."""
+        try:
+            call()
+        except self._refusal:
+            self.num_refused += 1
+            return False
+        self.num_accepted += 1
+        return True
+
+    def assert_share(self, least):
+        """Asserts that this share of the inputs was accepted, and that some were refused."""
+        total = self.num_accepted + self.num_refused
+        assert self.num_accepted >= least * total, (self.num_accepted, total)
+        assert self.num_refused > 0, total
+
+
 def or_odd(good):
-    """What is right, mostly."""
+    """A valid value in nine cases of ten."""
     return st.integers(0, 9).flatmap(lambda chance: odd if chance == 0 else good)
 
 
@@ -94,20 +123,24 @@ def one_fork_server():
         env.step({"kart_0": env.action_space("kart_0").sample()})
 
 
-@QUICK
-@given(options=options, seed=or_odd(st.one_of(st.none(), st.integers(0, 2**31))))
-def test_any_options_make_a_race_or_are_refused(options, seed):
-    try:
-        env = race_v0.parallel_env(**options)
-    except ConfigError:
-        return
-    with env:
-        with contextlib.suppress(ConfigError):
-            env.reset(seed=seed)
-        env.reset(seed=1)
-        for _ in range(2):
-            if env.agents:
-                _check(env, env.step({a: env.action_space(a).sample() for a in env.agents}))
+def test_any_options_make_a_race_or_are_refused():
+    made, seeded = Tally(ConfigError), Tally(ConfigError)
+
+    @QUICK
+    @given(options=options, seed=or_odd(st.one_of(st.none(), st.integers(0, 2**31))))
+    def try_options(options, seed):
+        envs = []
+        if made.try_call(lambda: envs.append(race_v0.parallel_env(**options))):
+            with envs[0] as env:
+                seeded.try_call(lambda: env.reset(seed=seed))
+                env.reset(seed=1)
+                for _ in range(2):
+                    if env.agents:
+                        _check(env, env.step({a: env.action_space(a).sample() for a in env.agents}))
+
+    try_options()
+    made.assert_share(0.2)
+    assert seeded.num_accepted > 0
 
 
 def _check(env, result):
@@ -125,14 +158,19 @@ changes = st.dictionaries(
 )
 
 
-@QUICK
-@given(changes=or_odd(changes))
-def test_any_options_of_an_episode_start_it_or_are_refused_and_the_race_goes_on(race, changes):
-    with contextlib.suppress(ConfigError):
-        race.reset(options=changes)
-    if not race.agents:
-        race.reset(seed=1)
-    _check(race, race.step({agent: race.action_space(agent).sample() for agent in race.agents}))
+def test_any_options_of_an_episode_start_it_or_are_refused_and_the_race_goes_on(race):
+    started = Tally(ConfigError)
+
+    @QUICK
+    @given(changes=or_odd(changes))
+    def try_changes(changes):
+        started.try_call(lambda: race.reset(options=changes))
+        if not race.agents:
+            race.reset(seed=1)
+        _check(race, race.step({a: race.action_space(a).sample() for a in race.agents}))
+
+    try_changes()
+    started.assert_share(0.1)
 
 
 @pytest.fixture(scope="module")
@@ -151,43 +189,68 @@ values = st.one_of(
     st.integers(0, 1),
 )
 NAMES = ("acceleration", "brake", "drift", "fire", "nitro", "rescue", "steer")
-actions = st.one_of(
-    odd,
-    st.fixed_dictionaries(dict.fromkeys(NAMES, values)),
-    st.dictionaries(st.sampled_from([*NAMES, "jump", 3]), values),
+changed_fields = st.one_of(
+    st.just({}),
+    st.dictionaries(st.sampled_from(NAMES), values, max_size=2),
+    st.dictionaries(st.sampled_from([*NAMES, "jump", 3]), values, max_size=2),
 )
 
 
-@settings(QUICK, max_examples=4 * EXAMPLES)
-@given(
-    first=actions, second=actions, names=st.sets(st.sampled_from(["kart_0", "kart_1", "kart_7"]))
-)
-def test_any_actions_move_the_race_or_are_refused_and_it_stands_still(race, first, second, names):
-    given = dict(zip(sorted(names), (first, second, first), strict=False))
-    if not race.agents:
-        race.reset(seed=1)
+def actions_of(space):
+    """Actions of a space, some with changed fields, and odd ones."""
+    valid = st.integers(0, 2**31).map(lambda seed: _sample(space, seed))
+    if isinstance(space, spaces.Dict):
+        valid = st.builds(lambda action, changes: {**action, **changes}, valid, changed_fields)
+    return or_odd(valid | st.lists(st.integers(-2, 2000), max_size=8))
+
+
+def _sample(space, seed):
+    space.seed(seed)
+    return space.sample()
+
+
+def test_any_actions_move_the_race_or_are_refused_and_it_stands_still(race):
+    steps = Tally(ActionError)
+    action = actions_of(race.action_space("kart_0"))
+
+    @settings(QUICK, max_examples=4 * EXAMPLES)
+    @given(actions=or_odd(st.fixed_dictionaries({"kart_0": action, "kart_1": action})))
+    def try_actions(actions):
+        if not race.agents:
+            race.reset(seed=1)
+        before = race.snapshot.karts.tobytes()
+        if not steps.try_call(lambda: _check(race, race.step(actions))):
+            assert race.snapshot.karts.tobytes() == before
+
+    try_actions()
+    steps.assert_share(0.1)
+
+
+def test_a_missing_action_is_refused_and_the_race_stands_still(race):
+    race.reset(seed=1)
     before = race.snapshot.karts.tobytes()
-    try:
-        result = race.step(given)
-    except ActionError:
+    action = race.action_space("kart_0").sample()
+    for names in ([], ["kart_0"], ["kart_1"], ["kart_0", "kart_7"]):
+        with pytest.raises(ActionError):
+            race.step(dict.fromkeys(names, action))
         assert race.snapshot.karts.tobytes() == before
-    else:
-        _check(race, result)
 
 
 @pytest.mark.parametrize("view", sorted({*VIEWS} - {"camera"}))
-@QUICK
-@given(given=odd | st.lists(st.integers(-2, 2000), max_size=8) | actions)
-def test_any_action_of_any_view_is_taken_or_refused(given, view, views):
-    env = views(view)
-    if not env.agents:
-        env.reset(seed=1)
-    try:
-        result = env.step({"kart_0": given})
-    except ActionError:
-        assert env.agents == ["kart_0"]
-    else:
-        _check(env, result)
+def test_any_action_of_any_view_is_taken_or_refused(view, views):
+    env, steps = views(view), Tally(ActionError)
+    env.reset(seed=1)
+
+    @QUICK
+    @given(action=actions_of(env.action_space("kart_0")))
+    def try_action(action):
+        if not env.agents:
+            env.reset(seed=1)
+        if not steps.try_call(lambda: _check(env, env.step({"kart_0": action}))):
+            assert env.agents == ["kart_0"]
+
+    try_action()
+    steps.assert_share(0.2)
 
 
 @pytest.fixture(scope="module")
@@ -205,38 +268,50 @@ def views():
         env.close()
 
 
-@QUICK
-@given(
-    num_races=or_odd(st.integers(1, 2)),
-    batch=odd | st.lists(st.integers(-1, 1200), min_size=2, max_size=4),
-    seed=odd | st.lists(st.integers(0, 5), min_size=1, max_size=2),
-)
-def test_any_batch_is_stepped_or_refused(num_races, batch, seed):
-    try:
-        envs = stkzoo.RaceVectorEnv(num_races, num_kart=2, track=TRACKS[0], prefetch=False)
-    except ConfigError:
-        return
-    try:
-        with contextlib.suppress(ConfigError):
-            envs.reset(seed=seed)
-        envs.reset(seed=1)
-        with contextlib.suppress(ActionError):
-            envs.step(batch)
-        assert envs.step(np.zeros(envs.num_envs, np.int64))[4]["active"].all()
-    finally:
-        envs.close()
+@pytest.mark.parametrize("count", [None, True, -1, 0, 1.5, "", b"x", [], {}, np.zeros(2)], ids=repr)
+def test_an_odd_number_of_races_is_refused(count):
+    with pytest.raises(ConfigError):
+        stkzoo.RaceVectorEnv(count, num_kart=2, track=TRACKS[0])
 
 
-@QUICK
-@given(
-    chosen=st.dictionaries(
-        st.sampled_from([*RaceSettings.__dataclass_fields__, "nonsense"]), odd, max_size=2
-    ),
-    drivers=or_odd(st.lists(st.sampled_from(["ai", "heuristic", "random"]), max_size=3)),
-)
-def test_any_settings_of_a_race_run_it_or_are_refused(chosen, drivers):
-    with contextlib.suppress(StkzooError):
-        run_race(drivers, **{"track": TRACKS[0], "inline": True, **chosen, "max_steps": 2})
+def test_any_batch_is_stepped_or_refused():
+    resets, steps = Tally(ConfigError), Tally(ActionError)
+    with contextlib.closing(
+        stkzoo.RaceVectorEnv(2, num_kart=2, track=TRACKS[0], prefetch=False)
+    ) as envs:
+
+        @QUICK
+        @given(
+            batch=odd | st.lists(st.integers(0, 1100), min_size=3, max_size=4),
+            seed=odd | st.lists(st.integers(0, 5), min_size=1, max_size=2),
+        )
+        def try_batch(batch, seed):
+            resets.try_call(lambda: envs.reset(seed=seed))
+            envs.reset(seed=1)
+            steps.try_call(lambda: envs.step(batch))
+            assert envs.step(np.zeros(envs.num_envs, np.int64))[4]["active"].all()
+
+        try_batch()
+    resets.assert_share(0.1)
+    steps.assert_share(0.03)
+
+
+def test_any_settings_of_a_race_run_it_or_are_refused():
+    races = Tally()
+
+    @QUICK
+    @given(
+        chosen=st.dictionaries(
+            st.sampled_from([*RaceSettings.__dataclass_fields__, "nonsense"]), odd, max_size=2
+        ),
+        drivers=or_odd(st.lists(st.sampled_from(["ai", "heuristic", "random"]), max_size=3)),
+    )
+    def try_settings(chosen, drivers):
+        options = {"track": TRACKS[0], "inline": True, **chosen, "max_steps": 2}
+        races.try_call(lambda: run_race(drivers, **options))
+
+    try_settings()
+    races.assert_share(0.1)
 
 
 # ---------------------------------------------------------------------- each argument, each oddity
@@ -252,42 +327,69 @@ ARGUMENTS = [
 ]
 
 
-def in_our_words(call):
-    """Calls; any error must be one of ours."""
-    with contextlib.suppress(StkzooError):
-        call()
+#: Arguments that accept none of the oddities.
+REFUSE_ALL = {"num_kart", "render_backend", "render_size"}
 
 
 @pytest.mark.parametrize("name", ARGUMENTS)
 def test_each_argument_takes_or_refuses_each_oddity(name):
+    tally = Tally()
     for value in ODD:
         options = {"num_kart": 2, "track": TRACKS[0], name: value}
-        in_our_words(lambda options=options: race_v0.parallel_env(**options).close())
+        tally.try_call(lambda options=options: race_v0.parallel_env(**options).close())
+    assert (tally.num_accepted == 0) == (name in REFUSE_ALL)
+    default = inspect.signature(stkzoo.RaceParallelEnv.__init__).parameters[name].default
+    race_v0.parallel_env(**{"track": TRACKS[0], name: default}).close()
 
 
-def test_each_field_takes_or_refuses_each_oddity():
+@pytest.mark.parametrize("name", AgentSpec.__dataclass_fields__)
+def test_each_field_of_an_agent_takes_or_refuses_each_oddity(name):
+    tally = Tally()
     for value in ODD:
-        for name in AgentSpec.__dataclass_fields__:
-            agents = [AgentSpec(**{name: value})]
-            options = {"agents": agents, "num_kart": 2, "track": TRACKS[0]}
-            in_our_words(lambda options=options: race_v0.parallel_env(**options).close())
-        for kind in (RaceSettings, stkzoo.Start):
-            for name in kind.__dataclass_fields__:
-                in_our_words(lambda kind=kind, name=name, value=value: kind(**{name: value}))
+        tally.try_call(
+            lambda value=value: race_v0.parallel_env(
+                agents=[AgentSpec(**{name: value})], num_kart=2, track=TRACKS[0]
+            ).close()
+        )
+    assert (tally.num_accepted == 0) == (name == "camera_mode")
+    assert tally.num_refused > 0
 
 
-def test_each_method_takes_or_refuses_each_oddity(race):
-    race.reset(seed=1)
-    for value in ODD:
-        for name in ("observe_batch", "restore_state", "step"):
-            in_our_words(lambda name=name, value=value: getattr(race, name)(value))
-        in_our_words(lambda value=value: setattr(race, "max_cycles", value))
-        race.max_cycles = None
-    race.reset(seed=1)
-
-
-def test_a_race_of_agents_takes_or_refuses_each_oddity():
-    for name in ("drivers", "settings", "start_positions", "wait_for", "listeners"):
+@pytest.mark.parametrize("kind", [RaceSettings, stkzoo.Start])
+def test_each_field_of_settings_takes_or_refuses_each_oddity(kind):
+    tally = Tally()
+    for name in kind.__dataclass_fields__:
         for value in ODD:
-            given = {"drivers": ["ai"], "track": TRACKS[0], "max_steps": 1, name: value}
-            in_our_words(lambda given=given: run_race(**given))
+            tally.try_call(lambda name=name, value=value: kind(**{name: value}))
+    assert tally.num_accepted > 3
+    assert tally.num_refused > 50
+
+
+@pytest.mark.parametrize("name", ["observe_batch", "restore_state", "step"])
+def test_each_method_refuses_each_oddity(race, name):
+    race.reset(seed=1)
+    tally = Tally()
+    for value in ODD:
+        tally.try_call(lambda value=value: getattr(race, name)(value))
+    assert tally.num_accepted == 0
+    race.step({agent: race.action_space(agent).sample() for agent in race.agents})
+
+
+def test_the_length_of_an_episode_takes_or_refuses_each_oddity(race):
+    tally = Tally()
+    for value in ODD:
+        tally.try_call(lambda value=value: setattr(race, "max_cycles", value))
+    race.max_cycles = None
+    tally.assert_share(0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "num_accepted"),
+    [("drivers", 0), ("settings", 1), ("start_positions", 1), ("wait_for", 1), ("listeners", 1)],
+)
+def test_a_race_of_agents_takes_or_refuses_each_oddity(name, num_accepted):
+    tally = Tally()
+    for value in ODD:
+        given = {"drivers": ["ai"], "track": TRACKS[0], "max_steps": 1, name: value}
+        tally.try_call(lambda given=given: run_race(**given))
+    assert tally.num_accepted == num_accepted

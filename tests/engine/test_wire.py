@@ -3,7 +3,6 @@
 import os
 import signal
 import threading
-import time
 
 import pytest
 
@@ -44,19 +43,15 @@ def test_the_end_of_the_other_is_noticed(ends):
 def test_waiting_ends_with_the_time_out(ends):
     ours, _ = ends
     ours.settimeout(0.1)
-    begin = time.monotonic()
     with pytest.raises(TimeoutError):
         wire.receive(ours)
-    assert 0.09 < time.monotonic() - begin < 3.0
 
 
 def test_an_interrupt_ends_the_waiting(ends):
     ours, _ = ends
     pressing = after(0.1, os.kill, os.getpid(), signal.SIGINT)
-    begin = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         wire.receive(ours)
-    assert time.monotonic() - begin < 3.0
     pressing.join()
 
 

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-import time
 
 import pytest
 
@@ -52,10 +51,8 @@ def test_a_killed_game_concerns_its_own_environment_only():
         for step in range(60):
             if step == 20:
                 os.kill(pid_of(broken), signal.SIGKILL)
-                began = time.monotonic()
                 with pytest.raises(EngineCrashed, match="SIGKILL"):
                     broken.step({"kart_0": 700})
-                assert time.monotonic() - began < 2
             trace.append(other.step({"kart_0": 700}))
         assert repr(trace) == expected
         assert play(broken, 2) == expected

