@@ -24,6 +24,7 @@ from benchmarks.bench_driver import Times
 
 __all__ = [
     "KARTS",
+    "REFERENCE_VIEWS",
     "RESULTS",
     "VIEWS",
     "Table",
@@ -41,7 +42,21 @@ __all__ = [
 
 RESULTS = Path(__file__).parent / "results"
 KARTS = (1, 3, 10, 20)
-VIEWS = ("full", "simple", "flattened", "flattened_discrete")
+#: The views that pystk2-gymnasium has too.
+REFERENCE_VIEWS = ("full", "simple", "flattened", "flattened_discrete")
+#: All views that need no pictures.
+VIEWS = (
+    *REFERENCE_VIEWS,
+    "flattened_continuous_actions",
+    "flattened_multidiscrete",
+    "box_discrete",
+    "box_continuous",
+    "masked_discrete",
+    "racing",
+    "control",
+    "flattened_control",
+    "ground",
+)
 
 #: Tables are not squeezed into less, even where the terminal is narrower.
 _TABLE_WIDTH = 200

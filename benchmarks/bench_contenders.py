@@ -33,7 +33,7 @@ class _Server:
         os.environ[CLOCK_VARIABLE] = self._clock.path
         time_the_engine(self._clock)
         self._runner = runner_for(spec)
-        self._num_kart = spec["num_kart"]
+        self._num_kart, self._view = spec["num_kart"], spec["view"]
 
     def load(self) -> float:
         """Seconds of the import."""
@@ -48,32 +48,38 @@ class _Server:
         track: str,
         seed: int,
         race: dict[str, Any] | None = None,
-        controls: list[list[list[int]]] | None = None,
+        controls: list[list[list[float]]] | None = None,
     ) -> float:
         """Seconds of one reset; steps will follow ``controls``, or random ones."""
         seconds = _seconds(self._runner.reset, track, seed, race)
         from benchmarks.bench_controls import RandomControls, RecordedControls
 
         self._controls = (
-            RecordedControls(controls) if controls else RandomControls(self._num_kart, seed)
+            RecordedControls(controls)
+            if controls
+            else RandomControls(self._num_kart, self._view, seed)
         )
         return seconds
 
-    def record(self, track: str, seed: int, count: int) -> list[list[list[int]]]:
-        """How the heuristic driver drives the agents of a race; bots' karts have zeros."""
-        from benchmarks.bench_controls import on_grid, to_action
-        from stkzoo.agents.heuristic import create_state, get_actor
+    def record(self, track: str, seed: int, count: int, style: str) -> list[list[list[float]]]:
+        """How a driver drives the agents of a race; the rows of the game's karts are zeros."""
+        from benchmarks.bench_controls import PHYSICAL, controls_of, to_action
 
+        if style == PHYSICAL:
+            from stkzoo.agents.pursuit import create_state, get_actor
+        else:
+            from stkzoo.agents.heuristic import create_state, get_actor
         env, drive = self._runner.env, get_actor(None, None, None)  # type: ignore[attr-defined]
         observations, _ = env.reset(seed=seed, options={"track": track})
         states = {agent: create_state() for agent in env.agents}
+        view = "control" if style == PHYSICAL else "full"
         rows = []
         for _ in range(count):
-            row = [[0] * 7 for _ in range(self._num_kart)]
+            row = [[0.0] * 7 for _ in range(self._num_kart)]
             actions = {}
             for agent, kart in zip(env.agents, env.race.kart_indices, strict=True):
-                row[kart] = on_grid(drive(states[agent], observations[agent]))
-                actions[agent] = to_action("full", row[kart])
+                row[kart] = controls_of(style, drive(states[agent], observations[agent]))
+                actions[agent] = to_action(view, row[kart])
             observations, *_ = env.step(actions)
             rows.append(row)
         return rows

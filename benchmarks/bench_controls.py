@@ -1,8 +1,8 @@
-"""The same driving for all contenders, whatever form of action each of them takes."""
+"""The same driving for all contenders, whatever action each of them takes."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -10,16 +10,20 @@ import numpy.typing as npt
 
 __all__ = [
     "ACCELERATIONS",
+    "PHYSICAL",
     "STEERS",
     "Controls",
     "RandomControls",
     "RecordedControls",
-    "on_grid",
+    "controls_of",
+    "driving_style",
     "to_action",
 ]
 
-#: The steps of the views with discrete actions; every view is driven on this grid, so that
-#: all contenders can do the same.
+FloatArray = npt.NDArray[np.float64]
+
+#: The levels of the views with discrete actions. Views that can do more are driven on this
+#: grid too, so that all contenders drive alike.
 ACCELERATIONS = np.linspace(0.0, 1.0, 5)
 STEERS = np.linspace(-1.0, 1.0, 7)
 
@@ -28,28 +32,51 @@ _PRESSED = (0.03, 0.15, 0.1, 0.2, 0.005)
 #: A draw is held for so many steps.
 _HOLD_STEPS = 4
 
+#: The driving style whose rows hold a steering angle [rad] and a speed [m/s].
+PHYSICAL = "physical"
+_STYLES = {
+    "flattened_continuous_actions": "pedal and wheel",
+    "box_continuous": "pedal and wheel",
+    "racing": "choices",
+    "control": PHYSICAL,
+    "flattened_control": PHYSICAL,
+}
+
+
+def driving_style(view: str) -> str:
+    """What a view can express; views of one style can drive exactly the same race.
+
+    Args:
+        view: the view's name.
+
+    Returns:
+        ``"grid"``: discrete pedal and wheel, and all buttons; ``"pedal and wheel"``: no
+        buttons; ``"choices"``: those of the view ``racing``; or :data:`PHYSICAL`.
+    """
+    return _STYLES.get(view, "grid")
+
 
 class Controls(Protocol):
     """Where a race's driving comes from."""
 
-    def next(self) -> npt.NDArray[np.int64]:
-        """``(K, 7)`` for the next step: throttle and steering step, then five buttons."""
+    def next(self) -> FloatArray:
+        """``(K, 7)`` for the next step: acceleration, steer, then five buttons."""
 
 
 class RecordedControls:
-    """Driving that was recorded before, again from its start when it is over.
+    """Driving that was recorded before, repeated from its start when it is over.
 
     Args:
-        rows: ``(N, K, 7)`` whole numbers, for N steps of K karts.
+        rows: ``(N, K, 7)``, for N steps of K karts.
     """
 
     def __init__(self, rows: npt.ArrayLike) -> None:
-        self._rows = np.array(rows, np.int64)
+        self._rows = np.array(rows, np.float64)
         self._step = 0
 
-    def next(self) -> npt.NDArray[np.int64]:
+    def next(self) -> FloatArray:
         """See :meth:`Controls.next`."""
-        row: npt.NDArray[np.int64] = self._rows[self._step % len(self._rows)]
+        row: FloatArray = self._rows[self._step % len(self._rows)]
         self._step += 1
         return row
 
@@ -62,62 +89,100 @@ class RandomControls:
 
     Args:
         num_kart: number of karts.
+        view: the view that drives.
         seed: of the stream.
     """
 
-    def __init__(self, num_kart: int, seed: int = 0) -> None:
+    def __init__(self, num_kart: int, view: str, seed: int = 0) -> None:
         self._num_kart = num_kart
+        self._style = driving_style(view)
         self._random = np.random.default_rng(seed)
-        self._held = np.zeros((num_kart, 7), np.int64)
+        self._held = np.zeros((num_kart, 7))
         self._step = 0
 
-    def next(self) -> npt.NDArray[np.int64]:
+    def next(self) -> FloatArray:
         """See :meth:`Controls.next`."""
         if self._step % _HOLD_STEPS == 0:
-            self._held = self._draw()
+            self._held = np.array([_fit(self._style, row) for row in self._draw()])
         self._step += 1
         return self._held
 
-    def _draw(self) -> npt.NDArray[np.int64]:
+    def _draw(self) -> FloatArray:
         random, size = self._random, self._num_kart
-        throttle = random.choice(5, size, p=(0.05, 0.0, 0.05, 0.1, 0.8))
-        steer = random.choice(7, size, p=(0.05, 0.1, 0.15, 0.4, 0.15, 0.1, 0.05))
+        throttle = ACCELERATIONS[random.choice(5, size, p=(0.05, 0.0, 0.05, 0.1, 0.8))]
+        steer = STEERS[random.choice(7, size, p=(0.05, 0.1, 0.15, 0.4, 0.15, 0.1, 0.05))]
         buttons = random.random((size, len(_BUTTONS))) < _PRESSED
-        return np.column_stack([throttle, steer, buttons]).astype(np.int64)
+        return np.column_stack([throttle, steer, buttons])
 
 
-def on_grid(action: Mapping[str, Any]) -> list[int]:
-    """The nearest control, as a row of :meth:`Controls.next`, to an action of ``full``."""
-    return [
-        int(np.abs(ACCELERATIONS - np.ravel(action["acceleration"])[0]).argmin()),
-        int(np.abs(STEERS - np.ravel(action["steer"])[0]).argmin()),
-        *(int(np.ravel(action[button])[0] > 0) for button in _BUTTONS),
-    ]
-
-
-def to_action(view: str, control: Sequence[int] | npt.NDArray[np.int64]) -> Any:
-    """One kart's action in the form of a view.
+def controls_of(style: str, action: Mapping[str, Any]) -> list[float]:
+    """The row of :meth:`Controls.next` nearest to an action of the view ``full``.
 
     Args:
-        view: ``full``, ``simple``, ``flattened`` or ``flattened_discrete``.
-        control: ``(7,)``, a row of :meth:`Controls.next`.
+        style: see :func:`driving_style`; with :data:`PHYSICAL`, an action of a
+            :class:`~stkzoo.wrappers.control.ControlView` of ``full``.
+        action: the action.
     """
-    throttle, steer, *buttons = map(int, control)
-    if view == "flattened_discrete":
-        brake, drift, fire, nitro, rescue = buttons
-        number = 0
-        choices = [throttle, brake, drift, fire, nitro, rescue, steer]
-        for choice, count in zip(reversed(choices), (7, 2, 2, 2, 2, 2, 5), strict=True):
-            number = number * count + choice
-        return number
-    numbers = ACCELERATIONS[throttle], STEERS[steer]
-    if view == "flattened":
-        return {
-            "continuous": np.array(numbers, np.float32),
-            "discrete": np.array(buttons, np.int64),
-        }
+    if style == PHYSICAL:
+        return [*map(float, action["control"]), 0.0, 0.0, 0.0, 0.0, 0.0]
+    keys = ("acceleration", "steer", *_BUTTONS)
+    return _fit(style, np.array([float(np.ravel(action[key])[0]) for key in keys]))
+
+
+def _fit(style: str, row: FloatArray) -> list[float]:
+    """The nearest row that a style can express."""
+    if style == PHYSICAL:
+        return [0.3 * row[1], 20.0 * row[0], 0.0, 0.0, 0.0, 0.0, 0.0]
+    if style == "choices":
+        from stkzoo.wrappers.racing import controls_of_choices
+
+        fitted: list[float] = controls_of_choices(_choices(row)).tolist()
+        return fitted
+    pedal = ACCELERATIONS[np.abs(ACCELERATIONS - row[0]).argmin()]
+    wheel = STEERS[np.abs(STEERS - row[1]).argmin()]
+    buttons = row[2:] > 0 if style == "grid" else np.zeros(5)
+    return [float(pedal), float(wheel), *map(float, buttons)]
+
+
+def _choices(row: FloatArray) -> npt.NDArray[np.int64]:
+    from stkzoo.wrappers.racing import choices_of_action
+
+    return choices_of_action(_full(row))
+
+
+def _full(row: FloatArray) -> dict[str, Any]:
     return {
-        "acceleration": np.array([numbers[0]], np.float32),
-        "steer": np.array([numbers[1]], np.float32),
-        **dict(zip(_BUTTONS, buttons, strict=True)),
+        "acceleration": np.array([row[0]], np.float32),
+        "steer": np.array([row[1]], np.float32),
+        **{button: int(value) for button, value in zip(_BUTTONS, row[2:], strict=True)},
     }
+
+
+def to_action(view: str, row: FloatArray) -> Any:
+    """One kart's action in a view.
+
+    Args:
+        view: the view's name.
+        row: ``(7,)``, a row of :meth:`Controls.next` in the view's :func:`driving_style`.
+    """
+    pair = np.array(row[:2], np.float32)
+    if view == "control":
+        return {"control": pair}
+    if view == "flattened_control":
+        from stkzoo.wrappers.control import CarAction
+
+        space = CarAction().space
+        return (pair - space.low) / (space.high - space.low) * np.float32(2) - np.float32(1)
+    if view == "racing":
+        return _choices(row)
+    if view == "flattened":
+        return {"continuous": pair, "discrete": np.array(row[2:], np.int64)}
+    if view in ("flattened_continuous_actions", "box_continuous"):
+        return pair
+    if view in ("flattened_multidiscrete", "flattened_discrete", "box_discrete", "masked_discrete"):
+        steps = np.abs(ACCELERATIONS - row[0]).argmin(), np.abs(STEERS - row[1]).argmin()
+        choices = np.array([steps[0], *row[2:], steps[1]], np.int64)
+        if view == "flattened_multidiscrete":
+            return choices
+        return int(np.ravel_multi_index(tuple(choices[::-1]), (7, 2, 2, 2, 2, 2, 5)))
+    return _full(np.asarray(row))

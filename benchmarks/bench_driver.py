@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO, Any
 
+from benchmarks.bench_controls import PHYSICAL, driving_style
 from stkzoo.engine.assets import find_assets
 
 __all__ = [
@@ -48,6 +49,7 @@ class Spec:
         num_agents: how many of them are driven by actions, the rest by the game.
         subprocess: whether the game runs in a process of its own.
         cores: cores that the contender may use; any if empty.
+        kernel: whether the contender may use stkzoo's compiled kernel.
     """
 
     kind: str
@@ -57,6 +59,7 @@ class Spec:
     num_agents: int = 3
     subprocess: bool = False
     cores: tuple[int, ...] = ()
+    kernel: bool = True
 
 
 class Contender:
@@ -79,7 +82,9 @@ class Contender:
             stdout=subprocess.PIPE,
             stderr=self._log,
             text=True,
-            env=os.environ | (engine_variables() if spec.kind != "stkzoo" else {}),
+            env=os.environ
+            | (engine_variables() if spec.kind != "stkzoo" else {})
+            | ({} if spec.kernel else {"STKZOO_KERNEL": "off"}),
         )
         self._send(asdict(spec))
 
@@ -200,7 +205,10 @@ def race_together(
     some = next(iter(started.values())).spec
     controls = None
     if driving == "heuristic":
-        controls = record_controls(track, some.num_kart, some.num_agents, seed, warmup + steps)
+        style = driving_style(some.view)
+        controls = record_controls(
+            track, some.num_kart, some.num_agents, seed, warmup + steps, style
+        )
     names = sorted(started, key=lambda name: started[name].spec.kind != "stkzoo")
     race = None
     for name in names:
@@ -222,9 +230,11 @@ def race_together(
 
 @functools.cache
 def record_controls(
-    track: str, num_kart: int, num_agents: int, seed: int, count: int
-) -> list[list[list[int]]]:
-    """Driving of a race by the heuristic driver, which all contenders then repeat.
+    track: str, num_kart: int, num_agents: int, seed: int, count: int, style: str = "grid"
+) -> list[list[list[float]]]:
+    """A driver's driving of a race, which all contenders then repeat.
+
+    The heuristic driver drives; ``pursuit`` where the style is physical.
 
     Karts that drive cost the engine less than karts that stand at a wall: without
     sensible driving, every ratio to the engine's time would look too good.
@@ -235,15 +245,19 @@ def record_controls(
         num_agents: how many of them are driven; the game drives the others.
         seed: of the race.
         count: number of steps N.
+        style: what the view can express, :func:`benchmarks.bench_controls.driving_style`.
 
     Returns:
-        ``(N, K, 7)`` whole numbers, as :meth:`benchmarks.bench_controls.Controls.next`.
+        ``(N, K, 7)``, as :meth:`benchmarks.bench_controls.Controls.next`.
     """
-    spec = Spec("stkzoo", "parallel", "full", num_kart, num_agents, subprocess=True)
+    view = "control of full" if style == PHYSICAL else "full"
+    spec = Spec("stkzoo", "parallel", view, num_kart, num_agents, subprocess=True)
     with Contender(spec) as recorder:
         recorder.ask("load")
         recorder.ask("make")
-        rows: list[list[list[int]]] = recorder.ask("record", track=track, seed=seed, count=count)
+        rows: list[list[list[float]]] = recorder.ask(
+            "record", track=track, seed=seed, count=count, style=style
+        )
     return rows
 
 

@@ -32,6 +32,7 @@ from benchmarks.bench_common import (
     progress_bar,
     save,
 )
+from benchmarks.bench_controls import driving_style
 from benchmarks.bench_driver import WARMUP, Contender, Spec, record_controls
 from stkzoo import race_v0
 
@@ -116,7 +117,9 @@ def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
 def profile(spec: Spec, options: Any) -> dict[str, Any]:
     """Profiles one contender."""
     count = WARMUP + options.steps
-    controls = record_controls(options.track, spec.num_kart, spec.num_agents, 1, count)
+    controls = record_controls(
+        options.track, spec.num_kart, spec.num_agents, 1, count, driving_style(spec.view)
+    )
     with Contender(spec) as contender:
         contender.ask("load")
         contender.ask("make")

@@ -194,10 +194,15 @@ class _StkzooGym(_Gym):
 
 class _StkzooParallel(_StkzooGym):
     def make(self) -> None:
+        view = self.spec["view"]
+        if view == "control of full":
+            from stkzoo.wrappers.control import ControlView
+
+            view = ControlView(observe="full")
         self.env = self._stkzoo.RaceParallelEnv(
             agents=self.spec["num_agents"],
             num_kart=self.spec["num_kart"],
-            view=self.spec["view"],
+            view=view,
             laps=_LAPS,
             max_cycles=None,
             use_subprocess=self.spec["subprocess"],

@@ -4,13 +4,18 @@
     python -m benchmarks.bench_steps --karts 3 10 --view full flattened --steps 300
 
 All contenders run the same race on the same actions, a few steps each in turn, so that a
-noisy machine is equally noisy to all; whether the karts ended at the same places, bit for
-bit, stands in the results. A step's ratio is its time over the time that the same step
-spent inside ``pystk2.Race.step``. Compiling and the first steps are not counted.
+noisy machine is equally noisy to all; the results say whether the karts ended at the same
+places, bit for bit. A step's ratio is its time over the time that the same step spent inside
+``pystk2.Race.step``. Compiling and the first steps are not counted.
 
-Three groups: ``parallel`` is stkzoo's ParallelEnv, all karts agents, in each view;
-``multi`` the id multi-full-v0, all karts agents, in stkzoo and the reference; ``single``
-the ids of one kart in each view, the others driven by the game, in both.
+Three groups: ``parallel`` is stkzoo's ParallelEnv in each view, all karts agents, with and
+without the compiled kernel; ``multi`` the id multi-full-v0, all karts agents, in stkzoo and the
+reference; ``single`` the ids of one kart in each view that the reference has, the others driven
+by the game, in both.
+
+The views ``control`` and ``flattened_control`` act by speed and steering angle. Their controls
+depend on the kart's state to the last bit, so they have no contender ``engine`` and their races
+are not compared.
 """
 
 from __future__ import annotations
@@ -23,6 +28,7 @@ from typing import Any
 
 from benchmarks.bench_common import (
     KARTS,
+    REFERENCE_VIEWS,
     VIEWS,
     Table,
     add_driving,
@@ -34,13 +40,14 @@ from benchmarks.bench_common import (
     save,
     spread,
 )
+from benchmarks.bench_controls import PHYSICAL, driving_style
 from benchmarks.bench_driver import Spec, contenders, race_together
 
 GROUPS = ("parallel", "multi", "single")
 
 
 @dataclass(frozen=True)
-class Heat:
+class Match:
     """Contenders that run together.
 
     Attributes:
@@ -56,28 +63,33 @@ class Heat:
     specs: Mapping[str, Spec]
 
 
-def heats(options: argparse.Namespace) -> Iterator[Heat]:
-    """All heats that the options ask for."""
+def matches(options: argparse.Namespace) -> Iterator[Match]:
+    """All matches that the options ask for."""
     pinned = cores(options.cores)
     for num_kart in options.karts:
         for group in options.group:
             if group == "single" and num_kart not in options.single_karts:
                 continue
-            for view in ("full",) if group == "multi" else options.view:
+            views = ("full",) if group == "multi" else options.view
+            for view in views:
+                if group == "single" and view not in REFERENCE_VIEWS:
+                    continue
                 specs = _specs(group, view, num_kart, pinned)
-                yield Heat(group, view, num_kart, specs)
+                yield Match(group, view, num_kart, specs)
 
 
 def _specs(group: str, view: str, num_kart: int, pinned: tuple[int, ...]) -> dict[str, Spec]:
-    def spec(kind: str, subprocess: bool = False) -> Spec:
+    def spec(kind: str, subprocess: bool = False, kernel: bool = True) -> Spec:
         num_agents = 1 if group == "single" else num_kart
-        return Spec(kind, group, view, num_kart, num_agents, subprocess, pinned)
+        return Spec(kind, group, view, num_kart, num_agents, subprocess, pinned, kernel)
 
-    specs = {
-        "engine": spec("bare"),
+    specs = {} if driving_style(view) == PHYSICAL else {"engine": spec("bare")}
+    specs |= {
         "stkzoo, in process": spec("stkzoo"),
         "stkzoo, worker": spec("stkzoo", subprocess=True),
     }
+    if group == "parallel":
+        specs["stkzoo, no kernel"] = spec("stkzoo", kernel=False)
     # The reference's fixed-size views fail in a race without other karts.
     if group == "multi" or (group == "single" and (num_kart > 1 or view == "full")):
         specs["reference, in process"] = spec("reference")
@@ -85,9 +97,9 @@ def _specs(group: str, view: str, num_kart: int, pinned: tuple[int, ...]) -> dic
     return specs
 
 
-def run(heat: Heat, options: argparse.Namespace, advance: Any) -> dict[str, Any]:
-    """Runs one heat; its part of the results."""
-    with contenders(heat.specs) as started:
+def run(match: Match, options: argparse.Namespace, advance: Any) -> dict[str, Any]:
+    """Runs one match; its part of the results."""
+    with contenders(match.specs) as started:
         times, is_same = race_together(
             started,
             track=options.track,
@@ -96,11 +108,11 @@ def run(heat: Heat, options: argparse.Namespace, advance: Any) -> dict[str, Any]
             advance=advance,
         )
     return {
-        "group": heat.group,
-        "view": heat.view,
-        "karts": heat.num_kart,
-        "same_race": is_same,
-        "contenders": {name: figures(times[name], times["engine"]) for name in heat.specs},
+        "group": match.group,
+        "view": match.view,
+        "karts": match.num_kart,
+        "same_race": is_same if "engine" in times else None,
+        "contenders": {name: figures(times[name], times.get("engine")) for name in match.specs},
     }
 
 
@@ -119,15 +131,15 @@ def main(arguments: list[str] | None = None) -> int:
         help="numbers of karts at which the ids of one kart are measured (default: 1 3)",
     )
     options = words.parse_args(arguments)
-    todo = list(heats(options))
+    todo = list(matches(options))
     results = []
-    with progress_bar(sum(len(heat.specs) for heat in todo) * options.steps) as (bar, task):
-        for heat in todo:
-            bar.update(task, description=f"{heat.group} {heat.view}, {heat.num_kart} karts")
-            results.append(run(heat, options, lambda count: bar.advance(task, count)))
+    with progress_bar(sum(len(match.specs) for match in todo) * options.steps) as (bar, task):
+        for match in todo:
+            bar.update(task, description=f"{match.group} {match.view}, {match.num_kart} karts")
+            results.append(run(match, options, lambda count: bar.advance(task, count)))
     print_tables(tables(results))
     save(options.output, "steps", options, results)
-    return int(not all(result["same_race"] for result in results))
+    return int(any(result["same_race"] is False for result in results))
 
 
 def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
@@ -153,8 +165,8 @@ def _rows(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
             spread(found.get("engine")),
             spread(found.get("ratio"), 3),
             spread(found.get("overhead")),
-            f"{found['to_bare']:.3f}",
-            "yes" if result["same_race"] else "NO",
+            f"{found['to_bare']:.3f}" if "to_bare" in found else "-",
+            {True: "yes", False: "NO", None: "-"}[result["same_race"]],
         )
         for name, found in result["contenders"].items()
     ]

@@ -13,7 +13,13 @@ import pytest
 from benchmarks import bench_tables
 from benchmarks.bench_all import BENCHMARKS
 from benchmarks.bench_common import VIEWS, Table, figures, quantiles
-from benchmarks.bench_controls import RandomControls, RecordedControls, on_grid, to_action
+from benchmarks.bench_controls import (
+    RandomControls,
+    RecordedControls,
+    controls_of,
+    driving_style,
+    to_action,
+)
 from benchmarks.bench_driver import (
     Contender,
     Spec,
@@ -22,10 +28,14 @@ from benchmarks.bench_driver import (
     record_controls,
 )
 from benchmarks.bench_memory import children, processes
-from benchmarks.bench_steps import GROUPS, heats
+from benchmarks.bench_steps import GROUPS, matches
 from benchmarks.learned_drivers import NAMES, PARTS, cost
-from tests.support.generic_env import kart_env, wrap
+from stkzoo import race_v0
+from stkzoo.env.views import VIEWS as VIEWS_OF_STKZOO
+from tests.support.generic_env import kart_env
 from tests.support.paths import ROOT
+
+PHYSICAL_VIEWS = ("control", "flattened_control")
 
 
 def run(name, *arguments):
@@ -102,7 +112,15 @@ def test_all_five_contenders_are_compared(trial):
     by_group = {result["group"]: set(result["contenders"]) for result in results}
     ours = {"engine", "stkzoo, in process", "stkzoo, worker"}
     theirs = {"reference, in process", "reference, subprocess"}
-    assert by_group == {"parallel": ours, "multi": ours | theirs, "single": ours | theirs}
+    assert by_group == {
+        "parallel": ours | {"stkzoo, no kernel"},
+        "multi": ours | theirs,
+        "single": ours | theirs,
+    }
+
+
+def test_every_view_without_pictures_is_measured():
+    assert set(VIEWS) == set(VIEWS_OF_STKZOO)
 
 
 def test_every_contender_tells_the_time_inside_the_engine(trial):
@@ -221,34 +239,41 @@ def test_memory_is_told_of_program_fork_server_and_race():
         assert 0 < sizes["own"] <= sizes["share"] <= sizes["resident"]
 
 
-CONTROLS = [[4, 3, 0, 0, 0, 0, 0], [0, 6, 1, 0, 1, 0, 1], [2, 0, 0, 1, 0, 1, 0]]
+CONTROLS = [[1.0, 0.0, 0, 0, 0, 0, 0], [0.0, 1.0, 1, 0, 1, 0, 1], [0.5, -1.0, 0, 1, 0, 1, 0]]
 
 
-def in_the_games_form(view, action):
-    env = wrap(kart_env(), view)
+def decoded(view, action):
+    env = VIEWS_OF_STKZOO[view](kart_env())
     while env is not env.unwrapped:
         action = env.action(action) if hasattr(env, "action") else action
         env = env.env
     return action
 
 
+@pytest.mark.parametrize("view", [v for v in VIEWS if v not in ("ground", *PHYSICAL_VIEWS)])
+@pytest.mark.parametrize("control", CONTROLS)
+def test_a_view_decodes_the_control_that_it_can_express(view, control):
+    style = driving_style(view)
+    expressed = controls_of(style, to_action("full", np.array(control)))
+    taken = decoded(view, to_action(view, np.array(expressed)))
+    for key, value in to_action("full", np.array(expressed)).items():
+        np.testing.assert_array_equal(np.ravel(taken.get(key, 0)), np.ravel(value))
+
+
 @pytest.mark.parametrize("view", VIEWS)
-@pytest.mark.parametrize("control", CONTROLS)
-def test_views_take_the_same_control_in_their_own_form(view, control):
-    taken = in_the_games_form(view, to_action(view, control))
-    expected = to_action("full", control)
-    assert set(taken) == set(expected)
-    for key, value in expected.items():
-        np.testing.assert_array_equal(np.ravel(taken[key]), np.ravel(value))
+def test_every_view_takes_the_actions_that_the_benchmarks_give_it(view):
+    space = race_v0.parallel_env(num_kart=1, view=view).action_space("kart_0")
+    for row in RandomControls(8, view).next():
+        assert space.contains(to_action(view, row))
 
 
 @pytest.mark.parametrize("control", CONTROLS)
-def test_an_action_on_the_grid_stays_where_it_is(control):
-    assert on_grid(to_action("full", control)) == control
+def test_a_control_on_the_grid_stays_where_it_is(control):
+    assert controls_of("grid", to_action("full", np.array(control))) == control
 
 
 def test_random_controls_repeat_with_their_seed():
-    one, same, other = RandomControls(3, 1), RandomControls(3, 1), RandomControls(3, 2)
+    one, same, other = (RandomControls(3, "full", seed) for seed in (1, 1, 2))
     rows = [[stream.next().tolist() for _ in range(9)] for stream in (one, same, other)]
     assert rows[0] == rows[1]
     assert rows[0] != rows[2]
@@ -260,8 +285,9 @@ def test_recorded_controls_start_again_at_their_end():
     assert taken == [[CONTROLS[0]], [CONTROLS[1]], [CONTROLS[0]]]
 
 
-def test_recorded_karts_drive():
-    rows = np.array(record_controls("olivermath", 2, 2, 1, 30))
+@pytest.mark.parametrize("style", ["grid", "physical"])
+def test_recorded_karts_drive(style):
+    rows = np.array(record_controls("olivermath", 2, 2, 1, 30, style))
     assert rows.shape == (30, 2, 7)
     assert np.median(rows[..., 0]) > 0
 
@@ -297,9 +323,9 @@ def test_a_table_becomes_markdown():
 def test_the_reference_is_left_out_where_it_fails():
     options = argparse.Namespace(karts=[1], single_karts=[1], group=GROUPS, view=VIEWS, cores=1)
     rivals = {
-        (heat.group, heat.view)
-        for heat in heats(options)
-        if any(spec.kind == "reference" for spec in heat.specs.values())
+        (match.group, match.view)
+        for match in matches(options)
+        if any(spec.kind == "reference" for spec in match.specs.values())
     }
     assert rivals == {("multi", "full"), ("single", "full")}
 
