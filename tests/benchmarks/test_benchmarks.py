@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from stkzoo.env.views import VIEWS as VIEWS_OF_STKZOO
 
 from benchmarks import bench_tables
 from benchmarks.bench_all import BENCHMARKS
@@ -32,6 +31,7 @@ from benchmarks.bench_memory import children, processes
 from benchmarks.bench_steps import GROUPS, matches
 from benchmarks.learned_drivers import NAMES, PARTS, cost
 from stkzoo import race_v0
+from stkzoo.views import VIEWS as VIEWS_OF_STKZOO
 from tests.support.generic_env import kart_env
 from tests.support.paths import ROOT
 
