@@ -5,15 +5,18 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
+# On all cores; a core that is done takes tests from another one.
+PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
 
 GRAPHICS_PACKAGES := libegl1 libgl1 libgl1-mesa-dri xvfb
 BROWSER_PACKAGES := chromium chromium-driver
 
-.PHONY: browser graphics help race test check bench docs site clean
+.PHONY: browser graphics help race test test-fast check bench docs site clean
 
 help:
 	@echo "make race    set everything up; a learned driver races the hardest bots"
 	@echo "make test    set everything up and run all tests"
+	@echo "make test-fast  the quick tests: every package, two minutes"
 	@echo "make check   lint, format and types"
 	@echo "make bench   measure speed and memory"
 	@echo "make site    build the documentation's pages"
@@ -27,7 +30,12 @@ race: $(VENV)/.core
 
 test: $(VENV)/.dev graphics browser
 	$(BIN)/stkzoo assets install
-	$(BIN)/python -m pytest $(ARGS)
+	$(PYTEST) $(ARGS)
+
+# Every package with the real engine, in two minutes on two cores.
+test-fast: $(VENV)/.dev
+	$(BIN)/stkzoo assets install
+	$(PYTEST) -m "not slow" $(ARGS)
 
 check: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -40,7 +48,7 @@ bench: $(VENV)/.dev
 
 docs: site $(VENV)/.dev
 	$(BIN)/stkzoo assets install
-	$(BIN)/python -m pytest --doctest-modules stkzoo tests/docs $(ARGS)
+	$(PYTEST) --doctest-modules stkzoo tests/docs $(ARGS)
 
 # The documentation as pages, in the folder site; every warning and every dead link fails.
 site: $(VENV)/.docs

@@ -79,6 +79,7 @@ class Trials:
         self._patches = contextlib.ExitStack()
         self._patches.enter_context(_replaced(tempfile, "tempdir", self._folder.name))
         process._close_all()  # the fork server's home is to be in that folder
+        self._not_ours = {member.pid for member in family(os.getpid())}  # of earlier tests
         self._witness = _Witness()
         self._traces: dict[str, str] = {}
         self._durations: dict[tuple[str, str], float] = {}
@@ -184,7 +185,7 @@ class Trials:
     def _check_nothing_is_left(self, form: Form) -> None:
         gc.collect()
         files, threads = self._numbers[form.name]
-        kept = set(self._witness.pids)
+        kept = {*self._witness.pids, *self._not_ours}
         others = lambda: [m for m in family(os.getpid()) if m.pid not in kept]  # noqa: E731
         rest = lambda: [m for m in others() if m.kind != "fork server"]  # noqa: E731
         self._check(wait_until(lambda: not rest(), _SETTLE), lambda: f"processes: {rest()}")

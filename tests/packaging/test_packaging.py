@@ -81,8 +81,8 @@ def installed(built, tmp_path_factory):
     (site,) = folder.glob("lib/python*/site-packages")
     (wheel,) = built.glob("*.whl")
     zipfile.ZipFile(wheel).extractall(site)
-    others = next(path for path in sys.path if path.endswith("site-packages"))
-    (site / "others.pth").write_text(others + "\n")
+    others = [path for path in sys.path if path.endswith("site-packages")]
+    (site / "others.pth").write_text("\n".join(others) + "\n")
     return folder / "bin" / "python"
 
 
