@@ -1,4 +1,4 @@
-"""What a user chooses about a race and its agents."""
+"""Options of an agent and of its start, as users write them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from stkzoo.names import CameraMode
 
 __all__ = ["AgentSpec", "RandomStart", "Start"]
 
-#: Karts go no faster without nitro and bonuses [m/s].
+#: Top speed of karts without nitro and bonuses [m/s].
 _MAX_START_SPEED = 25.0
 
 
@@ -48,10 +48,10 @@ class Start:
         offset: to the right of the centre line [m].
         heading: to the right of the road's direction [rad].
         speed: forwards [m/s].
-        behind: so much before that place [m].
+        behind: distance before that place [m].
 
     Raises:
-        ConfigError: a number cannot be.
+        ConfigError: a number is out of range.
     """
 
     distance: float | None = None
@@ -76,7 +76,7 @@ class Start:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RandomStart:
-    """Starts drawn anew at every reset, each number evenly between two bounds.
+    """Starts drawn at every reset, each number uniformly between two bounds.
 
     Attributes:
         share: where, as a share of the lap, from 0 up to 1.
@@ -85,7 +85,7 @@ class RandomStart:
         speed: forwards [m/s].
 
     Raises:
-        ConfigError: bounds cannot be.
+        ConfigError: bounds are invalid.
     """
 
     share: tuple[float, float] = (0.0, 1.0)

@@ -1,22 +1,23 @@
-"""Everything that stkzoo raises on purpose.
+"""All errors that stkzoo raises on purpose.
 
 ::
 
     StkzooError
-    ├── ConfigError (also a ValueError)   an argument or option that cannot be
+    ├── ConfigError (also a ValueError)   an argument or option is invalid
     ├── AssetError                        the game's data is missing or broken
-    ├── ApiOrderError                     a call that comes too early or too late
-    ├── ActionError (also a ValueError)   an action that the game must not see
-    ├── EngineError                       the game's process
-    │   ├── EngineCrashed                 it died
-    │   └── EngineTimeout                 it gave no answer in time
-    ├── AgentError                        somebody's agent
-    │   ├── AgentException                its wrappers (the reference's name)
-    │   └── AgentTimeout                  it took too long
-    └── RemoteError                       the other end of a network connection
-        └── ProtocolError                 it sent what the protocol does not allow
+    ├── ApiOrderError                     a method was called too early or too late
+    ├── ActionError (also a ValueError)   an action is invalid; the race did not advance
+    ├── EngineError                       the game's process failed
+    │   ├── EngineCrashed                 the game's process died
+    │   └── EngineTimeout                 the game's process did not answer in time
+    ├── AgentError                        an agent's own code failed
+    │   ├── AgentException                a wrapper of an agent failed (the reference's name)
+    │   └── AgentTimeout                  an agent took too long
+    └── RemoteError                       the other end of a network connection failed
+        └── ProtocolError                 the other end sent an invalid message
 
-A message says what came, what was expected and what to do about it.
+A message says what came, what was expected and what to do. Every error can be made from its
+text alone, and pickled.
 """
 
 from __future__ import annotations
@@ -44,41 +45,39 @@ __all__ = [
 
 
 class StkzooError(Exception):
-    """Root of all errors that stkzoo raises on purpose."""
+    """Base class of all errors that stkzoo raises on purpose."""
 
 
 class ConfigError(StkzooError, ValueError):
-    """An argument or option has a value that cannot be."""
+    """An argument or option is invalid."""
 
 
 class AssetError(StkzooError):
-    """The game's data (tracks, karts) is missing, incomplete or unusable."""
+    """The game's data (tracks, karts) is missing or broken."""
 
 
 class ApiOrderError(StkzooError):
-    """A method was called at a moment when it has no meaning."""
+    """A method was called too early or too late."""
 
 
 class ActionError(StkzooError, ValueError):
-    """An action is outside its space, or missing.
+    """An action is outside its space, or missing. The race did not advance.
 
     Attributes:
-        agent: id of the agent whose action it is.
+        agent: id of the agent whose action it is; empty if unknown.
     """
 
-    def __init__(self, message: str, agent: str) -> None:
+    def __init__(self, message: str, agent: str = "") -> None:
         super().__init__(message)
         self.agent = agent
 
-    def __reduce__(self) -> tuple[type[ActionError], tuple[str, str]]:
-        return type(self), (str(self), self.agent)
-
 
 class EngineError(StkzooError):
-    """The game's process did not do its part.
+    """The game's process failed.
 
     Attributes:
-        log: the last lines that the game wrote, oldest first; empty if none.
+        message: the text without the log.
+        log: the last lines that the game wrote, oldest first; may be empty.
     """
 
     def __init__(self, message: str, log: str = "") -> None:
@@ -87,42 +86,36 @@ class EngineError(StkzooError):
         self.message = message
         self.log = log
 
-    def __reduce__(self) -> tuple[type[EngineError], tuple[str, str]]:
-        return type(self), (self.message, self.log)
-
 
 class EngineCrashed(EngineError):
     """The game's process died; the next ``reset`` starts a new one."""
 
 
 class EngineTimeout(EngineError):
-    """The game's process gave no answer in time and was ended."""
+    """The game's process did not answer in time and was ended."""
 
 
 class AgentError(StkzooError):
-    """Code that belongs to one agent failed.
+    """An agent's own code failed.
 
     Attributes:
-        key: id of the agent.
+        key: id of the agent; empty if unknown.
         trace: the traceback in the agent's own code, or the last lines that its process
-            wrote; empty if there are none.
+            wrote; may be empty.
     """
 
-    def __init__(self, message: str, key: str, trace: str = "") -> None:
+    def __init__(self, message: str, key: str = "", trace: str = "") -> None:
         super().__init__(message)
         self.key = key
         self.trace = trace
 
-    def __reduce__(self) -> tuple[type[AgentError], tuple[str, str, str]]:
-        return type(self), (str(self), self.key, self.trace)
-
 
 class AgentException(AgentError):
-    """A wrapper of one agent failed, or cannot be used."""
+    """A wrapper of an agent failed, or cannot be used."""
 
 
 class AgentTimeout(AgentError):
-    """An agent took longer for its action than it may."""
+    """An agent took longer for its action than allowed."""
 
 
 class RemoteError(StkzooError):
@@ -130,7 +123,7 @@ class RemoteError(StkzooError):
 
 
 class ProtocolError(RemoteError):
-    """The other end sent something that the protocol does not allow."""
+    """The other end of a network connection sent an invalid message."""
 
 
 def check_whole(name: str, value: object, low: int, high: int | None = None) -> None:
@@ -139,11 +132,11 @@ def check_whole(name: str, value: object, low: int, high: int | None = None) -> 
     Args:
         name: what the value is for, such as ``"jobs"``.
         value: the value as it came.
-        low: the lowest that can be.
-        high: the highest; ``None`` for no bound.
+        low: lowest valid value.
+        high: highest valid value; ``None`` for no bound.
 
     Raises:
-        ConfigError: it is none.
+        ConfigError: it is not.
     """
     is_whole = isinstance(value, int) and not isinstance(value, bool)
     if not is_whole or value < low or (high is not None and value > high):  # type: ignore[operator]
@@ -152,12 +145,12 @@ def check_whole(name: str, value: object, low: int, high: int | None = None) -> 
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> ConfigError:
-    """Builds the error for a name that is not in a list of names.
+    """Makes the error for an unknown name; it suggests the nearest known one.
 
     Args:
         kind: what the name is for, such as ``"track"``.
         name: the name as it came.
-        known: the names that would have been right.
+        known: the valid names.
     """
     known = sorted(known)
     near = difflib.get_close_matches(str(name), known, n=1)
