@@ -52,7 +52,7 @@ _PATIENCE, _MEMORY = 30, 3000
 _INSTRUMENTED = [
     "stkzoo.engine.assets.archive",
     "stkzoo.env.scenario",
-    "stkzoo.evaluation.batch.plans",
+    "stkzoo.evaluation.batch.plan",
     "stkzoo.evaluation.benchmark",
     "stkzoo.race.codec",
     "stkzoo.race.replay.file",

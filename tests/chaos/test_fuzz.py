@@ -22,8 +22,7 @@ from stkzoo.engine.assets.archive import read_archive
 from stkzoo.engine.assets.progress import Progress
 from stkzoo.env.scenario import Scenario
 from stkzoo.errors import AssetError, ConfigError
-from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, plan_benchmark
-from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament
+from stkzoo.evaluation import BenchmarkPlan, TournamentPlan, plan_benchmark, plan_tournament
 from stkzoo.race import RaceResult
 from stkzoo.race.agents.files import unpack
 from stkzoo.race.replay import ReplayError, load_replay

@@ -84,7 +84,7 @@ def test_a_result_that_does_not_fit_is_told_and_shown_all_the_same(tmp_path):
 def test_a_tournament_goes_on_when_there_is_room_again(tmp_path):
     code = """
         from stkzoo.errors import ConfigError
-        from stkzoo.evaluation.tournament import run_tournament
+        from stkzoo.evaluation import run_tournament
         def league(**more):
             how = {"tracks": ["olivermath"], "races": 4, "max_steps": 10, "plot": False, **more}
             return run_tournament(["heuristic", "ai"], output=PLACE / "cup", jobs=1, **how)

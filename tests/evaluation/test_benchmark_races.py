@@ -14,7 +14,7 @@ from stkzoo import race_v0
 from stkzoo.cli import main
 from stkzoo.engine.snapshot import KART_DTYPE
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.benchmark import (
+from stkzoo.evaluation import (
     AiTimes,
     compare,
     load_ai_times,
