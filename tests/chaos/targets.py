@@ -22,8 +22,8 @@ from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
-from stkzoo.engine.assets.archive import SUMS, read_archive
-from stkzoo.engine.assets.progress import Progress
+from stkzoo.engine.assets.headless import SUMS, read_archive
+from stkzoo.engine.assets.staging import Progress
 from stkzoo.env.scenario import Scenario
 from stkzoo.errors import AssetError, ConfigError, ProtocolError
 from stkzoo.evaluation import (

@@ -18,8 +18,8 @@ import zipfile
 import pytest
 
 from benchmarks import fuzz
-from stkzoo.engine.assets.archive import read_archive
-from stkzoo.engine.assets.progress import Progress
+from stkzoo.engine.assets.headless import read_archive
+from stkzoo.engine.assets.staging import Progress
 from stkzoo.env.scenario import Scenario
 from stkzoo.errors import AssetError, ConfigError
 from stkzoo.evaluation import BenchmarkPlan, TournamentPlan, plan_benchmark, plan_tournament
