@@ -256,7 +256,7 @@ class _Run:
             try:
                 return self._env.step(self._actions)
             except ActionError as error:  # noqa: PERF203 - it is rare
-                self._actions[error.agent] = self._group.refuse(error, self._steps)
+                self._actions[error.agent] = self._group.replace_action(error, self._steps)
 
     def _ending(self) -> str:
         """Why the race is over; empty if it is not."""

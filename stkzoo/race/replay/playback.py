@@ -142,9 +142,7 @@ class _Judge(RaceListener):
     def started(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
         self._compare(race)
-        info = race.env.race
-        assert info is not None  # noqa: S101 - a race has started
-        if info.seed != self._replay.engine_seed:
+        if race.race_info.seed != self._replay.engine_seed:
             self._differ(race)
 
     def stepped(self, race: RaceProgress) -> None:
@@ -177,10 +175,9 @@ class _Judge(RaceListener):
         return replay.result if is_whole and self.first_difference is None else None
 
     def _compare(self, race: RaceProgress) -> None:
-        replay, snapshot = self._replay, race.env.snapshot
-        assert snapshot is not None  # noqa: S101 - a race runs
+        replay = self._replay
         self.steps = race.steps
-        self._digest = next_digest(self._digest, snapshot)
+        self._digest = next_digest(self._digest, race.snapshot)
         if self.first_difference is None and self._digest != replay.digests[race.steps].tobytes():
             self._differ(race)
         elif race.steps == replay.steps:

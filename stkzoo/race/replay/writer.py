@@ -71,10 +71,8 @@ class ReplayWriter(RaceListener):
         self._write(None)
 
     def _add_digest(self, race: RaceProgress) -> None:
-        snapshot = race.env.snapshot
-        assert snapshot is not None  # noqa: S101 - a race runs
         before = self._digests[-1] if self._digests else b""
-        self._digests.append(next_digest(before, snapshot))
+        self._digests.append(next_digest(before, race.snapshot))
 
     def _write(self, result: RaceResult | None) -> None:
         """Writes the file, if a race has started and its file is not written yet."""
@@ -96,8 +94,7 @@ class ReplayWriter(RaceListener):
 
 def _head(race: RaceProgress) -> Replay:
     """The replay of a race that stands on the grid."""
-    env, info = race.env, race.env.race
-    assert info is not None  # noqa: S101 - a race has started
+    env, info = race.env, race.race_info
     return Replay(
         track=info.track,
         reverse=info.reverse,
