@@ -23,7 +23,7 @@ from stkzoo.evaluation.batch.run import (
     open_batch,
 )
 from stkzoo.evaluation.benchmark.races import FRONT, direction_name, race_seed
-from stkzoo.race.result import RaceResult, check_form, read_json, versions_now
+from stkzoo.race.result import RaceResult, check_schema, read_json, versions_now
 from stkzoo.race.settings import RaceSettings
 
 __all__ = ["AI_TIMES_FILE", "AiTime", "AiTimes", "load_ai_times", "measure_ai_times"]
@@ -136,7 +136,7 @@ class AiTimes:
         """
         try:
             form = read_json(text)
-            check_form(form, _TYPE, _SCHEMA_VERSION)
+            check_schema(form, _TYPE, _SCHEMA_VERSION)
             return cls(dict(map(_entry, form["times"])), form["versions"])
         except (KeyError, TypeError, json.JSONDecodeError) as error:
             raise ConfigError(

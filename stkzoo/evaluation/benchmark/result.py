@@ -12,7 +12,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan
 from stkzoo.evaluation.benchmark.races import BenchmarkRace, direction_name
 from stkzoo.evaluation.statistics import CONFIDENCE, Estimate, estimate_mean
-from stkzoo.race.result import AgentResult, RaceResult, check_form, read_json
+from stkzoo.race.result import AgentResult, RaceResult, check_schema, read_json
 
 __all__ = [
     "FIGURES",
@@ -261,7 +261,7 @@ class BenchmarkResult:
         """
         try:
             form = read_json(text)
-            check_form(form, _TYPE, SCHEMA_VERSION)
+            check_schema(form, _TYPE, SCHEMA_VERSION)
             plan = BenchmarkPlan.from_form(form["plan"])
             races = {race.number: race for race in plan.races()}
             outcomes = [_outcome(entry, races[entry["number"]], plan) for entry in form["races"]]

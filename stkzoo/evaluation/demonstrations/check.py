@@ -15,7 +15,7 @@ from stkzoo.evaluation.demonstrations.dataset import Demonstrations, columns_of
 from stkzoo.evaluation.demonstrations.plan import DemoPlan
 from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
 from stkzoo.race.drivers import Driver, find_driver
-from stkzoo.race.replay.record import action_of
+from stkzoo.race.replay import action_of
 from stkzoo.race.runner import run_race
 
 __all__ = ["DemoCheck", "check_demonstrations"]

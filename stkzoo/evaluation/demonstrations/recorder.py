@@ -19,7 +19,7 @@ from stkzoo.evaluation.demonstrations.dataset import (
 )
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race.listeners import RaceListener, RaceProgress
-from stkzoo.race.replay.record import action_of, controls_of
+from stkzoo.race.replay import action_of, controls_of
 from stkzoo.race.result import RaceResult
 from stkzoo.views import VIEWS, sees_ground
 from stkzoo.views.agent_chain import AgentChain

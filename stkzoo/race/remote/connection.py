@@ -15,8 +15,7 @@ from stkzoo.race.codec import decode, encode
 from stkzoo.race.instances import Decision
 from stkzoo.race.remote import protocol
 from stkzoo.race.remote.keys import KeyPair
-from stkzoo.race.remote.library import zmq_module
-from stkzoo.race.remote.sockets import client_socket
+from stkzoo.race.remote.sockets import client_socket, zmq_module
 
 __all__ = ["Connection", "Failure", "Server"]
 

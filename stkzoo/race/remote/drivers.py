@@ -14,9 +14,8 @@ from stkzoo.race.agents.failures import printable
 from stkzoo.race.drivers import Driver
 from stkzoo.race.instances import Decision, DriverRequest, without_unused_paths
 from stkzoo.race.remote.connection import Connection, Failure, Server
-from stkzoo.race.remote.keys import KeyPair
-from stkzoo.race.remote.library import zmq_module
-from stkzoo.race.remote.sockets import full_address
+from stkzoo.race.remote.keys import KeyPair, new_keys
+from stkzoo.race.remote.sockets import full_address, zmq_module
 from stkzoo.race.remote.spaces import space_to_data
 
 __all__ = ["RemoteDriverGroup", "RemoteInstance"]
@@ -40,7 +39,7 @@ class RemoteDriverGroup:
 
     Args:
         servers: their addresses.
-        keys: the client's own keys; ``None`` if the servers need none.
+        keys: the client's own keys; ``None`` for new ones, where any client is allowed.
         server_keys: the servers' public keys: none, one for all, or one for each.
         timeout: time limit for a server's answer [s], in place of its agents' limits.
         connect_timeout: time limit for the connection [s].
@@ -69,7 +68,8 @@ class RemoteDriverGroup:
         for name, seconds in (("timeout", timeout), ("connect_timeout", connect_timeout)):
             if seconds is not None and not 0 < seconds < 1e9:
                 raise ConfigError(f"{name} is {seconds!r}, expected seconds above 0")
-        self.keys, self.timeout, self._patience = keys, timeout, connect_timeout
+        self._keys = keys or (new_keys() if server_keys else None)
+        self.timeout, self._patience = timeout, connect_timeout
         one_for_each = [*server_keys] * (len(servers) if len(server_keys) == 1 else 1)
         self._servers = [
             Server(full_address(address), key)
@@ -104,7 +104,7 @@ class RemoteDriverGroup:
         if connection is None or connection.failure:
             if connection is not None:
                 connection.close()
-            connection = Connection(self._context, server, self.keys)
+            connection = Connection(self._context, server, self._keys)
             self._connections[server] = connection
         return connection
 

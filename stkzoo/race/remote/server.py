@@ -17,7 +17,6 @@ from stkzoo.race.codec import Limits
 from stkzoo.race.drivers import Driver
 from stkzoo.race.instances import DriverLimits
 from stkzoo.race.remote import protocol
-from stkzoo.race.remote.library import zmq_module
 from stkzoo.race.remote.session import Reply, Session
 from stkzoo.race.remote.sockets import (
     DEFAULT_ADDRESS,
@@ -25,6 +24,7 @@ from stkzoo.race.remote.sockets import (
     ServerKeys,
     full_address,
     server_socket,
+    zmq_module,
 )
 
 __all__ = ["RaceServer"]
