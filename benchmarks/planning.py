@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.table import Table
 
 from stkzoo import RaceParallelEnv, race_v0
-from stkzoo.agents.heuristic import HeuristicDriver, create_state
+from stkzoo.agents.heuristic import create_state
 from stkzoo.agents.planner import Planner, PlannerSettings
 from stkzoo.tracks import SPLITS
 
@@ -58,8 +58,8 @@ class Result:
 
 def heuristic() -> Act:
     """The base policy alone."""
-    driver, memory = HeuristicDriver(), create_state()
-    return lambda env, observation: driver(memory, observation)  # noqa: ARG005 - as the planner
+    driver = create_state()
+    return lambda env, observation: driver.drive(observation)  # noqa: ARG005 - as the planner
 
 
 DRIVERS: dict[str, Callable[[int], Act]] = {

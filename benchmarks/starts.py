@@ -100,10 +100,10 @@ def _finishes(env: Any, seed: int) -> bool:
             break
         except ConfigError:
             continue
-    driver, state = heuristic.HeuristicDriver(), heuristic.create_state()
+    driver = heuristic.create_state()
     ended = {"kart_0": False}
     for _ in range(600):
-        action = driver(state, observations["kart_0"])
+        action = driver.drive(observations["kart_0"])
         observations, _, ended, _, _ = env.step({"kart_0": action})
         if not env.agents:
             break
@@ -123,11 +123,11 @@ def _errors(env: Any, start: Start) -> tuple[float, float, int]:
 
 def _drive(env: Any, observations: dict[str, Any]) -> float:
     """How far above or below the road the kart is after some steps [m]."""
-    driver, state = heuristic.HeuristicDriver(), heuristic.create_state()
+    driver = heuristic.create_state()
     for _ in range(_DRIVEN_STEPS):
         if not env.agents:
             break
-        action = driver(state, observations["kart_0"])
+        action = driver.drive(observations["kart_0"])
         observations, *_ = env.step({"kart_0": action})
     kart, track = env.snapshot.karts[0], env.track_map
     middles = track.path_nodes.mean(axis=1)

@@ -1,33 +1,18 @@
-"""A driver made of rules and nothing learned: it beats the game's bots on most tracks.
+"""A driver made of rules, with nothing learned: it beats the game's bots on most tracks.
 
-Ten times a second it lists what it could do in the next two seconds (:mod:`.plans`): which lane
-to drive in, whether to brake, when to drift and for how long. It drives all of that in its
-head (:mod:`.forecast`), in the road's own coordinates (:mod:`.road`), and begins what gets it
-farthest, boosts and items counted in metres (:mod:`.driver`, :mod:`.items`).
-
-It sees the ``full`` view and remembers a little (:class:`DriverState`). All its numbers
-stand in :class:`DriverParameters`. It was built on the training tracks of
-:mod:`stkzoo.tracks` alone, and an evolution strategy has found most of its numbers there
-(:mod:`stkzoo.agents.training.tune_plans`).
+It is the planner (:mod:`stkzoo.agents.planning`) for one kart: of all plans it begins the one that
+is worth most. It sees the ``full`` view and does not look at other karts.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
-from stkzoo.agents.planning import DriverParameters
+from stkzoo.agents.planning import DriverParameters, PlanDriver
 
-from .driver import DriverState, HeuristicDriver
-
-__all__ = [
-    "DriverParameters",
-    "DriverState",
-    "HeuristicDriver",
-    "create_state",
-    "env_name",
-    "get_actor",
-    "player_name",
-]
+__all__ = ["PARAMETERS", "create_state", "env_name", "get_actor", "player_name"]
 
 #: The environment that the driver was made for.
 env_name = "supertuxkart/full-v0"
@@ -35,10 +20,22 @@ env_name = "supertuxkart/full-v0"
 #: The name to show.
 player_name = "heuristic"
 
-create_state = DriverState
+#: The numbers that plans are weighed by: other karts cost nothing.
+PARAMETERS = replace(DriverParameters(), bump_cost=0.0)
 
 
-def get_actor(module_dir: object, observation_space: Any, action_space: Any) -> HeuristicDriver:
+def create_state(parameters: DriverParameters = PARAMETERS) -> PlanDriver:
+    """What the driver remembers in one race.
+
+    Args:
+        parameters: the numbers that plans are weighed by.
+    """
+    return PlanDriver(1, parameters)
+
+
+def get_actor(
+    module_dir: object, observation_space: Any, action_space: Any
+) -> Callable[[PlanDriver, Mapping[str, Any]], dict[str, Any]]:
     """The driver; it needs none of the arguments, which every driver is given.
 
     Args:
@@ -47,4 +44,4 @@ def get_actor(module_dir: object, observation_space: Any, action_space: Any) -> 
         action_space: the agent's action space.
     """
     del module_dir, observation_space, action_space
-    return HeuristicDriver()
+    return PlanDriver.drive

@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo import RaceParallelEnv
-from stkzoo.agents.heuristic import DriverState, HeuristicDriver
+from stkzoo.agents.heuristic import create_state
+from stkzoo.agents.planning import PlanDriver
 from stkzoo.errors import ConfigError
 
 __all__ = ["Plan", "Planner", "PlannerSettings"]
@@ -101,15 +102,14 @@ class Planner:
 
     Args:
         settings: how far, how often and how widely it looks.
-        base: the policy that it improves on.
+        base: the state of the heuristic driver that it improves on, at the start of a race.
         seed: of its random plans; the same seed drives the same race.
     """
 
     settings: PlannerSettings = field(default_factory=PlannerSettings)
-    base: HeuristicDriver = field(default_factory=HeuristicDriver)
+    base: PlanDriver = field(default_factory=create_state)
     seed: int = 0
     _random: np.random.Generator = field(init=False)
-    _memory: DriverState = field(init=False, default_factory=DriverState)
     _plan: Plan = field(init=False)
     _step: int = field(init=False, default=0)
 
@@ -135,7 +135,7 @@ class Planner:
         if self._step % self.settings.commitment == 0:
             self._plan = self._best_plan(env, observation)
             self._step = 0
-        action = self._plan.change(self.base(self._memory, observation), self._step)
+        action = self._plan.change(self.base.drive(observation), self._step)
         self._step += 1
         return action
 
@@ -153,10 +153,10 @@ class Planner:
     def _value(self, branch: RaceParallelEnv, observation: Mapping[str, Any], plan: Plan) -> float:
         """How far a plan leads [m], counting the speed at its end as distance too."""
         (agent,) = branch.possible_agents
-        memory = copy.copy(self._memory)
+        base = copy.deepcopy(self.base)
         distance = speed = 0.0
         for step in range(self.settings.horizon):
-            action = plan.change(self.base(memory, observation), step)
+            action = plan.change(base.drive(observation), step)
             observations, _, terminations, truncations, infos = branch.step({agent: action})
             observation = observations[agent]
             distance = float(infos[agent]["distance"])

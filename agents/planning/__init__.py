@@ -21,6 +21,7 @@ from .driver import (
     PlanDriver,
     PolicyInput,
     is_drifting,
+    likeliest,
     mirrored_choices,
     mirrored_inputs,
     mirrored_prior,
@@ -32,7 +33,7 @@ from .memory import MEMORY_MIRROR, MEMORY_SIZE, DriverMemory, KartSituation
 from .parameters import DriverParameters
 from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, FREE, MANOEUVRES, PlanTable, plan_table
 from .rivals import Rivals, RivalTracker
-from .road import RoadAhead, RoadPlaces
+from .road import LINE_MARKS, RoadAhead, RoadPlaces
 from .worth import PlanOptions, PlanScene, weigh
 
 __all__ = [
@@ -46,6 +47,7 @@ __all__ = [
     "FREE",
     "HEADS",
     "INPUT_SIZE",
+    "LINE_MARKS",
     "MANOEUVRES",
     "MEMORY_MIRROR",
     "MEMORY_SIZE",
@@ -65,6 +67,7 @@ __all__ = [
     "RoadAhead",
     "RoadPlaces",
     "is_drifting",
+    "likeliest",
     "mirrored_choices",
     "mirrored_inputs",
     "mirrored_prior",

@@ -8,28 +8,29 @@ choose. What is learned is added to them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo import Phase, PowerupType
 from stkzoo.mdp.geometry import squared
-from stkzoo.names import PowerupType
 from stkzoo.wrappers.racing import (
     LOOKS,
     MIRROR,
     SIZE,
     Surroundings,
     racing_features,
+    surroundings_of,
 )
 
 from .kart import DRIFT_TURN
 from .memory import MEMORY_MIRROR, MEMORY_NAMES, DriverMemory
 from .parameters import DriverParameters
 from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, FREE, MANOEUVRES
-from .rivals import RIVALS_MIRROR, RivalTracker
+from .rivals import RIVALS_MIRROR, Rivals, RivalTracker
 from .road import LINE_MARKS, RoadAhead
 from .worth import PlanOptions, PlanScene, has_powerup, weigh
 
@@ -44,6 +45,7 @@ __all__ = [
     "PlanDriver",
     "PolicyInput",
     "is_drifting",
+    "likeliest",
     "mirrored_choices",
     "mirrored_inputs",
     "mirrored_prior",
@@ -72,6 +74,9 @@ _METRE = 2.0  # of a metre that a plan is worth
 _NEVER = -30.0
 _OFFSET_PRIOR = np.array([-5.5, -4.5, -3.5, 0.0, -3.5, -4.5, -5.5], np.float32)
 _BUTTON = 2.0  # for what the rules would do, and its negative for what not
+
+#: What is pressed, in the order of the controls.
+_BUTTONS = ("brake", "drift", "fire", "nitro", "rescue")
 
 #: A drift begins to the side of steer, which must not be too small to tell.
 START_STEER = 0.3
@@ -149,11 +154,11 @@ class PolicyInput:
 
 
 class PlanDriver:
-    """A karts.
+    """Drives A karts by choices among their best plans, and remembers what that needs.
 
     Args:
         count: A.
-        rules: the numbers that the prior goes by.
+        rules: the numbers that plans are weighed by.
     """
 
     def __init__(self, count: int, rules: DriverParameters | None = None) -> None:
@@ -162,6 +167,29 @@ class PlanDriver:
         self._tracker = RivalTracker(count)
         self._options: PlanOptions | None = None
 
+    def drive(
+        self,
+        observation: Mapping[str, Any],
+        choose: Callable[[PolicyInput], IntArray] | None = None,
+    ) -> dict[str, Any]:
+        """The action of one kart, once a step.
+
+        Args:
+            observation: of the ``full`` view.
+            choose: a policy's choices ``(1, 4)``; by default the prior's likeliest.
+
+        Returns:
+            An action of the ``full`` view.
+        """
+        if observation["phase"] < Phase.GO_PHASE:
+            return _action(np.eye(1, 7, dtype=np.float32)[0])  # full throttle
+        if choose is None:
+            choices = likeliest(self.plan(*surroundings_of(observation, LINE_MARKS)))
+        else:
+            choices = choose(self.look(*surroundings_of(observation, ALL_LOOKS)))
+        controls, _ = self.act(choices)
+        return _action(controls[0])
+
     def look(self, own: Mapping[str, Any], around: Surroundings) -> PolicyInput:
         """A step has passed: what the policy sees now.
 
@@ -169,17 +197,48 @@ class PlanDriver:
             own: what the karts know of themselves, in batch form.
             around: what is around them, the road at :data:`ALL_LOOKS`.
         """
-        speed = np.asarray(own["velocity"][:, 2], np.float32)
-        self.memory.look(speed, np.reshape(own["skeed_factor"], -1))
-        self._tracker.look()
-        view = self.view(own, around)
+        self._pass_step(own)
+        seen = self.view(own, around)
         self.memory.look_around(self.options.beyond)
-        return view
+        return seen
 
     def view(self, own: Mapping[str, Any], around: Surroundings) -> PolicyInput:
         """What the policy sees, when no step has passed."""
-        road = RoadAhead.of(around.road[:, len(LOOKS) :])
+        road = _road(around)
         rivals = self._tracker.watch(around.karts, own["velocity"], road)
+        prior = self._weigh(own, around, road, rivals)
+        parts = (
+            racing_features(own, around),
+            self.memory.numbers(),
+            _numbers(self.options),
+            rivals.numbers(road.offset),
+        )
+        return PolicyInput(np.concatenate(parts, axis=1), prior)
+
+    def plan(self, own: Mapping[str, Any], around: Surroundings) -> FloatArray:
+        """A step has passed: the prior alone, ``(A, sum(CHOICES))``; the road at the marks."""
+        self._pass_step(own)
+        road = _road(around)
+        rivals = None
+        if self._rules.bump_cost:
+            rivals = self._tracker.watch(around.karts, own["velocity"], road)
+        prior = self._weigh(own, around, road, rivals)
+        self.memory.look_around(self.options.beyond)
+        return prior
+
+    def _pass_step(self, own: Mapping[str, Any]) -> None:
+        speed = np.asarray(own["velocity"][:, 2], np.float32)
+        self.memory.look(speed, np.reshape(own["skeed_factor"], -1))
+        self._tracker.look()
+
+    def _weigh(
+        self,
+        own: Mapping[str, Any],
+        around: Surroundings,
+        road: RoadAhead,
+        rivals: Rivals | None,
+    ) -> FloatArray:
+        """Weighs the plans; the prior."""
         scene = PlanScene(
             speed=np.asarray(own["velocity"][:, 2], np.float32),
             max_steer_angle=np.reshape(own["max_steer_angle"], -1),
@@ -190,15 +249,8 @@ class PlanDriver:
             item_types=around.item_types,
             rivals=rivals,
         )
-        options = weigh(scene, self.memory.situation(), self._rules)
-        self._options = options
-        parts = (
-            racing_features(own, around),
-            self.memory.numbers(),
-            _numbers(options),
-            rivals.numbers(road.offset),
-        )
-        return PolicyInput(np.concatenate(parts, axis=1), self._prior(own, around, scene, options))
+        self._options = weigh(scene, self.memory.situation(), self._rules)
+        return self._prior(own, around, scene, self._options)
 
     def forget(self, rows: IntArray) -> None:
         """Starts some karts anew."""
@@ -298,6 +350,22 @@ class PlanDriver:
         spoils = (np.asarray(own["powerup_type"]) == PowerupType.SWITCH) & is_close.any(axis=1)
         useful: BoolArray = (np.asarray(own["powerup_count"]) > 0) & ~spoils
         return useful
+
+
+def likeliest(logits: FloatArray) -> IntArray:
+    """The likeliest choices ``(A, 4)`` of logits ``(A, sum(CHOICES))``."""
+    return np.stack([logits[:, head].argmax(axis=1) for head in HEADS], axis=1)
+
+
+def _road(around: Surroundings) -> RoadAhead:
+    """The road at :data:`LINE_MARKS`, which come last of what was looked at."""
+    return RoadAhead.of(around.road[:, -len(LINE_MARKS) :])
+
+
+def _action(controls: FloatArray) -> dict[str, Any]:
+    """The action of the ``full`` view for controls ``(7,)``."""
+    buttons = {key: int(controls[n]) for n, key in enumerate(_BUTTONS, start=2)}
+    return {"acceleration": controls[:1], "steer": controls[1:2], **buttons}
 
 
 def _numbers(options: PlanOptions) -> FloatArray:

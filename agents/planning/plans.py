@@ -11,6 +11,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -213,11 +214,11 @@ def _in_drift(side: int, steps: int, lanes: Lanes) -> _Plans:
     return plans
 
 
-@dataclass(frozen=True, slots=True)
-class PlanTable:
+class PlanTable(NamedTuple):
     """The plans of all states: ``S`` states, ``T`` moments, ``C`` plans.
 
     Attributes:
+        spans: ``(T,)`` how long the moments last [s].
         least: ``(S, T, C)`` share of full lock that can be turned, positive to the right, from
         most: ``(S, T, C)`` to this.
         drifts: ``(S, T, C)`` 1 where the kart drifts.
@@ -231,6 +232,7 @@ class PlanTable:
         needs_drift: ``(S, C)`` whether it is for karts that may begin a drift.
     """
 
+    spans: FloatArray
     least: FloatArray
     most: FloatArray
     drifts: FloatArray
@@ -272,6 +274,7 @@ def plan_table(changes: int) -> PlanTable:
         return rows
 
     return PlanTable(
+        spans=SPANS,
         least=by_moment("least"),
         most=by_moment("most"),
         drifts=by_moment("drifts"),

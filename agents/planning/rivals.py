@@ -51,6 +51,13 @@ class Rivals:
     gain: FloatArray
     drift: FloatArray
 
+    def columns(self) -> npt.NDArray[np.float64]:
+        """All of it as one array, ``(A, RIVALS, 5)``, in the order of the attributes."""
+        columns = np.empty((*self.is_there.shape, 5))
+        for number, entry in enumerate(fields(self)):
+            columns[..., number] = getattr(self, entry.name)
+        return columns
+
     def numbers(self, offset: FloatArray) -> FloatArray:
         """What a policy sees of them, ``(A, 5 * RIVALS)``.
 

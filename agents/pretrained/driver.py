@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.planning import ALL_LOOKS, CHOICES, INPUT_SIZE, DriverParameters, PlanDriver
+from stkzoo.agents.planning import CHOICES, INPUT_SIZE, DriverParameters, PlanDriver
 from stkzoo.errors import ConfigError
-from stkzoo.wrappers.racing import surroundings_of
 
 from .ensemble import EnsemblePolicy, networks_of
 from .mlp import KartPolicy, MlpDriver
@@ -42,11 +41,6 @@ Policy = RacingPolicy | EnsemblePolicy
 
 #: An agent's files.
 CARD, WEIGHTS = "card.json", "weights.safetensors"
-
-#: Before it (``stkzoo.Phase.GO_PHASE``) karts stand on the grid.
-_GO_PHASE = 2
-
-_COLUMNS = ("acceleration", "steer", "brake", "drift", "fire", "nitro", "rescue")
 
 
 def read_policy(folder: str | Path) -> Policy:
@@ -174,20 +168,7 @@ def make_actor(
     """
     del observation_space, action_space
     policy = read_policy(module_dir)
-
-    def actor(state: PlanDriver, observation: Mapping[str, Any]) -> dict[str, Any]:
-        if observation["phase"] < _GO_PHASE:
-            return _action(np.array([1, 0, 0, 0, 0, 0, 0], np.float32))
-        view = state.look(*surroundings_of(observation, ALL_LOOKS))
-        controls, _ = state.act(policy.best(view))
-        return _action(controls[0])
-
-    return actor
-
-
-def _action(controls: FloatArray) -> dict[str, Any]:
-    action: dict[str, Any] = {key: int(controls[n]) for n, key in enumerate(_COLUMNS) if n > 1}
-    return {"acceleration": controls[:1], "steer": controls[1:2], **action}
+    return lambda state, observation: state.drive(observation, policy.best)
 
 
 def __getattr__(name: str) -> Any:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.planning import CHOICES, HEADS, INPUT_SIZE, PolicyInput
+from stkzoo.agents.planning import CHOICES, HEADS, INPUT_SIZE, PolicyInput, likeliest
 
 __all__ = ["INPUT_CLIP", "RacingPolicy", "log_sum", "network"]
 
@@ -67,8 +67,7 @@ class RacingPolicy:
 
     def best(self, view: PolicyInput) -> IntArray:
         """The likeliest choices ``(A, 4)``."""
-        logits = self.logits(view)
-        return np.stack([logits[:, head].argmax(axis=1) for head in HEADS], axis=1)
+        return likeliest(self.logits(view))
 
     def sample(
         self,

@@ -16,7 +16,7 @@ from stkzoo import (
     StartCurriculum,
     race_v0,
 )
-from stkzoo.agents.heuristic import HeuristicDriver, create_state
+from stkzoo.agents.heuristic import create_state
 from stkzoo.engine.road import Road
 from stkzoo.env.starts import draw_starts
 
@@ -106,12 +106,12 @@ def test_a_heading_turns_the_kart_to_the_right():
 
 
 def test_a_kart_that_starts_late_in_the_lap_finishes():
-    driver, state = HeuristicDriver(), create_state()
+    driver = create_state()
     with race(track="zengarden") as env:
         observations, infos = env.reset(seed=1, options={"start": Start(share=0.85, speed=10.0)})
         ended = {"kart_0": False}
         for _ in range(300):
-            action = driver(state, observations["kart_0"])
+            action = driver.drive(observations["kart_0"])
             observations, _, ended, _, infos = env.step({"kart_0": action})
             if not env.agents:
                 break

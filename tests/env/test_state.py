@@ -17,7 +17,7 @@ import pytest
 from stkzoo import AgentSpec, race_v0
 from stkzoo.agents import heuristic
 from stkzoo.agents.planner import Planner, PlannerSettings
-from stkzoo.checks.play import fingerprint
+from stkzoo.checks.trace import fingerprint
 from stkzoo.engine import process
 from stkzoo.engine.assets import find_assets
 from stkzoo.errors import (
@@ -672,8 +672,7 @@ def race_of(env, act, seed=2):
 
 def test_the_planner_gets_further_than_the_driver_that_it_is_made_of():
     with make("olivermath", agents=1, max_cycles=150, max_paths=20) as env:
-        driver, memory = heuristic.HeuristicDriver(), heuristic.create_state()
-        base, _ = race_of(env, lambda observation: driver(memory, observation))
+        base, _ = race_of(env, heuristic.create_state().drive)
         planner = Planner(PlannerSettings(num_plans=4))
         planned, _ = race_of(env, lambda observation: planner.act(env, observation))
     assert planned > base

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 
@@ -20,13 +21,13 @@ from stkzoo.agents.training.sb3.evaluation import judge, ratings_of, read_judgem
 from stkzoo.agents.training.sb3.plot import main as plot_main
 from stkzoo.agents.training.sb3.policy import save_driver, start_weights, write_agent
 from stkzoo.agents.training.sb3.races import RaceGroup, SelfPlayVecEnv, race_groups
-from stkzoo.agents.training.sb3.selfplay import Arguments, Run, main
+from stkzoo.agents.training.sb3.selfplay import Arguments, Run
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceSettings, run_race
 from stkzoo.sb3 import ActiveRolloutBuffer, RaceVecEnv
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.wrappers.racing import BRAKE, CHOICES, PLACES, RESCUE, SIZE, STEERS
-from tests.support.training import run_and_kill, words_of
+from tests.support.processes import wait_until
 
 SMALL = {
     "races": ("2x1", "1+1x1"),
@@ -43,12 +44,21 @@ SMALL = {
 }
 
 
-def words(folder, until, **changes):
-    return words_of(folder, SMALL | changes, until=until)
+def command(folder, until, **changes):
+    words = [f"--output={folder}", f"--until={until}"]
+    for name, value in (SMALL | changes).items():
+        flag = "--" + name.replace("_", "-")
+        if value is True:
+            words.append(flag)
+        else:
+            words += [flag, *(map(str, value) if isinstance(value, tuple) else [str(value)])]
+    return [sys.executable, "-m", "stkzoo.agents.training.sb3.selfplay", *words]
 
 
 def learn(folder, until, **changes):
-    return main(words(folder, until, **changes))
+    return subprocess.run(
+        command(folder, until, **changes), capture_output=True, text=True, timeout=300
+    )
 
 
 def log_of(folder):
@@ -429,7 +439,8 @@ def test_a_policy_becomes_an_agent(tmp_path, policy):
 
 
 def test_values_are_learned_before_the_policy(tmp_path):
-    assert learn(tmp_path, 40, warm_up=1_000_000, keep_every=10) == 0
+    done = learn(tmp_path, 100, warm_up=1_000_000, keep_every=10)
+    assert done.returncode == 0, done.stderr
     first = load_weights(tmp_path / "policy-000000000.safetensors")
     for name, array in last_policy(tmp_path).items():
         is_value = name.startswith(("value_net", "mlp_extractor.value_net"))
@@ -437,10 +448,9 @@ def test_values_are_learned_before_the_policy(tmp_path):
 
 
 def test_it_learns_evaluates_and_ends(tmp_path):
-    evaluation = {"evaluation_races": 1, "evaluation_tracks": "olivermath"}
-    command = [sys.executable, "-m", "stkzoo.agents.training.sb3.selfplay"]
-    command += words(tmp_path, 150, evaluate_every=10_000, **evaluation)
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = learn(
+        tmp_path, 150, evaluation_races=1, evaluation_tracks="olivermath", evaluate_every=10_000
+    )
     assert done.returncode == 0, done.stderr
     log = log_of(tmp_path)
     assert log[-1]["kart_steps"] >= 150
@@ -461,11 +471,19 @@ def test_it_learns_evaluates_and_ends(tmp_path):
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
 def test_after_a_kill_it_goes_on_as_if_nothing_had_been(tmp_path):
-    assert learn(tmp_path / "whole", 270) == 0
+    assert learn(tmp_path / "whole", 330).returncode == 0
     killed = tmp_path / "killed"
-    # In the middle of a round, with a rival in the pool.
-    run_and_kill(main, words(killed, 100_000), killed / "log.jsonl", lines=5)
-    assert learn(killed, 270) == 0
+    process = subprocess.Popen(
+        command(killed, 100_000), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    log = killed / "log.jsonl"
+    try:
+        # In the middle of a round, with a rival in the pool.
+        assert wait_until(lambda: log.exists() and len(log.read_text().splitlines()) >= 5, 200)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    assert learn(killed, 330).returncode == 0
     assert log_of(killed) == log_of(tmp_path / "whole")
     assert log_of(killed)[-1]["rivals"] >= 2
     ours, theirs = last_policy(killed), last_policy(tmp_path / "whole")
@@ -489,7 +507,8 @@ def test_a_run_begins_with_given_weights(tmp_path):
 
 
 def test_supersuit_gives_the_same_learner_plain_races(tmp_path):
-    assert learn(tmp_path, 60, supersuit=True, races="2x2", share=0.5) == 0
+    done = learn(tmp_path, 60, supersuit=True, races="2x2", share=0.5)
+    assert done.returncode == 0, done.stderr
     assert log_of(tmp_path)[-1]["kart_steps"] >= 60
 
 

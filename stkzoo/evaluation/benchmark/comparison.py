@@ -7,20 +7,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.benchmark.result import FIGURES, BenchmarkResult, RaceOutcome, groups_of
+from stkzoo.evaluation.benchmark.outcome import RaceOutcome
+from stkzoo.evaluation.benchmark.result import FIGURES, BenchmarkResult, groups_of
 from stkzoo.evaluation.statistics import CONFIDENCE, Estimate, estimate_mean
 
-__all__ = ["Comparison", "GroupDifference", "compare"]
+__all__ = ["Comparison", "Difference", "compare"]
 
 Pair = tuple[RaceOutcome, RaceOutcome]
 
 
 @dataclass(frozen=True, slots=True)
-class GroupDifference:
-    """The difference between two agents in a group of races.
+class Difference:
+    """By how much two agents differ in some races.
 
     Attributes:
-        by: what the races have in common, as in :class:`~stkzoo.evaluation.RaceGroup`.
+        by: what the races have in common, as in :class:`~stkzoo.evaluation.benchmark.Group`.
         name: which of these.
         races: how many.
         figures: the first agent's figure minus the second's, by name; ``None`` for a figure
@@ -35,19 +36,19 @@ class GroupDifference:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """The differences between two agents.
+    """By how much two agents differ.
 
     Attributes:
-        first: the first agent's name.
-        second: the second's.
+        first: what the first is called.
+        second: what the second is called.
         differences: over all races and over parts of them.
     """
 
     first: str
     second: str
-    differences: tuple[GroupDifference, ...]
+    differences: tuple[Difference, ...]
 
-    def difference(self, by: str = "all", name: str = "") -> GroupDifference:
+    def difference(self, by: str = "all", name: str = "") -> Difference:
         """The differences in some races.
 
         Raises:
@@ -70,10 +71,10 @@ class Comparison:
 
 
 def compare(first: BenchmarkResult, second: BenchmarkResult) -> Comparison:
-    """The differences between two agents in the races that both have driven.
+    """By how much two agents differ in the races that both have driven.
 
-    Each race is compared with the other agent's race of the same track, direction, form, end of
-    the grid and seed, so the conditions of a race cancel out.
+    A race of one agent is compared with the other's of the same track, direction, form, end
+    of the grid and seed. So what the conditions of a race do to both falls out.
 
     Raises:
         ConfigError: they raced under different conditions, or have no race in common.
@@ -95,7 +96,7 @@ def compare(first: BenchmarkResult, second: BenchmarkResult) -> Comparison:
         first.label,
         second.label,
         tuple(
-            GroupDifference(
+            Difference(
                 by,
                 name,
                 len(members),

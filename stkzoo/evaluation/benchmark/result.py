@@ -1,4 +1,4 @@
-"""The result of a benchmark: every race's outcome, and figures over groups of races."""
+"""What a benchmark came to."""
 
 from __future__ import annotations
 
@@ -9,19 +9,18 @@ from functools import cached_property
 from typing import Any
 
 from stkzoo.errors import ConfigError
+from stkzoo.evaluation.benchmark.outcome import RaceOutcome
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan
 from stkzoo.evaluation.benchmark.races import BenchmarkRace, direction_name
 from stkzoo.evaluation.statistics import CONFIDENCE, Estimate, estimate_mean
-from stkzoo.race.result import AgentResult, RaceResult, check_schema, read_json
+from stkzoo.race.result import RaceResult, check_form, read_json
 
 __all__ = [
     "FIGURES",
     "SCHEMA_VERSION",
     "BenchmarkResult",
     "FigureKind",
-    "KartOutcome",
-    "RaceGroup",
-    "RaceOutcome",
+    "Group",
     "benchmark_result",
     "groups_of",
 ]
@@ -32,127 +31,12 @@ _TYPE = "benchmark-result"
 
 
 @dataclass(frozen=True, slots=True)
-class KartOutcome:
-    """The outcome of one kart of the agent.
-
-    Attributes:
-        time: its finish time [s]; ``None`` if it did not finish.
-        rank: its rank; karts of the agent that did not finish have the last ranks.
-        rescues: how often it was put back on the road; ``None`` if not counted.
-        errors: how often the agent failed.
-    """
-
-    time: float | None
-    rank: int
-    rescues: int | None
-    errors: int
-
-
-@dataclass(frozen=True, slots=True)
-class RaceOutcome:
-    """The outcome of one race for the agent.
-
-    Attributes:
-        race: the race.
-        status: why it ended.
-        ai_time: the AI's median time there [s].
-        limit: the multiple of it after which the race ended.
-        karts: the agent's, in the order of the grid.
-    """
-
-    race: BenchmarkRace
-    status: str
-    ai_time: float
-    limit: float
-    karts: tuple[KartOutcome, ...]
-
-    @classmethod
-    def of(
-        cls, race: BenchmarkRace, result: RaceResult, ai_time: float, limit: float
-    ) -> RaceOutcome:
-        """The agent's part of a race's result."""
-        places = race.form.places(race.end)
-        own = [row for row in result.agents if row.start_position - 1 in places]
-        lost = [row.agent for row in own if row.finish_time is None]
-        last = dict(zip(reversed(lost), range(len(result.agents), 0, -1), strict=False))
-        own.sort(key=lambda row: row.start_position)
-        karts = tuple(_kart(row, last.get(row.agent, row.rank)) for row in own)
-        return cls(race, result.status, ai_time, limit, karts)
-
-    @property
-    def time_ratio(self) -> float:
-        """The karts' mean finish time as a multiple of the AI's; at most ``limit``.
-
-        A kart that did not finish counts with the limit.
-        """
-        return _mean([self._ratio(kart) for kart in self.karts])
-
-    @property
-    def is_won(self) -> float | None:
-        """1 if a kart of the agent won, else 0; ``None`` without rivals."""
-        if not self.race.form.rivals:
-            return None
-        return float(any(kart.rank == 1 and kart.time is not None for kart in self.karts))
-
-    @property
-    def rank(self) -> float | None:
-        """The karts' mean rank; ``None`` without rivals."""
-        return _mean([kart.rank for kart in self.karts]) if self.race.form.rivals else None
-
-    @property
-    def unfinished(self) -> float:
-        """The share of karts that did not finish."""
-        return _mean([kart.time is None for kart in self.karts])
-
-    @property
-    def rescues(self) -> float | None:
-        """How often each kart was put back on the road; ``None`` if not counted."""
-        counts = [kart.rescues for kart in self.karts if kart.rescues is not None]
-        return _mean(counts) if len(counts) == len(self.karts) else None
-
-    def _ratio(self, kart: KartOutcome) -> float:
-        return self.limit if kart.time is None else min(kart.time / self.ai_time, self.limit)
-
-    def to_form(self) -> dict[str, Any]:
-        """The outcome as JSON values; the rest follows from the plan."""
-        return {
-            "number": self.race.number,
-            "track": self.race.track,
-            "reverse": self.race.reverse,
-            "form": self.race.form.name,
-            "end": self.race.end,
-            "index": self.race.index,
-            "seed": self.race.seed,
-            "status": self.status,
-            "time_ratio": round(self.time_ratio, 5),
-            "karts": [asdict(kart) for kart in self.karts],
-        }
-
-    @classmethod
-    def from_form(
-        cls, form: Mapping[str, Any], race: BenchmarkRace, ai_time: float, limit: float
-    ) -> RaceOutcome:
-        """Reads the output of :meth:`to_form`."""
-        karts = tuple(KartOutcome(**kart) for kart in form["karts"])
-        return cls(race, form["status"], ai_time, limit, karts)
-
-
-def _kart(row: AgentResult, rank: int) -> KartOutcome:
-    time = None if row.finish_time is None else round(row.finish_time, 4)
-    return KartOutcome(time, rank, row.rescues, row.num_errors)
-
-
-def _mean(values: Sequence[float]) -> float:
-    return sum(values) / len(values)
-
-
-@dataclass(frozen=True, slots=True)
 class FigureKind:
     """A kind of figure.
 
     Attributes:
-        name: its name.
-        of: its value in one race; ``None`` where undefined.
+        name: what it is called.
+        of: its value in one race; ``None`` where it has none.
         bounds: the least and greatest possible value, for shares and counts.
     """
 
@@ -171,15 +55,15 @@ FIGURES = (
 
 
 @dataclass(frozen=True, slots=True)
-class RaceGroup:
-    """A group of races and its figures.
+class Group:
+    """Some of the races, and what they came to.
 
     Attributes:
         by: what they have in common: ``"all"``, ``"form"``, ``"direction"``, ``"end"``,
             ``"track"`` or ``"track and direction"``.
         name: which of these; empty for all.
         races: how many.
-        chance: the share that the agent would win if all drivers were equally good; ``None``
+        chance: the share of them that the agent would win if all were equally good; ``None``
             without rivals.
         figures: by name of :data:`FIGURES`; ``None`` for a figure that no race has.
     """
@@ -193,10 +77,10 @@ class RaceGroup:
 
 @dataclass(frozen=True)
 class BenchmarkResult:
-    """The result of a benchmark.
+    """What a benchmark came to.
 
     Attributes:
-        plan: the benchmark.
+        plan: what it was to be.
         outcomes: the races that have been run.
     """
 
@@ -205,7 +89,7 @@ class BenchmarkResult:
 
     @property
     def label(self) -> str:
-        """The agent's name."""
+        """What the agent is called."""
         return self.plan.agent.label
 
     @property
@@ -219,14 +103,14 @@ class BenchmarkResult:
         return sum(kart.errors for outcome in self.outcomes for kart in outcome.karts)
 
     @cached_property
-    def groups(self) -> tuple[RaceGroup, ...]:
+    def groups(self) -> tuple[Group, ...]:
         """The figures, over all races and over parts of them."""
         return tuple(
-            RaceGroup(by, name, len(members), _chance(members), _figures(members))
+            Group(by, name, len(members), _chance(members), _figures(members))
             for (by, name), members in groups_of(self.outcomes).items()
         )
 
-    def group(self, by: str = "all", name: str = "") -> RaceGroup:
+    def group(self, by: str = "all", name: str = "") -> Group:
         """The figures of some races.
 
         Raises:
@@ -254,14 +138,14 @@ class BenchmarkResult:
 
     @classmethod
     def from_json(cls, text: str) -> BenchmarkResult:
-        """Reads the output of :meth:`to_json`.
+        """Reads what :meth:`to_json` wrote.
 
         Raises:
-            ConfigError: the text is something else, or has another version.
+            ConfigError: it is something else, or of another version.
         """
         try:
             form = read_json(text)
-            check_schema(form, _TYPE, SCHEMA_VERSION)
+            check_form(form, _TYPE, SCHEMA_VERSION)
             plan = BenchmarkPlan.from_form(form["plan"])
             races = {race.number: race for race in plan.races()}
             outcomes = [_outcome(entry, races[entry["number"]], plan) for entry in form["races"]]
@@ -274,7 +158,7 @@ class BenchmarkResult:
 
 
 def benchmark_result(plan: BenchmarkPlan, results: Mapping[int, RaceResult]) -> BenchmarkResult:
-    """Summarizes the races that have been run.
+    """Sums up the races that have been run.
 
     Args:
         plan: the benchmark.
@@ -295,7 +179,7 @@ def benchmark_result(plan: BenchmarkPlan, results: Mapping[int, RaceResult]) -> 
 def groups_of(
     outcomes: Sequence[RaceOutcome],
 ) -> dict[tuple[str, str], list[RaceOutcome]]:
-    """The races by what they have in common, in display order."""
+    """The races by what they have in common, in the order in which they are shown."""
     found: dict[tuple[str, str], list[RaceOutcome]] = {}
     for by, name_of in _GROUPINGS.items():
         for outcome in outcomes:

@@ -1,16 +1,16 @@
-"""A data set of demonstrations and its file.
+"""A data set of demonstrations, and its file.
 
 The file is a plain ``.npz`` without pickles. For ``E`` episodes (one kart in one race) of ``N``
 steps in all it has
 
-- ``observations`` ``(N + E, ...)``: of every moment, including the last;
-- ``actions`` ``(N, ...)``: the view's action after the observation of the same number;
-- ``controls`` ``(N, 7)`` float32: the same as the game's own controls;
-- ``rewards`` ``(N,)`` float64;
+- ``observations`` ``(N + E, ...)``: of every moment, the last one included;
+- ``actions`` ``(N, ...)``: what was done after the observation of the same number, in the view;
+- ``controls`` ``(N, 7)`` float32: the same as the game was told it;
+- ``rewards`` ``(N,)`` float64, of what came of it;
 - ``lengths`` ``(E,)``: steps of each episode;
-- ``about``: a JSON text: agent, view, tracks, seeds, versions, and facts of each episode.
+- ``about``: a text of JSON: agent, view, tracks, seeds, versions, and facts of each episode.
 
-Dict observations and actions have one array per entry, such as ``observations/continuous``.
+Observations and actions that are dicts are an array for each entry, ``observations/continuous``.
 """
 
 from __future__ import annotations
@@ -26,25 +26,16 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Space
 
 from stkzoo._os import atomic_write
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
+from stkzoo.evaluation.demonstrations.columns import Columns, tree_of
 
-__all__ = [
-    "Columns",
-    "DemoEpisode",
-    "Demonstrations",
-    "EpisodeFacts",
-    "columns_of",
-    "join",
-    "load_demonstrations",
-    "save_demonstrations",
-]
+__all__ = ["Demonstrations", "Episode", "EpisodeFacts", "join", "load", "save"]
 
 _KIND, _VERSION = "demonstrations", 1
-#: What reading a damaged file can raise.
+#: What reading a file of arrays that is none can raise.
 _DAMAGES = (
     *(OSError, ValueError, KeyError, TypeError, AttributeError, EOFError),
     *(NotImplementedError, zipfile.BadZipFile, zlib.error),
@@ -52,45 +43,16 @@ _DAMAGES = (
 #: Arrays with a row for each step; observations have one more for each episode.
 _BY_STEP = ("actions", "controls", "rewards")
 
-Columns = dict[str, npt.NDArray[Any]]
-
-
-def columns_of(name: str, space: Space[Any], values: Sequence[Any]) -> Columns:
-    """Values with time as the leading axis; a dict's entries are ``name/key``."""
-    parts = getattr(space, "spaces", None)
-    if not isinstance(parts, Mapping):
-        shape = space.shape or ()
-        return {name: np.array(values, space.dtype).reshape(len(values), *shape)}
-    columns: Columns = {}
-    for key, part in parts.items():
-        columns |= columns_of(f"{name}/{key}", part, [value[key] for value in values])
-    return columns
-
-
-def tree_of(name: str, columns: Mapping[str, npt.NDArray[Any]]) -> Any:
-    """The inverse of :func:`columns_of`: the array ``name``, or the dict of all ``name/key``.
-
-    Raises:
-        KeyError: there is neither.
-    """
-    if name in columns:
-        return columns[name]
-    inner = f"{name}/"
-    keys = {column.removeprefix(inner).partition("/")[0] for column in columns if inner in column}
-    if not keys:
-        raise KeyError(name)
-    return {key: tree_of(inner + key, columns) for key in sorted(keys)}
-
 
 @dataclass(frozen=True, slots=True)
 class EpisodeFacts:
-    """The kart and race of an episode, and how it ended.
+    """Whose drive an episode is, and how it ended.
 
     Attributes:
         race: number of the race in the data set.
         agent: id of the kart in it.
         track: where it drove.
-        reverse: whether in reverse direction.
+        reverse: whether the other way round.
         seed: of the race.
         start_position: its place on the grid, 1 is in front.
         finish_time: since the start [s]; ``None`` if it did not finish.
@@ -108,13 +70,13 @@ class EpisodeFacts:
 
 
 @dataclass(frozen=True, slots=True)
-class DemoEpisode:
+class Episode:
     """One kart's drive of ``T`` steps; arrays, or dicts of arrays, with time in front.
 
     Attributes:
-        facts: its kart and race.
+        facts: whose drive it is.
         observations: ``(T + 1, ...)``.
-        actions: ``(T, ...)``, in the view: number ``t`` follows observation ``t``.
+        actions: ``(T, ...)``, in the view: number ``t`` was done after observation ``t``.
         controls: ``(T, 7)`` float32: acceleration, steer, brake, drift, fire, nitro, rescue.
         rewards: ``(T,)`` float64.
     """
@@ -130,13 +92,13 @@ class DemoEpisode:
 
     @property
     def is_finished(self) -> bool:
-        """Whether the kart finished: the episode is terminated, else truncated."""
+        """Whether the kart finished: then the episode was terminated, else cut off."""
         return self.facts.finish_time is not None
 
 
 @dataclass(frozen=True, slots=True)
 class Demonstrations:
-    """Recorded episodes.
+    """Episodes, and how they were made.
 
     Attributes:
         plan: how they were recorded: ``agent``, ``view``, ``tracks``, ``directions``,
@@ -154,10 +116,10 @@ class Demonstrations:
     def __len__(self) -> int:
         return len(self.facts)
 
-    def __iter__(self) -> Iterator[DemoEpisode]:
+    def __iter__(self) -> Iterator[Episode]:
         return (self[number] for number in range(len(self)))
 
-    def __getitem__(self, number: int) -> DemoEpisode:
+    def __getitem__(self, number: int) -> Episode:
         if not 0 <= number < len(self):
             raise IndexError(f"episode {number} of {len(self)}")
         begin = int(self.lengths[:number].sum())
@@ -168,7 +130,7 @@ class Demonstrations:
             else column[begin + number : end + number + 1]
             for name, column in self.columns.items()
         }
-        return DemoEpisode(
+        return Episode(
             self.facts[number],
             tree_of("observations", part),
             tree_of("actions", part),
@@ -187,7 +149,7 @@ class Demonstrations:
         return int(self.lengths.sum())
 
     def pairs(self) -> tuple[Any, Any]:
-        """Observations and the actions that followed, ``(N, ...)`` each, of all episodes."""
+        """What was seen and what was done then: ``(N, ...)`` each, for all episodes."""
         last = np.cumsum(self.lengths + 1) - 1
         seen = {
             name: np.delete(column, last, axis=0)
@@ -197,13 +159,13 @@ class Demonstrations:
         return tree_of("observations", seen), tree_of("actions", self.columns)
 
     def to_form(self) -> dict[str, Any]:
-        """The file's ``about``, as JSON values."""
+        """The text part, as what JSON can hold."""
         head = {"type": _KIND, "schema_version": _VERSION}
         return {**head, **self.plan, "episodes": [asdict(facts) for facts in self.facts]}
 
 
 def join(parts: Sequence[Demonstrations]) -> Demonstrations:
-    """Joins data sets with the same plan, in order."""
+    """One data set of several with the same plan, in their order."""
     names = list(parts[0].columns)
     return Demonstrations(
         parts[0].plan,
@@ -213,11 +175,11 @@ def join(parts: Sequence[Demonstrations]) -> Demonstrations:
     )
 
 
-def save_demonstrations(demos: Demonstrations, path: str | os.PathLike[str]) -> None:
-    """Writes a data set, atomically.
+def save(demos: Demonstrations, path: str | os.PathLike[str]) -> None:
+    """Writes a data set, whole or not at all.
 
     Raises:
-        ConfigError: the file cannot be written.
+        ConfigError: it cannot be written.
     """
     arrays: dict[str, Any] = {
         **demos.columns,
@@ -231,14 +193,14 @@ def save_demonstrations(demos: Demonstrations, path: str | os.PathLike[str]) -> 
         raise ConfigError(f"the demonstrations {path} cannot be written: {error}") from error
 
 
-def load_demonstrations(path: str | os.PathLike[str]) -> Demonstrations:
+def load(path: str | os.PathLike[str]) -> Demonstrations:
     """Reads a data set.
 
     Args:
-        path: a file that ``stkzoo demos`` wrote, or :func:`save_demonstrations`.
+        path: a file that ``stkzoo demos`` wrote, or :func:`save`.
 
     Raises:
-        ConfigError: the file is missing, damaged or something else.
+        ConfigError: there is none, it is damaged, or it is something else.
     """
     if not Path(path).is_file():
         raise ConfigError(
@@ -272,10 +234,10 @@ def _read(arrays: Columns) -> Demonstrations:
 
 
 def _check(demos: Demonstrations) -> None:
-    """Checks the lengths of all arrays.
+    """Whether all arrays are as long as they must be.
 
     Raises:
-        ValueError: one is wrong.
+        ValueError: one is not.
         KeyError: one is missing.
     """
     if demos.lengths.shape != (len(demos),) or (demos.lengths < 1).any():

@@ -6,16 +6,15 @@ import ipaddress
 import re
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from stkzoo.errors import ConfigError, RemoteError
+from stkzoo.race.remote.keys import KeyPair, new_keys
+from stkzoo.race.remote.library import zmq_module
 from stkzoo.race.remote.protocol import LIMITS
 
 if TYPE_CHECKING:
     import zmq
-
-    from stkzoo.race.remote.keys import KeyPair
 
 __all__ = [
     "DEFAULT_ADDRESS",
@@ -25,37 +24,21 @@ __all__ = [
     "full_address",
     "is_local",
     "server_socket",
-    "zmq_module",
 ]
 
-#: Default address of a server.
+#: Where a server listens if nobody says otherwise.
 DEFAULT_ADDRESS = "tcp://127.0.0.1:5555"
 
 _DEFAULT_PORT = "5555"
 _TCP = re.compile(r"(?P<host>\[[0-9a-fA-F:.%]+\]|[A-Za-z0-9_.-]+|\*)(:(?P<port>\d{1,5}|\*))?")
 
 
-def zmq_module() -> ModuleType:
-    """The module ``zmq``.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
-    try:
-        import zmq
-    except ImportError as error:
-        raise ConfigError(
-            "networked races need pyzmq, which is not installed: pip install 'stkzoo[remote]'"
-        ) from error
-    return zmq
-
-
 def full_address(text: str) -> str:
-    """An address in ZeroMQ's form.
+    """An address as ZeroMQ wants it.
 
     Args:
         text: ``tcp://host:port``, ``host:port``, ``host`` or ``ipc:///path``. A server's host
-            may be ``*`` for all of the machine's, and its port ``*`` for any free one.
+            may be ``*`` for all of the machine's, and its port ``*`` for any that is free.
 
     Raises:
         ConfigError: it is none of these.
@@ -74,7 +57,7 @@ def _is_port(text: str) -> bool:
 
 
 def is_local(address: str) -> bool:
-    """Whether only programs on the same machine can reach an address."""
+    """Whether only programs of the same machine can reach a listening address."""
     if address.startswith("ipc://"):
         return True
     host = address.removeprefix("tcp://").rpartition(":")[0].strip("[]")
@@ -84,40 +67,40 @@ def is_local(address: str) -> bool:
         return False
 
 
-#: Interval of heartbeats, and the silence after which a connection is dead [ms].
+#: Silence is broken this often, and means a dead end after so long [ms].
 _HEARTBEAT, _DEAD = 1000, 4000
-#: Time limit for a client to prove its keys [ms].
+#: Whoever connects must have shown its keys within this time [ms].
 _HANDSHAKE = 5000
-#: Queue length on either side of one connection [messages].
+#: Messages that wait on either side of one connection.
 _QUEUE = 16
 _DOMAIN = b"stkzoo"
 
 
 @dataclass(frozen=True, slots=True)
 class ServerKeys:
-    """A server's own keys, and those of its clients.
+    """Who a server is, and whom it serves.
 
     Attributes:
         own: its keys; ``None`` for no encryption.
-        allowed: public keys of its clients; ``None`` for all clients.
+        allowed: public keys of the clients it serves; ``None`` for all.
     """
 
     own: KeyPair | None = None
     allowed: Collection[str] | None = field(default=None)
 
-    def check(self, address: str, is_allowedsecure: bool) -> None:
-        """Rejects an address that other machines can reach without keys.
+    def check(self, address: str, is_insecure: bool) -> None:
+        """Refuses an address that strangers can reach without keys.
 
         Raises:
-            ConfigError: they can, and ``is_allowedsecure`` is not set.
+            ConfigError: others can, and nobody said that they may.
         """
         if self.allowed is not None and self.own is None:
-            raise ConfigError("allowed clients have no effect without the server's secret key")
+            raise ConfigError("allowed clients mean nothing without the server's secret key")
         is_closed = self.own is not None and self.allowed is not None
-        if not (is_local(address) or is_closed or is_allowedsecure):
+        if not (is_local(address) or is_closed or is_insecure):
             raise ConfigError(
-                f"other machines can reach {address}; give the server a key of its own (--secret) "
-                "and those of its clients (--allow), or use --insecure"
+                f"{address} can be reached from other machines; give the server a key of its own "
+                "(--secret) and those of its clients (--allow), or say --insecure"
             )
 
 
@@ -125,7 +108,7 @@ def server_socket(context: zmq.Context[Any], address: str, keys: ServerKeys) -> 
     """A ROUTER socket that listens.
 
     Raises:
-        ConfigError: the address is not available.
+        ConfigError: the address cannot be listened on.
     """
     lib = zmq_module()
     socket: zmq.Socket[Any] = context.socket(lib.ROUTER)
@@ -152,7 +135,7 @@ def client_socket(
     Args:
         context: ZeroMQ's.
         address: the server's.
-        keys: the client's own; needed with ``server_key``.
+        keys: the client's own; ``None`` makes some up if they are needed.
         server_key: the server's public key; ``None`` for no encryption.
 
     Raises:
@@ -164,7 +147,7 @@ def client_socket(
     socket.setsockopt(lib.RECONNECT_IVL, 50)
     socket.setsockopt(lib.RECONNECT_IVL_MAX, 500)
     if server_key is not None:
-        assert keys is not None  # noqa: S101 - RemoteDriverGroup makes them
+        keys = keys or new_keys()
         socket.setsockopt(lib.CURVE_SERVERKEY, server_key.encode())
         socket.setsockopt(lib.CURVE_PUBLICKEY, keys.public.encode())
         socket.setsockopt(lib.CURVE_SECRETKEY, keys.secret.encode())
@@ -190,11 +173,11 @@ def _set_limits(socket: zmq.Socket[Any], address: str) -> None:
 
 
 class ClientAuthenticator:
-    """Answers ZeroMQ's requests to authenticate clients by their keys (ZAP, RFC 27).
+    """Answers ZeroMQ's question whether a client's key is allowed (ZAP, RFC 27).
 
     Args:
         context: the server's.
-        allowed: the clients' public keys; ``None`` allows all clients.
+        allowed: the clients' public keys; ``None`` lets everybody in.
     """
 
     def __init__(self, context: zmq.Context[Any], allowed: Collection[str] | None) -> None:
@@ -208,13 +191,11 @@ class ClientAuthenticator:
         self.socket.bind("inproc://zeromq.zap.01")
 
     def answer(self) -> bool:
-        """Answers one request; returns whether the client is allowed."""
+        """Answers one question; whether somebody was let in."""
         version, request, domain, _, _, mechanism, *credentials = self.socket.recv_multipart()
         is_ours = version == b"1.0" and domain == _DOMAIN and mechanism == b"CURVE"
         key = self._encode(credentials[0]).decode() if is_ours and credentials else ""
-        is_allowed = bool(key) and (self._allowed is None or key in self._allowed)
-        status = [b"200", b"OK"] if is_allowed else [b"400", b"this key is not on the list"]
-        self.socket.send_multipart(
-            [version, request, *status, key.encode() if is_allowed else b"", b""]
-        )
-        return is_allowed
+        is_in = bool(key) and (self._allowed is None or key in self._allowed)
+        status = [b"200", b"OK"] if is_in else [b"400", b"this key is not on the list"]
+        self.socket.send_multipart([version, request, *status, key.encode() if is_in else b"", b""])
+        return is_in

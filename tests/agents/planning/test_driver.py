@@ -1,0 +1,144 @@
+"""What learned drivers see, remember and do, for many karts at once."""
+
+import dataclasses
+
+import numpy as np
+
+from stkzoo import race_v0
+from stkzoo.agents.planning import (
+    ALL_LOOKS,
+    CHOICES,
+    HEADS,
+    INPUT_SIZE,
+    PlanDriver,
+    mirrored_choices,
+    mirrored_inputs,
+    mirrored_prior,
+)
+from stkzoo.agents.planning.memory import MEMORY_MIRROR
+from stkzoo.agents.planning.plans import (
+    DRIFT_LEFT,
+    DRIFT_RIGHT,
+)
+from stkzoo.wrappers.racing import BatchedRacingView, RoadTable, Surroundings, surroundings_of
+
+STRAIGHT = CHOICES[1] // 2
+SIDE = np.array([-1, 1, 1], np.float32)
+
+
+def best(prior):
+    return np.stack([prior[:, head].argmax(axis=1) for head in HEADS], axis=1)
+
+
+def driven_race(steps, karts=3, track="lighthouse"):
+    """Moments of a race that the prior drives: what the karts know, and the drivers then."""
+    controls_of = ("acceleration", "steer", "brake", "drift", "fire", "nitro", "rescue")
+    with race_v0.parallel_env(num_kart=karts, track=track, max_paths=96) as env:
+        env.reset(seed=3)
+        drivers = PlanDriver(karts)
+        for _ in range(steps):
+            own, around = surroundings_of(env.observe_batch(env.agents), ALL_LOOKS)
+            if env.snapshot.phase < 2:
+                controls = np.zeros((karts, 7), np.float32)
+                controls[:, 0] = 1
+            else:
+                view = drivers.look(own, around)
+                yield env, own, around, drivers, view
+                controls, _ = drivers.act(best(view.prior))
+            env.step(
+                {
+                    agent: {
+                        key: row[n : n + 1] if n < 2 else int(row[n])
+                        for n, key in enumerate(controls_of)
+                    }
+                    for agent, row in zip(env.agents, controls, strict=True)
+                }
+            )
+
+
+def rows_of(own, around, rows):
+    parts = {f.name: getattr(around, f.name)[rows] for f in dataclasses.fields(around)}
+    return {key: value[rows] for key, value in own.items()}, Surroundings(**parts)
+
+
+def test_the_prior_alone_drives():
+    for env, *_ in driven_race(150):
+        moment = env.snapshot
+    assert (moment.karts["overall_distance"] > 120).all()
+
+
+def test_karts_see_together_what_each_sees_alone():
+    for count, (_, own, around, drivers, view) in enumerate(driven_race(110)):
+        if count % 20:
+            continue
+        for kart in range(3):
+            alone = PlanDriver(1)
+            alone.restore({name: row[[kart]] for name, row in drivers.state().items()})
+            seen = alone.view(*rows_of(own, around, [kart]))
+            np.testing.assert_allclose(seen.inputs[0], view.inputs[kart], atol=1e-3)
+            np.testing.assert_allclose(seen.prior[0], view.prior[kart], atol=1e-2)
+    assert view.inputs.shape == (3, INPUT_SIZE)
+    assert np.isfinite(view.inputs).all()
+
+
+def test_a_crowd_sees_what_the_full_view_tells():
+    crowd = None
+    for count, (env, own, around, *_) in enumerate(driven_race(90)):
+        crowd = crowd or BatchedRacingView([RoadTable(env.track_map)])
+        if count % 15:
+            continue
+        karts = np.array(env.race.kart_indices)
+        own_too, around_too = crowd.surroundings([env.snapshot], [0], [karts], ALL_LOOKS)
+        here, there = PlanDriver(3).view(own, around), PlanDriver(3).view(own_too, around_too)
+        np.testing.assert_allclose(here.inputs, there.inputs, atol=1e-3)
+        np.testing.assert_allclose(here.prior, there.prior, atol=1e-2)
+
+
+def mirrored_race(own, around):
+    finite = np.isfinite(around.karts)
+    karts = np.where(finite, around.karts, 0) * SIDE
+    road = around.road * np.array([-1, 1, 1, 1], np.float32)
+    return {**own, "velocity": own["velocity"] * SIDE}, Surroundings(
+        road, np.where(finite, karts, np.inf), around.items * SIDE, around.item_types
+    )
+
+
+def test_the_mirrored_race_is_seen_mirrored():
+    signs = dict.fromkeys(PlanDriver(1).state(), 1.0)
+    signs |= {"turn": -1.0, "drift_turn": -1.0, "drift_side": -1.0}
+    signs |= dict.fromkeys(("rivals spots", "rivals velocity"), np.array([-1, 1], np.float32))
+    signs |= {"rivals headings": -1.0}
+    for count, (_, own, around, drivers, view) in enumerate(driven_race(110)):
+        if count % 15:
+            continue
+        twin = PlanDriver(3)
+        twin.restore({n: row * signs[n] for n, row in drivers.state().items()})
+        seen = twin.view(*mirrored_race(own, around))
+        np.testing.assert_allclose(seen.inputs, mirrored_inputs(view.inputs), atol=2e-3)
+        np.testing.assert_allclose(seen.prior, mirrored_prior(view.prior), atol=2e-2)
+        assert (twin.memory.numbers() == drivers.memory.numbers() * MEMORY_MIRROR).all()
+
+
+def test_mirroring_twice_changes_nothing():
+    chance = np.random.default_rng(0)
+    inputs = chance.normal(size=(4, INPUT_SIZE)).astype(np.float32)
+    prior = chance.normal(size=(4, sum(CHOICES))).astype(np.float32)
+    choices = np.stack([chance.integers(0, n, 9) for n in CHOICES], axis=1)
+    assert (mirrored_inputs(mirrored_inputs(inputs)) == inputs).all()
+    assert (mirrored_prior(mirrored_prior(prior)) == prior).all()
+    assert (mirrored_choices(mirrored_choices(choices)) == choices).all()
+    assert mirrored_choices(np.array([[DRIFT_LEFT, 0, 1, 0]])).tolist() == [
+        [DRIFT_RIGHT, CHOICES[1] - 1, 1, 0]
+    ]
+
+
+def test_mirrored_choices_steer_the_other_way():
+    *_, (_, own, around, _, _) = driven_race(70)
+    here, there = PlanDriver(3), PlanDriver(3)
+    view = here.view(own, around)
+    there.view(*mirrored_race(own, around))
+    choices = best(view.prior)
+    ours, _ = here.act(choices)
+    theirs, _ = there.act(mirrored_choices(choices))
+    np.testing.assert_allclose(theirs[:, 1], -ours[:, 1], atol=1e-3)
+    np.testing.assert_allclose(np.delete(theirs, 1, 1), np.delete(ours, 1, 1))

@@ -1,0 +1,154 @@
+"""Plans driven over a road."""
+
+import numpy as np
+import pytest
+
+from stkzoo.agents.planning import DriverParameters, RoadAhead, plan_weigher
+from stkzoo.agents.planning.kart import DRIFT_TURN
+from stkzoo.agents.planning.plans import BRAKE, plan_table, table_rows
+from stkzoo.agents.planning.road import LINE_MARKS
+from stkzoo.agents.planning.worth import road_columns, rule_columns
+
+RADIUS, LOCK, SPEED, REACH = 60.0, 1.45, 25.0, 12.0
+RULES = DriverParameters()
+
+
+def road_of(x, z, half_width=6.0):
+    line = np.zeros((1, len(LINE_MARKS), 4), np.float32)
+    line[0, :, 0], line[0, :, 2], line[0, :, 3] = x, z, half_width
+    return RoadAhead.of(line)
+
+
+def straight_road(offset=0.0):
+    return road_of(-offset, LINE_MARKS)
+
+
+def right_bend():
+    way = LINE_MARKS / RADIUS
+    return road_of(RADIUS * (1 - np.cos(way)), RADIUS * np.sin(way))
+
+
+class Ways:
+    """Where the plans of one kart lead, by the numpy twin; plans that do not exist are left out.
+
+    Args:
+        road: the road.
+        changes: lanes between which plans change.
+        state: drift side, drift steps and release steps.
+        items: how far across the road the next good items are [m].
+    """
+
+    def __init__(self, road, *, changes=RULES.lane_changes, state=(0, 0, 0), items=(0.0, 0.0)):
+        table = plan_table(changes)
+        rows = table_rows(*(np.array([number]) for number in state))
+        (offset,), (angle,) = road.offset, road.angle
+        kart = [SPEED, LOCK, REACH, 0, 0, offset, angle, 0, 0, 1, 1]
+        columns = np.zeros((1, 2, 4))
+        columns[0, :, 1], columns[0, :, 2] = items, 1.0
+        room = road.half_widths - 1.0
+        marks = road_columns(road, np.array([REACH], np.float32), room)
+        karts = np.array([kart], np.float32)
+        self.along, self.across, _, _, turns = plan_weigher.drive_plans(
+            table, rule_columns(RULES), rows, karts, marks, columns
+        )
+        exists = table.manoeuvres[rows[0]] >= 0
+        self.along, self.across = self.along[:, 0, exists], self.across[:, 0, exists]
+        self.turns = turns[0, exists]
+        self.lanes = table.lanes[rows[0]][:, exists]
+        self.drifts = table.drifts[rows[0]][:, exists] > 0
+        self.items, self.manoeuvres, self.boosts = (
+            column[rows[0]][exists] for column in (table.items, table.manoeuvres, table.boosts)
+        )
+
+    @property
+    def free(self):
+        """Plans without drift, brake or item."""
+        return (self.boosts < 0) & (self.manoeuvres != BRAKE) & (self.items < 0)
+
+    @property
+    def kept(self):
+        """Of these, those that keep to a lane."""
+        return self.free & (self.lanes[0] == self.lanes[-1])
+
+
+def test_a_plan_gets_to_its_lane_and_stays_on_the_road():
+    ways = Ways(straight_road(offset=-2.0))
+    assert ways.across[-1, ways.kept] == pytest.approx(5.0 * ways.lanes[0, ways.kept], abs=0.6)
+    assert np.abs(ways.across[:, ways.free]).max() < 5.5
+
+
+def test_a_plan_may_change_its_lane_on_the_way():
+    ways = Ways(straight_road())
+    changes = ways.free & (ways.lanes[0] < -0.5) & (ways.lanes[-1] > 0.5)
+    assert changes.any()
+    assert (ways.across[5, changes] < -1.0).all()  # after 0.8 s
+    assert (ways.across[-1, changes] > 3.0).all()
+
+
+def test_a_plan_gets_to_its_item():
+    ways = Ways(straight_road(), items=(3.3, -1.7))
+    for item, across in enumerate((3.3, -1.7)):
+        chosen = (ways.items == item) & (ways.boosts < 0) & (ways.manoeuvres != BRAKE)
+        assert ways.across[-1, chosen] == pytest.approx(across, abs=0.5)
+    spans = plan_table(RULES.lane_changes).spans
+    assert ways.along[-1].max() == pytest.approx(SPEED * spans.sum(), rel=0.02)
+
+
+def test_the_inner_side_of_a_bend_is_the_shorter_way():
+    ways = Ways(right_bend())
+    along = ways.along[-1, ways.kept][np.argsort(ways.lanes[0, ways.kept])]
+    assert along[-1] > along[len(along) // 2] > along[0]
+
+
+def test_brakes_cost_way():
+    ways = Ways(straight_road())
+    brakes = ways.manoeuvres == BRAKE
+    assert ways.along[-1, brakes].max() < ways.along[-1, ~brakes].min()
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_drift_turns_at_least_so_much(side):
+    ways = Ways(straight_road(), state=(side, 3, 0))
+    turns = ways.turns[ways.drifts[0]] * side
+    assert len(turns)
+    assert (turns >= DRIFT_TURN[0] - 1e-6).all()
+    assert (turns <= DRIFT_TURN[1] + 1e-6).all()
+
+
+def random_arguments(seed, count=9):
+    """Karts in all states, between items and rivals, on roads that bend."""
+    chance = np.random.default_rng(seed)
+    rules = rule_columns(RULES)
+
+    def draw(*shape, low=-1.0, high=1.0):
+        return chance.uniform(low, high, shape)
+
+    table = plan_table(RULES.lane_changes)
+    karts = np.concatenate(
+        [
+            draw(count, 3, low=[5.0, 0.5, 6.0], high=[30.0, 2.0, 14.0]),
+            draw(count, 4, low=[-1, -0.8, -6, -0.8], high=[1, 0.8, 6, 0.8]),
+            draw(count, 2, low=0, high=45),
+            chance.integers(0, 2, (count, 2)),
+        ],
+        axis=1,
+    ).astype(np.float32)
+    road = draw(count, 3, 36, low=[[-4], [0.3], [-0.05]], high=[[4], [5], [0.05]])
+    items = draw(count, 8, 4, low=[0, -5, -15, 0.8], high=[60, 5, 20, 1.0])
+    items[:, 5:, 2] = 0
+    rivals = draw(count, 4, 5, low=[-1, -5, -4, -15, -3], high=[1, 30, 4, 3, 3])
+    rivals[..., 0] = rivals[..., 0] > 0
+    rivals[..., 2:] = rivals[..., 2:].astype(np.float32)
+    rows = chance.integers(0, len(table.lanes), count)
+    return table, rules, rows, karts, road.astype(np.float32), items, rivals
+
+
+def test_a_kart_is_weighed_alone_as_among_others():
+    weigh = plan_weigher.weigh_plans
+    table, rules, *of_karts = random_arguments(0)
+    together = np.empty((3, len(of_karts[0]), 4), np.float32)
+    weigh(table, rules, *of_karts, together)
+    for kart in range(len(of_karts[0])):
+        alone = np.empty((3, 1, 4), np.float32)
+        weigh(table, rules, *(array[kart : kart + 1] for array in of_karts), alone)
+        assert (alone[:, 0] == together[:, kart]).all()

@@ -1,0 +1,46 @@
+"""The road ahead in its own coordinates."""
+
+import math
+
+import numpy as np
+import pytest
+
+from stkzoo.agents.planning.road import LINE_MARKS, MARK_COUNT, RoadAhead
+
+RADIUS = 60.0
+
+
+def road_of(x, z, half_width=6.0):
+    line = np.zeros((1, len(LINE_MARKS), 4), np.float32)
+    line[0, :, 0], line[0, :, 2], line[0, :, 3] = x, z, half_width
+    return RoadAhead.of(line)
+
+
+def right_bend():
+    way = LINE_MARKS / RADIUS
+    return road_of(RADIUS * (1 - np.cos(way)), RADIUS * np.sin(way))
+
+
+def test_a_bend_to_the_right_is_curved_to_the_right():
+    assert right_bend().curvature[0, 2:20] == pytest.approx(1 / RADIUS, rel=0.05)
+
+
+def test_spots_are_found_along_and_across_the_road():
+    turn = 0.5
+    spot = [RADIUS - (RADIUS - 3) * math.cos(turn), 1.0, (RADIUS - 3) * math.sin(turn)]
+    places = right_bend().place(np.array([[spot]], np.float32))
+    assert places.along[0, 0] == pytest.approx(turn * RADIUS, abs=0.5)
+    assert places.across[0, 0] == pytest.approx(3.0, abs=0.1)  # the inner side
+    assert places.above[0, 0] == pytest.approx(1.0)
+
+
+def test_the_road_knows_where_the_kart_is():
+    straight = road_of(-2.5, LINE_MARKS)
+    assert straight.offset[0] == pytest.approx(2.5)
+    assert straight.bends(np.array([30.0]))[0] == pytest.approx(np.zeros(MARK_COUNT))
+
+
+def test_straightness_is_the_most_that_the_road_turns():
+    assert road_of(0.0, LINE_MARKS).straightness(np.array([30.0]))[0] == 0
+    turned = right_bend().straightness(np.array([30.0]))[0]
+    assert turned == pytest.approx(30.0 / RADIUS, abs=0.1)
