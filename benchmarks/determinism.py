@@ -30,8 +30,8 @@ from rich.table import Table
 from stkzoo import RaceParallelEnv, race_v0
 from stkzoo.agents.heuristic import create_state, get_actor
 from stkzoo.checks import Step, Trace, first_difference, play, trace
+from stkzoo.checks.play import fingerprint
 from stkzoo.checks.processes import run_fresh
-from stkzoo.checks.trace import fingerprint
 from stkzoo.tracks import SPLITS
 
 RESULTS = Path(__file__).parent / "results" / "determinism.json"

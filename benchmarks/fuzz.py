@@ -50,9 +50,9 @@ _MAX_LENGTH = 1 << 14
 #: Seconds and megabytes that one input may take.
 _PATIENCE, _MEMORY = 30, 3000
 _INSTRUMENTED = [
-    "stkzoo.engine.assets.archive",
+    "stkzoo.engine.assets.headless",
     "stkzoo.env.scenario",
-    "stkzoo.evaluation.batch.plans",
+    "stkzoo.evaluation.batch.plan",
     "stkzoo.evaluation.benchmark",
     "stkzoo.race.codec",
     "stkzoo.race.replay.file",

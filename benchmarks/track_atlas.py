@@ -18,8 +18,8 @@ from PIL import Image
 from stkzoo import race_v0
 from stkzoo.engine.ground import GROUND, SLOWED, VOID, WALL, ZIPPER, Ground
 from stkzoo.engine.track import TrackMap
-from stkzoo.evaluation.batch import BatchProgress, write_whole
-from stkzoo.evaluation.benchmark import AiTimes, load_ai_times, measure_ai_times
+from stkzoo.evaluation import AiTimes, BatchProgress, load_ai_times, measure_ai_times
+from stkzoo.evaluation.batch.order import write_file
 from stkzoo.tracks import SPLITS, TEST_TRACKS
 
 ROOT = Path(__file__).parent.parent
@@ -235,10 +235,10 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.measure:
         times = measure_ai_times(arguments.measure, jobs=arguments.jobs, on_race=_tell)
-        write_whole(AI_TIMES, times.to_json() + "\n")
+        write_file(AI_TIMES, times.to_json() + "\n")
     PICTURES.mkdir(parents=True, exist_ok=True)
     facts = {track: survey(track) for track in SPLITS["all"]}
-    write_whole(PAGE, page(facts, load_ai_times()))
+    write_file(PAGE, page(facts, load_ai_times()))
 
 
 if __name__ == "__main__":

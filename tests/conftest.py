@@ -5,6 +5,9 @@ import signal
 
 import pytest
 
+# The tests share the cores among them; small networks are quicker on one.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as after `make test &`; it is inherited
     signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -33,7 +33,7 @@ from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.benchmark import RaceForm as Form
+from stkzoo.evaluation import BenchmarkForm
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
 from .common.arguments import keep_to_one_thread
@@ -202,7 +202,7 @@ def main(words: list[str] | None = None) -> int:
     options = parser.parse_args(words)
     try:
         tracks = [t for name in options.tracks for t in SPLITS.get(name, (name,))]
-        form = Form.of(options.form)
+        form = BenchmarkForm.of(options.form)
         keep_to_one_thread()
         entrants = [Entrant.of(source) for source in options.policies]
     except ConfigError as error:

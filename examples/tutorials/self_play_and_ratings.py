@@ -22,7 +22,7 @@ import torch
 from stable_baselines3 import PPO
 
 from stkzoo import Reward
-from stkzoo.evaluation.tournament import run_tournament
+from stkzoo.evaluation import run_tournament
 from stkzoo.sb3 import ActiveRolloutBuffer, RaceVecEnv
 
 SHORT = "STKZOO_SHORT" in os.environ  # a test runs this page in seconds

@@ -11,8 +11,8 @@ from dataclasses import asdict
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from stkzoo.checks.factory import EnvFactory, bind, load_factory, takes
-from stkzoo.checks.runner import CHECKS, Outcome, run_check
+from stkzoo.checks.play import EnvFactory, bind, load_factory, takes
+from stkzoo.checks.runner import CHECKS, CheckResult, run_check
 from stkzoo.errors import ConfigError, StkzooError, unknown_name
 from stkzoo.views import VIEWS
 
@@ -28,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: the command line; the process's own by default.
 
     Returns:
-        The exit code: 0 if nothing failed, else 1; 2 if the command makes no sense.
+        The exit code: 0 if nothing failed, else 1; 2 for a bad command line.
     """
     options = _parser().parse_args(arguments)
     out = Console(soft_wrap=True, highlight=False, markup=False)
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m stkzoo.checks",
-        description="Checks a PettingZoo ParallelEnv: spaces, ends, memory, determinism, manners.",
+        description="Checks a ParallelEnv: spaces, ends, memory, determinism, API usage.",
         epilog="Exit code: 0 if nothing failed, 1 if something did, 2 for a bad command line.",
     )
     parser.add_argument(
@@ -123,7 +123,7 @@ def _run(
     return outcomes
 
 
-def _line(variant: str, name: str, outcome: Outcome) -> str:
+def _line(variant: str, name: str, outcome: CheckResult) -> str:
     verdict = outcome.status if outcome.status != "failed" else "FAILED"
     reason = f": {outcome.why}" if outcome.why else ""
     title = " ".join(filter(None, (f"[{variant}]" if variant else "", name.replace("_", " "))))

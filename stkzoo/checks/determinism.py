@@ -13,11 +13,20 @@ from typing import Any
 import cloudpickle  # type: ignore[import-untyped]
 import numpy as np
 
-from stkzoo.checks.factory import EnvFactory, short_race, whole_race
-from stkzoo.checks.failure import CheckFailed, NotApplicable
-from stkzoo.checks.play import Env, play
+from stkzoo.checks.play import (
+    CheckFailed,
+    Env,
+    EnvFactory,
+    NotApplicable,
+    Trace,
+    check_equal,
+    fingerprint,
+    play,
+    short_race,
+    trace,
+    whole_race,
+)
 from stkzoo.checks.processes import descendants, run_fresh
-from stkzoo.checks.trace import Trace, check_equal, fingerprint, trace
 
 __all__ = [
     "check_envs_in_turn_do_not_meet",

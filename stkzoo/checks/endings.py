@@ -6,10 +6,19 @@ from collections.abc import Iterator
 from contextlib import closing
 from typing import Any
 
-from stkzoo.checks.factory import EnvFactory, whole_race
-from stkzoo.checks.failure import CheckFailed, NotApplicable
-from stkzoo.checks.play import PARTS, RandomPolicy, Step, play
-from stkzoo.checks.trace import check_equal, fingerprint, trace
+from stkzoo.checks.play import (
+    PARTS,
+    CheckFailed,
+    EnvFactory,
+    NotApplicable,
+    RandomPolicy,
+    Step,
+    check_equal,
+    fingerprint,
+    play,
+    trace,
+    whole_race,
+)
 
 __all__ = [
     "check_actions_of_departed_agents_are_ignored",

@@ -9,11 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo.checks.factory import EnvFactory, short_race, whole_race
-from stkzoo.checks.failure import CheckFailed
-from stkzoo.checks.membership import arrays_in
-from stkzoo.checks.play import RandomPolicy, Step, play
-from stkzoo.checks.trace import check_equal, fingerprint, trace
+from stkzoo.checks.play import (
+    CheckFailed,
+    EnvFactory,
+    RandomPolicy,
+    Step,
+    check_equal,
+    fingerprint,
+    play,
+    short_race,
+    trace,
+    whole_race,
+)
+from stkzoo.checks.spaces import arrays_in
 
 __all__ = [
     "check_infos_are_plain_numbers",

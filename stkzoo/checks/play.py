@@ -1,17 +1,145 @@
-"""Races as the checks play them: every step with all that went in and came out."""
+"""Races as the checks make, play, record and compare them.
+
+A check is given a factory of environments. It plays races of a fixed seed and looks at every
+step, or compares fingerprints of whole races bit by bit.
+"""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Mapping
+import functools
+import hashlib
+import importlib
+import inspect
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
+import numpy as np
 from pettingzoo import ParallelEnv
 
-from stkzoo.checks.failure import CheckFailed
+from stkzoo.config import AgentSpec
+from stkzoo.errors import ConfigError, StkzooError
 
-__all__ = ["PARTS", "Policy", "RandomPolicy", "Step", "play"]
+__all__ = [
+    "PARTS",
+    "CheckFailed",
+    "EnvFactory",
+    "NotApplicable",
+    "Policy",
+    "RandomPolicy",
+    "Step",
+    "Trace",
+    "bind",
+    "check_equal",
+    "fingerprint",
+    "first_difference",
+    "load_factory",
+    "play",
+    "short_race",
+    "takes",
+    "trace",
+    "whole_race",
+]
+
+
+class CheckFailed(StkzooError):
+    """The environment breaks a rule; the text says where, and what was expected."""
+
+
+class NotApplicable(StkzooError):
+    """The check does not apply to this environment; the text says why."""
+
+
+#: Makes a fresh environment at every call.
+EnvFactory: TypeAlias = Callable[..., ParallelEnv[Any, Any, Any]]
+
+#: A track on which the game's own drivers need some 300 steps.
+_TRACK = "olivermath"
+_SHORT_RACE_STEPS = 60
+_WHOLE_RACE_STEPS = 380
+
+
+def load_factory(target: str) -> EnvFactory:
+    """Loads the factory that ``"module:callable"`` names.
+
+    Raises:
+        ConfigError: it does not exist.
+    """
+    module_name, colon, name = target.partition(":")
+    if not (module_name and colon and name):
+        raise ConfigError(
+            f"the environment is {target!r}, expected module:callable, such as "
+            "stkzoo.race_v0:parallel_env"
+        )
+    try:
+        factory = functools.reduce(getattr, name.split("."), importlib.import_module(module_name))
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(
+            f"the environment {target!r} cannot be loaded: {error}; run the command from a "
+            "folder, or with a PYTHONPATH, from which the module can be imported"
+        ) from error
+    if not callable(factory):
+        raise ConfigError(
+            f"{target!r} is {factory!r}, expected a function that makes a ParallelEnv"
+        )
+    made: EnvFactory = factory
+    return made
+
+
+def takes(make_env: EnvFactory, name: str) -> bool:
+    """Whether the factory has a keyword in its signature that is not bound yet."""
+    return name in _parameters(make_env) and name not in _bound(make_env)
+
+
+def bind(make_env: EnvFactory, name: str, value: Any) -> EnvFactory:
+    """Binds one keyword of a factory.
+
+    Raises:
+        ConfigError: the factory does not take it.
+    """
+    parameters = _parameters(make_env)
+    takes_any = any(p.kind == inspect.Parameter.VAR_KEYWORD for p in parameters.values())
+    if name not in parameters and not takes_any:
+        raise ConfigError(
+            f"the environment's factory takes no {name!r}; it takes: {', '.join(parameters)}"
+        )
+    return functools.partial(make_env, **{name: value})
+
+
+def short_race(make_env: EnvFactory) -> EnvFactory:
+    """Binds what makes races of 60 steps of three agents, as far as the factory takes it."""
+    return _fitted(make_env, track=_TRACK, num_kart=3, max_cycles=_SHORT_RACE_STEPS)
+
+
+def whole_race(make_env: EnvFactory) -> EnvFactory:
+    """Binds what makes agents end at different times, as far as the factory takes it.
+
+    Where it takes the keywords of :func:`stkzoo.race_v0.parallel_env`, one agent acts at
+    random, two are driven by the game to the finish, and a fourth kart is a bot.
+    """
+    options: dict[str, Any] = {"track": _TRACK, "max_cycles": _WHOLE_RACE_STEPS}
+    if takes(make_env, "agents") and takes(make_env, "num_kart"):
+        options["num_kart"] = 4
+        options["agents"] = [AgentSpec(), AgentSpec(use_ai=True), AgentSpec(use_ai=True)]
+    return _fitted(make_env, **options)
+
+
+def _parameters(make_env: EnvFactory) -> dict[str, inspect.Parameter]:
+    try:
+        return dict(inspect.signature(make_env).parameters)
+    except (TypeError, ValueError):  # some callables have no signature
+        return {}
+
+
+def _bound(make_env: EnvFactory) -> frozenset[str]:
+    return frozenset(make_env.keywords if isinstance(make_env, functools.partial) else ())
+
+
+def _fitted(make_env: EnvFactory, **options: Any) -> EnvFactory:
+    known = {name: value for name, value in options.items() if takes(make_env, name)}
+    return functools.partial(make_env, **known)
+
 
 Env: TypeAlias = ParallelEnv[Any, Any, Any]
 
@@ -50,7 +178,7 @@ class Step:
 
     @property
     def parts(self) -> dict[str, dict[Any, Any]]:
-        """What came out, by the names of :data:`PARTS`."""
+        """The results, by the names of :data:`PARTS`."""
         names = ("observations", "infos") if self.number == 0 else PARTS
         return {name: getattr(self, name) for name in names}
 
@@ -64,7 +192,7 @@ Policy: TypeAlias = Callable[[Step], Mapping[Any, Any]]
 
 
 class RandomPolicy:
-    """Samples from copies of the action spaces, so that nobody else's samples change.
+    """Samples from copies of the action spaces, so that the samples of others do not change.
 
     Args:
         env: the environment.
@@ -106,7 +234,7 @@ def play(
         The reset and every step.
 
     Raises:
-        CheckFailed: what came back is not of the API's form, or there is no end.
+        CheckFailed: a result has the wrong type, or the episode does not end.
     """
     policy = policy or RandomPolicy(env)
     observations, infos = _dicts("reset", env.reset(seed=seed, options=options), 2)
@@ -137,3 +265,88 @@ def _dicts(method: str, result: Any, count: int) -> tuple[dict[Any, Any], ...]:
                 "dict by agent"
             )
     return result
+
+
+#: For each step, a fingerprint of every value that came out, by the value's path.
+Trace: TypeAlias = list[dict[str, str]]
+
+
+def trace(steps: Iterable[Step]) -> Trace:
+    """The fingerprints of a race; the steps may come from a generator."""
+    return [dict(_fingerprints_of_step(step)) for step in steps]
+
+
+def fingerprint(value: Any) -> str:
+    """A hash of a value's types and bits, through dicts, tuples and lists, 16 hex digits."""
+    digest = hashlib.blake2b(digest_size=8)
+    _update(digest, value)
+    return digest.hexdigest()
+
+
+def first_difference(expected: Trace, actual: Trace) -> str | None:
+    """Describes where two races first differ; ``None`` if they are equal."""
+    for number, (left, right) in enumerate(zip(expected, actual, strict=False)):
+        for path in left | right:
+            if left.get(path) != right.get(path):
+                return f"first at step {number} in {path}"
+    if len(expected) != len(actual):
+        return f"one ends at step {len(expected) - 1}, the other at step {len(actual) - 1}"
+    return None
+
+
+def check_equal(expected: Trace, actual: Trace, what: str) -> None:
+    """Compares two races that should be the same.
+
+    Args:
+        expected: one race.
+        actual: the other.
+        what: what the two are, as the subject of a sentence.
+
+    Raises:
+        CheckFailed: they differ.
+    """
+    difference = first_difference(expected, actual)
+    if difference is not None:
+        raise CheckFailed(f"{what} differ, {difference}; expected the same bits")
+
+
+def _fingerprints_of_step(step: Step) -> Iterator[tuple[str, str]]:
+    yield "agents", fingerprint(step.agents)
+    for name, part in step.parts.items():
+        yield from _fingerprints(name, part)
+
+
+def _fingerprints(path: str, value: Any) -> Iterator[tuple[str, str]]:
+    if isinstance(value, Mapping):
+        yield f"the keys of {path}", fingerprint(sorted(map(repr, value)))
+        for key, entry in value.items():
+            yield from _fingerprints(f"{path}[{key!r}]", entry)
+    else:
+        yield path, fingerprint(value)
+
+
+def _update(digest: Any, value: Any) -> None:
+    if isinstance(value, (np.ndarray, np.generic)):
+        kind = type(value).__name__
+        digest.update(f"{kind} {value.dtype.str} {value.shape} ".encode() + value.tobytes())
+    elif isinstance(value, Mapping):
+        digest.update(f"dict {len(value)} ".encode())
+        for key, entry in value.items():
+            _update(digest, key)
+            _update(digest, entry)
+    elif isinstance(value, Sequence) and not isinstance(value, (str, bytes)):
+        digest.update(f"{type(value).__name__} {len(value)} ".encode())
+        _update_all(digest, value)
+    else:
+        digest.update(f"{type(value).__name__} {value!r} ".encode())
+
+
+def _update_all(digest: Any, values: Sequence[Any]) -> None:
+    kinds = {(value.dtype, value.shape) for value in values if type(value) is np.ndarray}
+    if len(kinds) == 1 and all(type(value) is np.ndarray for value in values):
+        ((dtype, shape),) = kinds  # long lists of similar arrays at once
+        digest.update(f"each {dtype.str} {shape} ".encode())
+        digest.update(b"".join([value.tobytes() for value in values]))
+    else:
+        for value in values:
+            _update(digest, value)

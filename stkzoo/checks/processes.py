@@ -15,7 +15,7 @@ from typing import Any
 
 import cloudpickle  # type: ignore[import-untyped]
 
-from stkzoo.checks.failure import CheckFailed, NotApplicable
+from stkzoo.checks.play import CheckFailed, NotApplicable
 
 __all__ = ["FreshRun", "descendants", "main", "run_fresh"]
 

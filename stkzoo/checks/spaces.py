@@ -1,17 +1,25 @@
-"""Checks of the spaces and of what must be in them."""
+"""Checks of the spaces, and of the values that must be in them."""
 
 from __future__ import annotations
 
 import re
+import reprlib
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 
-from stkzoo.checks.factory import EnvFactory, short_race, whole_race
-from stkzoo.checks.failure import CheckFailed, NotApplicable
-from stkzoo.checks.membership import fault_in
-from stkzoo.checks.play import Env, play
+from stkzoo.checks.play import (
+    CheckFailed,
+    Env,
+    EnvFactory,
+    NotApplicable,
+    play,
+    short_race,
+    whole_race,
+)
 
 __all__ = [
     "check_observations_are_in_their_spaces",
@@ -19,14 +27,59 @@ __all__ = [
     "check_state_is_in_its_space",
 ]
 
+
+def fault_in(space: spaces.Space[Any], value: Any, path: str) -> str | None:
+    """Describes why a value is not in a space; ``None`` if it is.
+
+    Stricter than ``space.contains``: arrays must have the space's own dtype.
+
+    Args:
+        space: the space.
+        value: the value.
+        path: what the value is called in the text.
+    """
+    if isinstance(space, spaces.Dict):
+        return _fault_in_dict(space, value, path)
+    if isinstance(space, spaces.Sequence) and isinstance(value, tuple):
+        parts = ((space.feature_space, entry, f"{path}[{i}]") for i, entry in enumerate(value))
+        return next(filter(None, (fault_in(*part) for part in parts)), None)
+    if isinstance(value, np.ndarray) and space.dtype is not None and value.dtype != space.dtype:
+        return f"{path} has dtype {value.dtype}, expected {space.dtype}"
+    if not space.contains(value):
+        return f"{path} is {reprlib.repr(value)}, expected a value of {space}"
+    return None
+
+
+def _fault_in_dict(space: spaces.Dict, value: Any, path: str) -> str | None:
+    if not isinstance(value, Mapping):
+        return f"{path} is a {type(value).__name__}, expected a dict"
+    if value.keys() != space.spaces.keys():
+        missing = [key for key in space.spaces if key not in value]
+        unknown = [key for key in value if key not in space.spaces]
+        return f"{path} lacks the keys {missing} and has the unknown keys {unknown}"
+    parts = ((part, value[key], f"{path}[{key!r}]") for key, part in space.spaces.items())
+    return next(filter(None, (fault_in(*part) for part in parts)), None)
+
+
+def arrays_in(value: Any, path: str) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
+    """All arrays inside nested dicts, tuples and lists, with their paths."""
+    if isinstance(value, np.ndarray):
+        yield path, value
+    elif isinstance(value, Mapping):
+        for key, entry in value.items():
+            yield from arrays_in(entry, f"{path}[{key!r}]")
+    elif isinstance(value, (tuple, list)):
+        for number, entry in enumerate(value):
+            yield from arrays_in(entry, f"{path}[{number}]")
+
+
 _KINDS = ("observation_space", "action_space")
 
 
 def check_spaces_are_constant(make_env: EnvFactory) -> None:
     """Every agent's spaces are the same objects before reset and after, equal in a group.
 
-    A group is what learners take for one: agents whose names differ in the number after
-    the last underscore alone.
+    Learners group agents whose names differ only in the number after the last underscore.
 
     Raises:
         CheckFailed: they are not.

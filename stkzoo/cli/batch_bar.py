@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from typing_extensions import Self  # a part of gymnasium
 
-    from stkzoo.evaluation.batch import BatchProgress
+    from stkzoo.evaluation import BatchProgress
 
 __all__ = ["BatchBar"]
 

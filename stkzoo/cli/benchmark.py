@@ -13,7 +13,7 @@ from stkzoo.cli.batch_bar import BatchBar
 from stkzoo.cli.flags import add_flags, flags_given
 
 if TYPE_CHECKING:
-    from stkzoo.evaluation.benchmark import BenchmarkPlan, BenchmarkResult
+    from stkzoo.evaluation import BenchmarkPlan, BenchmarkResult
 
 __all__ = ["add_parser"]
 
@@ -162,17 +162,17 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _benchmark(arguments: argparse.Namespace) -> int:
-    from stkzoo.evaluation.batch import BatchRunner
-    from stkzoo.evaluation.benchmark.run import BenchmarkError, run_plan
+    from stkzoo.evaluation import BatchError, RunOptions
+    from stkzoo.evaluation.benchmark.run import run_benchmark_plan
 
     plan = _plan(arguments)
     folder = Path(arguments.output or Path("benchmark", plan.agent.label.replace("/", "_")))
     code = 0
     with BatchBar() as bar:
         try:
-            runner = BatchRunner(arguments.jobs, arguments.race_timeout, bar.tell)
-            result = run_plan(plan, folder, runner, plot=not arguments.no_plot)
-        except BenchmarkError as error:
+            options = RunOptions(arguments.jobs, arguments.race_timeout, bar.tell)
+            result = run_benchmark_plan(plan, folder, options, plot=not arguments.no_plot)
+        except BatchError as error:
             print(f"stkzoo: {error}", file=sys.stderr)
             result, code = error.result, 1
         except KeyboardInterrupt:
@@ -189,7 +189,7 @@ def _benchmark(arguments: argparse.Namespace) -> int:
 
 def _plan(arguments: argparse.Namespace) -> BenchmarkPlan:
     from stkzoo.errors import ConfigError
-    from stkzoo.evaluation.benchmark import plan_benchmark
+    from stkzoo.evaluation import plan_benchmark
     from stkzoo.race.settings import RaceSettings
 
     if not arguments.agent:
@@ -221,8 +221,8 @@ def _interrupted(bar: BatchBar, how: str) -> int:
 
 def _baseline(arguments: argparse.Namespace) -> int:
     from stkzoo.errors import ConfigError
-    from stkzoo.evaluation.benchmark import measure_ai_times
-    from stkzoo.evaluation.benchmark.baseline import AI_TIMES_FILE
+    from stkzoo.evaluation import measure_ai_times
+    from stkzoo.evaluation.benchmark.ai_times import AI_TIMES_FILE
 
     if arguments.agent:
         raise ConfigError("--baseline measures the game's AI; leave the agent out")
@@ -251,7 +251,7 @@ def _baseline(arguments: argparse.Namespace) -> int:
 
 def _compare(arguments: argparse.Namespace) -> int:
     from stkzoo.errors import ConfigError
-    from stkzoo.evaluation.benchmark import compare, load_benchmark, plot_benchmark
+    from stkzoo.evaluation import compare, load_benchmark, plot_benchmark
 
     if arguments.agent:
         raise ConfigError("--compare knows its agents; leave the agent out")

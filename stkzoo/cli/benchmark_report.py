@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from stkzoo.evaluation.benchmark import BenchmarkResult, Comparison, Estimate
+from stkzoo.evaluation import BenchmarkResult, Comparison, Estimate
 
 __all__ = ["show_comparison", "show_results"]
 

@@ -11,7 +11,7 @@ from stkzoo.cli.batch_bar import BatchBar
 from stkzoo.cli.flags import add_flags, flags_given
 
 if TYPE_CHECKING:
-    from stkzoo.evaluation.demonstrations import Demonstrations, DemoPlan
+    from stkzoo.evaluation import Demonstrations, DemoPlan
 
 __all__ = ["add_parser"]
 
@@ -23,7 +23,7 @@ The driver is the game's AI (ai), one that comes with stkzoo (heuristic, pretrai
 agent of yours (a folder, a zip, a module), whatever view it sees itself. All its karts are
 recorded. Each race is kept as soon as it is over; after an interruption the same command goes on.
 
-Read the file with stkzoo.evaluation.demonstrations.load(path), or with numpy.load (no pickles).
+Read the file with stkzoo.evaluation.load_demonstrations(path), or with numpy.load (no pickles).
 """
 
 _EXAMPLES = """\
@@ -138,14 +138,14 @@ def _add_races(parser: argparse.ArgumentParser) -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     from stkzoo.errors import ConfigError
-    from stkzoo.evaluation.demonstrations import DemosError
-    from stkzoo.evaluation.demonstrations.minari import check_minari
+    from stkzoo.evaluation import BatchError
+    from stkzoo.evaluation.demonstrations.minari import require_minari
 
     with BatchBar() as bar:
         try:
             plan = _plan(arguments)
             if arguments.format == "minari":
-                check_minari()
+                require_minari()
             file = _file(arguments, plan)
             demos = _record(arguments, plan, file, bar)
             bar.stop()
@@ -154,7 +154,7 @@ def _run(arguments: argparse.Namespace) -> int:
             bar.stop()
             arguments.fail(str(error))
             raise  # not reached: fail() leaves
-        except DemosError as error:
+        except BatchError as error:
             print(f"stkzoo: {error}", file=sys.stderr)
             return 1
         except KeyboardInterrupt:
@@ -168,7 +168,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _plan(arguments: argparse.Namespace) -> DemoPlan:
     from stkzoo.errors import ConfigError, check_whole
-    from stkzoo.evaluation.demonstrations import plan_demos
+    from stkzoo.evaluation import plan_demonstrations
     from stkzoo.evaluation.demonstrations.plan import DECIDED
     from stkzoo.race import find_driver
     from stkzoo.race.settings import RaceSettings
@@ -180,7 +180,7 @@ def _plan(arguments: argparse.Namespace) -> DemoPlan:
             "--check cannot drive the game's AI again, which has boosts that agents do not get; "
             "leave it out"
         )
-    return plan_demos(
+    return plan_demonstrations(
         arguments.agent,
         view=arguments.view,
         tracks=arguments.tracks,
@@ -204,17 +204,17 @@ def _file(arguments: argparse.Namespace, plan: DemoPlan) -> Path:
 def _record(
     arguments: argparse.Namespace, plan: DemoPlan, file: Path, bar: BatchBar
 ) -> Demonstrations:
+    from stkzoo.evaluation import RunOptions
     from stkzoo.evaluation.demonstrations.run import record_plan
 
-    return record_plan(
-        plan, file, jobs=arguments.jobs, race_timeout=arguments.race_timeout, on_race=bar.tell
-    )
+    options = RunOptions(arguments.jobs, arguments.race_timeout, bar.tell)
+    return record_plan(plan, file, options)
 
 
 def _finish(arguments: argparse.Namespace, demos: Demonstrations, file: Path) -> int:
-    from stkzoo.evaluation.demonstrations import check, to_minari
+    from stkzoo.evaluation import check_demonstrations, to_minari
 
-    where, how = str(file), f"stkzoo.evaluation.demonstrations.load({str(file)!r})"
+    where, how = str(file), f"stkzoo.evaluation.load_demonstrations({str(file)!r})"
     if arguments.format == "minari":
         to_minari(demos, arguments.output)
         file.unlink()
@@ -226,7 +226,7 @@ def _finish(arguments: argparse.Namespace, demos: Demonstrations, file: Path) ->
     )
     if not arguments.check:
         return 0
-    found = check(demos)
+    found = check_demonstrations(demos)
     if found.is_exact:
         print(f"driven again, the first race is the same: {found.steps:,} steps, to the last bit")
         return 0

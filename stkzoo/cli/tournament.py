@@ -12,7 +12,7 @@ from stkzoo.cli.batch_bar import BatchBar
 from stkzoo.cli.flags import add_flags, flags_given
 
 if TYPE_CHECKING:
-    from stkzoo.evaluation.tournament import TournamentResult
+    from stkzoo.evaluation import TournamentResult
 
 __all__ = ["add_parser"]
 
@@ -93,7 +93,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     from stkzoo.errors import ConfigError
-    from stkzoo.evaluation.tournament import TournamentError
+    from stkzoo.evaluation import BatchError
 
     folder = Path(arguments.resume or arguments.output)
     code = 0
@@ -103,7 +103,7 @@ def _run(arguments: argparse.Namespace) -> int:
         except ConfigError as error:
             bar.stop()
             arguments.fail(str(error))
-        except TournamentError as error:
+        except BatchError as error:
             print(f"stkzoo: {error}", file=sys.stderr)
             result, code = error.result, 1
         except KeyboardInterrupt:
@@ -123,7 +123,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _result(arguments: argparse.Namespace, folder: Path, bar: BatchBar) -> TournamentResult:
     from stkzoo.errors import ConfigError
-    from stkzoo.evaluation.tournament import resume_tournament, run_tournament
+    from stkzoo.evaluation import resume_tournament, run_tournament
     from stkzoo.race.settings import RaceSettings
 
     how: dict[str, Any] = {

@@ -118,7 +118,7 @@ def track_facts(track: str, difficulty: int) -> TrackFacts:
         difficulty: that of the AI whose times are given, 0 to 3.
     """
     from stkzoo import race_v0
-    from stkzoo.evaluation.benchmark import load_ai_times
+    from stkzoo.evaluation import load_ai_times
 
     with race_v0.parallel_env(num_kart=1, track=track, max_paths=1) as env:
         env.reset(seed=0)

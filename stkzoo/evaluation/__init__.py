@@ -1,1 +1,126 @@
-"""Many races: batches, benchmarks, tournaments, ratings and demonstrations."""
+"""Evaluation over many races: benchmarks, tournaments, ratings and demonstrations.
+
+>>> from stkzoo.evaluation import run_benchmark, run_tournament
+>>> result = run_benchmark(
+...     "heuristic", split=["lighthouse"], forms=["PAAAA"], seeds=2, output="/tmp/heuristic"
+... )  # doctest: +SKIP
+>>> result.group("track", "lighthouse").figures["time_ratio"].value  # doctest: +SKIP
+0.97
+>>> result = run_tournament(
+...     ["heuristic", "ai", "random"], tracks=["lighthouse"], races=3, output="/tmp/cup"
+... )  # doctest: +SKIP
+>>> result.standings[0].label  # doctest: +SKIP
+'heuristic'
+
+All of these run as batches: races in parallel processes, each stored in the output folder as soon
+as it is over, so that the same call resumes after an interruption.
+"""
+
+from stkzoo.evaluation.batch.entrants import Entrant
+from stkzoo.evaluation.batch.order import RaceOrder
+from stkzoo.evaluation.batch.run import BatchError, BatchProgress, RunOptions
+from stkzoo.evaluation.benchmark.ai_times import (
+    AiTime,
+    AiTimes,
+    load_ai_times,
+    measure_ai_times,
+)
+from stkzoo.evaluation.benchmark.comparison import Comparison, GroupDifference, compare
+from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, plan_benchmark
+from stkzoo.evaluation.benchmark.plot import plot_benchmark
+from stkzoo.evaluation.benchmark.races import (
+    FORMS,
+    BenchmarkForm,
+    BenchmarkRace,
+    make_races,
+    race_seed,
+)
+from stkzoo.evaluation.benchmark.result import (
+    BenchmarkResult,
+    KartOutcome,
+    RaceGroup,
+    RaceOutcome,
+    benchmark_result,
+)
+from stkzoo.evaluation.benchmark.run import load_benchmark, run_benchmark
+from stkzoo.evaluation.demonstrations.check import DemoCheck, check_demonstrations
+from stkzoo.evaluation.demonstrations.dataset import (
+    DemoEpisode,
+    Demonstrations,
+    EpisodeFacts,
+    load_demonstrations,
+    save_demonstrations,
+)
+from stkzoo.evaluation.demonstrations.minari import to_minari
+from stkzoo.evaluation.demonstrations.plan import DemoPlan, plan_demonstrations
+from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
+from stkzoo.evaluation.demonstrations.run import record_demonstrations
+from stkzoo.evaluation.ratings import Rating, rate
+from stkzoo.evaluation.statistics import Estimate, estimate_mean
+from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament
+from stkzoo.evaluation.tournament.plot import plot_tournament
+from stkzoo.evaluation.tournament.result import Standing, TournamentResult, tournament_result
+from stkzoo.evaluation.tournament.run import (
+    load_tournament,
+    resume_tournament,
+    run_tournament,
+)
+from stkzoo.evaluation.tournament.schedule import ScheduledRace, make_schedule
+
+__all__ = [
+    "FORMS",
+    "AiTime",
+    "AiTimes",
+    "BatchError",
+    "BatchProgress",
+    "BenchmarkForm",
+    "BenchmarkPlan",
+    "BenchmarkRace",
+    "BenchmarkResult",
+    "Comparison",
+    "DemoCheck",
+    "DemoEpisode",
+    "DemoPlan",
+    "DemoRecorder",
+    "DemoView",
+    "Demonstrations",
+    "Entrant",
+    "EpisodeFacts",
+    "Estimate",
+    "GroupDifference",
+    "KartOutcome",
+    "RaceGroup",
+    "RaceOrder",
+    "RaceOutcome",
+    "Rating",
+    "RunOptions",
+    "ScheduledRace",
+    "Standing",
+    "TournamentPlan",
+    "TournamentResult",
+    "benchmark_result",
+    "check_demonstrations",
+    "compare",
+    "estimate_mean",
+    "load_ai_times",
+    "load_benchmark",
+    "load_demonstrations",
+    "load_tournament",
+    "make_races",
+    "make_schedule",
+    "measure_ai_times",
+    "plan_benchmark",
+    "plan_demonstrations",
+    "plan_tournament",
+    "plot_benchmark",
+    "plot_tournament",
+    "race_seed",
+    "rate",
+    "record_demonstrations",
+    "resume_tournament",
+    "run_benchmark",
+    "run_tournament",
+    "save_demonstrations",
+    "to_minari",
+    "tournament_result",
+]

@@ -1,9 +1,8 @@
-"""What a person drove, as a file to learn from."""
+"""A person's driving as a dataset file."""
 
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from gymnasium.spaces import Space
 
 import stkzoo
+from stkzoo._os import atomic_write
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race import RaceListener, RaceProgress, RaceResult
@@ -23,19 +23,19 @@ _AGENT = "kart_0"
 
 
 class DatasetWriter(RaceListener):
-    """Keeps one driver's episode in an ``.npz`` file, which is written when the race is over.
+    """Writes one driver's episode to an ``.npz`` file when the race is over.
 
     For ``T`` steps the file has ``observations`` ``(T + 1, ...)``, ``actions`` ``(T, ...)``,
     ``rewards`` ``(T,)`` float64, ``terminations`` and ``truncations`` ``(T,)`` bool, and
     ``about``, a text of JSON: view, track, seed and the like. Observations and actions that are
-    dicts become an array for each entry, ``observations/continuous``. No pickle is in it.
+    dicts become an array for each entry, ``observations/continuous``. The file has no pickles.
 
     Args:
         path: the file.
         view: name of a view of fixed size, made of stkzoo's own wrappers.
 
     Raises:
-        ConfigError: the path or the view cannot be.
+        ConfigError: the path or the view is invalid.
     """
 
     def __init__(self, path: str, view: str) -> None:
@@ -43,14 +43,14 @@ class DatasetWriter(RaceListener):
         if self._path.suffix != ".npz":
             raise ConfigError(f"the dataset is {path!r}, expected a path that ends in .npz")
         if not self._path.absolute().parent.is_dir():
-            raise ConfigError(f"the dataset is {path!r}, but there is no such folder; make it")
+            raise ConfigError(f"the dataset is {path!r}, but its folder does not exist; make it")
         self._view = view
         seen = kart_observation_space(sees_ground=sees_ground(VIEWS[view]))
         self._chain = AgentChain(_AGENT, seen, kart_action_space(), VIEWS[view])
         if not self._chain.is_batched or not self._chain.observation_space.is_np_flattenable:
             raise ConfigError(
-                f"observations in view {view!r} differ in size from step to step, or need their "
-                "past; record in simple or a flattened view"
+                f"observations in view {view!r} differ in size from step to step, or depend on "
+                "earlier ones; record in simple or a flattened view"
             )
         self._observations: list[Any] = []
         self._actions: list[Any] = []
@@ -59,18 +59,17 @@ class DatasetWriter(RaceListener):
         self._about: dict[str, Any] = {}
 
     def decided(self, observation: Any, action: Any) -> None:
-        """The driver saw this and does that; both in the view."""
+        """Records an observation and the action for it, both in the view."""
         self._observations.append(observation)
         self._actions.append(action)
 
     def started(self, race: RaceProgress) -> None:
-        """Notes what the race is."""
-        assert race.env.race is not None  # noqa: S101 - it has started
+        """Records facts about the race."""
         self._about = {
             "view": self._view,
             "env_id": f"supertuxkart/{self._view}-v0",
-            "track": race.env.race.track,
-            "reverse": race.env.race.reverse,
+            "track": race.race_info.track,
+            "reverse": race.race_info.reverse,
             "laps": race.env.options.laps,
             "num_kart": race.env.options.num_kart,
             "difficulty": race.env.options.difficulty,
@@ -81,15 +80,15 @@ class DatasetWriter(RaceListener):
         }
 
     def stepped(self, race: RaceProgress) -> None:
-        """Notes what came of the driver's last action."""
+        """Records the outcome of the driver's last action."""
         if len(self._rewards) == len(self._actions):
-            return  # it has finished, and others race on
+            return  # it has finished, and others still race
         self._rewards.append(float(race.rewards[_AGENT]))
         self._last = self._chain.observe(race.observations[_AGENT])
         self._is_finished = race.infos[_AGENT]["finish_time"] > 0
 
     def ended(self, _: RaceResult) -> None:
-        """Writes the file, whole or not at all.
+        """Writes the file, completely or not at all.
 
         Raises:
             ConfigError: it cannot be written.
@@ -112,17 +111,11 @@ class DatasetWriter(RaceListener):
             "truncations": never if self._is_finished else ends,
             "about": np.array(json.dumps(self._about)),
         }
-        self._write(arrays)
-
-    def _write(self, arrays: dict[str, Any]) -> None:
-        beside = self._path.with_name(f".{self._path.name}.{os.getpid()}.part")
         try:
-            with beside.open("wb") as file:
+            with atomic_write(self._path) as part, part.open("wb") as file:
                 np.savez_compressed(file, **arrays)
-            beside.replace(self._path)
         except OSError as error:
-            beside.unlink(missing_ok=True)
-            raise ConfigError(f"the dataset could not be written: {error}") from error
+            raise ConfigError(f"the dataset cannot be written: {error}") from error
 
 
 def _columns(name: str, space: Space[Any], values: list[Any]) -> dict[str, Any]:

@@ -47,24 +47,24 @@ def play_race(
 
     Args:
         opponents: the other drivers (:func:`stkzoo.race.find_driver`).
-        name: what to call the person.
-        backend: who draws: ``"engine"``, ``"map"``, or ``"auto"`` for the game where it can.
+        name: the person's name.
+        backend: the renderer: ``"engine"``, ``"map"``, or ``"auto"`` for the game where it works.
         size: width and height of the picture [pixels].
-        rate: steps and pictures a second, one of 10, 12, 15, 20, 30 and 60.
-        view: in which the person's observations and actions are recorded; keys that it has
-            no action for do nothing.
-        dataset: path of an ``.npz`` file for what was driven (:class:`DatasetWriter`).
-        listeners: who else watches.
+        rate: steps and pictures per second, one of 10, 12, 15, 20, 30 and 60.
+        view: view of the recorded observations and actions; keys without an action in it do
+            nothing.
+        dataset: path of an ``.npz`` file for the driving (:class:`DatasetWriter`).
+        listeners: other listeners.
         settings: of the race, as for :func:`stkzoo.race.run_race`.
 
     Raises:
-        ConfigError: an argument cannot be, pygame is missing, or there is no display.
+        ConfigError: an argument is invalid, pygame is missing, or there is no display.
         AgentError, AssetError, EngineError, RaceInterrupted: as :func:`stkzoo.race.run_race`.
     """
     _check(backend, rate, view)
     actions = keys_to_action(VIEWS[view], repr(view))
     with ExitStack() as life:
-        # Bad paths are found before a window opens.
+        # Report bad paths before the window opens.
         writer = DatasetWriter(dataset, view) if dataset is not None else None
         screen = PlayScreen(checked_size(size))
         life.callback(screen.close)
@@ -88,7 +88,7 @@ def _check(backend: str, rate: int, view: str) -> None:
 
 
 class _Person:
-    """The driver's side: the action for the keys that are down."""
+    """The driver: the action for the keys that are down."""
 
     def __init__(
         self, screen: PlayScreen, actions: dict[Any, Any], writer: DatasetWriter | None
@@ -107,7 +107,7 @@ class _Person:
 
 
 class _Game(RaceListener):
-    """The race's side: shows every step and lets no more steps pass than time."""
+    """The listener: shows every step and keeps the race at real time."""
 
     def __init__(self, screen: PlayScreen, size: tuple[int, int], backend: str, rate: int) -> None:
         self._screen, self._seconds = screen, 1 / rate
@@ -115,13 +115,12 @@ class _Game(RaceListener):
         self._due = 0.0
 
     def env_options(self) -> dict[str, Any]:
-        """As many steps a second as were asked for."""
+        """The step size for the chosen rate."""
         return {"step_size": self._seconds}
 
     def started(self, race: RaceProgress) -> None:
         """Shows the grid."""
-        scene = race.env.scene
-        assert scene is not None  # noqa: S101 - the race has started
+        scene = race.scene
         self._kart = scene.kart_indices[race.env.possible_agents.index(_AGENT)]
         self._renderer.begin(scene)
         self._show(race)
@@ -131,12 +130,12 @@ class _Game(RaceListener):
     def stepped(self, race: RaceProgress) -> None:
         """Shows the step, then waits until the next one is due."""
         self._show(race)
-        # A late picture makes the race slower; what is lost is not made up for by a rush.
+        # A late picture slows the race down; it does not speed up afterwards.
         self._due = max(self._due + self._seconds, time.monotonic())
         self._wait(race)
 
     def closed(self) -> None:
-        """Ends the process that draws."""
+        """Ends the render process."""
         self._renderer.close()
 
     def _wait(self, race: RaceProgress) -> None:
@@ -149,15 +148,12 @@ class _Game(RaceListener):
             race.stop("left")
 
     def _show(self, race: RaceProgress, note: str = "") -> None:
-        snapshot = race.env.snapshot
-        assert snapshot is not None  # noqa: S101 - the race runs
-        picture = self._renderer.pictures(snapshot)[self._kart]
+        picture = self._renderer.pictures(race.snapshot)[self._kart]
         self._screen.show(picture, note + _status(race, self._kart))
 
 
 def _status(race: RaceProgress, kart: int) -> str:
-    snapshot, info = race.env.snapshot, race.infos[_AGENT]
-    assert snapshot is not None  # noqa: S101 - the race runs
+    snapshot, info = race.snapshot, race.infos[_AGENT]
     if info["finish_time"] > 0:
         return f"finished in {info['finish_time']:.2f} s, place {info['position']}"
     phase = Phase(snapshot.phase)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import time
 from typing import Any
 
@@ -9,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.env.keyboard import KEYS
-from stkzoo.play.pygame_door import load_pygame
+from stkzoo.errors import ConfigError
 
 __all__ = ["PlayScreen"]
 
@@ -35,7 +37,7 @@ class PlayScreen:
     """
 
     def __init__(self, size: tuple[int, int]) -> None:
-        self._pygame = pygame = load_pygame()
+        self._pygame = pygame = _load_pygame()
         pygame.display.init()
         pygame.font.init()
         pygame.display.set_caption(_TITLE)
@@ -99,3 +101,30 @@ class PlayScreen:
         hint = self._font.render(_HELP, True, _FAINT_COLOUR)
         if line.get_width() + hint.get_width() + 40 <= width:
             self._window.blit(hint, (width - hint.get_width() - 10, top))
+
+
+def _load_pygame() -> Any:
+    """The module ``pygame``, able to open a window.
+
+    Raises:
+        ConfigError: pygame is not installed, or there is no display.
+    """
+    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    try:
+        import pygame
+    except ImportError:
+        raise ConfigError(
+            "the window needs pygame, which is not installed; run `pip install 'stkzoo[play]'`"
+        ) from None
+    # Without a display SDL would draw where nobody sees it.
+    if sys.platform == "linux" and not _has_display():
+        raise ConfigError(
+            "neither DISPLAY nor WAYLAND_DISPLAY names a display for the window; start a desktop "
+            "session, or `xvfb-run` where nobody looks"
+        )
+    return pygame
+
+
+def _has_display() -> bool:
+    names = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
+    return any(os.environ.get(name) for name in names)

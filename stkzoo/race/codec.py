@@ -1,11 +1,11 @@
-"""Messages of plain data as bytes: what goes to and comes from agents in other processes.
+"""Messages of plain data as bytes, for agents in other processes and on other machines.
 
 A message is ``None``, ``bool``, ``int``, ``float``, ``str``, ``bytes``, a numpy array or
-scalar of numbers or truth values, or a ``list``, ``tuple`` or ``dict`` (with ``str`` keys) of
-such. It comes out as it went in, lists and tuples apart, arrays writable. The form is msgpack
-with five extension types (``docs/protocol.md``); nothing is pickled, and nothing that arrives
-can run code, raise anything but :class:`~stkzoo.errors.ProtocolError`, or take up much more
-memory than the message itself.
+scalar of numbers or booleans, or a ``list``, ``tuple`` or ``dict`` (with ``str`` keys) of these.
+Decoding gives an equal message, with lists and tuples distinct and arrays writable. The format is
+msgpack with five extension types (``docs/protocol.md``). Nothing is pickled. Decoding never runs
+code from the message, raises only :class:`~stkzoo.errors.ProtocolError`, and uses little more
+memory than the message.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ __all__ = ["LIMITS", "Encoded", "Limits", "decode", "encode"]
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """How much one message may be.
+    """Limits of one message.
 
     Attributes:
-        max_bytes: its length [bytes].
-        max_depth: how deep lists, tuples and dicts may stand in one another.
+        max_bytes: length [bytes].
+        max_depth: nesting of lists, tuples and dicts.
         max_length: elements of one list, tuple or dict.
     """
 
@@ -41,14 +41,14 @@ class Limits:
     max_length: int = 8192
 
 
-#: Generous for every observation of every track, and for a whole race's worth of them.
+#: Far above the largest observation of any track.
 LIMITS = Limits()
 
 
 class Encoded(bytes):
-    """An encoded message that becomes part of another, and comes out of it decoded.
+    """An encoded message as a part of another one, where decoding decodes it too.
 
-    So a message can be passed on without being read.
+    A program can pass a message on like this without decoding it.
     """
 
     __slots__ = ()
@@ -72,7 +72,7 @@ _LEAVES = frozenset({type(None), bool, int, float, str, bytes, np.ndarray}) | _S
 _CONTAINERS = frozenset({list, tuple, dict})
 _PLAIN = _LEAVES | _CONTAINERS
 
-#: What a subclass of these becomes.
+#: Base types that subclasses are converted to.
 _BASES: tuple[Any, ...] = (str, int, float, bytes, list, dict)
 
 _shape_of = attrgetter("shape")
@@ -82,11 +82,11 @@ _dtype_of = attrgetter("dtype")
 def encode(message: object, limits: Limits = LIMITS) -> bytes:
     """The bytes of a message.
 
-    Subclasses of what is plain, such as an ``IntEnum``, ``OrderedDict`` or ``numpy.str_``,
-    become what they are subclasses of.
+    Subclasses of plain types, such as ``IntEnum``, ``OrderedDict`` and ``numpy.str_``, become
+    their base types.
 
     Raises:
-        ProtocolError: the message is not plain data, or more than the limits allow.
+        ProtocolError: the message is not plain data, or exceeds a limit.
     """
     try:
         data = _Encoder(limits).encode(message, 0)
@@ -97,10 +97,10 @@ def encode(message: object, limits: Limits = LIMITS) -> bytes:
 
 
 def decode(data: bytes | bytearray | memoryview, limits: Limits = LIMITS) -> Any:
-    """The message of some bytes.
+    """The message in some bytes.
 
     Raises:
-        ProtocolError: these bytes are no message, or more than the limits allow.
+        ProtocolError: the bytes are not a message, or exceed a limit.
     """
     _check_size(data, limits)
     try:
@@ -108,7 +108,7 @@ def decode(data: bytes | bytearray | memoryview, limits: Limits = LIMITS) -> Any
         _check(message, limits, 0)
     except ProtocolError:
         raise
-    except Exception as error:  # msgpack and numpy tell of bad bytes in many ways
+    except Exception as error:  # msgpack and numpy report bad bytes in many ways
         kind, text = type(error).__name__, str(error)[:200]
         raise ProtocolError(
             f"{len(data)} bytes came that are no message: {kind}: {text}"
@@ -122,7 +122,7 @@ def _check_size(data: bytes | bytearray | memoryview, limits: Limits) -> None:
 
 
 def _check(value: Any, limits: Limits, depth: int) -> None:
-    """Refuses a tree that is too deep, too wide, or has something else than plain data in it."""
+    """Rejects a message that is too deep or too wide, or has anything but plain data."""
     kind = type(value)
     if kind not in _CONTAINERS:
         if kind not in _PLAIN:
@@ -149,7 +149,7 @@ def _check_keys(value: dict[Any, Any]) -> None:
 
 
 class _Encoder:
-    """Encodes one message; knows how deep in it it is."""
+    """Encodes one message and tracks its depth."""
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
@@ -166,7 +166,7 @@ class _Encoder:
         return data
 
     def _plain(self, value: Any, depth: int) -> Any:
-        """Checks dicts and lists, which msgpack packs by itself."""
+        """Checks dicts and lists, which msgpack packs itself."""
         if depth >= self._limits.max_depth:
             raise ProtocolError(f"a message is deeper than {self._limits.max_depth} levels")
         if len(value) > self._limits.max_length:
@@ -185,7 +185,7 @@ class _Encoder:
         return value
 
     def _extended(self, value: Any) -> Any:
-        """What msgpack does not know, as something that it knows."""
+        """A value of another type, converted for msgpack."""
         if isinstance(value, tuple):
             rows = _as_rows(value, self._limits)
             if rows is not None:
@@ -214,7 +214,7 @@ def _key(key: object) -> str:
 
 
 def _as_rows(items: tuple[Any, ...], limits: Limits) -> msgpack.ExtType | None:
-    """Arrays or scalars that are alike as one array, else ``None``."""
+    """Arrays or scalars of one dtype and shape as one array, else ``None``."""
     if len(items) < 2 or len(items) > limits.max_length:
         return None
     first = items[0]
@@ -237,7 +237,7 @@ def _joined(items: tuple[Any, ...]) -> bytes | None:
     """The bytes of arrays of one dtype and shape, one after the other."""
     shape, dtype, count = items[0].shape, items[0].dtype, len(items)
     try:
-        # Counting is the quickest way to see that all are equal: half the time of a set.
+        # Counting takes half the time of a set.
         if [*map(_shape_of, items)].count(shape) != count:
             return None
         if [*map(_dtype_of, items)].count(dtype) != count:
@@ -246,7 +246,7 @@ def _joined(items: tuple[Any, ...]) -> bytes | None:
         return None
     try:
         return b"".join(items)
-    except (TypeError, ValueError, BufferError):  # some of them do not lie in one piece
+    except (TypeError, ValueError, BufferError):  # some are not contiguous
         return np.stack(items).tobytes()
 
 
@@ -329,10 +329,10 @@ def _array_from(code: int, shape: tuple[int, ...], content: bytes) -> npt.NDArra
     dtype = _DTYPES.get(code)
     if dtype is None:
         raise ProtocolError(f"dtype code {code} came, expected 0 to {len(_DTYPES) - 1}")
-    # numpy checks that there is enough, but would take more.
+    # numpy would accept more bytes than the shape needs.
     if len(content) != math.prod(shape) * dtype.itemsize:
         raise ProtocolError(f"{len(content)} bytes came for {dtype.name} of shape {shape}")
-    # A bytearray may be written to, so the array may be as well.
+    # A bytearray is writable, so the array is too.
     array: npt.NDArray[Any] = np.ndarray(shape, dtype, bytearray(content))
-    # A truth value that is neither 0 nor 1 behaves strangely.
+    # A boolean that is neither 0 nor 1 behaves inconsistently.
     return array.view(np.uint8) != 0 if code == 0 and shape else array

@@ -1,4 +1,4 @@
-"""The drivers of one race, and what becomes of those that fail."""
+"""The drivers of one race, and the handling of their failures."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _MAX_FAILURES_KEPT = 20
 
 
 class DriverGroup:
-    """All drivers of a race but the game's AI.
+    """All drivers of a race except the game's AI.
 
     Args:
-        drivers: who drives, by agent.
+        drivers: driver of each agent.
         observation_spaces: of the ``full`` view, by agent.
         action_spaces: likewise.
-        settings: how failures are dealt with, and the limits.
+        settings: the error handling and the limits.
     """
 
     def __init__(
@@ -56,20 +56,20 @@ class DriverGroup:
         }
 
     def get_ready(self) -> None:
-        """Opens all seats, and waits until all drivers are ready or have failed.
+        """Starts all drivers, and waits until each is ready or has failed.
 
         Raises:
             AgentError: a driver failed, and ``error_handling`` is ``"raise"``.
         """
         for member in self.members.values():
-            member.open()
+            member.start()
         for member in self.members.values():
             member.get_ready(0)
 
     def decide(self, observations: Mapping[str, Any], step: int) -> dict[str, Any]:
-        """The actions of all drivers that are given an observation.
+        """The actions of all drivers that have an observation.
 
-        All are asked before any answer is waited for.
+        Asks all drivers before it waits for any.
 
         Raises:
             AgentError: a driver failed, and ``error_handling`` is ``"raise"``.
@@ -79,37 +79,37 @@ class DriverGroup:
             member.ask(observations[member.agent], step)
         return {member.agent: member.answer(step) for member in asked}
 
-    def refuse(self, error: ActionError, step: int) -> Any:
-        """Takes note of an agent's action that cannot be; what is done in its place.
+    def replace_action(self, error: ActionError, step: int) -> Any:
+        """Records an agent's invalid action; returns the one to take instead.
 
         Raises:
             AgentError: ``error_handling`` is ``"raise"``.
         """
-        return self.members[error.agent].refuse(error, step)
+        return self.members[error.agent].replace_action(error, step)
 
     def driving(self, agents: Sequence[str]) -> list[str]:
-        """Those of some agents that drive, the game's AI among them."""
+        """The given agents that still drive, including the game's AI."""
         return [a for a in agents if a not in self.members or not self.members[a].is_retired]
 
     def failures(self) -> dict[str, tuple[AgentFailure, ...]]:
-        """What has gone wrong, by agent."""
+        """The failures so far, by agent."""
         return {agent: tuple(member.failures) for agent, member in self.members.items()}
 
     def close(self) -> None:
-        """Closes all seats."""
+        """Closes all instances."""
         for member in self.members.values():
             member.close()
 
 
 class GroupMember:
-    """A driver in one race, from seat to seat.
+    """A driver in one race, across restarts.
 
     Attributes:
         agent: id of the agent.
         name: the name to show.
-        failures: what has gone wrong, the first of it.
-        num_failures: how often something has.
-        seconds: how long it thought about each action [s].
+        failures: the first failures.
+        num_failures: number of all failures.
+        seconds: duration of each decision [s].
         is_retired: whether it has been taken out of the race.
     """
 
@@ -121,29 +121,29 @@ class GroupMember:
         self.seconds: list[float] = []
         self.is_retired = False
         self._driver, self._request, self._settings = driver, request, settings
-        self._seat: DriverInstance | None = None
+        self._instance: DriverInstance | None = None
+        self._start_error: Exception | None = None
         self._is_ready = self._is_asked = False
         self._restarts = 0
-        self._chance = copy.deepcopy(request.action_space)
-        self._chance.seed(request.seed)
+        self._random_actions = copy.deepcopy(request.action_space)
+        self._random_actions.seed(request.seed)
 
-    def open(self) -> None:
-        """Opens the seat; the driver gets ready meanwhile."""
-        self._is_ready = False
+    def start(self) -> None:
+        """Starts the driver, which gets ready meanwhile."""
+        self._is_ready, self._start_error = False, None
         try:
             assert self._driver.start is not None  # noqa: S101 - not the game's AI
-            self._seat = self._driver.start(self._request)
-        except Exception as error:  # noqa: BLE001 - told in get_ready()
-            self._seat = _FailedSeat(self._as_agent_error(error))
+            self._instance = self._driver.start(self._request)
+        except Exception as error:  # noqa: BLE001 - reported in get_ready()
+            self._start_error = error
 
     def get_ready(self, step: int) -> None:
-        """Waits until the driver is ready; one that cannot be is retired."""
+        """Waits until the driver is ready; retires it if it fails to start."""
         if self.is_retired or self._is_ready:
             return
         try:
-            assert self._seat is not None  # noqa: S101 - opened before
-            name = self._seat.ready()
-        except Exception as error:  # noqa: BLE001 - only its own race is over
+            name = self._started().ready()
+        except Exception as error:  # noqa: BLE001 - costs only its own race
             self._record(error, step, "start")
             self._retire()
             return
@@ -154,67 +154,67 @@ class GroupMember:
         """Hands the observation over."""
         self._is_asked = False
         self.get_ready(step)
-        if self.is_retired or self._seat is None:
+        if self.is_retired:
             return
         try:
-            self._seat.ask(observation)
+            self._started().ask(observation)
             self._is_asked = True
         except Exception as error:  # noqa: BLE001 - see answer()
-            self._fail(error, step)
+            self._handle(error, step)
 
     def answer(self, step: int) -> Any:
-        """The action: the driver's, or the one in its place."""
-        if not self._is_asked or self._seat is None:
-            return self._stand_in()
+        """The driver's action, or its replacement."""
+        if not self._is_asked:
+            return self._replacement()
         try:
-            decision = self._seat.answer()
-        except Exception as error:  # noqa: BLE001 - an agent's failure is its own
-            self._fail(error, step)
-            return self._stand_in()
+            decision = self._started().answer()
+        except Exception as error:  # noqa: BLE001 - costs only its own race
+            self._handle(error, step)
+            return self._replacement()
         self.seconds.append(decision.seconds)
         return decision.action
 
-    def refuse(self, error: ActionError, step: int) -> Any:
-        """Takes note of an action that cannot be; what is done in its place."""
-        self._fail(error, step)
-        return self._stand_in()
+    def replace_action(self, error: ActionError, step: int) -> Any:
+        """Records an invalid action; returns the one to take instead."""
+        self._handle(error, step)
+        return self._replacement()
 
     def close(self) -> None:
-        """Closes the seat."""
-        if self._seat is not None:
-            self._seat.close()
-            self._seat = None
+        """Closes the instance."""
+        instance, self._instance = self._instance, None
+        if instance is not None:
+            instance.close()
 
-    def _fail(self, error: Exception, step: int) -> None:
+    def _started(self) -> DriverInstance:
+        if self._instance is None:
+            raise self._start_error or AgentError("it was not started", self.agent)
+        return self._instance
+
+    def _handle(self, error: Exception, step: int) -> None:
+        """Records a failure while driving, then keeps, restarts or retires the driver."""
         self._record(error, step, "timeout" if isinstance(error, AgentTimeout) else "error")
         handling = self._settings.error_handling
-        assert self._seat is not None  # noqa: S101 - it has been asked
-        if handling == "catch" and self._seat.is_usable:
+        if handling == "catch" and self._started().is_usable:
             return
         if handling == "retire" or self._restarts >= self._settings.max_restarts:
             self._retire()
             return
         self._restarts += 1
         self.close()
-        self.open()
+        self.start()
 
     def _record(self, error: Exception, step: int, kind: str) -> None:
-        """Keeps a failure, or raises it if that is what is asked for."""
-        told = self._as_agent_error(error)
+        """Keeps a failure, or raises it if ``error_handling`` is ``"raise"``."""
+        text = printable(in_words(error))
+        trace = printable(error.trace) if isinstance(error, AgentError) else ""
         if self._settings.error_handling == "raise":
-            raise told from error
+            who = self.name or self._driver.source
+            error_type = type(error) if isinstance(error, AgentError) else AgentError
+            message = f"driver {who!r} of {self.agent} failed: {text}"
+            raise error_type(message, self.agent, trace) from error
         self.num_failures += 1
         if len(self.failures) < _MAX_FAILURES_KEPT:
-            what = printable(in_words(error))
-            self.failures.append(AgentFailure(step, kind, what, told.trace))
-
-    def _as_agent_error(self, error: Exception) -> AgentError:
-        """The error with the driver's name in its text."""
-        who = self.name or self._driver.source
-        what = printable(in_words(error))
-        kind = type(error) if isinstance(error, AgentError) else AgentError
-        trace = printable(error.trace) if isinstance(error, AgentError) else ""
-        return kind(f"driver {who!r} of {self.agent} failed: {what}", self.agent, trace)
+            self.failures.append(AgentFailure(step, kind, text, trace))
 
     def _retire(self) -> None:
         self.is_retired = True
@@ -226,34 +226,13 @@ class GroupMember:
         name = source.stem if source.suffix in (".zip", ".py") else source.name
         return _one_line(name) or self.agent
 
-    def _stand_in(self) -> Any:
-        """What is done in the place of a driver that gave no action."""
+    def _replacement(self) -> Any:
+        """The action in place of a missing or invalid one."""
         if self._settings.error_handling == "catch" and not self.is_retired:
-            return self._chance.sample()
+            return self._random_actions.sample()
         return create_zero_array(self._request.action_space)
 
 
 def _one_line(name: str) -> str:
     """An agent's own name, fit for a table."""
     return printable(name).replace("\n", " ").strip()
-
-
-class _FailedSeat:
-    """A seat that could not be opened."""
-
-    is_usable = False
-
-    def __init__(self, error: AgentError) -> None:
-        self._error = error
-
-    def ready(self) -> str:
-        raise self._error
-
-    def ask(self, _: Any) -> None:
-        raise self._error
-
-    def answer(self) -> Any:
-        raise self._error
-
-    def close(self) -> None:
-        pass

@@ -1,27 +1,38 @@
-"""Drivers by name: the game's AI, chance, packages under ``stkzoo.agents``, and files."""
+"""Drivers by name: the game's AI, random actions, packages under ``stkzoo.agents``, and files."""
 
 from __future__ import annotations
 
 import copy
 import importlib
 import pkgutil
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from gymnasium import spaces
 
-from stkzoo.errors import AgentError, ConfigError, unknown_name
-from stkzoo.race.agents.code import Actor, ActorMaker, AgentCode, env_sees_ground, read_module
+from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.race.agents.code import (
+    Actor,
+    ActorMaker,
+    AgentCode,
+    env_sees_ground,
+    load_agent,
+    read_module,
+)
 from stkzoo.race.agents.files import AgentFiles, declared_env, find_files
-from stkzoo.race.agents.inline import ActorOpener, InlineFilesOpener, InlineInstance
-from stkzoo.race.agents.isolated import IsolatedOpener
-from stkzoo.race.instances import DriverInstance, DriverRequest, DriverStart
+from stkzoo.race.agents.inline import InlineInstance
+from stkzoo.race.agents.isolated import IsolatedInstance
+from stkzoo.race.instances import DriverStart
+from stkzoo.views import VIEWS
 
 __all__ = ["Actor", "ActorMaker", "Driver", "driver_names", "find_driver"]
 
 _AGENTS = "stkzoo.agents"
-#: What is there beside drivers that can be raced by name.
+#: Packages there that are not drivers.
 _NO_DRIVERS = {"planner", "pretrained", "planning", "training"}
 #: Learned drivers, each a package of this one.
 _PRETRAINED = "pretrained"
@@ -32,14 +43,15 @@ _LEVELS = ("0", "1", "2", "3")
 
 @dataclass(frozen=True, slots=True)
 class Driver:
-    """Somebody who can drive a kart.
+    """A kind of driver, of which every race starts an instance.
 
     Attributes:
-        name: what it is called; empty if it says so itself when it is loaded.
-        start: opens its seat in one race; ``None`` for the game's AI.
+        name: name to show; empty if the driver itself names it when it is loaded.
+        start: starts an instance for one race; ``None`` for the game's AI.
         source: where it comes from, as the user wrote it.
-        difficulty: that of the race, if it says so: the game's AI of one race has one level.
-        sees_ground: whether its observations tell of the ground beside the road.
+        difficulty: the race's difficulty, if the driver asks for one: the game's AI has one level
+            per race.
+        sees_ground: whether its observations include the ground beside the road.
     """
 
     name: str
@@ -58,12 +70,13 @@ class Driver:
         """A driver that is a Python function.
 
         Args:
-            name: what it is called.
+            name: name to show.
             make_actor: makes its actor for one race from its observation space, its
                 action space and a seed.
-            view: name of the view in which it sees and acts.
+            view: name of the view that it observes and acts in.
         """
-        return cls(name, ActorOpener(make_actor, view), name, sees_ground=env_sees_ground(view))
+        load = partial(_load_actor, make_actor, view)
+        return cls(name, _inline(load), name, sees_ground=env_sees_ground(view))
 
 
 def driver_names() -> list[str]:
@@ -83,16 +96,16 @@ def find_driver(text: str, *, inline: bool = False, adapter: str | None = None) 
     Args:
         text: ``"ai"`` for the game's AI, ``"ai:3"`` for that at difficulty 3, which is then
             the race's, ``"random"`` for random actions, a package under
-            ``stkzoo.agents``, ``"pretrained:NAME"`` for a learned one there, or an agent of
+            ``stkzoo.agents``, ``"pretrained:NAME"`` for a learned one there, or an agent from
             files (``docs/agents.md``): the path of a folder, zip or Python file, or the name
-            of a module. ``@:Name`` behind it says what to call the driver.
-        inline: run agents from files in this process, which is quicker, instead of one
-            each in a process of its own.
+            of a module. ``@:Name`` at the end sets the driver's name.
+        inline: run agents from files in this process, which is faster, instead of each in a
+            process of its own.
         adapter: path of a Python file with ``create_actor(get_actor, module_dir,
             observation_space, action_space)`` for agents from files.
 
     Raises:
-        ConfigError: nobody is called this, or the files are no agent.
+        ConfigError: no driver has this name, or the files are not an agent.
     """
     source, mark, name = text.rpartition(_NAME_MARK) if _NAME_MARK in text else (text, "", "")
     if mark and not name:
@@ -113,16 +126,18 @@ def _find(source: str, inline: bool, adapter: str | None) -> Driver:
     if source in driver_names():
         module = f"{_AGENTS}.{source.replace(':', '.')}"
         env_name = declared_env(AgentFiles(module, None))
-        return Driver(source, _ShippedOpener(module), sees_ground=env_sees_ground(env_name))
+        load = partial(_load_shipped, module)
+        return Driver(source, _inline(load), sees_ground=env_sees_ground(env_name))
     if source.startswith(f"{_PRETRAINED}:"):
         raise unknown_name("driver", source, driver_names())
     if adapter is not None and not Path(adapter).is_file():
         raise ConfigError(f"there is no adapter {adapter!r}; expected the path of a Python file")
     files = find_files(source)
     if files is None:
-        raise _nobody(source)
-    opener = InlineFilesOpener(files, adapter) if inline else IsolatedOpener(files, adapter)
-    return Driver("", opener, sees_ground=env_sees_ground(declared_env(files)))
+        raise _unknown(source)
+    isolated = partial(IsolatedInstance, files=files, adapter=adapter)
+    start = _inline(partial(_load_files, files, adapter)) if inline else isolated
+    return Driver("", start, sees_ground=env_sees_ground(declared_env(files)))
 
 
 def _level(source: str) -> int:
@@ -130,33 +145,38 @@ def _level(source: str) -> int:
     level = source.removeprefix("ai:")
     if level not in _LEVELS:
         raise ConfigError(
-            f"driver {source!r} is the game's AI at a level that it does not have; expected "
+            f"driver {source!r} is the game's AI at an unknown level; expected "
             f"{', '.join(f'ai:{known}' for known in _LEVELS)}, or ai for that of --difficulty"
         )
     return int(level)
 
 
-def _nobody(source: str) -> ConfigError:
+def _unknown(source: str) -> ConfigError:
     if "/" in source or source.endswith((".zip", ".py")):
         return ConfigError(f"there is no agent {source!r}; expected a folder, a .zip or a .py file")
     error = unknown_name("driver", source, driver_names())
     return ConfigError(f"{error} Or give the path of a folder or zip, or a module's name.")
 
 
-@dataclass(frozen=True, slots=True)
-class _ShippedOpener:
-    """Opens seats of a package under ``stkzoo.agents``."""
+def _inline(load: Callable[[ExitStack], AgentCode]) -> DriverStart:
+    return partial(InlineInstance, load=load)
 
-    module: str
 
-    def __call__(self, request: DriverRequest) -> DriverInstance:
-        return InlineInstance(request, lambda _: self._code(request.agent))
+def _load_actor(make_actor: ActorMaker, view: str, _: ExitStack) -> AgentCode:
+    if view not in VIEWS:
+        raise unknown_name("view", view, VIEWS)
+    return AgentCode(VIEWS[view], make_actor)
 
-    def _code(self, agent: str) -> AgentCode:
-        try:
-            return read_module(importlib.import_module(self.module))
-        except ImportError as error:
-            raise AgentError(f"{self.module} cannot be loaded: {error}", agent) from error
+
+def _load_files(files: AgentFiles, adapter: str | None, resources: ExitStack) -> AgentCode:
+    return load_agent(files.place(resources), adapter)
+
+
+def _load_shipped(module: str, _: ExitStack) -> AgentCode:
+    try:
+        return read_module(importlib.import_module(module))
+    except ImportError as error:
+        raise ConfigError(f"{module} cannot be loaded: {error}") from error
 
 
 def _random_actor(_: spaces.Space[Any], action_space: spaces.Space[Any], seed: int) -> Actor:

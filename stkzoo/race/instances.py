@@ -1,10 +1,10 @@
-"""A seat: one driver in one race, wherever the driver's code runs.
+"""A driver instance: one driver in one race, wherever the driver's code runs.
 
-The runner first asks all seats and then collects their answers, so that drivers in other
-processes or on other machines think at the same time. Every seat is given the ``full``
-view of its kart and answers with the game's own action
-(:func:`~stkzoo.mdp.spaces.kart_observation_space`, :func:`~stkzoo.mdp.spaces.kart_action_space`);
-the driver's own view and wrappers are applied where its code runs.
+The runner asks all instances before it waits for any, so that drivers in other processes and on
+other machines decide at the same time. Every instance gets the ``full`` view of its kart and
+returns the game's own action (:func:`~stkzoo.mdp.spaces.kart_observation_space`,
+:func:`~stkzoo.mdp.spaces.kart_action_space`). The driver's own view and wrappers are applied where
+its code runs.
 """
 
 from __future__ import annotations
@@ -15,17 +15,24 @@ from typing import Any, Protocol
 
 from gymnasium import spaces
 
-__all__ = ["Decision", "DriverInstance", "DriverLimits", "DriverRequest", "DriverStart"]
+__all__ = [
+    "Decision",
+    "DriverInstance",
+    "DriverLimits",
+    "DriverRequest",
+    "DriverStart",
+    "without_unused_paths",
+]
 
 
 @dataclass(frozen=True, slots=True)
 class DriverLimits:
-    """What a driver may use.
+    """The resources that a driver may use.
 
     Attributes:
-        action_timeout: for one decision [s]; ``None`` is as long as it likes.
-        start_timeout: until it is ready to drive [s].
-        memory: for its process [MB]; ``None`` is as much as there is.
+        action_timeout: time for one decision [s]; ``None`` for no limit.
+        start_timeout: time until it is ready to drive [s].
+        memory: memory of its process [MB]; ``None`` for no limit.
     """
 
     action_timeout: float | None = 10.0
@@ -35,14 +42,14 @@ class DriverLimits:
 
 @dataclass(frozen=True, slots=True)
 class DriverRequest:
-    """What a seat is opened with.
+    """The arguments that a driver is started with.
 
     Attributes:
         agent: id of the agent, such as ``"kart_0"``.
-        observation_space: of the observations that the seat will be given.
-        action_space: of the actions that it has to give.
-        seed: decides all that the driver leaves to chance.
-        limits: what the driver may use.
+        observation_space: space of the observations that the instance gets.
+        action_space: space of the actions that it returns.
+        seed: seed of the driver's random numbers.
+        limits: the resources that the driver may use.
     """
 
     agent: str
@@ -54,11 +61,11 @@ class DriverRequest:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What a driver decided.
+    """A driver's answer to one observation.
 
     Attributes:
-        action: in the action space of the seat's request; the runner checks it.
-        seconds: how long the driver thought, measured where its code runs.
+        action: in the action space of the request; the runner checks it.
+        seconds: how long the driver took, measured where its code runs.
     """
 
     action: Any
@@ -68,10 +75,10 @@ class Decision:
 class DriverInstance(Protocol):
     """One driver in one race.
 
-    Each method but :meth:`close` raises :class:`~stkzoo.errors.AgentError` when the driver
-    fails, :class:`~stkzoo.errors.AgentTimeout` when it is too slow, and returns in bounded
-    time. After an error the seat is closed, and opened anew if the driver goes on, unless
-    :attr:`is_usable`.
+    Each method except :meth:`close` raises :class:`~stkzoo.errors.AgentError` when the driver
+    fails and :class:`~stkzoo.errors.AgentTimeout` when it is too slow, and returns in bounded
+    time. After an error, the runner closes the instance and starts a new one if the driver
+    continues, unless :attr:`is_usable`.
     """
 
     @property
@@ -83,12 +90,12 @@ class DriverInstance(Protocol):
         """Waits until the driver can drive.
 
         Returns:
-            The name that it gives itself; empty if it gives none.
+            The name that the driver gives itself; empty if it has none.
         """
         ...
 
     def ask(self, observation: Any) -> None:
-        """Lets the driver start to think, and returns at once."""
+        """Hands over the observation and returns at once."""
         ...
 
     def answer(self) -> Decision:
@@ -96,9 +103,24 @@ class DriverInstance(Protocol):
         ...
 
     def close(self) -> None:
-        """Lets the driver go and frees everything; may be called twice, never raises."""
+        """Ends the driver and frees everything; may be called twice, never raises."""
         ...
 
 
-#: Opens a seat. Returns before the driver is ready, so that all drivers start together.
+#: Starts a driver. Returns before the driver is ready, so that all drivers start together.
 DriverStart = Callable[[DriverRequest], DriverInstance]
+
+
+def without_unused_paths(observation: Any, paths_used: int | None) -> Any:
+    """The observation without the track segments that a driver does not use.
+
+    Args:
+        observation: of the ``full`` view, or encoded.
+        paths_used: number of segments that the driver uses; ``None`` for all.
+    """
+    if paths_used is None or isinstance(observation, bytes):
+        return observation
+    return {
+        key: value[:paths_used] if key.startswith("paths_") else value
+        for key, value in observation.items()
+    }

@@ -1,41 +1,46 @@
-"""What a race tells those who watch it."""
+"""Listeners of a race, and what they get from it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from stkzoo.race.result import AgentFailure, RaceResult
 
 if TYPE_CHECKING:
+    from stkzoo.engine.snapshot import Snapshot
+    from stkzoo.env.grid import RaceInfo
     from stkzoo.env.parallel import RaceParallelEnv
+    from stkzoo.render.scene import Scene
 
 __all__ = ["RaceListener", "RaceProgress"]
+
+_Value = TypeVar("_Value")
 
 
 @dataclass(frozen=True, slots=True)
 class RaceProgress:
-    """One moment of a race. What it holds is to be read, not changed.
+    """One moment of a race, read-only.
 
     Attributes:
-        env: the race's environment: ``env.snapshot``, ``env.race``, ``env.track_map``.
-        names: every agent's name to show.
-        sources: where every agent comes from.
-        seed: what the environment was reset with.
+        env: the race's environment.
+        names: name to show of every agent.
+        sources: source of every agent.
+        seed: seed of the environment's reset.
         steps: environment steps so far.
         race_time: game time of these steps [s].
         race_length: laps times the lap's length [m].
-        distances: metres driven by each agent, at most ``race_length``.
-        observations: what the agents see now, in the ``full`` view; those who have
-            finished are left out from the step after.
-        actions: what was done in the last step, by agent, in the game's own form; without
-            the agents that the game drives.
+        distances: distance driven by each agent, at most ``race_length`` [m].
+        observations: observations of the agents now, in the ``full`` view; without agents that
+            finished before the last step.
+        actions: actions of the last step, by agent, in the game's own form; without the agents
+            that the game drives.
         rewards: of the last step.
         total_rewards: since the start.
         infos: every agent's last info.
-        failures: what has gone wrong, by agent.
-        seconds: how long each driver thought about the last step.
+        failures: failures so far, by agent.
+        seconds: duration of each driver's last decision [s].
         stop: ends the race after this step; takes the reason, for the result's ``status``.
     """
 
@@ -58,31 +63,51 @@ class RaceProgress:
 
     @property
     def leader_distance(self) -> float:
-        """Metres driven by whoever has come farthest."""
+        """Distance of the agent in front [m]."""
         return max(self.distances.values())
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """The state of all karts and items now."""
+        return _present(self.env.snapshot)
+
+    @property
+    def scene(self) -> Scene:
+        """The race as pictures need it."""
+        return _present(self.env.scene)
+
+    @property
+    def race_info(self) -> RaceInfo:
+        """Names of the race and its karts."""
+        return _present(self.env.race)
+
+
+def _present(value: _Value | None) -> _Value:
+    assert value is not None  # noqa: S101 - the race has started
+    return value
 
 
 class RaceListener:
     """Watches a race. Subclasses define the methods that they need.
 
-    A listener may take its time: the race waits for it. What it raises ends the race.
+    The race waits for its listeners. An exception in one ends the race.
     """
 
     def env_options(self) -> dict[str, Any]:
-        """Arguments that the race's environment needs for it, such as ``render_mode``."""
+        """Arguments of the race's environment that the listener needs, such as ``render_mode``."""
         return {}
 
     def started(self, race: RaceProgress) -> None:
-        """The karts stand on the grid."""
+        """Called when the karts stand on the grid."""
 
     def stepped(self, race: RaceProgress) -> None:
-        """The race has moved by one step."""
+        """Called after every step."""
 
     def ended(self, result: RaceResult) -> None:
-        """The race is over, perhaps by an interrupt; not called when it ends by an error.
+        """Called when the race is over, also by an interrupt, but not after an error.
 
         The environment is still open.
         """
 
     def closed(self) -> None:
-        """The last call in any case, also after an error; a place to free what was opened."""
+        """Called last, also after an error; free resources here."""

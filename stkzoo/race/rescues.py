@@ -1,9 +1,8 @@
 """Counts how often karts are put back on the road.
 
-The engine does not say that a kart is being rescued, but nothing else looks like it: the kart's
-body is out of the world (its speed is exactly 0 and its velocity is not computed any more)
-while the kart is let down at a constant rate. The other thing that lifts a kart, an explosion,
-throws it up and lets it fall ever faster.
+The engine does not report rescues, but they are easy to detect: the kart's body leaves the physics
+world (its speed is exactly 0 and its velocity is not updated) while the kart descends at a
+constant rate. An explosion also lifts a kart, but then it falls faster and faster.
 """
 
 from __future__ import annotations
@@ -13,9 +12,9 @@ import numpy.typing as npt
 
 __all__ = ["RescueCounter"]
 
-#: Between these a kart is let down [m/s]; PySuperTuxKart2 0.7.4 does it at 1.67.
+#: Bounds of the rate of descent [m/s]; PySuperTuxKart2 0.7.4 uses 1.67.
 _SLOWEST, _FASTEST = 0.5, 5.0
-#: Two steps with the same way, up to rounding [m].
+#: Largest difference between two equal movements, by rounding [m].
 _SAME = 5e-3
 
 
@@ -24,8 +23,8 @@ class RescueCounter:
 
     Args:
         num_kart: number of karts.
-        step_size: game time between two looks [s]; with more than about 0.25 s a rescue
-            may be missed.
+        step_size: game time between two updates [s]; above about 0.25 s the counter may miss
+            a rescue.
 
     Attributes:
         counts: ``(num_kart,)`` rescues so far, in grid order.
@@ -36,23 +35,23 @@ class RescueCounter:
         self._shortest, self._longest = _SLOWEST * step_size, _FASTEST * step_size
         self._before: npt.NDArray[np.void] | None = None
         self._way = np.zeros((num_kart, 3))
-        self._is_let_down = np.zeros(num_kart, bool)
+        self._is_descending = np.zeros(num_kart, bool)
 
-    def look(self, karts: npt.NDArray[np.void]) -> None:
-        """Looks at the karts after a step.
+    def update(self, karts: npt.NDArray[np.void]) -> None:
+        """Counts the rescues that begin with a step.
 
         Args:
             karts: ``(num_kart,)`` records of :data:`~stkzoo.engine.snapshot.KART_DTYPE`.
         """
         before, self._before = self._before, karts
         if before is None or karts["speed"].all():
-            self._is_let_down[:], self._way[:] = False, 0.0
+            self._is_descending[:], self._way[:] = False, 0.0
             return
         is_out = (karts["speed"] == 0) & (karts["velocity"] == before["velocity"]).all(axis=1)
         way = karts["location"].astype(float) - before["location"]
         length = np.linalg.norm(way, axis=1)
         is_even = (np.abs(way - self._way) < _SAME).all(axis=1)
         is_slow = (length > self._shortest) & (length < self._longest)
-        is_let_down = is_out & is_even & is_slow & (way[:, 1] < 0)
-        self.counts += is_let_down & ~self._is_let_down
-        self._is_let_down, self._way = is_let_down, way
+        is_descending = is_out & is_even & is_slow & (way[:, 1] < 0)
+        self.counts += is_descending & ~self._is_descending
+        self._is_descending, self._way = is_descending, way

@@ -1,4 +1,4 @@
-"""How a race ended."""
+"""The result of a race."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ __all__ = [
     "AgentFailure",
     "AgentResult",
     "RaceResult",
-    "check_form",
+    "check_schema",
     "read_json",
     "versions_now",
 ]
 
-#: Of the JSON form (``docs/schemas/race-result.schema.json``); grows when a reader of an
-#: older form would go wrong.
+#: Version of the JSON schema (``docs/schemas/race-result.schema.json``); grows when an older
+#: reader would fail.
 SCHEMA_VERSION = 1
 
 
 @dataclass(frozen=True, slots=True)
 class AgentFailure:
-    """Something that went wrong with an agent.
+    """A failure of an agent.
 
     Attributes:
-        step: environment steps that had been taken; 0 is before the start.
+        step: number of environment steps before it; 0 is before the start.
         kind: ``"start"`` (it could not be loaded), ``"timeout"`` or ``"error"``.
-        message: what it was.
-        trace: the traceback in the agent's code, or what its process wrote last.
+        message: the error.
+        trace: the traceback in the agent's code, or the last output of its process.
     """
 
     step: int
@@ -50,7 +50,7 @@ class AgentFailure:
 
 @dataclass(frozen=True, slots=True)
 class ActionTime:
-    """How long an agent thought about its actions, where its code runs [s]."""
+    """Duration of an agent's decisions, where its code runs [s]."""
 
     mean: float
     p99: float
@@ -58,7 +58,7 @@ class ActionTime:
 
     @classmethod
     def of(cls, seconds: Sequence[float]) -> ActionTime | None:
-        """The figures of some actions; ``None`` of none."""
+        """The statistics of some durations; ``None`` if there are none."""
         if not seconds:
             return None
         return cls(float(np.mean(seconds)), float(np.percentile(seconds, 99)), max(seconds))
@@ -66,24 +66,23 @@ class ActionTime:
 
 @dataclass(frozen=True, slots=True)
 class AgentResult:
-    """How one agent's race ended.
+    """The result of one agent.
 
     Attributes:
         agent: its id in the environment.
-        driver: who drove.
-        source: where the driver came from, as the user wrote it.
+        driver: the driver's name.
+        source: the driver's source, as the user wrote it.
         status: ``"finished"``, ``"racing"`` (when the race was over) or ``"retired"``.
         start_position: its place on the grid, 1 is in front.
         rank: its place, 1 is first; those who did not finish follow by distance.
         finish_time: race time at the finish [s]; ``None`` if it did not finish.
         laps: laps done.
-        distance: driven along the track since the start line [m], at most the length of the race.
+        distance: along the track from the start line [m], at most the length of the race.
         reward: the sum over the race.
-        rescues: how often its kart was put back on the road; ``None`` in results from before
-            this was counted.
-        num_errors: how often the agent failed.
-        errors: the first of these failures.
-        action_time: how long it thought; ``None`` for the game's AI.
+        rescues: how often its kart was put back on the road; ``None`` in old results.
+        num_errors: number of failures.
+        errors: the first failures.
+        action_time: duration of its decisions; ``None`` for the game's AI.
     """
 
     agent: str
@@ -103,7 +102,7 @@ class AgentResult:
 
 
 def versions_now() -> dict[str, str]:
-    """Versions of the software that runs here."""
+    """Versions of the installed software."""
     packages = {"stkzoo": "stkzoo", "pystk2": "PySuperTuxKart2", "numpy": "numpy"}
     found = {name: version(package) for name, package in packages.items()}
     return {**found, "python": platform.python_version()}
@@ -111,25 +110,24 @@ def versions_now() -> dict[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class RaceResult:
-    """How a race ended.
+    """The result of a race.
 
     Attributes:
-        status: ``"finished"`` (everybody who still drove has), ``"awaited_finished"`` (all that
-            were waited for have), ``"karts_finished"``, ``"max_steps_after_first"``,
-            ``"max_steps"``, ``"time_limit"`` (the runner's own patience), ``"abandoned"``
-            (nobody drives any more and nobody has finished), ``"interrupted"``, or a
-            listener's reason to stop.
+        status: ``"finished"`` (all karts that were still driving), ``"awaited_finished"`` (all
+            of ``wait_for``), ``"karts_finished"``, ``"max_steps_after_first"``, ``"max_steps"``,
+            ``"time_limit"`` (of the runner), ``"abandoned"`` (no driver is left and none has
+            finished), ``"interrupted"``, or a listener's reason to stop.
         track: its name.
-        reverse: whether it was driven the other way round.
+        reverse: whether it was driven in the other direction.
         laps: laps to drive.
         difficulty: level of the game's AI, 0 to 3.
-        seed: what the environment was reset with; the same seed gives the same race.
+        seed: seed of the environment's reset; the same seed gives the same race.
         race_length: laps times the lap's length [m].
-        steps: environment steps it took.
+        steps: number of environment steps.
         race_time: game time of these steps [s].
-        agents: one entry an agent, best rank first.
+        agents: one entry per agent, best rank first.
         versions: of the software.
-        wall_time: how long it took here [s]; left out when results are compared.
+        wall_time: real duration [s]; ignored when results are compared.
     """
 
     status: str
@@ -156,22 +154,22 @@ class RaceResult:
         return any(agent.num_errors for agent in self.agents)
 
     def to_json(self) -> str:
-        """The result as JSON, with this class's names and a ``schema_version``."""
-        form = {"type": "race-result", "schema_version": SCHEMA_VERSION, **asdict(self)}
-        return json.dumps(form, indent=2, allow_nan=False)
+        """The result as JSON, with this class's field names and a ``schema_version``."""
+        document = {"type": "race-result", "schema_version": SCHEMA_VERSION, **asdict(self)}
+        return json.dumps(document, indent=2, allow_nan=False)
 
     @classmethod
     def from_json(cls, text: str) -> RaceResult:
         """Reads what :meth:`to_json` wrote.
 
         Raises:
-            ConfigError: it is something else, or of a later version.
+            ConfigError: the text is something else, or of a later version.
         """
         try:
-            form = read_json(text)
-            check_form(form, "race-result", SCHEMA_VERSION)
-            agents = tuple(_agent_of(entry) for entry in form["agents"])
-            return cls(**{**_known(cls, form), "agents": agents})
+            document = read_json(text)
+            check_schema(document, "race-result", SCHEMA_VERSION)
+            agents = tuple(_agent_of(entry) for entry in document["agents"])
+            return cls(**{**_known(cls, document), "agents": agents})
         except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
             raise ConfigError(
                 f"the text is no race result ({type(error).__name__}: {error}); expected what "
@@ -180,10 +178,10 @@ class RaceResult:
 
 
 def read_json(text: str) -> Any:
-    """What a JSON text says. Unlike in Python's own reader, every number is finite.
+    """The value of a JSON text. Unlike Python's own reader, it accepts only finite numbers.
 
     Raises:
-        json.JSONDecodeError: it is no JSON, or deeper or with longer numbers than any of ours.
+        json.JSONDecodeError: the text is not JSON, too deep, or has numbers that are too long.
     """
     try:
         return json.loads(text, parse_constant=_finite, parse_float=_finite)
@@ -200,19 +198,19 @@ def _finite(text: str) -> float:
     return number
 
 
-def check_form(form: dict[str, Any], kind: str, version: int) -> None:
-    """Checks what is read from a JSON file.
+def check_schema(document: dict[str, Any], kind: str, version: int) -> None:
+    """Checks the type and version of a JSON document.
 
     Args:
-        form: what is in it.
-        kind: its ``type``.
-        version: its ``schema_version``.
+        document: the content of a file.
+        kind: the expected ``type``.
+        version: the expected ``schema_version``.
 
     Raises:
         ConfigError: it is something else, or of another version.
-        KeyError: it does not say what it is.
+        KeyError: it has no type or version.
     """
-    found = form["type"], form["schema_version"]
+    found = document["type"], document["schema_version"]
     if found != (kind, version):
         raise ConfigError(
             f"the file is a {found[0]} of version {found[1]}, expected a {kind} of version "
@@ -220,21 +218,21 @@ def check_form(form: dict[str, Any], kind: str, version: int) -> None:
         )
 
 
-def _agent_of(form: dict[str, Any]) -> AgentResult:
-    errors = tuple(AgentFailure(**_shown(AgentFailure, entry)) for entry in form["errors"])
-    seconds = form["action_time"]
+def _agent_of(document: dict[str, Any]) -> AgentResult:
+    errors = tuple(AgentFailure(**_shown(AgentFailure, entry)) for entry in document["errors"])
+    seconds = document["action_time"]
     action_time = None if seconds is None else ActionTime(**_known(ActionTime, seconds))
-    known = _shown(AgentResult, form)
+    known = _shown(AgentResult, document)
     return AgentResult(**{**known, "errors": errors, "action_time": action_time})
 
 
-def _shown(kind: type[Any], form: dict[str, Any]) -> dict[str, Any]:
+def _shown(kind: type[Any], document: dict[str, Any]) -> dict[str, Any]:
     """:func:`_known`, without what a terminal would obey."""
-    known = _known(kind, form).items()
+    known = _known(kind, document).items()
     return {name: printable(v) if isinstance(v, str) else v for name, v in known}
 
 
-def _known(kind: type[Any], form: dict[str, Any]) -> dict[str, Any]:
-    """The entries that are fields; later versions may have added others."""
+def _known(kind: type[Any], document: dict[str, Any]) -> dict[str, Any]:
+    """The entries that are fields; later versions may have others."""
     names = {entry.name for entry in fields(kind)}
-    return {name: value for name, value in form.items() if name in names}
+    return {name: value for name, value in document.items() if name in names}

@@ -24,17 +24,17 @@ from stkzoo.race.settings import RaceSettings
 
 __all__ = ["RaceInterrupted", "run_race"]
 
-#: Whoever is slower than this on the whole way, after the start, is not waited for ...
+#: Without ``max_steps``, a race ends after the time that this average speed needs ...
 _SLOWEST = 4.0  # [m/s]
-#: ... when this much time has passed besides.
+#: ... and this time.
 _GRACE = 60.0  # [s]
 
 
 class RaceInterrupted(KeyboardInterrupt):
-    """Somebody pressed Ctrl-C in a race.
+    """Ctrl-C interrupted a race.
 
     Attributes:
-        result: how far the race has come; its ``status`` is ``"interrupted"``.
+        result: the result so far; its ``status`` is ``"interrupted"``.
     """
 
     def __init__(self, result: RaceResult) -> None:
@@ -51,28 +51,27 @@ def run_race(
     wait_for: Sequence[int] | None = None,
     **changes: Any,
 ) -> RaceResult:
-    """Runs one race until everybody has finished.
+    """Runs one race until all karts have finished.
 
     Every driver has a kart and is an agent of one
-    :class:`~stkzoo.env.parallel.RaceParallelEnv`. Agents from files run each in a process
-    of its own, so that what one does costs its own kart only.
+    :class:`~stkzoo.env.parallel.RaceParallelEnv`. Each agent from files runs in a process of its
+    own, so that its failures cost only its own kart.
 
     Args:
-        drivers: who drives: drivers or their names (:func:`~stkzoo.race.find_driver`).
-        listeners: who watches.
-        settings: how the race is run.
-        start_positions: each driver's place on the grid, 1 is in front; by default they are
-            drawn.
-        wait_for: drivers by number, 0 is the first in ``drivers``: the race is over as soon as
-            these have finished or failed, whatever the others do.
-        changes: fields of :class:`~stkzoo.race.RaceSettings` that are other than in
-            ``settings``, such as ``track="lighthouse"``.
+        drivers: drivers or their names (:func:`~stkzoo.race.find_driver`).
+        listeners: the race's listeners.
+        settings: the race's settings.
+        start_positions: each driver's place on the grid, 1 is in front; random by default.
+        wait_for: indices in ``drivers``: the race ends as soon as these drivers have finished
+            or failed.
+        changes: fields of :class:`~stkzoo.race.RaceSettings` that override ``settings``, such as
+            ``track="lighthouse"``.
 
     Returns:
-        The result; an agent that has not finished has no finish time in it.
+        The result; agents that have not finished have no finish time.
 
     Raises:
-        ConfigError: an argument cannot be.
+        ConfigError: an argument is invalid.
         AssetError: the game's data is missing.
         AgentError: a driver failed and ``error_handling`` is ``"raise"``; it names the agent.
         EngineError: the game died or hangs.
@@ -88,11 +87,13 @@ def run_race(
     awaited = _awaited(wait_for, len(drivers))
     found = [_driver(driver, chosen) for driver in drivers]
     chosen = _of_level(chosen, found)
-    with ExitStack() as life:
+    with ExitStack() as resources:
         for listener in listeners:
-            life.callback(listener.closed)
-        env = life.enter_context(_env(found, chosen, places, listeners))
-        return _Run(env, found, awaited, chosen, listeners, life).to_the_end()
+            resources.callback(listener.closed)
+        env = resources.enter_context(_env(found, chosen, places, listeners))
+        race = _RaceRun(env, found, awaited, chosen, listeners)
+        resources.callback(race.group.close)
+        return race.run()
 
 
 def _check_listeners(listeners: Sequence[RaceListener]) -> None:
@@ -121,12 +122,12 @@ def _driver(driver: str | Driver, settings: RaceSettings) -> Driver:
 
 
 def _of_level(settings: RaceSettings, drivers: Sequence[Driver]) -> RaceSettings:
-    """The settings with the difficulty that drivers ask for, if some do."""
+    """The settings with the difficulty that drivers ask for, if any."""
     levels = {driver.difficulty for driver in drivers if driver.difficulty is not None}
     if len(levels) > 1:
         raise ConfigError(
             f"drivers ask for the difficulties {sorted(levels)}, but the game's AI has one level "
-            "in a race; name one"
+            "per race; choose one"
         )
     return replace(settings, difficulty=levels.pop()) if levels else settings
 
@@ -180,8 +181,8 @@ def _env(
     )
 
 
-class _Run:
-    """One race under way."""
+class _RaceRun:
+    """One race, from its start to its result."""
 
     def __init__(
         self,
@@ -190,17 +191,13 @@ class _Run:
         awaited: Sequence[str],
         settings: RaceSettings,
         listeners: Sequence[RaceListener],
-        life: ExitStack,
     ) -> None:
         self._begin = time.monotonic()
         self._env, self._settings, self._listeners = env, settings, listeners
         self._drivers = dict(zip(env.possible_agents, drivers, strict=True))
         self._awaited = awaited
         self._rescues = RescueCounter(len(self._drivers), env.options.step_size)
-        self._group = DriverGroup(
-            self._drivers, env.observation_spaces, env.action_spaces, settings
-        )
-        life.callback(self._group.close)
+        self.group = DriverGroup(self._drivers, env.observation_spaces, env.action_spaces, settings)
         self._steps = 0
         self._stop = ""
         self._steps_at_first: int | None = None
@@ -208,25 +205,22 @@ class _Run:
         self._rewards: dict[str, float] = {}
         self._totals = dict.fromkeys(env.possible_agents, 0.0)
 
-    def to_the_end(self) -> RaceResult:
-        """Runs the race and tells the listeners."""
+    def run(self) -> RaceResult:
+        """Runs the race and notifies the listeners."""
         self._start()
-        status = "interrupted"
         try:
-            self._tell("started")
-            while not (ending := self._ending()):
+            self._notify("started")
+            while not (status := self._ending()):
                 self._step()
-                self._tell("stepped")
-            status = ending
+                self._notify("stepped")
         except KeyboardInterrupt:
-            result = self._end(status)
-            raise RaceInterrupted(result) from None
+            raise RaceInterrupted(self._end("interrupted")) from None
         return self._end(status)
 
     def _start(self) -> None:
-        self._group.get_ready()
+        self.group.get_ready()
         self._names = {
-            agent: self._group.members[agent].name if agent in self._group.members else driver.name
+            agent: self.group.members[agent].name if agent in self.group.members else driver.name
             for agent, driver in self._drivers.items()
         }
         for spec, name in zip(self._env.specs, self._names.values(), strict=True):
@@ -239,33 +233,33 @@ class _Run:
 
     def _step(self) -> None:
         racing = {agent: self._observations[agent] for agent in self._env.agents}
-        self._actions = self._group.decide(racing, self._steps)
+        self._actions = self.group.decide(racing, self._steps)
         self._observations, self._rewards, _, _, infos = self._step_checked()
         self._infos.update(infos)
         for agent, reward in self._rewards.items():
             self._totals[agent] += reward
         self._steps += 1
         assert self._env.snapshot is not None  # noqa: S101 - since reset
-        self._rescues.look(self._env.snapshot.karts)
+        self._rescues.update(self._env.snapshot.karts)
         if self._steps_at_first is None and self._num_finished():
             self._steps_at_first = self._steps
 
     def _step_checked(self) -> Any:
-        """Steps the environment, once no agent's action is refused any more."""
+        """Steps the environment; replaces the actions that it rejects."""
         while True:
             try:
                 return self._env.step(self._actions)
             except ActionError as error:  # noqa: PERF203 - it is rare
-                self._actions[error.agent] = self._group.refuse(error, self._steps)
+                self._actions[error.agent] = self.group.replace_action(error, self._steps)
 
     def _ending(self) -> str:
-        """Why the race is over; empty if it is not."""
+        """The status of a race that is over; empty if it is not."""
         settings, finished = self._settings, self._num_finished()
         if self._stop:
             return self._stop
-        if not self._group.driving(self._env.agents):
+        if not self.group.driving(self._env.agents):
             return "finished" if finished else "abandoned"
-        if self._awaited and not self._group.driving(self._racing(self._awaited)):
+        if self._awaited and not self.group.driving(self._racing(self._awaited)):
             return "awaited_finished"
         if settings.karts_finished is not None and finished >= settings.karts_finished:
             return "karts_finished"
@@ -286,16 +280,16 @@ class _Run:
     def _num_finished(self) -> int:
         return sum(info["finish_time"] > 0 for info in self._infos.values())
 
-    # ------------------------------------------------------------------ what is told
+    # ------------------------------------------------------------------ listeners and result
 
-    def _tell(self, event: str) -> None:
+    def _notify(self, event: str) -> None:
         if self._listeners:
             progress = self._progress()
             for listener in self._listeners:
                 getattr(listener, event)(progress)
 
     def _progress(self) -> RaceProgress:
-        members = self._group.members
+        members = self.group.members
         return RaceProgress(
             env=self._env,
             names=MappingProxyType(self._names),
@@ -312,7 +306,7 @@ class _Run:
             rewards=MappingProxyType(self._rewards),
             total_rewards=dict(self._totals),
             infos=dict(self._infos),
-            failures=self._group.failures(),
+            failures=self.group.failures(),
             seconds={agent: m.seconds[-1] for agent, m in members.items() if m.seconds},
             stop=self._set_stop,
         )
@@ -350,7 +344,7 @@ class _Run:
 
     def _agent_result(self, agent: str, start_position: int) -> AgentResult:
         info: Mapping[str, Any] = self._infos[agent]
-        member = self._group.members.get(agent)
+        member = self.group.members.get(agent)
         finish_time = info["finish_time"] or None
         status = "racing" if finish_time is None else "finished"
         if member is not None and member.is_retired and finish_time is None:

@@ -15,9 +15,9 @@ __all__ = ["ERROR_HANDLING", "RaceSettings"]
 #: What to do when an agent fails.
 ERROR_HANDLING = {
     "raise": "end the race with the error",
-    "catch": "do something at random in its place, and ask it again at the next step",
-    "retire": "let its kart roll to a stop; the others race on",
-    "restart": "start it anew, in the middle of the race",
+    "catch": "take a random action instead, and ask it again at the next step",
+    "retire": "let its kart roll to a stop; the others continue",
+    "restart": "start it again, in the middle of the race",
 }
 
 
@@ -30,45 +30,45 @@ class RaceSettings:
     """The settings of :func:`~stkzoo.race.run_race`.
 
     Attributes:
-        track: a track's name; ``"train"``, ``"test"`` or ``"all"`` draw one of these, as
-            ``None`` does of all.
+        track: a track's name; ``"train"``, ``"test"``, ``"all"`` or ``None`` (as ``"all"``) for a
+            random one.
         laps: number of laps.
         difficulty: level of the game's AI, 0 to 3.
-        reverse: drive the track the other way round.
-        seed: decides all that is left to chance.
-        max_paths: how many track segments ahead are observed; ``None`` is all.
-        max_steps: the race is over after so many steps. By default it is over when a kart
-            could have done the whole way at 4 m/s and a minute more has passed.
-        max_steps_after_first: it is over so many steps after the first kart has finished.
-        karts_finished: it is over when so many karts have finished.
+        reverse: drive the track in the other direction.
+        seed: seed of all random numbers.
+        max_paths: track segments ahead in observations; ``None`` for all.
+        max_steps: the race ends after this number of steps. By default it ends after the time
+            that a kart needs at 4 m/s, plus a minute.
+        max_steps_after_first: it ends this number of steps after the first kart finished.
+        karts_finished: it ends when this number of karts have finished.
         error_handling: what to do when an agent fails: one of :data:`ERROR_HANDLING`.
-        max_restarts: how often an agent's process may be started again in one race.
-        action_timeout: how long an agent may think about one step [s]; ``None`` is no limit.
-        start_timeout: how long it may take to load [s].
-        agent_memory: how much its process may use [MB]; ``None`` is no limit.
-        inline: run agents from files in this process: quicker, but not safe.
+        max_restarts: restarts of each agent in one race.
+        action_timeout: time limit for one decision [s]; ``None`` for no limit.
+        start_timeout: time limit for loading an agent [s].
+        agent_memory: memory limit of an agent's process [MB]; ``None`` for no limit.
+        inline: run agents from files in this process: faster, but without protection.
         adapter: Python file that makes the actors of agents from files.
     """
 
     track: str | None = _option(None, "a track's name, or train, test or all to draw one")
     laps: int = _option(1, "number of laps")
     difficulty: int = _option(2, "of the game's AI, 0 to 3")
-    reverse: bool = _option(False, "drive the other way round")
-    seed: int = _option(0, "decides all that is left to chance")
+    reverse: bool = _option(False, "drive in the other direction")
+    seed: int = _option(0, "seed of all random numbers")
     max_paths: int | None = _option(None, "track segments ahead that agents see (default: all)")
-    max_steps: int | None = _option(None, "the race is over after so many steps")
+    max_steps: int | None = _option(None, "end the race after this number of steps")
     max_steps_after_first: int | None = _option(
-        None, "the race is over so many steps after the first has finished"
+        None, "end the race this number of steps after the first kart finished"
     )
-    karts_finished: int | None = _option(None, "the race is over when so many have finished")
+    karts_finished: int | None = _option(None, "end the race when this number of karts finished")
     error_handling: str = _option("retire", "when an agent fails", choices=tuple(ERROR_HANDLING))
-    max_restarts: int = _option(3, "how often a failed agent may be started again")
+    max_restarts: int = _option(3, "restarts of a failed agent")
     action_timeout: float | None = _option(
-        10.0, "seconds an agent may think about a step; 0 is no limit", metavar="SECONDS"
+        10.0, "time limit for an agent's decision; 0 for no limit", metavar="SECONDS"
     )
-    start_timeout: float = _option(60.0, "seconds an agent may take to load", metavar="SECONDS")
-    agent_memory: int | None = _option(4096, "memory an agent may use; 0 is no limit", metavar="MB")
-    inline: bool = _option(False, "run agents in this process: quicker, but not safe")
+    start_timeout: float = _option(60.0, "time limit for loading an agent", metavar="SECONDS")
+    agent_memory: int | None = _option(4096, "memory limit of agents; 0 for no limit", metavar="MB")
+    inline: bool = _option(False, "run agents in this process: faster, but without protection")
     adapter: str | None = _option(
         None, "Python file with create_actor(get_actor, module_dir, obs_space, act_space)"
     )
@@ -98,7 +98,7 @@ class RaceSettings:
 
     @property
     def limits(self) -> DriverLimits:
-        """What each driver may use."""
+        """The resources that each driver may use."""
         return DriverLimits(self.action_timeout, self.start_timeout, self.agent_memory)
 
 

@@ -12,7 +12,6 @@ import logging
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -42,24 +41,24 @@ _MOST_SUB_STEPS = 60
 
 
 class RaceFilm:
-    """Films a race from its snapshots; knows nothing of who drives.
+    """Films a race from its snapshots, independent of its drivers.
 
-    One second of the video is one second of the race. Between two steps the karts move on
-    smoothly; the race itself takes no notice.
+    One second of the video is one second of the race. Between two steps the karts move smoothly.
+    The video does not change the race.
 
     Args:
         path: the file; see :data:`stkzoo.render.encoder.FORMATS`.
-        cameras: how many agents have a tile, at most 8; ``None`` is all, up to 4. A place
-            that is left over shows the map.
+        cameras: how many agents have a tile, at most 8; ``None`` for all, up to 4. A free
+            tile shows the map.
         size: width and height [pixels].
-        sub_steps: pictures a step.
+        sub_steps: pictures per step.
         backend: ``"auto"``, ``"engine"`` or ``"map"``.
-        preset: how finely the game draws: ``"ld"``, ``"sd"`` or ``"hd"``.
-        card_seconds: how long the results stay.
-        on_frame: is told the number of pictures after each.
+        preset: quality of the game's graphics: ``"ld"``, ``"sd"`` or ``"hd"``.
+        card_seconds: how long the video shows the results.
+        on_frame: called with the number of pictures after each one.
 
     Raises:
-        ConfigError: an argument cannot be, or a library is missing.
+        ConfigError: an argument is invalid, or a library is missing.
     """
 
     def __init__(
@@ -99,14 +98,14 @@ class RaceFilm:
 
     @property
     def backend(self) -> str:
-        """Who draws; ``"auto"`` before the first picture."""
+        """The renderer in use; ``"auto"`` before the first picture."""
         return self._backend
 
     def begin(self, scene: Scene, snapshot: Snapshot) -> None:
-        """The first picture: the karts on the grid.
+        """Adds the first picture: the karts on the grid.
 
         Raises:
-            EngineError: the game cannot draw, and the map was not allowed.
+            EngineError: the game cannot draw, and ``backend`` does not allow the map.
             VideoError: the file cannot be written.
         """
         wanted = min(len(scene.kart_indices), _USUAL_CAMERAS)
@@ -124,15 +123,15 @@ class RaceFilm:
         self._backend = self._renderer.backend
 
     def add(self, snapshot: Snapshot) -> None:
-        """The pictures of one step.
+        """Adds the pictures of one step.
 
         Raises:
             ConfigError: before :meth:`begin`.
-            EngineError: the game that draws died.
+            EngineError: the render process died.
             VideoError: the file cannot be written.
         """
         if self._renderer is None or self._last is None:
-            raise ConfigError("add() before begin(); begin with the race's first moment")
+            raise ConfigError("add() was called before begin(); call begin() first")
         moments = snapshots_between(self._last, snapshot, self._sub_steps)
         frames = self._frames(self._renderer, snapshot)
         for number, moment in enumerate(moments):
@@ -152,7 +151,7 @@ class RaceFilm:
         """
         writer, scene = self._writer, self._scene
         if writer is None or scene is None:
-            raise ConfigError("finish() before begin(); begin with the race's first moment")
+            raise ConfigError("finish() was called before begin(); call begin() first")
         if rows:
             card = end_card(scene.title, subtitle, rows, self._last_picture, self._size)
             for _ in range(round(self._card_seconds * self._fps)):
@@ -161,7 +160,7 @@ class RaceFilm:
         self.abort()
 
     def abort(self) -> None:
-        """Ends without a file, if :meth:`finish` has not made one; may be called again."""
+        """Ends without a file, unless :meth:`finish` wrote one; may be called again."""
         renderer, self._renderer = self._renderer, None
         if self._writer is not None:
             self._writer.abort()
@@ -169,10 +168,10 @@ class RaceFilm:
             renderer.close()
 
     def results(self, agents: Sequence[AgentResult] = ()) -> list[ResultRow]:
-        """Lines for :meth:`finish` as the last moment has it.
+        """Result rows for :meth:`finish`, from the last snapshot.
 
         Args:
-            agents: what is known better of the agents, in any order.
+            agents: results of the agents, in any order, which take precedence.
         """
         if self._scene is None or self._last is None:
             return []
@@ -189,11 +188,11 @@ class RaceFilm:
         return sorted(rows)
 
     def _frames(self, renderer: RaceRenderer, snapshot: Snapshot) -> list[dict[int, Picture]]:
-        """The game's frames of a step; a game that fails is given one more try."""
+        """The game's frames of a step; restarts a game that fails once."""
         try:
             return list(renderer.pictures_between(snapshot, self._sub_steps))
         except EngineError as error:
-            logger.warning("the game that draws is started again: %s", error)
+            logger.warning("the render process failed and is restarted: %s", error)
             return list(renderer.pictures_between(snapshot, self._sub_steps))
 
     def _tile(self) -> tuple[int, int]:
@@ -232,45 +231,28 @@ class RaceFilm:
             self._on_frame(self._writer.num_frames)
 
 
-class RaceVideo(RaceListener):
-    """Makes a video of the race it listens to.
+class RaceVideo(RaceFilm, RaceListener):
+    """Makes a video of the race that it listens to; its arguments are those of :class:`RaceFilm`.
 
-    When the race ends by an error there is no file; after an interrupt there is one of the
-    race so far.
-
-    Args:
-        path: see :class:`RaceFilm`, as for the others.
-        options: ``cameras``, ``size``, ``sub_steps``, ``backend``, ``preset``,
-            ``card_seconds``, ``on_frame``.
+    When the race ends with an error there is no file; after an interrupt the file has the race
+    so far.
     """
-
-    def __init__(self, path: str | os.PathLike[str], **options: Any) -> None:
-        self.film = RaceFilm(path, **options)
 
     def started(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        scene, snapshot = race.env.scene, race.env.snapshot
-        assert scene is not None  # noqa: S101 - a race has started
-        assert snapshot is not None  # noqa: S101 - a race has started
-        names = list(scene.names)
-        for agent, kart in zip(race.env.possible_agents, scene.kart_indices, strict=True):
-            names[kart] = race.names[agent]
-        self.film.begin(replace(scene, names=tuple(names)), snapshot)
+        self.begin(race.scene, race.snapshot)
 
     def stepped(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        assert race.env.snapshot is not None  # noqa: S101 - a race runs
-        self.film.add(race.env.snapshot)
+        self.add(race.snapshot)
 
     def ended(self, result: RaceResult) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        if not self.film.num_frames:
-            return
-        how = {"finished": "", "interrupted": ", interrupted"}.get(result.status, ", cut short")
-        self.film.finish(
-            self.film.results(result.agents), f"results after {clock(result.race_time)}{how}"
-        )
+        if self.num_frames:
+            how = {"finished": "", "interrupted": ", interrupted"}.get(result.status, ", cut short")
+            subtitle = f"results after {clock(result.race_time)}{how}"
+            self.finish(self.results(result.agents), subtitle)
 
     def closed(self) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        self.film.abort()
+        self.abort()

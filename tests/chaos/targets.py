@@ -22,13 +22,18 @@ from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
-from stkzoo.engine.assets.archive import SUMS, read_archive
-from stkzoo.engine.assets.progress import Progress
+from stkzoo.engine.assets.headless import SUMS, read_archive
+from stkzoo.engine.assets.staging import Progress
 from stkzoo.env.scenario import Scenario
 from stkzoo.errors import AssetError, ConfigError, ProtocolError
-from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, plan_benchmark
-from stkzoo.evaluation.benchmark.result import BenchmarkResult, benchmark_result
-from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament
+from stkzoo.evaluation import (
+    BenchmarkPlan,
+    BenchmarkResult,
+    TournamentPlan,
+    benchmark_result,
+    plan_benchmark,
+    plan_tournament,
+)
 from stkzoo.race import RaceResult, run_race
 from stkzoo.race.agents.files import members_of, unpack
 from stkzoo.race.codec import Limits, decode, encode

@@ -18,12 +18,11 @@ import zipfile
 import pytest
 
 from benchmarks import fuzz
-from stkzoo.engine.assets.archive import read_archive
-from stkzoo.engine.assets.progress import Progress
+from stkzoo.engine.assets.headless import read_archive
+from stkzoo.engine.assets.staging import Progress
 from stkzoo.env.scenario import Scenario
 from stkzoo.errors import AssetError, ConfigError
-from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, plan_benchmark
-from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament
+from stkzoo.evaluation import BenchmarkPlan, TournamentPlan, plan_benchmark, plan_tournament
 from stkzoo.race import RaceResult
 from stkzoo.race.agents.files import unpack
 from stkzoo.race.replay import ReplayError, load_replay
@@ -129,7 +128,7 @@ def test_a_zip_with_a_name_that_is_no_text_is_refused(tmp_path):
     with zipfile.ZipFile(file, "w") as archive:
         archive.writestr("\u00e9.py", "print()")
     file.write_bytes(file.read_bytes().replace("\u00e9".encode(), b"\x83\x83"))
-    with pytest.raises(ConfigError, match="no zip that can be read"):
+    with pytest.raises(ConfigError, match="not a readable zip"):
         unpack(file, tmp_path / "home")
 
 

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from stkzoo.engine.assets import find_assets, install, pack, places
+from stkzoo.engine.assets import find, find_assets, install, pack
 from stkzoo.errors import AssetError
 from stkzoo.race import run_race
 from stkzoo.race.replay import ReplayError, ReplayWriter, load_replay
@@ -84,7 +84,7 @@ def test_a_result_that_does_not_fit_is_told_and_shown_all_the_same(tmp_path):
 def test_a_tournament_goes_on_when_there_is_room_again(tmp_path):
     code = """
         from stkzoo.errors import ConfigError
-        from stkzoo.evaluation.tournament import run_tournament
+        from stkzoo.evaluation import run_tournament
         def league(**more):
             how = {"tracks": ["olivermath"], "races": 4, "max_steps": 10, "plot": False, **more}
             return run_tournament(["heuristic", "ai"], output=PLACE / "cup", jobs=1, **how)
@@ -135,7 +135,7 @@ def machine(tmp_path, monkeypatch):
     data = assets.make_data(tmp_path / "usr" / "data")
     for name in ("alps", "beach"):  # larger than what it packs to
         (data / "tracks" / name / "more.xml").write_bytes(b"<x/>" * 20_000 + name.encode())
-    monkeypatch.setattr(places, "SYSTEM_FOLDERS", (data,))
+    monkeypatch.setattr(find, "SYSTEM_FOLDERS", (data,))
     return tmp_path
 
 
@@ -206,7 +206,7 @@ def test_a_real_race_needs_no_cache_that_can_be_written():
     if not can_mount():
         pytest.skip("this user may not mount a disk of its own")
     code = join(RACE, "print(race(steps=5).steps)")
-    done = on_disk("read-only", places.cache_folder(), code)
+    done = on_disk("read-only", find.cache_folder(), code)
     assert done.stdout.splitlines() == ["5"], done.stderr
 
 
@@ -222,11 +222,11 @@ def serve(package, folder, server, monkeypatch):
 
 
 def test_a_download_that_breaks_off_leaves_nothing_and_works_the_next_time(machine, monkeypatch):
-    monkeypatch.setattr(places, "SYSTEM_FOLDERS", ())
+    monkeypatch.setattr(find, "SYSTEM_FOLDERS", ())
     package = assets.make_package(machine / "package")
     with CuttingServer(package.parent, cuts=3).serving() as server:
         serve(package, machine / "apt", server, monkeypatch)
-        with pytest.raises(AssetError, match="could not be had"):
+        with pytest.raises(AssetError, match="could not be downloaded"):
             install(source="debian")
         assert server.num_cuts >= 1
         assert assets.visible(machine / "cache") == []
@@ -235,7 +235,7 @@ def test_a_download_that_breaks_off_leaves_nothing_and_works_the_next_time(machi
 
 
 def test_a_download_of_pystk2_that_breaks_off_is_told(machine, monkeypatch):
-    monkeypatch.setattr(places, "SYSTEM_FOLDERS", ())
+    monkeypatch.setattr(find, "SYSTEM_FOLDERS", ())
     with CuttingServer(machine, cuts=0).serving() as server:
         for name in ("https_proxy", "HTTPS_PROXY", "http_proxy", "HTTP_PROXY"):
             monkeypatch.setenv(name, server.address)
@@ -296,7 +296,7 @@ def test_a_file_that_grows_too_large_is_told_and_leaves_the_older_one(tmp_path):
 def test_a_device_is_not_replaced_by_a_file(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    with pytest.raises(ReplayError, match="no plain file"):
+    with pytest.raises(ReplayError, match="not a regular file"):
         run_race(["ai", "ai"], track="olivermath", max_steps=2, listeners=[ReplayWriter(pipe)])
     assert [path.is_fifo() for path in tmp_path.iterdir()] == [True]
 

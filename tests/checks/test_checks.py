@@ -456,7 +456,7 @@ BROKEN = [
     (ReusedArray, "results_are_the_callers_own", "step 1 changed what step 0 had returned"),
     (OwnArrayHandedOut, "results_are_the_callers_own", "overwritten by the caller differ"),
     (ChangesActions, "results_are_the_callers_own", "changed the actions"),
-    (TakesAnything, "bad_actions_are_refused", "step 0: no action of agent 'racer_2' was taken"),
+    (TakesAnything, "bad_actions_are_refused", "step 0: no action of agent 'racer_2' was accepted"),
     (NamelessErrors, "bad_actions_are_refused", "expected a text that names the agent"),
     (MovesBeforeRefusing, "bad_actions_are_refused", "refused actions in between differ"),
     (ClosedForEver, "close_can_be_repeated_and_undone", "RuntimeError: closed"),

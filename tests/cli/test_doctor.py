@@ -3,7 +3,7 @@ import json
 import pytest
 
 from stkzoo.cli import main
-from stkzoo.engine.assets import places
+from stkzoo.engine.assets import find
 
 
 @pytest.fixture
@@ -12,7 +12,7 @@ def no_data(tmp_path, monkeypatch):
     monkeypatch.setenv("STKZOO_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "other caches"))
     monkeypatch.delenv("SUPERTUXKART_DATADIR", raising=False)
-    monkeypatch.setattr(places, "SYSTEM_FOLDERS", ())
+    monkeypatch.setattr(find, "SYSTEM_FOLDERS", ())
 
 
 def report(capsys):

@@ -11,10 +11,14 @@ from pathlib import Path
 import pytest
 
 from stkzoo.cli import main
-from stkzoo.engine.assets import Progress, clean, find_assets, install, pack, places, survey
-from stkzoo.engine.assets.archive import SUMS
-from stkzoo.engine.assets.debian import unpack_package
-from stkzoo.engine.assets.headless import build_headless, placeholder_jpeg, placeholder_png
+from stkzoo.engine.assets import Progress, clean, find, find_assets, install, pack, survey
+from stkzoo.engine.assets.fetch import unpack_package
+from stkzoo.engine.assets.headless import (
+    PLACEHOLDER_JPEG,
+    PLACEHOLDER_PNG,
+    SUMS,
+    build_headless,
+)
 from stkzoo.engine.assets.staging import check_space, lock
 from stkzoo.engine.assets.tree import MARKER, write_marker
 from stkzoo.errors import AssetError, ConfigError
@@ -47,9 +51,8 @@ os._exit(0)
 
 CRASHING_INSTALL = """
 import sys, time
-from stkzoo.engine.assets.places import cache_folder
-from stkzoo.engine.assets.progress import Progress
-from stkzoo.engine.assets.staging import lock, staging_folder
+from stkzoo.engine.assets.find import cache_folder
+from stkzoo.engine.assets.staging import Progress, lock, staging_folder
 with lock(cache_folder(), Progress()), staging_folder(cache_folder()) as folder:
     (folder / "half").write_text("half")
     print(folder, flush=True)
@@ -103,7 +106,7 @@ def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("STKZOO_CACHE", str(folder))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "other caches"))
     monkeypatch.delenv("SUPERTUXKART_DATADIR", raising=False)
-    monkeypatch.setattr(places, "SYSTEM_FOLDERS", ())
+    monkeypatch.setattr(find, "SYSTEM_FOLDERS", ())
     return folder
 
 
@@ -111,7 +114,7 @@ def cache(tmp_path, monkeypatch):
 def system(cache, tmp_path, monkeypatch):  # noqa: ARG001 - a fixture on a fixture
     """The empty machine, but with the game installed."""
     data = make_data(tmp_path / "usr" / "data")
-    monkeypatch.setattr(places, "SYSTEM_FOLDERS", (data,))
+    monkeypatch.setattr(find, "SYSTEM_FOLDERS", (data,))
     return data
 
 
@@ -119,7 +122,7 @@ def system(cache, tmp_path, monkeypatch):  # noqa: ARG001 - a fixture on a fixtu
 def headless(system):  # noqa: ARG001 - a fixture on a fixture
     """The root of a headless pack of the installed game."""
     install()
-    return places.headless_folder()
+    return find.headless_folder()
 
 
 def visible(folder):
@@ -173,7 +176,7 @@ class TestFinding:
 
     @pytest.mark.usefixtures("headless")
     def test_environment_comes_first(self, monkeypatch):
-        monkeypatch.setenv("SUPERTUXKART_DATADIR", str(places.overlay_folder()))
+        monkeypatch.setenv("SUPERTUXKART_DATADIR", str(find.overlay_folder()))
         assert find_assets().source == "environment"
 
     @pytest.mark.usefixtures("headless")
@@ -201,7 +204,7 @@ class TestFinding:
 
     @pytest.mark.usefixtures("headless")
     def test_headless_pack_alone_cannot_draw(self, monkeypatch):
-        monkeypatch.setattr(places, "SYSTEM_FOLDERS", ())
+        monkeypatch.setattr(find, "SYSTEM_FOLDERS", ())
         with pytest.raises(AssetError, match="full data, which drawing needs"):
             find_assets(graphics=True)
 
@@ -231,19 +234,19 @@ class TestFinding:
     @pytest.mark.usefixtures("cache")
     def test_system_install_of_another_version_is_refused(self, tmp_path, monkeypatch):
         old = make_data(tmp_path / "old", version="1.2")
-        monkeypatch.setattr(places, "SYSTEM_FOLDERS", (old,))
+        monkeypatch.setattr(find, "SYSTEM_FOLDERS", (old,))
         with pytest.raises(AssetError, match=r"another version .*supertuxkart\.1\.2"):
             find_assets()
 
     @pytest.mark.usefixtures("cache")
     def test_unfinished_download_of_pystk2_is_passed_over(self):
-        make_data(places.pystk2_cache_folder() / "1.5" / "data", version="1.5")
+        make_data(find.pystk2_cache_folder() / "1.5" / "data", version="1.5")
         with pytest.raises(AssetError, match="never finished"):
             find_assets()
 
     @pytest.mark.usefixtures("cache")
     def test_finished_download_of_pystk2_is_found(self):
-        root = places.pystk2_cache_folder() / "1.5"
+        root = find.pystk2_cache_folder() / "1.5"
         data = make_data(root / "data", version="1.5")
         (data / "ttf" / "Cantarell-Regular.otf").unlink()
         write(data / "skins" / "classic" / "stkskin.xml")
@@ -316,7 +319,7 @@ class TestInstalling:
 
     @pytest.mark.usefixtures("system")
     def test_two_installs_at_once_make_one_good_pack(self):
-        root = places.full_folder()
+        root = find.full_folder()
         root.mkdir(parents=True)
         find_assets().root.joinpath("data").rename(root / "data")
         write_marker(root, "a test", headless=False)
@@ -410,7 +413,7 @@ class TestDebianPackage:
     ):
         self.serve(package, tmp_path / "apt", monkeypatch)
         package.write_bytes(package.read_bytes()[:-10] + b"0123456789")
-        with pytest.raises(AssetError, match="could not be had"):
+        with pytest.raises(AssetError, match="could not be downloaded"):
             install(source="debian")
         assert visible(cache) == []
 
@@ -467,8 +470,8 @@ class TestHeadlessPack:
 
     def test_pictures_become_placeholders_of_their_format(self, headless):
         track = headless / "data" / "tracks" / "alps"
-        assert (track / "road.PNG").read_bytes() == placeholder_png()
-        assert (track / "sky.jpg").read_bytes() == placeholder_jpeg()
+        assert (track / "road.PNG").read_bytes() == PLACEHOLDER_PNG
+        assert (track / "sky.jpg").read_bytes() == PLACEHOLDER_JPEG
 
     def test_full_data_is_not_changed(self, system):
         before = content(system)
@@ -602,7 +605,7 @@ class TestCommandLine:
     @pytest.mark.usefixtures("system")
     def test_install_says_where_the_data_is(self, capsys):
         assert main(["assets", "install"]) == 0
-        assert str(places.headless_folder()) in capsys.readouterr().out
+        assert str(find.headless_folder()) in capsys.readouterr().out
 
     @pytest.mark.usefixtures("system")
     def test_pack_writes_the_file(self, tmp_path):

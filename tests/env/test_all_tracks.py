@@ -8,7 +8,7 @@ import pytest
 
 from stkzoo import race_v0
 from stkzoo.checks import play
-from stkzoo.checks.membership import fault_in
+from stkzoo.checks.spaces import fault_in
 from stkzoo.engine.assets import find_assets
 from stkzoo.tracks import SPLITS
 

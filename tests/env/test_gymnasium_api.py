@@ -14,7 +14,7 @@ from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from stkzoo import make_stkrace_vec
-from stkzoo.checks.trace import fingerprint
+from stkzoo.checks.play import fingerprint
 
 SINGLE_IDS = [
     f"supertuxkart/{name}-v0"

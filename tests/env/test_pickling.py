@@ -12,7 +12,7 @@ from gymnasium.envs.registration import EnvSpec
 
 import stkzoo
 from stkzoo import race_v0
-from stkzoo.checks.trace import fingerprint
+from stkzoo.checks.play import fingerprint
 from stkzoo.wrappers import (
     CameraObservations,
     ConstantSizedObservations,

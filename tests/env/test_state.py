@@ -17,7 +17,7 @@ import pytest
 from stkzoo import AgentSpec, race_v0
 from stkzoo.agents import heuristic
 from stkzoo.agents.planner import Planner, PlannerSettings
-from stkzoo.checks.trace import fingerprint
+from stkzoo.checks.play import fingerprint
 from stkzoo.engine import process
 from stkzoo.engine.assets import find_assets
 from stkzoo.errors import (

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.benchmark import (
+from stkzoo.evaluation import (
+    BenchmarkForm,
     BenchmarkResult,
     KartOutcome,
-    RaceForm,
     RaceOutcome,
     compare,
     load_benchmark,
@@ -26,7 +26,7 @@ from stkzoo.tracks import TEST_TRACKS
 from tests.support.paths import ROOT
 
 RESULTS = ROOT / "benchmarks" / "results" / "benchmark"
-FORMS = [RaceForm.of(name) for name in ("PAAAA", "PPAAA", "P")]
+FORMS = [BenchmarkForm.of(name) for name in ("PAAAA", "PPAAA", "P")]
 
 
 # ------------------------------------------------------------------ which races
@@ -66,14 +66,14 @@ def test_the_first_races_have_each_kind_once():
     ],
 )
 def test_both_ends_of_the_grid(name, ends):
-    form = RaceForm.of(name)
+    form = BenchmarkForm.of(name)
     assert {end: form.places(end) for end in form.ends} == ends
 
 
 @pytest.mark.parametrize("name", ["", "A", "AP", "PAP", "pa", "P" * 21, 3])
 def test_a_form_that_cannot_be_is_told(name):
     with pytest.raises(ConfigError, match="expected P for each kart of the agent"):
-        RaceForm.of(name)
+        BenchmarkForm.of(name)
 
 
 def test_orders_put_the_agent_where_the_form_says():
@@ -151,7 +151,7 @@ def result_of(*rows):
 
 
 def outcome_of(form, end, *rows, ai_time=40.0):
-    races = make_races(["lighthouse"], [False], [RaceForm.of(form)], 1)
+    races = make_races(["lighthouse"], [False], [BenchmarkForm.of(form)], 1)
     (race,) = [race for race in races if race.end == end]
     return RaceOutcome.of(race, result_of(*rows), ai_time, limit=3.0)
 

@@ -14,7 +14,7 @@ from stkzoo import race_v0
 from stkzoo.cli import main
 from stkzoo.engine.snapshot import KART_DTYPE
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.benchmark import (
+from stkzoo.evaluation import (
     AiTimes,
     compare,
     load_ai_times,
@@ -222,7 +222,7 @@ def test_what_an_explosion_does_is_no_rescue():
     for heights, speed, rescues in ((thrown, 0.0, 0), (let_down, 0.0, 1), (let_down, 3.0, 0)):
         counter = RescueCounter(1, 0.1)
         for karts in flight(heights, speed):
-            counter.look(karts)
+            counter.update(karts)
         assert counter.counts.tolist() == [rescues]
 
 

@@ -15,8 +15,16 @@ from stkzoo import AgentSpec, race_v0
 from stkzoo.cli.main import main
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.demonstrations import check, load, plan_demos, record, save, to_minari
-from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
+from stkzoo.evaluation import (
+    DemoRecorder,
+    DemoView,
+    check_demonstrations,
+    load_demonstrations,
+    plan_demonstrations,
+    record_demonstrations,
+    save_demonstrations,
+    to_minari,
+)
 from stkzoo.race import run_race
 from stkzoo.views import VIEWS
 from stkzoo.wrappers.racing import SIZE, controls_of_choices
@@ -28,14 +36,16 @@ SHORT = {"tracks": "lighthouse", "karts": 2, "max_steps": 60, "jobs": 1}
 def driven(tmp_path_factory):
     """Two short races of an agent beside the game's AI."""
     file = tmp_path_factory.mktemp("demos") / "driven.npz"
-    return file, record("pursuit", output=file, seeds=(3, 4), rivals=["ai"], **SHORT)
+    return file, record_demonstrations("pursuit", output=file, seeds=(3, 4), rivals=["ai"], **SHORT)
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """A whole race of the game's AI."""
     file = tmp_path_factory.mktemp("demos") / "whole.npz"
-    return record("ai", output=file, tracks="lighthouse", karts=2, difficulty=3, jobs=1)
+    return record_demonstrations(
+        "ai", output=file, tracks="lighthouse", karts=2, difficulty=3, jobs=1
+    )
 
 
 def test_a_data_set_has_what_was_seen_and_done(driven):
@@ -58,7 +68,7 @@ def test_a_data_set_has_what_was_seen_and_done(driven):
 
 def test_a_data_set_knows_how_it_was_made(driven):
     file, _ = driven
-    plan = load(file).plan
+    plan = load_demonstrations(file).plan
     assert plan["agent"]["source"] == "pursuit"
     assert (plan["view"], plan["tracks"], plan["seeds"]) == ("racing", ["lighthouse"], [3, 4])
     assert plan["rivals"] == ["ai"]
@@ -69,7 +79,7 @@ def test_a_file_has_no_pickles_and_is_read_as_it_was(driven):
     file, demos = driven
     with np.load(file, allow_pickle=False) as arrays:
         assert {"observations", "actions", "controls", "rewards", "lengths", "about"} == set(arrays)
-    again = load(file)
+    again = load_demonstrations(file)
     assert again.facts == demos.facts
     for name, column in demos.columns.items():
         np.testing.assert_array_equal(again.columns[name], column)
@@ -78,7 +88,7 @@ def test_a_file_has_no_pickles_and_is_read_as_it_was(driven):
 def test_what_was_recorded_drives_the_same_race_again(driven):
     _, demos = driven
     for race in (0, 1):
-        found = check(demos, race)
+        found = check_demonstrations(demos, race)
         assert found.is_exact
         assert found.steps == 120
 
@@ -86,7 +96,7 @@ def test_what_was_recorded_drives_the_same_race_again(driven):
 def test_actions_one_step_late_do_not_drive_the_same_race(driven):
     _, demos = driven
     late = {**demos.columns, "controls": np.roll(demos.columns["controls"], 1, axis=0)}
-    found = check(replace(demos, columns=late))
+    found = check_demonstrations(replace(demos, columns=late))
     assert not found.is_exact
     assert found.first_difference > 0
 
@@ -139,15 +149,15 @@ def test_races_of_the_ai_end_at_the_finish(whole):
     assert {episode.facts.rank for episode in whole} == {1, 2}
     assert all(0 < episode.facts.finish_time < 60 for episode in whole)
     with pytest.raises(ConfigError, match="cannot be driven again"):
-        check(whole)
+        check_demonstrations(whole)
 
 
 @pytest.mark.parametrize("view", ["simple", "flattened_discrete", "box_continuous"])
 def test_other_views_are_recorded_in_their_own_spaces(view, tmp_path):
     how = {**SHORT, "karts": 1, "max_steps": 25}
-    demos = record("pursuit", output=tmp_path / "d.npz", view=view, **how)
+    demos = record_demonstrations("pursuit", output=tmp_path / "d.npz", view=view, **how)
     spaces = DemoView(view)
-    episode = load(tmp_path / "d.npz")[0]
+    episode = load_demonstrations(tmp_path / "d.npz")[0]
     for moment in (0, len(episode) - 1):
         seen, done = _moment(episode.observations, moment), _moment(episode.actions, moment)
         assert set(seen) == set(spaces.observation_space) if isinstance(seen, dict) else True
@@ -170,7 +180,7 @@ def _as_in(space, value):
 def test_the_same_call_again_records_nothing_anew(driven):
     file, demos = driven
     told = []
-    again = record(
+    again = record_demonstrations(
         "pursuit", output=file, seeds=(3, 4), rivals=["ai"], on_race=told.append, **SHORT
     )
     assert told == []
@@ -180,7 +190,7 @@ def test_the_same_call_again_records_nothing_anew(driven):
 def test_other_demonstrations_are_not_overwritten(driven):
     file, _ = driven
     with pytest.raises(ConfigError, match=r"other demonstrations.*seeds is"):
-        record("pursuit", output=file, seeds=5, rivals=["ai"], **SHORT)
+        record_demonstrations("pursuit", output=file, seeds=5, rivals=["ai"], **SHORT)
 
 
 COMMAND = ["pursuit", "--tracks", "lighthouse", "--karts", "1", "--max-steps", "40", "--jobs", "1"]
@@ -201,9 +211,9 @@ def test_recording_goes_on_after_a_kill(tmp_path):
         touched = races / begun[0]
         assert main(words) == 0
         assert not touched.exists()  # its episodes are in the data set
-    demos = load(file)
+    demos = load_demonstrations(file)
     assert [facts.seed for facts in demos.facts] == [0, 1, 2, 3]
-    straight = record("pursuit", output=tmp_path / "s.npz", seeds=4, **(SHORT | ONE))
+    straight = record_demonstrations("pursuit", output=tmp_path / "s.npz", seeds=4, **(SHORT | ONE))
     np.testing.assert_array_equal(demos.columns["controls"], straight.columns["controls"])
 
 
@@ -270,17 +280,17 @@ def test_a_bad_file_is_told(driven, tmp_path, damage):
         np.savez(bad, observations=np.zeros(3), about=np.array(json.dumps({"type": "x"})))
     elif damage == "short":
         columns = {**demos.columns, "rewards": demos.columns["rewards"][:-1]}
-        save(replace(demos, columns=columns), bad)
+        save_demonstrations(replace(demos, columns=columns), bad)
     else:
         np.savez(bad, about=np.array({"type": "demonstrations"}, dtype=object))
     with pytest.raises(ConfigError, match="cannot be read as demonstrations"):
-        load(bad)
+        load_demonstrations(bad)
     with pytest.raises(ConfigError, match="there are no demonstrations"):
-        load(tmp_path / "none.npz")
+        load_demonstrations(tmp_path / "none.npz")
 
 
 def test_a_plan_is_the_same_after_json():
-    plan = plan_demos("ai", tracks=["lighthouse"], reverse=(False, True), seeds=2)
+    plan = plan_demonstrations("ai", tracks=["lighthouse"], reverse=(False, True), seeds=2)
     assert type(plan).from_json(plan.to_json()).differences(plan) == []
     assert len(plan.orders()) == 4
     assert plan.substeps == 4
@@ -310,7 +320,7 @@ def test_minari_reads_the_same(driven, tmp_path, monkeypatch):
         np.testing.assert_array_equal(episode.actions, demos[number].actions)
         assert episode.truncations[-1]
         assert not episode.terminations.any()
-    with pytest.raises(ConfigError, match="Minari does not take"):
+    with pytest.raises(ConfigError, match="Minari rejects"):
         to_minari(demos, "supertuxkart/pursuit-v0")
 
 

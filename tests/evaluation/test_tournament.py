@@ -14,17 +14,17 @@ import pytest
 
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.batch.fingerprint import fingerprint
-from stkzoo.evaluation.batch.pool import run_in_parallel
-from stkzoo.evaluation.ratings import rate
-from stkzoo.evaluation.tournament import (
-    TournamentError,
+from stkzoo.evaluation import (
+    BatchError,
     load_tournament,
     plan_tournament,
     plot_tournament,
     resume_tournament,
     run_tournament,
 )
+from stkzoo.evaluation.batch.entrants import fingerprint
+from stkzoo.evaluation.batch.pool import run_in_parallel
+from stkzoo.evaluation.ratings import rate
 from stkzoo.race import RaceResult
 from tests.support.paths import AGENTS, SCHEMAS
 from tests.support.processes import children_of, process_exists, run_program, wait_until
@@ -165,7 +165,7 @@ def test_a_missing_library_is_told_before_the_first_race(tmp_path):
         import sys
         sys.modules[{library!r}] = None
         from stkzoo.errors import ConfigError
-        from stkzoo.evaluation.tournament import run_tournament
+        from stkzoo.evaluation import run_tournament
         try:
             run_tournament(["ai", "random"], output={folder!r}, races=1)
         except ConfigError as error:
@@ -268,7 +268,7 @@ def test_an_agent_that_ends_its_race_process_is_told_and_the_others_go_on(tmp_pa
     """With --inline an agent can do that."""
     settings = {**SMALL, "inline": True, "races": 3, "per_race": 2}
     agents = ["ai", "heuristic", str(AGENTS / "hostile" / "exits.py")]
-    with pytest.raises(TournamentError, match="2 of 3 races could not be run") as caught:
+    with pytest.raises(BatchError, match="2 of 3 races could not be run") as caught:
         run_tournament(agents, output=tmp_path / "cup", **settings)
     assert "its process ended with code" in str(caught.value)
     assert not caught.value.result.is_complete
@@ -277,7 +277,7 @@ def test_an_agent_that_ends_its_race_process_is_told_and_the_others_go_on(tmp_pa
 
 def test_a_race_that_never_ends_is_ended(tmp_path):
     settings = {**SMALL, "races": 1, "per_race": 2, "max_steps": 10**6, "race_timeout": 3.0}
-    with pytest.raises(TournamentError, match="it was not over after 3 s"):
+    with pytest.raises(BatchError, match="it was not over after 3 s"):
         run_tournament(["random", "random@:r"], output=tmp_path / "cup", **settings)
 
 
@@ -311,11 +311,11 @@ def test_an_agent_that_was_changed_meanwhile_is_told(tmp_path):
     assert resume_tournament(folder, plot=False) == result
     (agent / "helper.py").write_text("chase = None")
     with pytest.raises(
-        ConfigError, match=r"files of agent 'mine' are others: \['mine/helper.py'\]"
+        ConfigError, match=r"files of agent 'mine' have changed: \['mine/helper.py'\]"
     ):
         resume_tournament(folder)
     shutil.rmtree(agent)
-    with pytest.raises(ConfigError, match="files of agent 'mine' are others"):
+    with pytest.raises(ConfigError, match="files of agent 'mine' have changed"):
         resume_tournament(folder)
 
 
@@ -340,10 +340,10 @@ def test_a_damaged_race_is_told(tmp_path):
     first, second = folder / "races" / "00000.json", folder / "races" / "00001.json"
     good = first.read_text()
     first.write_text(good[:100])
-    with pytest.raises(ConfigError, match="delete it, and the race is run again"):
+    with pytest.raises(ConfigError, match="delete it to run the race again"):
         resume_tournament(folder)
     first.write_text(second.read_text())
-    with pytest.raises(ConfigError, match="is of another race"):
+    with pytest.raises(ConfigError, match="belongs to another race"):
         resume_tournament(folder)
     first.unlink()
     resume_tournament(folder, plot=False)

@@ -318,7 +318,7 @@ def test_dict_actions_become_one_array_an_entry(tmp_path):
         ({"view": "flat"}, "view 'flat'"),
         ({"size": (1, 2)}, "render_size"),
         ({"dataset": "me.csv"}, "ends in .npz"),
-        ({"dataset": "nowhere/me.npz"}, "no such folder"),
+        ({"dataset": "nowhere/me.npz"}, "its folder does not exist"),
         ({"dataset": "me.npz", "view": "full"}, "differ in size"),
     ],
 )

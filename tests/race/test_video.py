@@ -240,7 +240,7 @@ def test_the_game_films_where_it_can(tmp_path):
     settings = {"track": "lighthouse", "seed": 1, "max_steps": 12}
     filmed = run_race(["ai", "ai", "ai"], listeners=[video], **settings)
     assert filmed == run_race(["ai", "ai", "ai"], **settings)
-    assert video.film.backend == who_draws()
+    assert video.backend == who_draws()
     pictures, _ = read(Path(path))
     assert len(pictures) == 1 + 12 + 5
     assert len(np.unique(pictures[5].reshape(-1, 3), axis=0)) > 100

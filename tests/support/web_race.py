@@ -27,7 +27,7 @@ class WatchedRace:
         return self
 
     def __exit__(self, *_):
-        self.page.broadcast.control.stop()
+        self.page.control.stop()
         self.join()
 
     def join(self):

@@ -8,7 +8,7 @@ import pytest
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.agents.training.imitation.imitate import Arguments, main, parse, plot_log, run
 from stkzoo.agents.training.imitation.network import fit, make_network, mirrored
-from stkzoo.evaluation.demonstrations import record
+from stkzoo.evaluation import record_demonstrations
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
@@ -148,7 +148,9 @@ def test_bad_arguments_are_told(words, text, tmp_path, capsys):
 
 def test_demonstrations_of_another_view_are_refused(tmp_path, capsys):
     file = tmp_path / "d.npz"
-    record("pursuit", output=file, tracks="lighthouse", karts=1, view="simple", max_steps=3, jobs=1)
+    record_demonstrations(
+        "pursuit", output=file, tracks="lighthouse", karts=1, view="simple", max_steps=3, jobs=1
+    )
     assert main(["--output", str(tmp_path / "run"), "--demos", str(file)]) == 1
     assert "recorded in the view 'simple', expected racing" in capsys.readouterr().err
 

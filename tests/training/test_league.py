@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import subprocess
 import sys
 
@@ -11,7 +10,7 @@ import pytest
 
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
-from stkzoo.agents.training.league.league import Arguments, League
+from stkzoo.agents.training.league.league import Arguments, League, main
 from stkzoo.agents.training.league.learner import LeagueLearner
 from stkzoo.agents.training.league.matches import AI, Match, draw_pairings, payoff, play, ratings_of
 from stkzoo.agents.training.league.page import page
@@ -20,7 +19,7 @@ from stkzoo.agents.training.ppo.selfplay import Arguments as LearnerArguments
 from stkzoo.cli.main import main as command_line
 from stkzoo.errors import ConfigError
 from tests.support.browser import Reader, open_browser
-from tests.support.processes import wait_until
+from tests.support.training import run_and_kill, words_of
 
 SMALL = {
     "exploiters": 1,
@@ -49,12 +48,8 @@ MATCHES = [
 ]
 
 
-def command(folder, until, **changes):
-    words = [f"--output={folder}", f"--until={until}"]
-    for name, value in (SMALL | changes).items():
-        words.append("--" + name.replace("_", "-"))
-        words += map(str, value) if isinstance(value, tuple) else [str(value)]
-    return [sys.executable, "-m", "stkzoo.agents.training.league.league", *words]
+def words(folder, until):
+    return words_of(folder, SMALL, until=until)
 
 
 def plans_alone(_):
@@ -191,19 +186,11 @@ def test_weights_of_another_network_are_refused(tmp_path):
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
 def test_after_a_kill_the_turn_is_played_again_as_it_was(tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    done = subprocess.run(command(whole, 150), capture_output=True, text=True, timeout=600)
+    command = [sys.executable, "-m", "stkzoo.agents.training.league.league"]
+    done = subprocess.run([*command, *words(whole, 100)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    process = subprocess.Popen(
-        command(killed, 150), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-    log = killed / "main-g0" / "log.jsonl"
-    try:
-        assert wait_until(lambda: log.exists() and log.read_text().count("\n") >= 1, 300)
-    finally:
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    done = subprocess.run(command(killed, 150), capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stderr
+    run_and_kill(main, words(killed, 100), killed / "main-g0" / "log.jsonl", lines=1)
+    assert main(words(killed, 100)) == 0
     states = [json.loads((folder / "league.json").read_text()) for folder in (whole, killed)]
     assert states[0] == states[1]
     assert [member["name"] for member in states[0]["members"]][:3] == [

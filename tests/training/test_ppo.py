@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import subprocess
 import sys
 from dataclasses import asdict
@@ -19,9 +18,9 @@ from stkzoo.agents.training.evaluate import Entrant, evaluate
 from stkzoo.agents.training.evaluate import main as evaluate_main
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.plot import main as plot_main
-from stkzoo.agents.training.ppo.selfplay import Arguments, Learner, race_forms
+from stkzoo.agents.training.ppo.selfplay import Arguments, Learner, main, race_forms
 from stkzoo.errors import ConfigError
-from tests.support.processes import wait_until
+from tests.support.training import run_and_kill, words_of
 
 SMALL = {
     "tracks": ("lighthouse",),
@@ -37,18 +36,12 @@ SMALL = {
 TIMES = ("drive_s", "learn_s", "kart_steps_per_s")
 
 
-def command(folder, until, **changes):
-    words = [f"--output={folder}", f"--until={until}"]
-    for name, value in (SMALL | changes).items():
-        words.append("--" + name.replace("_", "-"))
-        words += map(str, value) if isinstance(value, tuple) else [str(value)]
-    return [sys.executable, "-m", "stkzoo.agents.training.ppo.selfplay", *words]
+def words(folder, until, **changes):
+    return words_of(folder, SMALL, until=until, **changes)
 
 
 def learn(folder, until, **changes):
-    return subprocess.run(
-        command(folder, until, **changes), capture_output=True, text=True, timeout=300
-    )
+    return main(words(folder, until, **changes))
 
 
 def log_of(folder):
@@ -61,10 +54,12 @@ def last_policy(folder):
 
 
 def test_it_learns_and_ends(tmp_path):
-    done = learn(tmp_path / "run", 200, learning_rate=0.01)
+    command = [sys.executable, "-m", "stkzoo.agents.training.ppo.selfplay"]
+    command += words(tmp_path / "run", 150, learning_rate=0.01)
+    done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     log = log_of(tmp_path / "run")
-    assert log[-1]["kart_steps"] >= 200
+    assert log[-1]["kart_steps"] >= 150
     assert [line["iteration"] for line in log] == list(range(1, len(log) + 1))
     assert all(np.isfinite(list(line.values())).all() for line in log)
     assert log[0]["kl"] < 1e-5  # while only the value is learned
@@ -75,46 +70,33 @@ def test_it_learns_and_ends(tmp_path):
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
 def test_after_a_kill_it_goes_on_as_if_nothing_had_been(tmp_path):
-    assert learn(tmp_path / "whole", 480).returncode == 0
+    assert learn(tmp_path / "whole", 480) == 0
     killed = tmp_path / "killed"
-    process = subprocess.Popen(
-        command(killed, 100_000), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-    log = killed / "log.jsonl"
-    try:
-        # Past a checkpoint, and one more iteration that will be lost.
-        assert wait_until(lambda: log.exists() and len(log.read_text().splitlines()) >= 5, 120)
-    finally:
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    done = learn(killed, 480)
-    assert done.returncode == 0, done.stderr
+    # Past a checkpoint, and one more iteration that will be lost.
+    run_and_kill(main, words(killed, 100_000), killed / "log.jsonl", lines=5)
+    assert learn(killed, 480) == 0
     assert log_of(killed) == log_of(tmp_path / "whole")
     ours, theirs = last_policy(killed), last_policy(tmp_path / "whole")
     assert all((ours[name] == theirs[name]).all() for name in theirs)
 
 
-def test_other_arguments_are_refused_unless_they_may_change(tmp_path):
-    assert learn(tmp_path, 40).returncode == 0
-    refused = learn(tmp_path, 80, learning_rate=0.001)
-    assert refused.returncode != 0
-    assert "learning_rate was 0.0003, now 0.001" in refused.stderr
-    words = [*command(tmp_path, 80, learning_rate=0.001), "--may-change"]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
+def test_other_arguments_are_refused_unless_they_may_change(tmp_path, capsys):
+    assert learn(tmp_path, 40) == 0
+    assert learn(tmp_path, 80, learning_rate=0.001) != 0
+    assert "learning_rate was 0.0003, now 0.001" in capsys.readouterr().err
+    assert learn(tmp_path, 80, learning_rate=0.001, may_change=True) == 0
     history = json.loads((tmp_path / "arguments.json").read_text())
     assert [part["arguments"]["learning_rate"] for part in history] == [0.0003, 0.001]
 
 
-def test_a_run_keeps_to_the_numbers_of_its_plans(tmp_path):
-    assert learn(tmp_path, 40).returncode == 0
+def test_a_run_keeps_to_the_numbers_of_its_plans(tmp_path, capsys):
+    assert learn(tmp_path, 40) == 0
     state = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
     facts = json.loads(state["facts"])
     facts["history"][-1]["rules"]["margin"] = 9.0
     torch.save(state | {"facts": json.dumps(facts)}, tmp_path / "checkpoint.pt")
-    refused = learn(tmp_path, 80)
-    assert refused.returncode != 0
-    assert "margin was 9.0, now" in refused.stderr
+    assert learn(tmp_path, 80) != 0
+    assert "margin was 9.0, now" in capsys.readouterr().err
 
 
 def test_choices_that_are_not_learned_stay_those_of_the_plans(tmp_path):

@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import subprocess
 import sys
 
@@ -21,13 +20,13 @@ from stkzoo.agents.training.sb3.evaluation import judge, ratings_of, read_judgem
 from stkzoo.agents.training.sb3.plot import main as plot_main
 from stkzoo.agents.training.sb3.policy import save_driver, start_weights, write_agent
 from stkzoo.agents.training.sb3.races import RaceGroup, SelfPlayVecEnv, race_groups
-from stkzoo.agents.training.sb3.selfplay import Arguments, Run
+from stkzoo.agents.training.sb3.selfplay import Arguments, Run, main
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceSettings, run_race
 from stkzoo.sb3 import ActiveRolloutBuffer, RaceVecEnv
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.wrappers.racing import BRAKE, CHOICES, PLACES, RESCUE, SIZE, STEERS
-from tests.support.processes import wait_until
+from tests.support.training import run_and_kill, words_of
 
 SMALL = {
     "races": ("2x1", "1+1x1"),
@@ -44,21 +43,12 @@ SMALL = {
 }
 
 
-def command(folder, until, **changes):
-    words = [f"--output={folder}", f"--until={until}"]
-    for name, value in (SMALL | changes).items():
-        flag = "--" + name.replace("_", "-")
-        if value is True:
-            words.append(flag)
-        else:
-            words += [flag, *(map(str, value) if isinstance(value, tuple) else [str(value)])]
-    return [sys.executable, "-m", "stkzoo.agents.training.sb3.selfplay", *words]
+def words(folder, until, **changes):
+    return words_of(folder, SMALL | changes, until=until)
 
 
 def learn(folder, until, **changes):
-    return subprocess.run(
-        command(folder, until, **changes), capture_output=True, text=True, timeout=300
-    )
+    return main(words(folder, until, **changes))
 
 
 def log_of(folder):
@@ -439,8 +429,7 @@ def test_a_policy_becomes_an_agent(tmp_path, policy):
 
 
 def test_values_are_learned_before_the_policy(tmp_path):
-    done = learn(tmp_path, 100, warm_up=1_000_000, keep_every=10)
-    assert done.returncode == 0, done.stderr
+    assert learn(tmp_path, 40, warm_up=1_000_000, keep_every=10) == 0
     first = load_weights(tmp_path / "policy-000000000.safetensors")
     for name, array in last_policy(tmp_path).items():
         is_value = name.startswith(("value_net", "mlp_extractor.value_net"))
@@ -448,9 +437,10 @@ def test_values_are_learned_before_the_policy(tmp_path):
 
 
 def test_it_learns_evaluates_and_ends(tmp_path):
-    done = learn(
-        tmp_path, 150, evaluation_races=1, evaluation_tracks="olivermath", evaluate_every=10_000
-    )
+    evaluation = {"evaluation_races": 1, "evaluation_tracks": "olivermath"}
+    command = [sys.executable, "-m", "stkzoo.agents.training.sb3.selfplay"]
+    command += words(tmp_path, 150, evaluate_every=10_000, **evaluation)
+    done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     log = log_of(tmp_path)
     assert log[-1]["kart_steps"] >= 150
@@ -471,19 +461,11 @@ def test_it_learns_evaluates_and_ends(tmp_path):
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
 def test_after_a_kill_it_goes_on_as_if_nothing_had_been(tmp_path):
-    assert learn(tmp_path / "whole", 330).returncode == 0
+    assert learn(tmp_path / "whole", 270) == 0
     killed = tmp_path / "killed"
-    process = subprocess.Popen(
-        command(killed, 100_000), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-    log = killed / "log.jsonl"
-    try:
-        # In the middle of a round, with a rival in the pool.
-        assert wait_until(lambda: log.exists() and len(log.read_text().splitlines()) >= 5, 200)
-    finally:
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    assert learn(killed, 330).returncode == 0
+    # In the middle of a round, with a rival in the pool.
+    run_and_kill(main, words(killed, 100_000), killed / "log.jsonl", lines=5)
+    assert learn(killed, 270) == 0
     assert log_of(killed) == log_of(tmp_path / "whole")
     assert log_of(killed)[-1]["rivals"] >= 2
     ours, theirs = last_policy(killed), last_policy(tmp_path / "whole")
@@ -507,8 +489,7 @@ def test_a_run_begins_with_given_weights(tmp_path):
 
 
 def test_supersuit_gives_the_same_learner_plain_races(tmp_path):
-    done = learn(tmp_path, 60, supersuit=True, races="2x2", share=0.5)
-    assert done.returncode == 0, done.stderr
+    assert learn(tmp_path, 60, supersuit=True, races="2x2", share=0.5) == 0
     assert log_of(tmp_path)[-1]["kart_steps"] >= 60
 
 

@@ -14,7 +14,7 @@ from stkzoo import race_v0
 from stkzoo.engine.ground import GROUND, SLOWED, VOID, WALL, ZIPPER
 from stkzoo.engine.track import TrackMap
 from stkzoo.errors import AgentError, ConfigError
-from stkzoo.evaluation.demonstrations.recorder import DemoView
+from stkzoo.evaluation import DemoView
 from stkzoo.mdp.spaces import GROUND_LANES, GROUND_MARKS
 from stkzoo.race import find_driver, run_race
 from stkzoo.race.agents.files import declared_env, find_files

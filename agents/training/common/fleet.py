@@ -29,7 +29,7 @@ from stkzoo.engine.session import WorkerSession
 from stkzoo.engine.setup import KartSetup, RaceSetup
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.engine.track import TrackMap, decode_track
-from stkzoo.evaluation.benchmark import load_ai_times
+from stkzoo.evaluation import load_ai_times
 from stkzoo.names import Phase
 from stkzoo.wrappers.racing import BatchedRacingView, RoadTable
 

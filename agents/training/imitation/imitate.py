@@ -35,7 +35,7 @@ import numpy as np
 
 from stkzoo._os import atomic_write, cpu_count
 from stkzoo.errors import ConfigError, StkzooError, check_whole
-from stkzoo.evaluation.demonstrations import Demonstrations, load, record
+from stkzoo.evaluation import Demonstrations, load_demonstrations, record_demonstrations
 from stkzoo.race import find_driver
 from stkzoo.tracks import SPLITS
 
@@ -161,7 +161,7 @@ def run(arguments: Arguments, folder: Path, tell: Tell = lambda *_: None) -> lis
 
 def _demonstrations(arguments: Arguments, folder: Path, tell: Tell) -> Demonstrations:
     if arguments.demos:
-        demos = load(arguments.demos)
+        demos = load_demonstrations(arguments.demos)
         if demos.view != "racing":
             raise ConfigError(
                 f"{arguments.demos} was recorded in the view {demos.view!r}, expected racing; "
@@ -169,7 +169,7 @@ def _demonstrations(arguments: Arguments, folder: Path, tell: Tell) -> Demonstra
             )
         return demos
     first = 1000 * arguments.seed
-    return record(
+    return record_demonstrations(
         arguments.teacher,
         output=folder / "demos.npz",
         tracks=arguments.all_tracks,

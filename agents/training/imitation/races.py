@@ -19,11 +19,10 @@ from gymnasium import spaces
 from stkzoo._os import atomic_write
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.benchmark import load_ai_times
-from stkzoo.evaluation.demonstrations.recorder import DemoView
+from stkzoo.evaluation import DemoView, load_ai_times
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race import Driver, DriverInstance, DriverRequest, find_driver, run_race
-from stkzoo.race.replay.record import action_of, controls_of
+from stkzoo.race.replay import action_of, controls_of
 from stkzoo.wrappers.racing import controls_of_choices
 
 __all__ = ["Lesson", "LessonOrder", "end_with_parent", "read_lesson", "run_order"]

@@ -15,7 +15,7 @@ from typing import Any
 from stkzoo import race_v0
 from stkzoo.agents.pretrained.mlp import KartPolicy
 from stkzoo.env.parallel import RaceParallelEnv
-from stkzoo.evaluation.benchmark import load_ai_times
+from stkzoo.evaluation import load_ai_times
 
 __all__ = [
     "COUNTDOWN",

@@ -4,10 +4,15 @@ Nothing here loads the engine. :func:`find_assets` only looks; what downloads or
 builds is :func:`install` and :func:`pack`, which the command line calls.
 """
 
-from stkzoo.engine.assets.find import PlaceReport, find_assets, survey
+from stkzoo.engine.assets.find import (
+    DATADIR_VARIABLE,
+    PlaceReport,
+    cache_folder,
+    find_assets,
+    survey,
+)
 from stkzoo.engine.assets.installer import clean, install, pack
-from stkzoo.engine.assets.places import DATADIR_VARIABLE, cache_folder
-from stkzoo.engine.assets.progress import Progress
+from stkzoo.engine.assets.staging import Progress
 from stkzoo.engine.assets.tree import Assets
 
 __all__ = [

@@ -1,18 +1,139 @@
-"""Finding the game's data; never fetching it."""
+"""Finding the game's data: the places to look in, in order. Nothing is downloaded here."""
 
 from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from stkzoo.engine.assets.places import Place, environment_place, places
-from stkzoo.engine.assets.tree import Assets
+import platformdirs
+
+from stkzoo.engine.assets.overlay import SYSTEM_FOLDERS, system_overlay
+from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, Assets, load_assets
 from stkzoo.errors import AssetError
 
-__all__ = ["PlaceReport", "find_assets", "find_assets_or_none", "survey"]
+__all__ = [
+    "CACHE_VARIABLE",
+    "DATADIR_VARIABLE",
+    "Place",
+    "PlaceReport",
+    "cache_folder",
+    "environment_place",
+    "find_assets",
+    "find_assets_or_none",
+    "full_folder",
+    "headless_folder",
+    "overlay_folder",
+    "places",
+    "pystk2_cache_folder",
+    "survey",
+]
+
+#: The engine's own variable: the folder that holds ``data``.
+DATADIR_VARIABLE = "SUPERTUXKART_DATADIR"
+
+#: Environment variable that moves stkzoo's cache.
+CACHE_VARIABLE = "STKZOO_CACHE"
+
+
+def cache_folder() -> Path:
+    """The folder that stkzoo owns; it may not exist yet."""
+    own = os.environ.get(CACHE_VARIABLE)
+    folder = Path(own).expanduser() if own else Path(platformdirs.user_cache_dir("stkzoo"))
+    return folder.absolute()
+
+
+def full_folder() -> Path:
+    """Where a full set of data goes."""
+    return cache_folder() / "full"
+
+
+def headless_folder() -> Path:
+    """Where the headless pack goes."""
+    return cache_folder() / "headless"
+
+
+def overlay_folder() -> Path:
+    """Where the links into a system install go."""
+    return cache_folder() / "system"
+
+
+def pystk2_cache_folder() -> Path:
+    """Where ``pystk2`` keeps its own downloads; may not exist."""
+    return Path(platformdirs.user_cache_dir("PySuperTuxKart2", "bpiwowar"))
+
+
+@dataclass(frozen=True)
+class Place:
+    """One place to look at.
+
+    Attributes:
+        source: its short name, as in :attr:`Assets.source`.
+        path: the folder in question.
+        look: returns the assets, ``None`` if nothing is there, or raises
+            :class:`~stkzoo.errors.AssetError` if what is there cannot be used.
+    """
+
+    source: str
+    path: Path
+    look: Callable[[], Assets | None]
+
+
+def environment_place() -> Place | None:
+    """The folder that the user's environment names, ``None`` if it names none."""
+    value = os.environ.get(DATADIR_VARIABLE)
+    if not value:
+        return None
+    path = Path(value)
+    return Place("environment", path, partial(_look_named, path))
+
+
+def _look_named(path: Path) -> Assets:
+    try:
+        return load_assets(path.absolute(), "environment")
+    except AssetError as error:
+        raise AssetError(
+            f"the environment variable {DATADIR_VARIABLE} is {str(path)!r}, but {error} "
+            f"Unset it and run `stkzoo assets install`, or point it to a folder that "
+            f"holds the game's 'data'."
+        ) from error
+
+
+def places() -> Iterator[Place]:
+    """All places in order: the one the environment names, then the machine's own."""
+    named = environment_place()
+    if named is not None:
+        yield named
+    headless, full = headless_folder(), full_folder()
+    yield Place("headless pack", headless, partial(_look_made, headless, "headless pack"))
+    yield Place("stkzoo cache", full, partial(_look_made, full, "stkzoo cache"))
+    downloaded = pystk2_cache_folder() / ENGINE_DATA_VERSION
+    yield Place("pystk2 cache", downloaded, partial(_look_downloaded, downloaded))
+    for folder in SYSTEM_FOLDERS:
+        yield Place("system", folder, partial(_look_system, folder))
+
+
+def _look_made(root: Path, source: str) -> Assets | None:
+    return load_assets(root, source) if root.is_dir() else None
+
+
+def _look_downloaded(root: Path) -> Assets | None:
+    if not root.is_dir():
+        return None
+    if not (root / "__downloaded__.txt").is_file():
+        raise AssetError(f"the download of pystk2 in {root} was never finished.")
+    return load_assets(root, "pystk2 cache")
+
+
+def _look_system(data: Path) -> Assets | None:
+    if not data.is_dir():
+        return None
+    return load_assets(system_overlay(data, overlay_folder()), "system")
+
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -20,17 +141,17 @@ _REMEDY = "Run `stkzoo assets install`."
 
 
 def find_assets(*, graphics: bool = False) -> Assets:
-    """The game's data on this machine; takes a few milliseconds, downloads nothing.
+    """Finds the game's data on this machine, in a few milliseconds.
 
-    Asked in this order: the folder in ``SUPERTUXKART_DATADIR``, the headless pack and
+    The order is: the folder in ``SUPERTUXKART_DATADIR``, the headless pack and
     the full data in stkzoo's cache, the cache of ``pystk2``, a system install.
 
     Args:
-        graphics: the game shall draw; a headless pack will not do.
+        graphics: the game must draw, which a headless pack cannot.
 
     Raises:
-        AssetError: there is none, or what the environment names is of no use; the
-            message names the command that mends it.
+        AssetError: there is none, or what the environment names cannot be used; the
+            message names the command that fixes it.
     """
     named = environment_place()
     if named is not None:
@@ -45,7 +166,7 @@ def find_assets_or_none(*, graphics: bool = False) -> Assets | None:
     """Like :func:`find_assets`, but ``None`` where the machine has none.
 
     Raises:
-        AssetError: what the environment names is of no use.
+        AssetError: what the environment names cannot be used.
     """
     named = environment_place()
     return _take_named(named, graphics) if named is not None else _first_usable(graphics)[0]
@@ -68,7 +189,7 @@ def _first_usable(graphics: bool) -> tuple[Assets | None, list[str]]:
         try:
             assets = place.look()
         except AssetError as error:
-            _LOGGER.warning("passing over the %s: %s", place.source, error)
+            _LOGGER.warning("skipping the %s: %s", place.source, error)
             problems.append(f"In the {place.source}: {error}")
             continue
         if assets is not None and not (graphics and assets.headless):
@@ -89,7 +210,7 @@ class PlaceReport:
         source: the place's short name.
         path: the folder that was looked at.
         assets: what is there, ``None`` if nothing usable is.
-        problem: why it is of no use; empty if nothing is there or all is well.
+        problem: why it cannot be used; empty if nothing is there or all is well.
     """
 
     source: str
@@ -109,7 +230,7 @@ class PlaceReport:
 
 
 def survey() -> list[PlaceReport]:
-    """Looks at every place, in the order in which :func:`find_assets` asks them."""
+    """Looks at every place, in the order of :func:`find_assets`."""
     return [_report(place) for place in places()]
 
 

@@ -1,4 +1,4 @@
-"""Getting the game's data, building the headless pack, and taking both away again."""
+"""Installing the game's data, building the headless pack, and removing both."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from stkzoo.engine.assets.archive import read_archive, write_archive
-from stkzoo.engine.assets.debian import fetch_debian
-from stkzoo.engine.assets.find import find_assets, find_assets_or_none
-from stkzoo.engine.assets.headless import build_headless
-from stkzoo.engine.assets.places import (
+from stkzoo.engine.assets.fetch import fetch_debian, fetch_upstream
+from stkzoo.engine.assets.find import (
     DATADIR_VARIABLE,
     cache_folder,
     environment_place,
+    find_assets,
+    find_assets_or_none,
     full_folder,
     headless_folder,
     overlay_folder,
 )
-from stkzoo.engine.assets.progress import Progress
+from stkzoo.engine.assets.headless import build_headless, read_archive, write_archive
 from stkzoo.engine.assets.staging import (
+    Progress,
     clear_leftovers,
     discard,
     lock,
@@ -27,7 +27,6 @@ from stkzoo.engine.assets.staging import (
     staging_folder,
 )
 from stkzoo.engine.assets.tree import MARKER, Assets, load_assets
-from stkzoo.engine.assets.upstream import fetch_upstream
 from stkzoo.errors import AssetError, unknown_name
 
 __all__ = ["SOURCES", "clean", "install", "pack"]
@@ -43,25 +42,25 @@ def install(
     replace: bool = False,
     progress: Progress | None = None,
 ) -> Assets:
-    """Makes the game's data usable: takes what is there, gets what is not.
+    """Makes the game's data usable: keeps what is there and downloads the rest.
 
-    At the end the headless pack is built. Data that ``SUPERTUXKART_DATADIR`` names is
-    taken as it is. Safe to call from several programs at once and to interrupt at any
+    It ends with building the headless pack. Data that ``SUPERTUXKART_DATADIR`` names is
+    used as it is. You may call it from several programs at once and interrupt it at any
     moment.
 
     Args:
         source: ``"debian"``: from the package of Debian and Ubuntu; ``"upstream"``: by
             the download of ``pystk2``; ``"auto"``: whichever works.
-        archive: take the headless pack from this file and get nothing else.
-        replace: get and build anew what is already there.
-        progress: told about it.
+        archive: unpack the headless pack from this file and download nothing.
+        replace: download and build again what is already there.
+        progress: receives the progress.
 
     Returns:
         What a headless race will use.
 
     Raises:
         ConfigError: an unknown ``source``.
-        AssetError: it failed; nothing half-made is left in place.
+        AssetError: it failed; nothing incomplete is left in place.
     """
     if source not in SOURCES:
         raise unknown_name("source of the game's data", source, SOURCES)
@@ -71,7 +70,7 @@ def install(
         if archive is not None:
             _take_archive(archive, progress)
         elif environment_place() is not None and not replace:
-            progress.note(f"{DATADIR_VARIABLE} names the data; there is nothing to get")
+            progress.note(f"{DATADIR_VARIABLE} names the data; there is nothing to download")
         else:
             full = _full_assets(source, replace, progress)
             _ensure_pack(full, replace, progress)
@@ -85,8 +84,8 @@ def pack(
 
     Args:
         output: also write it into this ``.tar.xz`` file.
-        replace: build it anew even if it is there.
-        progress: told about it.
+        replace: build it again even if it is there.
+        progress: receives the progress.
 
     Returns:
         ``output``, or the root of the pack.
@@ -106,10 +105,10 @@ def pack(
 
 
 def clean(*, progress: Progress | None = None) -> list[Path]:
-    """Removes what stkzoo has put into its cache, and nothing else.
+    """Removes what stkzoo put into its cache, and nothing else.
 
     Returns:
-        The folders that are gone.
+        The removed folders.
 
     Raises:
         AssetError: the cache cannot be written.
@@ -142,9 +141,9 @@ def _full_assets(source: str, replace: bool, progress: Progress) -> Assets:
         if assets is not None:
             return assets
     raise AssetError(
-        "the game's data could not be had.\n"
+        "the game's data could not be downloaded.\n"
         + "\n".join(problems)
-        + "\nWhere there is no network, bring a pack from another machine: there "
+        + "\nWithout a network, copy a pack from another machine: there "
         "`stkzoo assets pack --output pack.tar.xz`, here `stkzoo assets install --from "
         "pack.tar.xz`."
     )
@@ -184,7 +183,7 @@ def _ensure_pack(full: Assets, replace: bool, progress: Progress) -> None:
         progress.note(f"the headless pack is there: {headless_folder()}")
         return
     if full.headless:
-        raise AssetError(f"{full.root} is a headless pack: only full data can be packed.")
+        raise AssetError(f"{full.root} is a headless pack; packing needs the full data.")
     with staging_folder(cache_folder()) as tree:
         build_headless(full.root, tree, progress)
         publish(tree, headless_folder())

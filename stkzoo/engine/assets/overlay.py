@@ -1,8 +1,8 @@
-"""Mending Debian's data for the engine, in place or as a folder of links.
+"""Adapting Debian's data for the engine, in place or as a folder of links.
 
-Debian's data differs from what the engine wants in three points: the empty file
+Debian's data differs from what the engine needs in three points: the empty file
 that names the version, the skin ``classic``, and fonts, which are links into other
-packages. Everything that bears on the race is byte for byte the same.
+packages. Everything that affects a race is byte for byte the same.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from stkzoo.engine.assets.staging import discard, fresh_folder, link_or_copy, pu
 from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, MARKER, read_marker, write_marker
 from stkzoo.errors import AssetError
 
-__all__ = ["SYSTEM_FOLDERS", "mend", "system_overlay"]
+__all__ = ["SYSTEM_FOLDERS", "adapt", "system_overlay"]
 
 #: Where distributions install the game's data.
 SYSTEM_FOLDERS = (
@@ -28,16 +28,16 @@ _KNOWN_VERSIONS = ("1.4", ENGINE_DATA_VERSION)
 _SUBSTITUTE_FONTS = ("wqy-microhei.ttf", "SigmarOne.otf")
 
 
-def mend(data: Path) -> None:
-    """Brings a data folder that is ours to change into the engine's form.
+def adapt(data: Path) -> None:
+    """Changes a data folder that belongs to stkzoo so that the engine accepts it.
 
     Raises:
         AssetError: it is data of another version, or has no font at all.
     """
     _check_version(data)
     (data / f"supertuxkart.{ENGINE_DATA_VERSION}").touch()
-    _mend_skin(data / "skins")
-    _mend_fonts(data / "ttf")
+    _adapt_skin(data / "skins")
+    _adapt_fonts(data / "ttf")
 
 
 def _check_version(data: Path) -> None:
@@ -49,7 +49,7 @@ def _check_version(data: Path) -> None:
         )
 
 
-def _mend_skin(skins: Path) -> None:
+def _adapt_skin(skins: Path) -> None:
     classic = skins / "classic"
     if classic.exists():
         return
@@ -59,7 +59,7 @@ def _mend_skin(skins: Path) -> None:
     classic.symlink_to("peach" if "peach" in others else others[0])
 
 
-def _mend_fonts(fonts: Path) -> None:
+def _adapt_fonts(fonts: Path) -> None:
     usable = [fonts / name for name in _SUBSTITUTE_FONTS if (fonts / name).is_file()]
     usable += sorted(path for path in fonts.iterdir() if path.is_file())
     dangling = [path for path in fonts.iterdir() if not path.exists()]
@@ -73,38 +73,38 @@ def _mend_fonts(fonts: Path) -> None:
 def system_overlay(data: Path, target: Path) -> Path:
     """A folder of links to a system install that the engine can use.
 
-    It is made anew when the install has changed since.
+    It is rebuilt when the install has changed.
 
     Args:
         data: the install's data folder.
-        target: where the overlay stands, or is made now.
+        target: where the overlay is, or is made.
 
     Returns:
         ``target``, the value for ``SUPERTUXKART_DATADIR``.
 
     Raises:
-        AssetError: the install is of no use, or the cache cannot be written.
+        AssetError: the install cannot be used, or the cache cannot be written.
     """
     origin = f"{data} of {data.stat().st_mtime_ns}"
-    if _stands(target, origin):
+    if _is_current(target, origin):
         return target
     _check_version(data)
     try:
         staging = fresh_folder(target.parent, "overlay")
         try:
             _link(data, staging / "data")
-            mend(staging / "data")
+            adapt(staging / "data")
             write_marker(staging, origin, headless=False)
             publish(staging, target)
         finally:
             discard(staging)
     except OSError as error:
-        if not _stands(target, origin):
+        if not _is_current(target, origin):
             raise AssetError(f"links to {data} cannot be made in {target}: {error}.") from error
     return target
 
 
-def _stands(target: Path, origin: str) -> bool:
+def _is_current(target: Path, origin: str) -> bool:
     try:
         marker = read_marker(target)
     except AssetError:
@@ -113,7 +113,7 @@ def _stands(target: Path, origin: str) -> bool:
 
 
 def _link(data: Path, target: Path) -> None:
-    """Links each entry; ``skins`` and ``ttf`` become folders, for they get mended."""
+    """Links each entry; ``skins`` and ``ttf`` become folders, because they are adapted."""
     target.mkdir(parents=True)
     for name in ("skins", "ttf"):
         (target / name).mkdir()

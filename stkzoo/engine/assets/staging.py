@@ -1,4 +1,4 @@
-"""Folders that appear whole or not at all, one maker at a time."""
+"""Work on the cache: progress, one writer at a time, folders that appear complete."""
 
 from __future__ import annotations
 
@@ -10,16 +10,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from stkzoo.engine.assets.progress import Progress
 from stkzoo.engine.assets.tree import MARKER
 from stkzoo.errors import AssetError
 
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
-
 __all__ = [
+    "Progress",
     "check_space",
     "clear_leftovers",
     "discard",
@@ -30,6 +25,35 @@ __all__ = [
     "staging_folder",
 ]
 
+
+class Progress:
+    """Receives the progress of long work and ignores it; the command line draws bars.
+
+    Work is a sequence of stages. Each begins with :meth:`begin` and ends when the
+    next one begins.
+    """
+
+    def begin(self, stage: str, total: int | None = None) -> None:
+        """A stage starts.
+
+        Args:
+            stage: a few words about it.
+            total: amount of work [bytes], ``None`` if unknown.
+        """
+
+    def reach(self, done: int) -> None:
+        """``done`` [bytes] of the stage are finished."""
+
+    def note(self, text: str) -> None:
+        """Something worth a line happened."""
+
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+
 _PREFIX = ".stkzoo-"
 _LOCK = ".stkzoo-lock"
 
@@ -39,10 +63,10 @@ _STALE = 600.0
 
 @contextmanager
 def lock(cache: Path, progress: Progress) -> Iterator[None]:
-    """Holds the cache for one process; others wait their turn.
+    """Locks the cache for one process; others wait.
 
-    The operating system frees it when the process ends, however it ends. Where the
-    system has no such locks, nothing is held.
+    The operating system releases the lock when the process ends, however it ends. A system
+    without such locks locks nothing.
 
     Raises:
         AssetError: the cache cannot be written.
@@ -69,7 +93,7 @@ def _acquire(path: Path, progress: Progress) -> int:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            progress.note("another stkzoo works in the same cache: waiting for it to end")
+            progress.note("another stkzoo uses the same cache: waiting for it to end")
             fcntl.flock(descriptor, fcntl.LOCK_EX)
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(descriptor), path.stat()):
@@ -78,7 +102,7 @@ def _acquire(path: Path, progress: Progress) -> int:
 
 
 def fresh_folder(parent: Path, kind: str) -> Path:
-    """A new empty folder in ``parent`` that nothing takes for finished work."""
+    """Makes an empty folder in ``parent`` whose name marks it as unfinished."""
     parent.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{kind}-", dir=parent))
     folder.chmod(0o755)
@@ -100,10 +124,10 @@ def publish(staging: Path, target: Path) -> None:
 
     Args:
         staging: a tree with its marker, on the same file system.
-        target: its place; a tree of ours that stands there is replaced.
+        target: its place; an older tree of stkzoo there is replaced.
 
     Raises:
-        AssetError: something that is not ours stands there.
+        AssetError: files that stkzoo did not make are there.
     """
     if target.is_dir() and any(target.iterdir()):
         if not (target / MARKER).is_file():
@@ -127,7 +151,7 @@ def discard(folder: Path) -> None:
 
 
 def clear_leftovers(cache: Path) -> None:
-    """Removes what interrupted runs have left; call it with the lock held."""
+    """Removes what interrupted runs left; call it with the lock held."""
     for folder in cache.glob(f"{_PREFIX}*-*"):
         unlocked = folder.name.startswith(f"{_PREFIX}overlay-")
         with suppress(FileNotFoundError):
@@ -136,7 +160,7 @@ def clear_leftovers(cache: Path) -> None:
 
 
 def link_or_copy(path: Path, goal: Path) -> None:
-    """Gives a file a second name by a hard link, or copies it where that cannot be."""
+    """Hard-links a file, or copies it where links are not possible."""
     try:
         os.link(path.resolve(), goal)
     except OSError:
@@ -144,7 +168,7 @@ def link_or_copy(path: Path, goal: Path) -> None:
 
 
 def check_space(folder: Path, needed: int, purpose: str) -> None:
-    """Makes sure that the disk has room.
+    """Checks that the disk has room.
 
     Args:
         folder: where the files will go.
@@ -152,7 +176,7 @@ def check_space(folder: Path, needed: int, purpose: str) -> None:
         purpose: what for, in the words of the message.
 
     Raises:
-        AssetError: it has not.
+        AssetError: it does not.
     """
     free = shutil.disk_usage(folder).free
     if free < needed:

@@ -10,39 +10,40 @@ import subprocess
 import sys
 import threading
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from stkzoo._os import remove_stale_directories
-from stkzoo.evaluation.batch.order import Order
+from stkzoo.evaluation.batch.order import BatchOrder
 from stkzoo.race.agents.failures import OutputTail
 
-__all__ = ["Outcome", "run_in_parallel"]
+__all__ = ["OrderOutcome", "run_in_parallel"]
 
 #: How often a race is tried whose process dies.
 _TRIES = 2
 _END_TIMEOUT = 5.0  # [s]
 _LOOK_INTERVAL = 0.5  # [s]
+_WORKER = "stkzoo.evaluation.batch.worker"
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """What came of one race.
+class OrderOutcome:
+    """The outcome of one order.
 
     Attributes:
-        order: which.
+        order: the order.
         result: its result as JSON; empty if it could not be run.
         error: why it could not be run.
     """
 
-    order: Order
+    order: BatchOrder[Any]
     result: str = ""
     error: str = ""
 
 
 def run_in_parallel(
-    orders: Sequence[Order], jobs: int, race_timeout: float
-) -> Generator[Outcome, None, None]:
+    orders: Sequence[BatchOrder[Any]], jobs: int, race_timeout: float
+) -> Generator[OrderOutcome, None, None]:
     """Runs races and yields each as soon as it is over; closing it ends those that run.
 
     Args:
@@ -50,10 +51,10 @@ def run_in_parallel(
         jobs: how many at a time.
         race_timeout: for one race [s]; its process is ended then.
     """
-    waiting: queue.SimpleQueue[Order] = queue.SimpleQueue()
+    waiting: queue.SimpleQueue[BatchOrder[Any]] = queue.SimpleQueue()
     for order in orders:
         waiting.put(order)
-    outcomes: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
+    outcomes: queue.SimpleQueue[OrderOutcome] = queue.SimpleQueue()
     lanes = [_Lane(waiting, outcomes, race_timeout) for _ in range(min(jobs, len(orders)))]
     try:
         for lane in lanes:
@@ -66,7 +67,7 @@ def run_in_parallel(
         remove_stale_directories()  # what races that were ended had in temporary folders
 
 
-def _next(outcomes: queue.SimpleQueue[Outcome]) -> Outcome:
+def _next(outcomes: queue.SimpleQueue[OrderOutcome]) -> OrderOutcome:
     while True:  # each race has an end; looking up now and then lets Ctrl-C through
         with contextlib.suppress(queue.Empty):
             return outcomes.get(timeout=_LOOK_INTERVAL)
@@ -77,8 +78,8 @@ class _Lane(threading.Thread):
 
     def __init__(
         self,
-        waiting: queue.SimpleQueue[Order],
-        outcomes: queue.SimpleQueue[Outcome],
+        waiting: queue.SimpleQueue[BatchOrder[Any]],
+        outcomes: queue.SimpleQueue[OrderOutcome],
         race_timeout: float,
     ) -> None:
         super().__init__(daemon=True)
@@ -106,36 +107,36 @@ class _Lane(threading.Thread):
         if worker is not None:
             worker.close()
 
-    def _outcome(self, order: Order) -> Outcome:
-        outcome = Outcome(order)
+    def _outcome(self, order: BatchOrder[Any]) -> OrderOutcome:
+        outcome = OrderOutcome(order)
         for _ in range(_TRIES):
             outcome = self._try(order)
             if outcome.result or self._is_closed or self._was_late:
                 break
         return outcome
 
-    def _try(self, order: Order) -> Outcome:
+    def _try(self, order: BatchOrder[Any]) -> OrderOutcome:
         with self._lock:
             if self._is_closed:
-                return Outcome(order, error="the batch was ended")
-            worker = self._worker = self._worker or _Worker(order.worker)
-        answer = worker.run(order.to_form(), self._race_timeout)
+                return OrderOutcome(order, error="the batch was ended")
+            worker = self._worker = self._worker or _Worker()
+        answer = worker.run(order, self._race_timeout)
         self._was_late = worker.was_late
         if not worker.is_alive:
             with self._lock:
                 self._worker = None
             worker.close()
-        return Outcome(order, **answer)
+        return OrderOutcome(order, **answer)
 
 
 class _Worker:
-    """A process of :mod:`stkzoo.evaluation.batch.worker`, or of another module of that kind."""
+    """A process of :mod:`stkzoo.evaluation.batch.worker`."""
 
-    def __init__(self, module: str) -> None:
+    def __init__(self) -> None:
         self.is_alive, self.was_late = True, False
         paths = [path for path in sys.path if path]
         self._process = subprocess.Popen(  # noqa: S603 - our own program
-            [sys.executable, "-m", module],
+            [sys.executable, "-m", _WORKER],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -145,17 +146,18 @@ class _Worker:
         )
         self._said = OutputTail(self._process.stderr)
 
-    def run(self, order: dict[str, Any], timeout: float) -> dict[str, Any]:
-        """One race; ``result`` or ``error``."""
-        process = self._process
+    def run(self, order: BatchOrder[Any], timeout: float) -> dict[str, str]:
+        """Runs one race; the answer has ``result`` or ``error``."""
+        kind, process = type(order), self._process
+        line = {"module": kind.__module__, "class": kind.__name__, "order": asdict(order)}
         assert process.stdin is not None  # noqa: S101 - opened as pipes
         assert process.stdout is not None  # noqa: S101 - opened as pipes
         watch = threading.Timer(timeout, process.kill)
         watch.start()
         try:
-            process.stdin.write(json.dumps(order).encode() + b"\n")
+            process.stdin.write(json.dumps(line).encode() + b"\n")
             process.stdin.flush()
-            answer: dict[str, Any] = json.loads(process.stdout.readline())
+            answer: dict[str, str] = json.loads(process.stdout.readline())
         except (OSError, ValueError):  # its output is closed, or cut off
             self.is_alive = False
             self.was_late = watch.finished.is_set()

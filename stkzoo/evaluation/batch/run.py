@@ -1,23 +1,41 @@
-"""Runs the races of a batch that have not been run yet."""
+"""Runs a batch in its folder, and resumes it.
+
+The folder has the plan and one file per race. Each file is flushed to the disk and moved into
+place in one step, so a race is stored whole or not at all, however the program ends.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
-from dataclasses import dataclass
-from typing import Any
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Generic, TypeVar
 
-from stkzoo._os import cpu_count
-from stkzoo.errors import ConfigError, check_whole
-from stkzoo.evaluation.batch.folder import BatchFolder
-from stkzoo.evaluation.batch.order import RaceOrder
+from stkzoo._os import PART_FILES, cpu_count
+from stkzoo.errors import ConfigError, StkzooError, check_whole
+from stkzoo.evaluation.batch.order import BatchOrder, load_orders, write_file
+from stkzoo.evaluation.batch.plan import PLAN_FILE, BatchPlan, read_plan
 from stkzoo.evaluation.batch.pool import run_in_parallel
 from stkzoo.race.result import RaceResult
 
-__all__ = ["RACE_TIMEOUT", "BatchProgress", "BatchRunner", "ProgressListener", "errors_in_words"]
+__all__ = [
+    "RACE_TIMEOUT",
+    "Batch",
+    "BatchError",
+    "BatchProgress",
+    "ProgressListener",
+    "RunOptions",
+    "open_batch",
+]
 
 RACE_TIMEOUT = 3600.0  # [s]
-_MAX_TOLD = 3
+_MAX_ERRORS_SHOWN = 3
+
+Plan = TypeVar("Plan", bound=BatchPlan)
+Result = TypeVar("Result")
+Summary = TypeVar("Summary")
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,10 +43,10 @@ class BatchProgress:
     """How far a batch has come.
 
     Attributes:
-        done: races that have been run.
-        total: races in all.
-        last: the race that has just been run; ``None`` at the beginning, and for one that
-            could not be run.
+        done: races that are stored.
+        total: all races.
+        last: the race that has just finished; ``None`` at the beginning, and for one that could
+            not be run.
         error: why it could not be run.
     """
 
@@ -38,70 +56,155 @@ class BatchProgress:
     error: str = ""
 
 
-ProgressListener = Callable[[BatchProgress], None]
+ProgressListener = Callable[[BatchProgress], object]
 
 
-class BatchRunner:
-    """Runs orders in parallel.
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """How a batch is run; changes nothing in its results.
 
-    Args:
-        jobs: how many races at a time; ``None`` for as many as there are processors.
+    Attributes:
+        jobs: races at a time; ``None`` for as many as there are processors.
         race_timeout: for one race [s].
-        on_race: is told of every race.
-
-    Raises:
-        ConfigError: an argument cannot be.
+        on_race: is called after every race.
     """
 
-    def __init__(
-        self,
-        jobs: int | None = None,
-        race_timeout: float = RACE_TIMEOUT,
-        on_race: ProgressListener | None = None,
-    ) -> None:
-        if jobs is not None:
-            check_whole("jobs", jobs, 1)
-        if not 0 < race_timeout < 1e9:
-            raise ConfigError(f"race_timeout is {race_timeout!r}, expected seconds above 0")
-        self._jobs = jobs or cpu_count()
-        self._race_timeout, self._on_race = race_timeout, on_race
+    jobs: int | None = None
+    race_timeout: float = RACE_TIMEOUT
+    on_race: ProgressListener | None = None
 
-    def run(
-        self, folder: BatchFolder[Any], orders: Sequence[RaceOrder]
-    ) -> tuple[dict[int, RaceResult], dict[int, str]]:
-        """Runs what is not in the folder yet, and keeps it there.
+    def __post_init__(self) -> None:
+        if self.jobs is not None:
+            check_whole("jobs", self.jobs, 1)
+        if not 0 < self.race_timeout < 1e9:
+            raise ConfigError(f"race_timeout is {self.race_timeout!r}, expected seconds above 0")
+
+
+class BatchError(StkzooError, Generic[Summary]):
+    """Some races could not be run; the others are stored.
+
+    Attributes:
+        result: the result of the others; ``None`` where one needs all races.
+    """
+
+    def __init__(self, errors: Mapping[int, str], total: int, result: Summary) -> None:
+        first = list(errors.items())[:_MAX_ERRORS_SHOWN]
+        lines = "".join(f"\nrace {number}: {error}" for number, error in first)
+        more = f"\n... and {len(errors) - len(first)} more" if len(errors) > len(first) else ""
+        super().__init__(
+            f"{len(errors)} of {total} races could not be run; the others are kept, and the same "
+            f"command tries these again:{lines}{more}"
+        )
+        self.result = result
+
+
+@dataclass(slots=True)
+class Batch(Generic[Plan]):
+    """A batch in its folder.
+
+    Attributes:
+        folder: where it is stored.
+        plan: the plan as it was started there.
+        errors: why races could not be run, by number.
+    """
+
+    folder: Path
+    plan: Plan
+    errors: dict[int, str] = field(default_factory=dict)
+
+    def run(self, orders: Sequence[BatchOrder[Result]], options: RunOptions) -> dict[int, Result]:
+        """Runs the races that are not stored yet.
 
         Returns:
-            The results of all races that have been run, and why the others could not be, by
-            number.
+            The results of all races that have been run, by number.
+
+        Raises:
+            ConfigError: a stored race is damaged, or a race cannot be stored.
         """
-        results = folder.done(orders)
+        report = options.on_race or (lambda _: None)
+        results = load_orders(orders, self.folder)
+        report(BatchProgress(len(results), len(orders)))
         left = [order for order in orders if order.number not in results]
-        errors: dict[int, str] = {}
-        self._tell(BatchProgress(len(results), len(orders)))
-        running = run_in_parallel(left, self._jobs, self._race_timeout)
-        with closing(running) as outcomes:  # which ends the races that run, also after an error
+        running = run_in_parallel(left, options.jobs or cpu_count(), options.race_timeout)
+        with closing(running) as outcomes:  # an error here ends the races that run
             for outcome in outcomes:
                 number, last = outcome.order.number, None
                 if outcome.error:
-                    errors[number] = outcome.error
+                    self.errors[number] = outcome.error
                 else:
-                    folder.add(outcome.order, outcome.result)
-                    last = results[number] = RaceResult.from_json(outcome.result)
-                self._tell(BatchProgress(len(results), len(orders), last, outcome.error))
-        return results, errors
+                    results[number] = outcome.order.store(self.folder, outcome.result)
+                    last = RaceResult.from_json(outcome.result)
+                report(BatchProgress(len(results), len(orders), last, outcome.error))
+        return results
 
-    def _tell(self, progress: BatchProgress) -> None:
-        if self._on_race is not None:
-            self._on_race(progress)
+    def write(self, name: str, text: str) -> None:
+        """Writes a text file into the folder, atomically.
+
+        Raises:
+            ConfigError: it cannot be written.
+        """
+        write_file(self.folder / name, text + "\n")
 
 
-def errors_in_words(errors: Mapping[int, str], total: int) -> str:
-    """Which races could not be run, and why."""
-    first = list(errors.items())[:_MAX_TOLD]
-    lines = "".join(f"\nrace {number}: {error}" for number, error in first)
-    more = f"\n... and {len(errors) - len(first)} more" if len(errors) > len(first) else ""
-    return (
-        f"{len(errors)} of {total} races could not be run; the others are kept, and the same "
-        f"command tries these again:{lines}{more}"
-    )
+@contextmanager
+def open_batch(plan: Plan, folder: str | os.PathLike[str]) -> Iterator[Batch[Plan]]:
+    """Starts or resumes a batch; no other program can use its folder meanwhile.
+
+    Args:
+        plan: the batch.
+        folder: its folder; it is created if needed.
+
+    Raises:
+        ConfigError: the folder cannot be used, another program runs this batch, or the folder has
+            another batch.
+    """
+    path = Path(folder)
+    with _locked(path, plan.noun):
+        for place in (path, path / "races"):
+            for part in place.glob(PART_FILES):  # left by a program that was killed while it wrote
+                part.unlink(missing_ok=True)
+        yield Batch(path, _keep_plan(plan, path))
+
+
+@contextmanager
+def _locked(folder: Path, noun: str) -> Iterator[None]:
+    try:
+        (folder / "races").mkdir(parents=True, exist_ok=True)
+        lock = (folder / "lock").open("a")
+    except OSError as error:
+        raise ConfigError(f"the {noun}'s folder {folder} cannot be used: {error}") from error
+    with lock:
+        if not _lock(lock):
+            raise ConfigError(
+                f"another program runs the {noun} in {folder}; wait until it ends, or choose "
+                "another folder"
+            )
+        yield
+
+
+def _lock(file: IO[str]) -> bool:
+    """Locks a file; the system frees it when this process ends, however it ends."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _keep_plan(plan: Plan, folder: Path) -> Plan:
+    """Writes the plan, or returns the one in the folder if it leads to the same races."""
+    file = folder / PLAN_FILE
+    if not file.exists():
+        write_file(file, plan.to_json() + "\n")
+        return plan
+    started = read_plan(type(plan), folder)
+    if differences := started.differences(plan):
+        raise ConfigError(
+            f"{folder} has another {plan.noun}: {'; '.join(differences)}. Choose another folder, "
+            f"or correct that and resume: {plan.resume_command.format(folder=folder)}"
+        )
+    return started

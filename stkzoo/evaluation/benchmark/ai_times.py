@@ -1,7 +1,8 @@
-"""How long the game's AI takes on every track: what times are compared with."""
+"""The finish times of the game's AI on every track: the unit of the benchmark's times."""
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import os
@@ -9,20 +10,33 @@ import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-from stkzoo.errors import ConfigError
-from stkzoo.evaluation.benchmark.races import direction_name
-from stkzoo.race.result import RaceResult, check_form, read_json, versions_now
+from stkzoo.errors import ConfigError, check_whole
+from stkzoo.evaluation.batch.order import RaceOrder
+from stkzoo.evaluation.batch.plan import BatchPlan, find_tracks
+from stkzoo.evaluation.batch.run import (
+    RACE_TIMEOUT,
+    BatchError,
+    ProgressListener,
+    RunOptions,
+    open_batch,
+)
+from stkzoo.evaluation.benchmark.races import FRONT, direction_name, race_seed
+from stkzoo.race.result import RaceResult, check_schema, read_json, versions_now
+from stkzoo.race.settings import RaceSettings
 
-__all__ = ["SCHEMA_VERSION", "AiTime", "AiTimes", "load_ai_times"]
+__all__ = ["AI_TIMES_FILE", "AiTime", "AiTimes", "load_ai_times", "measure_ai_times"]
 
 #: Of the JSON form (``docs/schemas/ai-times.schema.json``).
-SCHEMA_VERSION = 1
-_TYPE = "ai-times"
-_FILE = Path(__file__).parent / "ai_times.json"
+_TYPE, _SCHEMA_VERSION = "ai-times", 1
+AI_TIMES_FILE = "ai_times.json"
+_SHIPPED_FILE = Path(__file__).parent / AI_TIMES_FILE
+_KARTS = 5
+_DIFFICULTIES = (3, 2, 1, 0)
+_MAX_SEEDS = 1000
 
-Key = tuple[str, bool, int]
+RaceKey = tuple[str, bool, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,9 +44,9 @@ class AiTime:
     """The AI's finish times on one track, in one direction, at one difficulty.
 
     Attributes:
-        median: of all karts, those that did not finish being the slowest [s].
+        median: of all karts; a kart that did not finish counts as slowest [s].
         best: the shortest [s].
-        worst: the longest of those that finished [s].
+        worst: the longest of a kart that finished [s].
         karts: how many karts drove.
         finished: how many of them finished.
     """
@@ -64,11 +78,11 @@ class AiTimes:
     """The AI's times.
 
     Attributes:
-        by_race: by track, reversed and difficulty.
+        by_race: by track, ``reverse`` and difficulty.
         versions: of the software that measured them.
     """
 
-    by_race: Mapping[Key, AiTime]
+    by_race: Mapping[RaceKey, AiTime]
     versions: Mapping[str, str]
 
     def of(self, track: str, reverse: bool, difficulty: int) -> AiTime:
@@ -83,13 +97,13 @@ class AiTimes:
             raise ConfigError(
                 f"the game's AI has no time on {track} ({direction_name(reverse)}) at difficulty "
                 f"{difficulty}; measure it: stkzoo benchmark --baseline --split {track} --output "
-                "ai-times, and give --ai-times ai-times/ai_times.json"
+                "ai-times, then pass --ai-times ai-times/ai_times.json"
             ) from None
 
     @classmethod
     def from_races(cls, results: Iterable[RaceResult]) -> AiTimes:
-        """The times in races of which all drivers were the AI."""
-        times: dict[Key, list[float | None]] = {}
+        """The times in races in which the AI drove all karts."""
+        times: dict[RaceKey, list[float | None]] = {}
         for result in results:
             of_race = times.setdefault((result.track, result.reverse, result.difficulty), [])
             of_race.extend(row.finish_time for row in result.agents)
@@ -97,7 +111,7 @@ class AiTimes:
         return cls({key: time for key, time in found.items() if time is not None}, versions_now())
 
     def to_json(self) -> str:
-        """The times as JSON, one line a time."""
+        """The times as JSON, one per line."""
         lines = [
             json.dumps(
                 {
@@ -109,29 +123,29 @@ class AiTimes:
             )
             for (track, reverse, difficulty), time in self.by_race.items()
         ]
-        head = {"type": _TYPE, "schema_version": SCHEMA_VERSION, "versions": dict(self.versions)}
+        head = {"type": _TYPE, "schema_version": _SCHEMA_VERSION, "versions": dict(self.versions)}
         rows = ",\n    ".join(lines)
         return json.dumps(head, indent=2)[:-2] + f',\n  "times": [\n    {rows}\n  ]\n}}'
 
     @classmethod
     def from_json(cls, text: str) -> AiTimes:
-        """Reads what :meth:`to_json` wrote.
+        """Reads the output of :meth:`to_json`.
 
         Raises:
-            ConfigError: it is something else, or of another version.
+            ConfigError: the text is something else, or has another version.
         """
         try:
             form = read_json(text)
-            check_form(form, _TYPE, SCHEMA_VERSION)
+            check_schema(form, _TYPE, _SCHEMA_VERSION)
             return cls(dict(map(_entry, form["times"])), form["versions"])
         except (KeyError, TypeError, json.JSONDecodeError) as error:
             raise ConfigError(
                 f"the text has no times of the game's AI ({type(error).__name__}: {error}); "
-                "expected what `stkzoo benchmark --baseline` wrote"
+                "expected the output of `stkzoo benchmark --baseline`"
             ) from error
 
 
-def _entry(form: dict[str, Any]) -> tuple[Key, AiTime]:
+def _entry(form: dict[str, Any]) -> tuple[RaceKey, AiTime]:
     key = form.pop("track"), form.pop("direction") == direction_name(True), form.pop("difficulty")
     return key, AiTime(**form)
 
@@ -144,11 +158,85 @@ def load_ai_times(path: str | os.PathLike[str] | None = None) -> AiTimes:
             with stkzoo.
 
     Raises:
-        ConfigError: it cannot be read.
+        ConfigError: the file cannot be read.
     """
-    file = _FILE if path is None else Path(path)
+    file = _SHIPPED_FILE if path is None else Path(path)
     try:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"the AI's times {file} cannot be read: {error}") from error
     return AiTimes.from_json(text)
+
+
+@dataclass(frozen=True, slots=True)
+class _BaselinePlan(BatchPlan):
+    kind: ClassVar[str] = "ai-times-plan"
+    noun: ClassVar[str] = "measurement"
+    resume_command: ClassVar[str] = "stkzoo benchmark --baseline --output {folder}"
+
+    tracks: tuple[str, ...]
+    seeds: int
+    difficulties: tuple[int, ...]
+    versions: Mapping[str, str]
+
+    def check(self) -> None:
+        check_whole("seeds", self.seeds, 1, _MAX_SEEDS)
+        for difficulty in self.difficulties:
+            check_whole("difficulty", difficulty, 0, 3)
+
+    def orders(self) -> list[RaceOrder]:
+        kinds = itertools.product(self.difficulties, self.tracks, (False, True), range(self.seeds))
+        return [
+            RaceOrder(
+                number,
+                ("ai",) * _KARTS,
+                RaceSettings(
+                    track=track,
+                    reverse=reverse,
+                    difficulty=difficulty,
+                    seed=race_seed(track, reverse, "A" * _KARTS, FRONT, index),
+                    max_paths=1,  # the AI reads no observation
+                ),
+            )
+            for number, (difficulty, track, reverse, index) in enumerate(kinds)
+        ]
+
+
+def measure_ai_times(
+    output: str | os.PathLike[str],
+    *,
+    tracks: str | Sequence[str] = "all",
+    seeds: int = 5,
+    difficulties: Sequence[int] = _DIFFICULTIES,
+    jobs: int | None = None,
+    race_timeout: float = RACE_TIMEOUT,
+    on_race: ProgressListener | None = None,
+) -> AiTimes:
+    """Races the game's AI against itself in both directions, or resumes that.
+
+    Args:
+        output: a folder of its own, for every race and finally ``ai_times.json``.
+        tracks: names, or ``"train"``, ``"test"`` or ``"all"``.
+        seeds: races of five karts per time.
+        difficulties: levels of the AI.
+        jobs: see :class:`~stkzoo.evaluation.RunOptions`.
+        race_timeout: likewise.
+        on_race: likewise.
+
+    Raises:
+        ConfigError: an argument is invalid, or ``output`` has something else.
+        AssetError: the game's data is missing.
+        BatchError: some races could not be run.
+    """
+    options = RunOptions(jobs, race_timeout, on_race)
+    found = find_tracks(tracks, RaceSettings())
+    plan = _BaselinePlan(found, seeds, tuple(difficulties), versions_now())
+    plan.check()
+    with open_batch(plan, output) as batch:
+        orders = batch.plan.orders()
+        results = batch.run(orders, options)
+        if batch.errors:
+            raise BatchError(batch.errors, len(orders), None)
+        times = AiTimes.from_races(results[number] for number in sorted(results))
+        batch.write(AI_TIMES_FILE, times.to_json())
+    return times

@@ -7,21 +7,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.benchmark.outcome import RaceOutcome
-from stkzoo.evaluation.benchmark.result import FIGURES, BenchmarkResult, groups_of
+from stkzoo.evaluation.benchmark.result import FIGURES, BenchmarkResult, RaceOutcome, groups_of
 from stkzoo.evaluation.statistics import CONFIDENCE, Estimate, estimate_mean
 
-__all__ = ["Comparison", "Difference", "compare"]
+__all__ = ["Comparison", "GroupDifference", "compare"]
 
 Pair = tuple[RaceOutcome, RaceOutcome]
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
-    """By how much two agents differ in some races.
+class GroupDifference:
+    """The difference between two agents in a group of races.
 
     Attributes:
-        by: what the races have in common, as in :class:`~stkzoo.evaluation.benchmark.Group`.
+        by: what the races have in common, as in :class:`~stkzoo.evaluation.RaceGroup`.
         name: which of these.
         races: how many.
         figures: the first agent's figure minus the second's, by name; ``None`` for a figure
@@ -36,19 +35,19 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """By how much two agents differ.
+    """The differences between two agents.
 
     Attributes:
-        first: what the first is called.
-        second: what the second is called.
+        first: the first agent's name.
+        second: the second's.
         differences: over all races and over parts of them.
     """
 
     first: str
     second: str
-    differences: tuple[Difference, ...]
+    differences: tuple[GroupDifference, ...]
 
-    def difference(self, by: str = "all", name: str = "") -> Difference:
+    def difference(self, by: str = "all", name: str = "") -> GroupDifference:
         """The differences in some races.
 
         Raises:
@@ -71,10 +70,10 @@ class Comparison:
 
 
 def compare(first: BenchmarkResult, second: BenchmarkResult) -> Comparison:
-    """By how much two agents differ in the races that both have driven.
+    """The differences between two agents in the races that both have driven.
 
-    A race of one agent is compared with the other's of the same track, direction, form, end
-    of the grid and seed. So what the conditions of a race do to both falls out.
+    Each race is compared with the other agent's race of the same track, direction, form, end of
+    the grid and seed, so the conditions of a race cancel out.
 
     Raises:
         ConfigError: they raced under different conditions, or have no race in common.
@@ -96,7 +95,7 @@ def compare(first: BenchmarkResult, second: BenchmarkResult) -> Comparison:
         first.label,
         second.label,
         tuple(
-            Difference(
+            GroupDifference(
                 by,
                 name,
                 len(members),

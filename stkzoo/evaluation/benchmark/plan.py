@@ -1,67 +1,70 @@
-"""What a benchmark is to be, checked before the first race."""
+"""The plan of a benchmark, checked before the first race."""
 
 from __future__ import annotations
 
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 from stkzoo.errors import ConfigError, check_whole
-from stkzoo.evaluation.batch import BatchKind, Entrant, RaceOrder, find_entrants
-from stkzoo.evaluation.batch.plans import (
+from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
+from stkzoo.evaluation.batch.order import RaceOrder
+from stkzoo.evaluation.batch.plan import (
+    BatchPlan,
+    check_directions,
+    choose_settings,
+    describe_differences,
     find_tracks,
-    read_form,
-    settings_of,
-    what_changed,
-    write_form,
 )
 from stkzoo.evaluation.benchmark.ai_times import load_ai_times
 from stkzoo.evaluation.benchmark.races import (
     DECIDED,
     FORMS,
+    BenchmarkForm,
     BenchmarkRace,
-    RaceForm,
     direction_name,
     make_races,
 )
 from stkzoo.race.result import versions_now
 from stkzoo.race.settings import RaceSettings
 
-__all__ = ["BENCHMARK", "BenchmarkPlan", "plan_benchmark"]
+__all__ = ["BenchmarkPlan", "plan_benchmark"]
 
-#: Of the JSON form; grows when a plan would lead to other races.
-_VERSION = 1
-_KIND = "benchmark-plan"
-#: A kart is not waited for after so many times the AI's median time.
+#: A race ends after this multiple of the AI's median time.
 _LIMIT = 3.0
 _MAX_SEEDS = 10_000
 _STEP, _COUNTDOWN = 0.1, 20  # [s], and steps before the race's clock runs
 
 
 @dataclass(frozen=True, slots=True)
-class BenchmarkPlan:
+class BenchmarkPlan(BatchPlan):
     """A whole benchmark, from which its races follow.
 
     Attributes:
-        agent: who is measured.
-        split: the tracks as they were asked for.
+        agent: the agent to measure.
+        split: the tracks as the user named them.
         tracks: the tracks.
         directions: ``False`` is forward, ``True`` is reversed.
-        forms: who drives.
-        seeds: how many races of each kind.
-        limit: after this multiple of the AI's median time a race is over.
+        forms: names of :class:`~stkzoo.evaluation.BenchmarkForm`.
+        seeds: races of each kind.
+        limit: the multiple of the AI's median time after which a race ends.
         ai_times: that time [s], by track and ``"forward"`` or ``"reversed"``.
         settings: of every race.
         versions: of the software.
     """
 
+    kind: ClassVar[str] = "benchmark-plan"
+    noun: ClassVar[str] = "benchmark"
+    resume_command: ClassVar[str] = "stkzoo benchmark AGENT --output {folder}"
+    decided: ClassVar[tuple[str, ...]] = DECIDED
+
     agent: Entrant
     split: str
     tracks: tuple[str, ...]
     directions: tuple[bool, ...]
-    forms: tuple[RaceForm, ...]
+    forms: tuple[str, ...]
     seeds: int
     limit: float
     ai_times: Mapping[str, Mapping[str, float]]
@@ -70,14 +73,17 @@ class BenchmarkPlan:
 
     def races(self) -> tuple[BenchmarkRace, ...]:
         """All races."""
-        return make_races(self.tracks, self.directions, self.forms, self.seeds)
+        return make_races(self.tracks, self.directions, self._forms(), self.seeds)
+
+    def _forms(self) -> tuple[BenchmarkForm, ...]:
+        return tuple(map(BenchmarkForm.of, self.forms))
 
     def ai_time(self, track: str, reverse: bool) -> float:
         """The AI's median time there [s]."""
         return self.ai_times[track][direction_name(reverse)]
 
     def orders(self) -> list[RaceOrder]:
-        """All races, as they are to be run."""
+        """All races, ready to run."""
         return [self._order(race) for race in self.races()]
 
     def _order(self, race: BenchmarkRace) -> RaceOrder:
@@ -97,91 +103,39 @@ class BenchmarkPlan:
             places,
         )
 
-    def to_json(self) -> str:
-        """The plan as JSON."""
-        return write_form(_KIND, _VERSION, self.to_form())
+    def check(self) -> None:
+        """Checks the number of seeds and the forms."""
+        check_whole("seeds", self.seeds, 1, _MAX_SEEDS)
+        self._forms()
 
-    def to_form(self) -> dict[str, Any]:
-        """The plan as what JSON can hold."""
-        return {**asdict(self), "forms": [form.name for form in self.forms]}
+    def _entrants(self) -> tuple[Entrant, ...]:
+        return (self.agent,)
 
-    @classmethod
-    def from_json(cls, text: str) -> BenchmarkPlan:
-        """Reads what :meth:`to_json` wrote.
-
-        Raises:
-            ConfigError: it is something else, or of another version.
-        """
-        return cls.from_form(read_form(text, _KIND, _VERSION))
-
-    @classmethod
-    def from_form(cls, form: Mapping[str, Any]) -> BenchmarkPlan:
-        """Reads what :meth:`to_form` gave.
-
-        Raises:
-            ConfigError: it is something else.
-        """
-        try:
-            check_whole("seeds", form["seeds"], 1, _MAX_SEEDS)
-            return cls(
-                **{
-                    **form,
-                    "agent": Entrant(**form["agent"]),
-                    "tracks": tuple(form["tracks"]),
-                    "directions": tuple(form["directions"]),
-                    "forms": tuple(map(RaceForm.of, form["forms"])),
-                    "settings": RaceSettings(**form["settings"]),
-                }
-            )
-        except (KeyError, TypeError, AttributeError) as error:
-            raise ConfigError(
-                f"the plan of the benchmark cannot be read ({type(error).__name__}: {error})"
-            ) from error
-
-    def differences(self, other: BenchmarkPlan) -> list[str]:
-        """What another plan has otherwise, in words."""
-        return what_changed(_flat(self), _flat(other), [(self.agent, other.agent)])
+    def _comparable(self) -> dict[str, Any]:
+        form = BatchPlan._comparable(self)  # super() fails in slotted dataclasses
+        del form["split"], form["ai_times"]
+        directions = [direction_name(reverse) for reverse in self.directions]
+        return form | self._conditions() | {"agent": self.agent.text, "directions": directions}
 
     def differing_conditions(self, other: BenchmarkPlan) -> list[str]:
-        """What keeps the results of two agents from being compared, in words."""
-        mine, theirs = _conditions(self), _conditions(other)
-        shared = {"engine", "difficulty", "limit", *(set(mine) & set(theirs))}
-        return what_changed(
-            {name: mine.get(name) for name in shared},
-            {name: theirs.get(name) for name in shared},
-            (),
+        """The conditions that make two agents' results incomparable, as sentences."""
+        mine, theirs = self._conditions(), other._conditions()
+        shared = set(mine) & set(theirs)
+        return describe_differences(
+            {name: mine[name] for name in shared}, {name: theirs[name] for name in shared}
         )
 
-
-BENCHMARK = BatchKind(
-    "benchmark", BenchmarkPlan.from_json, "stkzoo benchmark AGENT --output {folder}"
-)
-
-
-def _flat(plan: BenchmarkPlan) -> dict[str, Any]:
-    settings = {k: v for k, v in asdict(plan.settings).items() if k not in DECIDED}
-    return settings | {
-        **_conditions(plan),
-        "agent": plan.agent.text,
-        "tracks": list(plan.tracks),
-        "directions": [direction_name(reverse) for reverse in plan.directions],
-        "forms": [form.name for form in plan.forms],
-        "seeds": plan.seeds,
-        "stkzoo": plan.versions.get("stkzoo"),
-    }
-
-
-def _conditions(plan: BenchmarkPlan) -> dict[str, Any]:
-    times = {
-        f"the AI's time on {track} ({direction})": time
-        for track, of_track in plan.ai_times.items()
-        for direction, time in of_track.items()
-    }
-    return times | {
-        "engine": plan.versions.get("pystk2"),
-        "difficulty": plan.settings.difficulty,
-        "limit": plan.limit,
-    }
+    def _conditions(self) -> dict[str, Any]:
+        times = {
+            f"the AI's time on {track} ({direction})": time
+            for track, of_track in self.ai_times.items()
+            for direction, time in of_track.items()
+        }
+        return times | {
+            "engine": self.versions.get("pystk2"),
+            "difficulty": self.settings.difficulty,
+            "limit": self.limit,
+        }
 
 
 def plan_benchmark(
@@ -199,25 +153,25 @@ def plan_benchmark(
     """Plans a benchmark.
 
     Args:
-        agent: who is measured: a driver's name, a path of a folder or zip, a module, with
-            ``@:Name`` behind it to call it something else.
+        agent: the agent to measure: a driver's name, a path of a folder or zip, or a module; append
+            ``@:Name`` to rename it.
         split: ``"test"``, ``"train"``, ``"all"``, or names of tracks.
         difficulty: level of the game's AI, 0 to 3.
-        forms: who drives: ``"PAAAA"`` is the agent and four of the AI.
-        seeds: how many races of each kind: form, end of the grid, track and direction.
+        forms: race forms: ``"PAAAA"`` is one kart of the agent and four of the AI.
+        seeds: races of each kind: form, end of the grid, track and direction.
         reverse: the directions: ``False`` is forward, ``True`` is reversed.
         ai_times: a file with the AI's times; by default those that come with stkzoo.
-        settings: of every race; what :data:`~stkzoo.evaluation.benchmark.races.DECIDED` names in it
-            does not count.
-        changes: fields of :class:`~stkzoo.race.RaceSettings` that are other than in
+        settings: of every race; the benchmark sets the fields in
+            :data:`~stkzoo.evaluation.benchmark.races.DECIDED` itself.
+        changes: fields of :class:`~stkzoo.race.RaceSettings` that replace those of
             ``settings``.
 
     Raises:
-        ConfigError: an argument cannot be, or there is no such agent or track.
+        ConfigError: an argument is invalid, or there is no such agent or track.
         AssetError: the game's data is missing.
     """
     chosen = replace(
-        settings_of(settings, changes, DECIDED),
+        choose_settings(settings, changes, DECIDED),
         track=None,
         laps=1,
         difficulty=difficulty,
@@ -226,16 +180,20 @@ def plan_benchmark(
         karts_finished=None,
     )
     check_whole("seeds", seeds, 1, _MAX_SEEDS)
-    tracks = find_tracks(split, chosen)
-    directions, found = _directions(reverse), _forms(forms)
-    (entrant,) = find_entrants([agent], chosen)
+    tracks, directions = find_tracks(split, chosen), check_directions(reverse)
+    names = (forms,) if isinstance(forms, str) else tuple(forms)
+    if not names or len(set(names)) < len(names):
+        raise ConfigError(
+            f"forms is {names}, expected different race forms, such as {', '.join(FORMS)}"
+        )
     times = load_ai_times(ai_times)
-    return BenchmarkPlan(
+    (entrant,) = find_entrants([agent], chosen)
+    plan = BenchmarkPlan(
         agent=entrant,
         split=split if isinstance(split, str) else " ".join(split),
         tracks=tracks,
         directions=directions,
-        forms=found,
+        forms=names,
         seeds=seeds,
         limit=_LIMIT,
         ai_times={
@@ -247,21 +205,5 @@ def plan_benchmark(
         settings=chosen,
         versions=versions_now(),
     )
-
-
-def _directions(reverse: Sequence[bool]) -> tuple[bool, ...]:
-    found = tuple(reverse) if isinstance(reverse, Sequence) else (reverse,)
-    if not found or len(set(found)) < len(found) or not set(found) <= {False, True}:
-        raise ConfigError(
-            f"reverse is {reverse!r}, expected (False, True) or one of both: False is forward"
-        )
-    return tuple(map(bool, found))
-
-
-def _forms(forms: Sequence[str]) -> tuple[RaceForm, ...]:
-    names = [forms] if isinstance(forms, str) else list(forms)
-    if not names or len(set(names)) < len(names):
-        raise ConfigError(
-            f"forms is {names}, expected different race forms, such as {', '.join(FORMS)}"
-        )
-    return tuple(map(RaceForm.of, names))
+    plan.check()
+    return plan

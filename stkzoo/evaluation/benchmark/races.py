@@ -1,4 +1,4 @@
-"""The races of the benchmark: who drives where, from which place, with which seed."""
+"""The races of the benchmark: drivers, track, start positions and seed."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from stkzoo.errors import ConfigError
 __all__ = [
     "DECIDED",
     "FORMS",
+    "BenchmarkForm",
     "BenchmarkRace",
-    "RaceForm",
     "direction_name",
     "make_races",
     "race_seed",
@@ -36,8 +36,8 @@ FRONT, BACK = "front", "back"
 
 
 @dataclass(frozen=True, slots=True)
-class RaceForm:
-    """How many karts are the agent's, and how many are the game's AI's.
+class BenchmarkForm:
+    """How many karts the agent and the game's AI drive in a race.
 
     Attributes:
         name: ``"PPAAA"`` is two karts of the agent and three of the AI.
@@ -50,11 +50,11 @@ class RaceForm:
     rivals: int
 
     @classmethod
-    def of(cls, name: str) -> RaceForm:
-        """The form that a name means.
+    def of(cls, name: str) -> BenchmarkForm:
+        """The form with a name.
 
         Raises:
-            ConfigError: it is not one or more P and then any number of A.
+            ConfigError: the name is not one or more P followed by any number of A.
         """
         found = _FORM.fullmatch(name) if isinstance(name, str) else None
         if found is None or len(name) > _MAX_KARTS:
@@ -66,7 +66,7 @@ class RaceForm:
 
     @property
     def ends(self) -> tuple[str, ...]:
-        """The ends of the grid from which the agent starts; one if it drives alone."""
+        """The ends of the grid from which the agent starts; one without rivals."""
         return (FRONT, BACK) if self.rivals else (FRONT,)
 
     @property
@@ -87,32 +87,32 @@ class BenchmarkRace:
     Attributes:
         number: counts the races, from 0.
         track: the track's name.
-        reverse: driven the other way round.
-        form: who drives.
+        reverse: driven in reverse direction.
+        form: how many karts the agent and the AI drive.
         end: the end of the grid from which the agent starts: ``"front"`` or ``"back"``.
-        index: counts the races that are alike but for their seeds, from 0.
+        index: counts the races that differ only in their seeds, from 0.
     """
 
     number: int
     track: str
     reverse: bool
-    form: RaceForm
+    form: BenchmarkForm
     end: str
     index: int
 
     @property
     def kind(self) -> tuple[str, bool, str, str]:
-        """What it has in common with those that are alike but for their seeds."""
+        """What the races have in common that differ only in their seeds."""
         return self.track, self.reverse, self.form.name, self.end
 
     @property
     def seed(self) -> int:
-        """Decides what the race leaves to chance; the same for every agent."""
+        """The seed of all random choices in the race; the same for every agent."""
         return race_seed(*self.kind, self.index)
 
 
 def race_seed(track: str, reverse: bool, form: str, end: str, index: int) -> int:
-    """The seed of a race: a digest of what the race is, and of nothing else."""
+    """The seed of a race: a digest of its description, independent of the agent."""
     text = "/".join((track, direction_name(reverse), form, end, str(index)))
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=_SEED_BYTES).digest(), "big")
 
@@ -123,15 +123,15 @@ def direction_name(reverse: bool) -> str:
 
 
 def make_races(
-    tracks: Sequence[str], directions: Sequence[bool], forms: Sequence[RaceForm], seeds: int
+    tracks: Sequence[str], directions: Sequence[bool], forms: Sequence[BenchmarkForm], seeds: int
 ) -> tuple[BenchmarkRace, ...]:
-    """All races; those with the first seed come first, so that a part of them is balanced.
+    """All races, ordered by seed first, so that an interrupted benchmark is balanced.
 
     Args:
         tracks: the tracks.
         directions: ``False`` is forward, ``True`` is reversed.
-        forms: who drives.
-        seeds: how many races of each kind.
+        forms: karts of the agent and the AI.
+        seeds: races of each kind.
     """
     kinds = [
         (track, reverse, form, end)

@@ -1,4 +1,4 @@
-"""What a benchmark came to."""
+"""The result of a benchmark: every race's outcome, and figures over groups of races."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from functools import cached_property
 from typing import Any
 
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.benchmark.outcome import RaceOutcome
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan
 from stkzoo.evaluation.benchmark.races import BenchmarkRace, direction_name
 from stkzoo.evaluation.statistics import CONFIDENCE, Estimate, estimate_mean
-from stkzoo.race.result import RaceResult, check_form, read_json
+from stkzoo.race.result import AgentResult, RaceResult, check_schema, read_json
 
 __all__ = [
     "FIGURES",
     "SCHEMA_VERSION",
     "BenchmarkResult",
     "FigureKind",
-    "Group",
+    "KartOutcome",
+    "RaceGroup",
+    "RaceOutcome",
     "benchmark_result",
     "groups_of",
 ]
@@ -31,12 +32,127 @@ _TYPE = "benchmark-result"
 
 
 @dataclass(frozen=True, slots=True)
+class KartOutcome:
+    """The outcome of one kart of the agent.
+
+    Attributes:
+        time: its finish time [s]; ``None`` if it did not finish.
+        rank: its rank; karts of the agent that did not finish have the last ranks.
+        rescues: how often it was put back on the road; ``None`` if not counted.
+        errors: how often the agent failed.
+    """
+
+    time: float | None
+    rank: int
+    rescues: int | None
+    errors: int
+
+
+@dataclass(frozen=True, slots=True)
+class RaceOutcome:
+    """The outcome of one race for the agent.
+
+    Attributes:
+        race: the race.
+        status: why it ended.
+        ai_time: the AI's median time there [s].
+        limit: the multiple of it after which the race ended.
+        karts: the agent's, in the order of the grid.
+    """
+
+    race: BenchmarkRace
+    status: str
+    ai_time: float
+    limit: float
+    karts: tuple[KartOutcome, ...]
+
+    @classmethod
+    def of(
+        cls, race: BenchmarkRace, result: RaceResult, ai_time: float, limit: float
+    ) -> RaceOutcome:
+        """The agent's part of a race's result."""
+        places = race.form.places(race.end)
+        own = [row for row in result.agents if row.start_position - 1 in places]
+        lost = [row.agent for row in own if row.finish_time is None]
+        last = dict(zip(reversed(lost), range(len(result.agents), 0, -1), strict=False))
+        own.sort(key=lambda row: row.start_position)
+        karts = tuple(_kart(row, last.get(row.agent, row.rank)) for row in own)
+        return cls(race, result.status, ai_time, limit, karts)
+
+    @property
+    def time_ratio(self) -> float:
+        """The karts' mean finish time as a multiple of the AI's; at most ``limit``.
+
+        A kart that did not finish counts with the limit.
+        """
+        return _mean([self._ratio(kart) for kart in self.karts])
+
+    @property
+    def is_won(self) -> float | None:
+        """1 if a kart of the agent won, else 0; ``None`` without rivals."""
+        if not self.race.form.rivals:
+            return None
+        return float(any(kart.rank == 1 and kart.time is not None for kart in self.karts))
+
+    @property
+    def rank(self) -> float | None:
+        """The karts' mean rank; ``None`` without rivals."""
+        return _mean([kart.rank for kart in self.karts]) if self.race.form.rivals else None
+
+    @property
+    def unfinished(self) -> float:
+        """The share of karts that did not finish."""
+        return _mean([kart.time is None for kart in self.karts])
+
+    @property
+    def rescues(self) -> float | None:
+        """How often each kart was put back on the road; ``None`` if not counted."""
+        counts = [kart.rescues for kart in self.karts if kart.rescues is not None]
+        return _mean(counts) if len(counts) == len(self.karts) else None
+
+    def _ratio(self, kart: KartOutcome) -> float:
+        return self.limit if kart.time is None else min(kart.time / self.ai_time, self.limit)
+
+    def to_form(self) -> dict[str, Any]:
+        """The outcome as JSON values; the rest follows from the plan."""
+        return {
+            "number": self.race.number,
+            "track": self.race.track,
+            "reverse": self.race.reverse,
+            "form": self.race.form.name,
+            "end": self.race.end,
+            "index": self.race.index,
+            "seed": self.race.seed,
+            "status": self.status,
+            "time_ratio": round(self.time_ratio, 5),
+            "karts": [asdict(kart) for kart in self.karts],
+        }
+
+    @classmethod
+    def from_form(
+        cls, form: Mapping[str, Any], race: BenchmarkRace, ai_time: float, limit: float
+    ) -> RaceOutcome:
+        """Reads the output of :meth:`to_form`."""
+        karts = tuple(KartOutcome(**kart) for kart in form["karts"])
+        return cls(race, form["status"], ai_time, limit, karts)
+
+
+def _kart(row: AgentResult, rank: int) -> KartOutcome:
+    time = None if row.finish_time is None else round(row.finish_time, 4)
+    return KartOutcome(time, rank, row.rescues, row.num_errors)
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values)
+
+
+@dataclass(frozen=True, slots=True)
 class FigureKind:
     """A kind of figure.
 
     Attributes:
-        name: what it is called.
-        of: its value in one race; ``None`` where it has none.
+        name: its name.
+        of: its value in one race; ``None`` where undefined.
         bounds: the least and greatest possible value, for shares and counts.
     """
 
@@ -55,15 +171,15 @@ FIGURES = (
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
-    """Some of the races, and what they came to.
+class RaceGroup:
+    """A group of races and its figures.
 
     Attributes:
         by: what they have in common: ``"all"``, ``"form"``, ``"direction"``, ``"end"``,
             ``"track"`` or ``"track and direction"``.
         name: which of these; empty for all.
         races: how many.
-        chance: the share of them that the agent would win if all were equally good; ``None``
+        chance: the share that the agent would win if all drivers were equally good; ``None``
             without rivals.
         figures: by name of :data:`FIGURES`; ``None`` for a figure that no race has.
     """
@@ -77,10 +193,10 @@ class Group:
 
 @dataclass(frozen=True)
 class BenchmarkResult:
-    """What a benchmark came to.
+    """The result of a benchmark.
 
     Attributes:
-        plan: what it was to be.
+        plan: the benchmark.
         outcomes: the races that have been run.
     """
 
@@ -89,7 +205,7 @@ class BenchmarkResult:
 
     @property
     def label(self) -> str:
-        """What the agent is called."""
+        """The agent's name."""
         return self.plan.agent.label
 
     @property
@@ -103,14 +219,14 @@ class BenchmarkResult:
         return sum(kart.errors for outcome in self.outcomes for kart in outcome.karts)
 
     @cached_property
-    def groups(self) -> tuple[Group, ...]:
+    def groups(self) -> tuple[RaceGroup, ...]:
         """The figures, over all races and over parts of them."""
         return tuple(
-            Group(by, name, len(members), _chance(members), _figures(members))
+            RaceGroup(by, name, len(members), _chance(members), _figures(members))
             for (by, name), members in groups_of(self.outcomes).items()
         )
 
-    def group(self, by: str = "all", name: str = "") -> Group:
+    def group(self, by: str = "all", name: str = "") -> RaceGroup:
         """The figures of some races.
 
         Raises:
@@ -138,14 +254,14 @@ class BenchmarkResult:
 
     @classmethod
     def from_json(cls, text: str) -> BenchmarkResult:
-        """Reads what :meth:`to_json` wrote.
+        """Reads the output of :meth:`to_json`.
 
         Raises:
-            ConfigError: it is something else, or of another version.
+            ConfigError: the text is something else, or has another version.
         """
         try:
             form = read_json(text)
-            check_form(form, _TYPE, SCHEMA_VERSION)
+            check_schema(form, _TYPE, SCHEMA_VERSION)
             plan = BenchmarkPlan.from_form(form["plan"])
             races = {race.number: race for race in plan.races()}
             outcomes = [_outcome(entry, races[entry["number"]], plan) for entry in form["races"]]
@@ -158,7 +274,7 @@ class BenchmarkResult:
 
 
 def benchmark_result(plan: BenchmarkPlan, results: Mapping[int, RaceResult]) -> BenchmarkResult:
-    """Sums up the races that have been run.
+    """Summarizes the races that have been run.
 
     Args:
         plan: the benchmark.
@@ -179,7 +295,7 @@ def benchmark_result(plan: BenchmarkPlan, results: Mapping[int, RaceResult]) -> 
 def groups_of(
     outcomes: Sequence[RaceOutcome],
 ) -> dict[tuple[str, str], list[RaceOutcome]]:
-    """The races by what they have in common, in the order in which they are shown."""
+    """The races by what they have in common, in display order."""
     found: dict[tuple[str, str], list[RaceOutcome]] = {}
     for by, name_of in _GROUPINGS.items():
         for outcome in outcomes:

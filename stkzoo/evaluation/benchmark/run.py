@@ -1,134 +1,85 @@
-"""Runs a benchmark, or goes on with one."""
+"""Runs a benchmark, or resumes one."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from stkzoo.errors import ConfigError, StkzooError
-from stkzoo.evaluation.batch import (
+from stkzoo.errors import ConfigError
+from stkzoo.evaluation.batch.order import load_orders
+from stkzoo.evaluation.batch.plan import PLAN_FILE, read_plan
+from stkzoo.evaluation.batch.run import (
     RACE_TIMEOUT,
-    BatchFolder,
-    BatchRunner,
+    BatchError,
     ProgressListener,
-    errors_in_words,
-    read_races,
-    write_whole,
+    RunOptions,
+    open_batch,
 )
-from stkzoo.evaluation.benchmark.plan import BENCHMARK, BenchmarkPlan, plan_benchmark
+from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, plan_benchmark
 from stkzoo.evaluation.benchmark.plot import plot_benchmark
-from stkzoo.evaluation.benchmark.races import FORMS
 from stkzoo.evaluation.benchmark.result import BenchmarkResult, benchmark_result
 from stkzoo.evaluation.plotting import require_matplotlib
 
-__all__ = ["BenchmarkError", "load_benchmark", "run_benchmark", "run_plan"]
+__all__ = ["load_benchmark", "run_benchmark", "run_benchmark_plan"]
 
-_RESULT, _PLOT, _PLAN = "result.json", "benchmark.png", "plan.json"
-
-
-class BenchmarkError(StkzooError):
-    """Some races could not be run; the others have been, and are kept.
-
-    Attributes:
-        result: what the others came to.
-    """
-
-    def __init__(self, message: str, result: BenchmarkResult) -> None:
-        super().__init__(message)
-        self.result = result
+_RESULT, _PLOT = "result.json", "benchmark.png"
 
 
 def run_benchmark(
     agent: str,
     *,
     output: str | os.PathLike[str],
-    split: str | Sequence[str] = "test",
-    difficulty: int = 3,
-    forms: Sequence[str] = FORMS,
-    seeds: int = 5,
-    reverse: Sequence[bool] = (False, True),
-    ai_times: str | os.PathLike[str] | None = None,
     jobs: int | None = None,
     plot: bool = True,
     race_timeout: float = RACE_TIMEOUT,
     on_race: ProgressListener | None = None,
-    **settings: Any,
+    **plan: Any,
 ) -> BenchmarkResult:
-    """Measures an agent, or goes on with that if it has been begun in ``output``.
+    """Measures an agent, or resumes that if it was started in ``output``.
 
     Args:
-        agent: see :func:`~stkzoo.evaluation.benchmark.plan_benchmark`, as for ``split``,
-            ``difficulty``, ``forms``, ``seeds``, ``reverse``, ``ai_times`` and ``settings``.
-        output: a folder of its own: every race's result as soon as it is over, and in the
-            end ``result.json`` and ``benchmark.png``.
-        split: the tracks.
-        difficulty: level of the game's AI.
-        forms: who drives.
-        seeds: races of each kind.
-        reverse: the directions.
-        ai_times: file with the AI's times.
-        jobs: how many races at a time; by default as many as there are processors. It
-            changes nothing in the result.
+        agent: the agent to measure; see :func:`~stkzoo.evaluation.plan_benchmark`.
+        output: a folder of its own, for every race's result and finally ``result.json`` and
+            ``benchmark.png``.
+        jobs: see :class:`~stkzoo.evaluation.RunOptions`.
         plot: draw ``benchmark.png``.
-        race_timeout: for one race [s].
-        on_race: is told of every race.
-        settings: ``settings``, and fields of :class:`~stkzoo.race.RaceSettings`.
+        race_timeout: see :class:`~stkzoo.evaluation.RunOptions`.
+        on_race: likewise.
+        plan: ``split``, ``difficulty``, ``forms``, ``seeds``, ``reverse``, ``ai_times``,
+            ``settings`` and fields of :class:`~stkzoo.race.RaceSettings`, as for
+            :func:`~stkzoo.evaluation.plan_benchmark`.
 
     Raises:
-        ConfigError: an argument cannot be, a library is missing, or ``output`` has another
+        ConfigError: an argument is invalid, a library is missing, or ``output`` has another
             benchmark.
         AssetError: the game's data is missing.
-        BenchmarkError: some races could not be run.
+        BatchError: some races could not be run.
     """
-    plan = plan_benchmark(
-        agent,
-        split=split,
-        difficulty=difficulty,
-        forms=forms,
-        seeds=seeds,
-        reverse=reverse,
-        ai_times=ai_times,
-        **settings,
-    )
-    return run_plan(plan, output, BatchRunner(jobs, race_timeout, on_race), plot=plot)
+    options = RunOptions(jobs, race_timeout, on_race)
+    return run_benchmark_plan(plan_benchmark(agent, **plan), output, options, plot=plot)
 
 
-def run_plan(
-    plan: BenchmarkPlan,
-    output: str | os.PathLike[str],
-    runner: BatchRunner,
-    *,
-    plot: bool = True,
+def run_benchmark_plan(
+    plan: BenchmarkPlan, output: str | os.PathLike[str], options: RunOptions, *, plot: bool = True
 ) -> BenchmarkResult:
-    """Runs a planned benchmark, or goes on with it.
-
-    Args:
-        plan: the benchmark.
-        output: its folder.
-        runner: runs the races.
-        plot: draw ``benchmark.png``.
-
-    Raises: as :func:`run_benchmark`.
-    """
+    """Runs a planned benchmark, or resumes it; see :func:`run_benchmark`."""
     if plot:
         require_matplotlib("benchmark", "leave the plot out (--no-plot)")
-    with BatchFolder(BENCHMARK, output) as folder:
-        plan = folder.keep_plan(plan)
-        orders = plan.orders()
-        results, errors = runner.run(folder, orders)
-        result = benchmark_result(plan, results)
-        write_whole(folder.path / _RESULT, result.to_json() + "\n")
+    with open_batch(plan, output) as batch:
+        orders = batch.plan.orders()
+        results = batch.run(orders, options)
+        result = benchmark_result(batch.plan, results)
+        batch.write(_RESULT, result.to_json())
         if plot and results:
-            plot_benchmark(result, folder.path / _PLOT)
-    if errors:
-        raise BenchmarkError(errors_in_words(errors, len(orders)), result)
+            plot_benchmark(result, batch.folder / _PLOT)
+    if batch.errors:
+        raise BatchError(batch.errors, len(orders), result)
     return result
 
 
 def load_benchmark(path: str | os.PathLike[str]) -> BenchmarkResult:
-    """What a benchmark has come to so far; runs nothing.
+    """The result of a benchmark so far, without running anything.
 
     Args:
         path: its folder, or a ``result.json``.
@@ -137,9 +88,9 @@ def load_benchmark(path: str | os.PathLike[str]) -> BenchmarkResult:
         ConfigError: there is none, or it is damaged.
     """
     place = Path(path)
-    if (place / _PLAN).exists():
-        plan = BENCHMARK.read_plan(place)
-        return benchmark_result(plan, read_races(place, plan.orders()))
+    if (place / PLAN_FILE).exists():
+        plan = read_plan(BenchmarkPlan, place)
+        return benchmark_result(plan, load_orders(plan.orders(), place))
     file = place / _RESULT if place.is_dir() else place
     try:
         text = file.read_text(encoding="utf-8")

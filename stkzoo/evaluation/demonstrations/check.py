@@ -1,4 +1,4 @@
-"""Drives demonstrations again: the same controls must lead to the same observations."""
+"""Replays demonstrations: the same controls must lead to the same observations."""
 
 from __future__ import annotations
 
@@ -11,26 +11,25 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.demonstrations.columns import columns_of
-from stkzoo.evaluation.demonstrations.dataset import Demonstrations
+from stkzoo.evaluation.demonstrations.dataset import Demonstrations, columns_of
 from stkzoo.evaluation.demonstrations.plan import DemoPlan
 from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
 from stkzoo.race.drivers import Driver, find_driver
-from stkzoo.race.replay.record import action_of
+from stkzoo.race.replay import action_of
 from stkzoo.race.runner import run_race
 
-__all__ = ["Check", "check"]
+__all__ = ["DemoCheck", "check_demonstrations"]
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
-    """What came of driving a race of a data set again.
+class DemoCheck:
+    """The outcome of replaying a race of a data set.
 
     Attributes:
         race: its number.
         steps: steps compared, of all karts.
-        first_difference: the first step of any kart after which something is seen otherwise, 0
-            on the grid; ``None`` if all is the same to the last bit.
+        first_difference: the first step of any kart after which an observation differs, 0 on the
+            grid; ``None`` if all are bit-identical.
     """
 
     race: int
@@ -39,30 +38,30 @@ class Check:
 
     @property
     def is_exact(self) -> bool:
-        """Whether all was the same."""
+        """Whether all observations are bit-identical."""
         return self.first_difference is None
 
 
-def check(demos: Demonstrations, race: int = 0) -> Check:
-    """Drives the recorded controls of one race on the engine, and compares what is seen.
+def check_demonstrations(demos: Demonstrations, race: int = 0) -> DemoCheck:
+    """Replays the recorded controls of one race on the engine, and compares the observations.
 
     Args:
         demos: the data set.
         race: number of the race in it.
 
     Raises:
-        ConfigError: there is no such race, or the game's AI drove it: it decides twelve times
-            in a step, gets boosts that agents do not, and so cannot be driven again.
+        ConfigError: there is no such race, or the game's AI drove it. The AI decides twelve times
+            per step and gets boosts that agents do not, so its races are not replayable.
     """
     plan = DemoPlan.from_form(demos.plan)
     numbers = [number for number, facts in enumerate(demos.facts) if facts.race == race]
     orders = [order for order in plan.orders() if order.number == race]
     if not numbers or not orders:
-        raise ConfigError(f"there is no race {race} in the data set, it has {len(plan.orders())}")
+        raise ConfigError(f"the data set has no race {race}; it has {len(plan.orders())} races")
     if find_driver(plan.agent.source, inline=plan.settings.inline).is_game_ai:
         raise ConfigError(
-            "the game's AI was recorded, whose races cannot be driven again by its actions; "
-            "check demonstrations of another driver"
+            "races of the game's AI cannot be driven again by its actions; check demonstrations of "
+            "another driver"
         )
     view = DemoView(plan.view)
     recorder = DemoRecorder(plan.karts, view, race=race)
@@ -83,7 +82,7 @@ def check(demos: Demonstrations, race: int = 0) -> Check:
     ]
     found = [first for first in firsts if first is not None]
     steps = sum(len(demos[number]) for number in numbers)
-    return Check(race, steps, min(found) if found else None)
+    return DemoCheck(race, steps, min(found) if found else None)
 
 
 def _again(controls: npt.NDArray[np.float32]) -> Driver:
@@ -95,7 +94,7 @@ def _again(controls: npt.NDArray[np.float32]) -> Driver:
 
 
 def _first_difference(view: DemoView, one: Any, two: Any) -> int | None:
-    """The first moment in which two drives differ."""
+    """The first moment in which two episodes differ."""
     mine = columns_of("", view.observation_space, _rows(one))
     theirs = columns_of("", view.observation_space, _rows(two))
     count = min(len(next(iter(mine.values()))), len(next(iter(theirs.values()))))
@@ -111,7 +110,7 @@ def _first_difference(view: DemoView, one: Any, two: Any) -> int | None:
 
 
 def _rows(tree: Any) -> list[Any]:
-    """Arrays with time in front as a list of moments."""
+    """Splits arrays with a leading time axis into a list of moments."""
     if not isinstance(tree, dict):
         return list(tree)
     parts = {key: _rows(part) for key, part in tree.items()}

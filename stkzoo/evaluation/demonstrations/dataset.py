@@ -1,16 +1,16 @@
-"""A data set of demonstrations, and its file.
+"""A data set of demonstrations and its file.
 
 The file is a plain ``.npz`` without pickles. For ``E`` episodes (one kart in one race) of ``N``
 steps in all it has
 
-- ``observations`` ``(N + E, ...)``: of every moment, the last one included;
-- ``actions`` ``(N, ...)``: what was done after the observation of the same number, in the view;
-- ``controls`` ``(N, 7)`` float32: the same as the game was told it;
-- ``rewards`` ``(N,)`` float64, of what came of it;
+- ``observations`` ``(N + E, ...)``: of every moment, including the last;
+- ``actions`` ``(N, ...)``: the view's action after the observation of the same number;
+- ``controls`` ``(N, 7)`` float32: the same as the game's own controls;
+- ``rewards`` ``(N,)`` float64;
 - ``lengths`` ``(E,)``: steps of each episode;
-- ``about``: a text of JSON: agent, view, tracks, seeds, versions, and facts of each episode.
+- ``about``: a JSON text: agent, view, tracks, seeds, versions, and facts of each episode.
 
-Observations and actions that are dicts are an array for each entry, ``observations/continuous``.
+Dict observations and actions have one array per entry, such as ``observations/continuous``.
 """
 
 from __future__ import annotations
@@ -26,16 +26,25 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium.spaces import Space
 
 from stkzoo._os import atomic_write
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.demonstrations.columns import Columns, tree_of
 
-__all__ = ["Demonstrations", "Episode", "EpisodeFacts", "join", "load", "save"]
+__all__ = [
+    "Columns",
+    "DemoEpisode",
+    "Demonstrations",
+    "EpisodeFacts",
+    "columns_of",
+    "join",
+    "load_demonstrations",
+    "save_demonstrations",
+]
 
 _KIND, _VERSION = "demonstrations", 1
-#: What reading a file of arrays that is none can raise.
+#: What reading a damaged file can raise.
 _DAMAGES = (
     *(OSError, ValueError, KeyError, TypeError, AttributeError, EOFError),
     *(NotImplementedError, zipfile.BadZipFile, zlib.error),
@@ -43,16 +52,45 @@ _DAMAGES = (
 #: Arrays with a row for each step; observations have one more for each episode.
 _BY_STEP = ("actions", "controls", "rewards")
 
+Columns = dict[str, npt.NDArray[Any]]
+
+
+def columns_of(name: str, space: Space[Any], values: Sequence[Any]) -> Columns:
+    """Values with time as the leading axis; a dict's entries are ``name/key``."""
+    parts = getattr(space, "spaces", None)
+    if not isinstance(parts, Mapping):
+        shape = space.shape or ()
+        return {name: np.array(values, space.dtype).reshape(len(values), *shape)}
+    columns: Columns = {}
+    for key, part in parts.items():
+        columns |= columns_of(f"{name}/{key}", part, [value[key] for value in values])
+    return columns
+
+
+def tree_of(name: str, columns: Mapping[str, npt.NDArray[Any]]) -> Any:
+    """The inverse of :func:`columns_of`: the array ``name``, or the dict of all ``name/key``.
+
+    Raises:
+        KeyError: there is neither.
+    """
+    if name in columns:
+        return columns[name]
+    inner = f"{name}/"
+    keys = {column.removeprefix(inner).partition("/")[0] for column in columns if inner in column}
+    if not keys:
+        raise KeyError(name)
+    return {key: tree_of(inner + key, columns) for key in sorted(keys)}
+
 
 @dataclass(frozen=True, slots=True)
 class EpisodeFacts:
-    """Whose drive an episode is, and how it ended.
+    """The kart and race of an episode, and how it ended.
 
     Attributes:
         race: number of the race in the data set.
         agent: id of the kart in it.
         track: where it drove.
-        reverse: whether the other way round.
+        reverse: whether in reverse direction.
         seed: of the race.
         start_position: its place on the grid, 1 is in front.
         finish_time: since the start [s]; ``None`` if it did not finish.
@@ -70,13 +108,13 @@ class EpisodeFacts:
 
 
 @dataclass(frozen=True, slots=True)
-class Episode:
+class DemoEpisode:
     """One kart's drive of ``T`` steps; arrays, or dicts of arrays, with time in front.
 
     Attributes:
-        facts: whose drive it is.
+        facts: its kart and race.
         observations: ``(T + 1, ...)``.
-        actions: ``(T, ...)``, in the view: number ``t`` was done after observation ``t``.
+        actions: ``(T, ...)``, in the view: number ``t`` follows observation ``t``.
         controls: ``(T, 7)`` float32: acceleration, steer, brake, drift, fire, nitro, rescue.
         rewards: ``(T,)`` float64.
     """
@@ -92,13 +130,13 @@ class Episode:
 
     @property
     def is_finished(self) -> bool:
-        """Whether the kart finished: then the episode was terminated, else cut off."""
+        """Whether the kart finished: the episode is terminated, else truncated."""
         return self.facts.finish_time is not None
 
 
 @dataclass(frozen=True, slots=True)
 class Demonstrations:
-    """Episodes, and how they were made.
+    """Recorded episodes.
 
     Attributes:
         plan: how they were recorded: ``agent``, ``view``, ``tracks``, ``directions``,
@@ -116,10 +154,10 @@ class Demonstrations:
     def __len__(self) -> int:
         return len(self.facts)
 
-    def __iter__(self) -> Iterator[Episode]:
+    def __iter__(self) -> Iterator[DemoEpisode]:
         return (self[number] for number in range(len(self)))
 
-    def __getitem__(self, number: int) -> Episode:
+    def __getitem__(self, number: int) -> DemoEpisode:
         if not 0 <= number < len(self):
             raise IndexError(f"episode {number} of {len(self)}")
         begin = int(self.lengths[:number].sum())
@@ -130,7 +168,7 @@ class Demonstrations:
             else column[begin + number : end + number + 1]
             for name, column in self.columns.items()
         }
-        return Episode(
+        return DemoEpisode(
             self.facts[number],
             tree_of("observations", part),
             tree_of("actions", part),
@@ -149,7 +187,7 @@ class Demonstrations:
         return int(self.lengths.sum())
 
     def pairs(self) -> tuple[Any, Any]:
-        """What was seen and what was done then: ``(N, ...)`` each, for all episodes."""
+        """Observations and the actions that followed, ``(N, ...)`` each, of all episodes."""
         last = np.cumsum(self.lengths + 1) - 1
         seen = {
             name: np.delete(column, last, axis=0)
@@ -159,13 +197,13 @@ class Demonstrations:
         return tree_of("observations", seen), tree_of("actions", self.columns)
 
     def to_form(self) -> dict[str, Any]:
-        """The text part, as what JSON can hold."""
+        """The file's ``about``, as JSON values."""
         head = {"type": _KIND, "schema_version": _VERSION}
         return {**head, **self.plan, "episodes": [asdict(facts) for facts in self.facts]}
 
 
 def join(parts: Sequence[Demonstrations]) -> Demonstrations:
-    """One data set of several with the same plan, in their order."""
+    """Joins data sets with the same plan, in order."""
     names = list(parts[0].columns)
     return Demonstrations(
         parts[0].plan,
@@ -175,11 +213,11 @@ def join(parts: Sequence[Demonstrations]) -> Demonstrations:
     )
 
 
-def save(demos: Demonstrations, path: str | os.PathLike[str]) -> None:
-    """Writes a data set, whole or not at all.
+def save_demonstrations(demos: Demonstrations, path: str | os.PathLike[str]) -> None:
+    """Writes a data set, atomically.
 
     Raises:
-        ConfigError: it cannot be written.
+        ConfigError: the file cannot be written.
     """
     arrays: dict[str, Any] = {
         **demos.columns,
@@ -193,14 +231,14 @@ def save(demos: Demonstrations, path: str | os.PathLike[str]) -> None:
         raise ConfigError(f"the demonstrations {path} cannot be written: {error}") from error
 
 
-def load(path: str | os.PathLike[str]) -> Demonstrations:
+def load_demonstrations(path: str | os.PathLike[str]) -> Demonstrations:
     """Reads a data set.
 
     Args:
-        path: a file that ``stkzoo demos`` wrote, or :func:`save`.
+        path: a file that ``stkzoo demos`` wrote, or :func:`save_demonstrations`.
 
     Raises:
-        ConfigError: there is none, it is damaged, or it is something else.
+        ConfigError: the file is missing, damaged or something else.
     """
     if not Path(path).is_file():
         raise ConfigError(
@@ -234,10 +272,10 @@ def _read(arrays: Columns) -> Demonstrations:
 
 
 def _check(demos: Demonstrations) -> None:
-    """Whether all arrays are as long as they must be.
+    """Checks the lengths of all arrays.
 
     Raises:
-        ValueError: one is not.
+        ValueError: one is wrong.
         KeyError: one is missing.
     """
     if demos.lengths.shape != (len(demos),) or (demos.lengths < 1).any():

@@ -1,4 +1,4 @@
-"""Demonstrations as a data set of Minari's, for the libraries that read these."""
+"""Export of demonstrations to Minari."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.demonstrations.dataset import Demonstrations, Episode
+from stkzoo.evaluation.demonstrations.dataset import DemoEpisode, Demonstrations
 from stkzoo.evaluation.demonstrations.recorder import DemoView
 
-__all__ = ["check_minari", "to_minari"]
+__all__ = ["require_minari", "to_minari"]
 
 _HOME = "https://supertuxkart.net"
 
 
-def check_minari() -> Any:
-    """The library.
+def require_minari() -> Any:
+    """Imports ``minari``.
 
     Raises:
-        ConfigError: it is not installed.
+        ConfigError: Minari is not installed.
     """
     try:
         return importlib.import_module("minari")
@@ -34,21 +34,21 @@ def check_minari() -> Any:
 
 
 def to_minari(demos: Demonstrations, dataset_id: str) -> Any:
-    """Writes demonstrations among Minari's local data sets.
+    """Adds demonstrations to Minari's local data sets.
 
     Args:
         demos: the data set.
-        dataset_id: such as ``"supertuxkart/heuristic-v0"``. Where Minari keeps its data sets is
-            said by ``MINARI_DATASETS_PATH``.
+        dataset_id: such as ``"supertuxkart/heuristic-v0"``. The variable
+            ``MINARI_DATASETS_PATH`` sets the folder of Minari's data sets.
 
     Returns:
-        The ``minari.MinariDataset``. Of each episode its metadata has the facts, such as
+        The ``minari.MinariDataset``. The metadata of each episode has its facts, such as
         ``track`` and ``finish_time``.
 
     Raises:
-        ConfigError: Minari is not installed, or refuses the name, which may be taken.
+        ConfigError: Minari is not installed, or rejects the name, which may be in use.
     """
-    minari = check_minari()
+    minari = require_minari()
     view = DemoView(demos.view)
     buffers = [_buffer(minari, number, demos[number]) for number in range(len(demos))]
     agent = demos.plan["agent"]["label"]
@@ -69,8 +69,8 @@ def to_minari(demos: Demonstrations, dataset_id: str) -> Any:
             dataset = minari.create_dataset_from_buffers(dataset_id, buffers, **spaces, **about)
     except (ValueError, AttributeError, AssertionError) as error:
         raise ConfigError(
-            f"Minari does not take the data set {dataset_id!r}: {error}; expected a name such as "
-            "supertuxkart/heuristic-v0 that is free"
+            f"Minari rejects the data set {dataset_id!r}: {error}; expected a name such as "
+            "supertuxkart/heuristic-v0 that is not in use"
         ) from error
     dataset.storage.update_metadata({"stkzoo": json.dumps(dict(demos.plan))})
     dataset.storage.update_episode_metadata(
@@ -82,7 +82,7 @@ def to_minari(demos: Demonstrations, dataset_id: str) -> Any:
     return dataset
 
 
-def _buffer(minari: Any, number: int, episode: Episode) -> Any:
+def _buffer(minari: Any, number: int, episode: DemoEpisode) -> Any:
     steps = len(episode)
     last = np.arange(steps) == steps - 1
     return minari.data_collector.EpisodeBuffer(

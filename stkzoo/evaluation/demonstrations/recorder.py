@@ -1,4 +1,4 @@
-"""Records some karts of the race it listens to."""
+"""Records some karts of a race."""
 
 from __future__ import annotations
 
@@ -10,11 +10,16 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError, unknown_name
-from stkzoo.evaluation.demonstrations.columns import Columns, columns_of
-from stkzoo.evaluation.demonstrations.dataset import Demonstrations, EpisodeFacts, join
+from stkzoo.evaluation.demonstrations.dataset import (
+    Columns,
+    Demonstrations,
+    EpisodeFacts,
+    columns_of,
+    join,
+)
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race.listeners import RaceListener, RaceProgress
-from stkzoo.race.replay.record import action_of, controls_of
+from stkzoo.race.replay import action_of, controls_of
 from stkzoo.race.result import RaceResult
 from stkzoo.views import VIEWS, sees_ground
 from stkzoo.views.agent_chain import AgentChain
@@ -23,7 +28,7 @@ __all__ = ["STEP", "DemoRecorder", "DemoView"]
 
 #: Time from one observation to the next [s].
 STEP = 0.1
-#: Buttons that count as pressed if they were at any moment of a step; the others are held.
+#: Buttons that count as pressed if pressed at any moment of a step; the others need half of it.
 _PULSES = np.array([name in ("fire", "nitro", "rescue") for name in CONTROLS])
 _ANALOGUE = np.array([name in ("acceleration", "steer") for name in CONTROLS])
 _PROGRESS = "reward/progress"
@@ -32,13 +37,13 @@ Controls = npt.NDArray[np.float32]
 
 
 class DemoView:
-    """How a demonstration is seen: observations and actions of one view.
+    """The view that a demonstration is recorded in: its observations and actions.
 
     Args:
         name: of a view of fixed size, made of stkzoo's own wrappers.
 
     Raises:
-        ConfigError: there is no such view, or it cannot be recorded.
+        ConfigError: there is no such view, or recording does not support it.
     """
 
     def __init__(self, name: str) -> None:
@@ -46,8 +51,8 @@ class DemoView:
             raise unknown_name("view", name, VIEWS)
         if sees_ground(VIEWS[name]):
             raise ConfigError(
-                f"view {name!r} tells of the ground, with which no races are recorded; record in "
-                "racing, simple, or a flattened view"
+                f"view {name!r} shows the ground, which recordings do not have; record in racing, "
+                "simple, or a flattened view"
             )
         full = kart_observation_space()
         self._keys = tuple(full.spaces)
@@ -63,23 +68,23 @@ class DemoView:
         self.action_space = self._seeing.action_space
 
     def observe(self, observation: Mapping[str, Any]) -> Any:
-        """What the view shows of a ``full`` observation."""
+        """The view's observation of a ``full`` observation."""
         return self._seeing.observe({key: observation[key] for key in self._keys})
 
     def action(self, observation: Mapping[str, Any], controls: Controls) -> Any:
-        """The view's action nearest to some controls ``(7,)``; the observation is any."""
+        """The view's action nearest to some controls ``(7,)``; any observation will do."""
         return self._acting.observe({**observation, "action": action_of(controls)})["action"]
 
 
 class DemoRecorder(RaceListener):
-    """Keeps what some agents see and do.
+    """Records the observations and actions of some agents.
 
     Args:
-        agents: how many: the race's first ones.
-        view: in which they are recorded.
-        substeps: a step is driven in so many equal parts, after each of which the controls of
-            the game's AI are read. It decides many times in a step; its action is the mean of
-            its steering and throttle, and a button that it pressed.
+        agents: the number of agents; the first ones of the race are recorded.
+        view: the view to record in.
+        substeps: a step is driven in this many equal parts, and the controls of the game's AI are
+            read after each. The AI decides many times per step; its action is the mean of its
+            steering and throttle, and every button that it pressed.
         race: number of the race in the data set.
     """
 
@@ -93,7 +98,7 @@ class DemoRecorder(RaceListener):
         return {"step_size": STEP / self._substeps}
 
     def started(self, race: RaceProgress) -> None:
-        """Notes what the agents see on the grid."""
+        """Records the observations on the grid."""
         agents = race.env.possible_agents[: self._count]
         self._tracks = {agent: _Kart(self._view, race.observations[agent]) for agent in agents}
         info = race.env.race
@@ -101,7 +106,7 @@ class DemoRecorder(RaceListener):
         self._where = info.track, info.reverse, race.seed
 
     def stepped(self, race: RaceProgress) -> None:
-        """Notes what they did, and at a step's end what they see now."""
+        """Records the actions, and the observations at a step's end."""
         is_whole = race.steps % self._substeps == 0
         for agent, kart in self._tracks.items():
             if kart.is_over:
@@ -114,7 +119,7 @@ class DemoRecorder(RaceListener):
                 kart.end_step(observation)
 
     def ended(self, result: RaceResult) -> None:
-        """Makes episodes of it."""
+        """Builds the episodes."""
         rows = {row.agent: row for row in result.agents}
         track, reverse, seed = self._where
         for agent, kart in self._tracks.items():
@@ -135,10 +140,10 @@ class DemoRecorder(RaceListener):
             self._parts.append(Demonstrations({}, (facts,), lengths, kart.columns()))
 
     def episodes(self, plan: Mapping[str, Any]) -> Demonstrations | None:
-        """What was recorded; ``None`` if nobody took a step.
+        """The recorded episodes; ``None`` if no agent took a step.
 
         Args:
-            plan: how; see :class:`Demonstrations`.
+            plan: see :class:`Demonstrations`.
         """
         if not self._parts:
             return None
@@ -147,7 +152,7 @@ class DemoRecorder(RaceListener):
 
 
 class _Kart:
-    """One kart's drive so far."""
+    """The episode of one kart so far."""
 
     def __init__(self, view: DemoView, observation: Any) -> None:
         self._view, self._last = view, observation
@@ -165,13 +170,13 @@ class _Kart:
         return len(self._actions)
 
     def add(self, controls: Controls, reward: float, progress: float) -> None:
-        """A part of a step: the way is summed up, all else is of the step's end."""
+        """Adds a part of a step: progress is summed, all else is that of the step's end."""
         self._parts.append(controls)
         self._progress += progress
         self._rest = reward - progress
 
     def end_step(self, observation: Any) -> None:
-        """The step is over, and this is what is seen then."""
+        """Ends the step with the observation after it."""
         controls = _together(np.stack(self._parts))
         self._controls.append(controls)
         self._actions.append(self._view.action(self._last, controls))
@@ -180,7 +185,7 @@ class _Kart:
         self._parts, self._progress, self._last = [], 0.0, observation
 
     def columns(self) -> Columns:
-        """The drive as arrays."""
+        """The episode as arrays."""
         view = self._view
         return {
             **columns_of(
@@ -193,7 +198,7 @@ class _Kart:
 
 
 def _together(parts: Controls) -> Controls:
-    """The controls ``(7,)`` of a step whose parts had ``(n, 7)``."""
+    """Merges the controls ``(n, 7)`` of a step's parts into ``(7,)``."""
     if len(parts) == 1:
         only: Controls = parts[0]
         return only

@@ -1,43 +1,39 @@
-"""Records demonstrations, or goes on with that.
+"""Records demonstrations, or resumes that.
 
-Each race is a file of its own as soon as it is over, in a folder beside the data set; when all are
-there they become the data set, and the folder goes.
+While races run they are stored in a folder beside the data set. When all are there, they are joined
+into the data set, and the folder is removed.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from stkzoo._os import cpu_count
-from stkzoo.errors import ConfigError, StkzooError, check_whole
-from stkzoo.evaluation.batch import (
+from stkzoo.errors import ConfigError
+from stkzoo.evaluation.batch.run import (
     RACE_TIMEOUT,
-    BatchFolder,
-    BatchProgress,
+    BatchError,
     ProgressListener,
-    errors_in_words,
+    RunOptions,
+    open_batch,
 )
-from stkzoo.evaluation.batch.pool import run_in_parallel
-from stkzoo.evaluation.demonstrations.dataset import Demonstrations, join, load, save
-from stkzoo.evaluation.demonstrations.plan import DEMOS, DemoOrder, DemoPlan, plan_demos
-from stkzoo.race.result import RaceResult
+from stkzoo.evaluation.demonstrations.dataset import (
+    Demonstrations,
+    join,
+    load_demonstrations,
+    save_demonstrations,
+)
+from stkzoo.evaluation.demonstrations.plan import DemoPlan, plan_demonstrations
 
-__all__ = ["DemosError", "parts_folder", "record", "record_plan"]
+__all__ = ["record_demonstrations", "record_plan"]
 
 _ENDING = ".npz"
 
 
-class DemosError(StkzooError):
-    """Some races could not be recorded; the others are kept."""
-
-
-def record(
+def record_demonstrations(
     agent: str = "heuristic",
     *,
     output: str | os.PathLike[str],
@@ -46,104 +42,61 @@ def record(
     on_race: ProgressListener | None = None,
     **plan: Any,
 ) -> Demonstrations:
-    """Records a driver's races as a data set, or goes on with that.
+    """Records a driver's races as a data set, or resumes that.
 
     Args:
-        agent: who is recorded; see :func:`~stkzoo.evaluation.demonstrations.plan_demos`.
-        output: the data set's file, whose name ends in ``.npz``. While races are run they are
-            kept in a folder beside it, ``output.parts``; the same call goes on after an
-            interruption.
-        jobs: how many races at a time; by default as many as there are processors. It changes
-            nothing in the data set.
-        race_timeout: for one race [s].
-        on_race: is told of every race.
+        agent: the driver; see :func:`~stkzoo.evaluation.plan_demonstrations`.
+        output: the data set's file, whose name ends in ``.npz``. While races run they are stored
+            in a folder beside it, ``output.parts``; the same call resumes after an interruption.
+        jobs: see :class:`~stkzoo.evaluation.RunOptions`.
+        race_timeout: likewise.
+        on_race: likewise.
         plan: ``view``, ``tracks``, ``reverse``, ``seeds``, ``karts``, ``rivals``,
-            ``substeps`` and fields of :class:`~stkzoo.race.RaceSettings`, as for
-            :func:`~stkzoo.evaluation.demonstrations.plan_demos`.
+            ``substeps``, ``settings`` and fields of :class:`~stkzoo.race.RaceSettings`, as for
+            :func:`~stkzoo.evaluation.plan_demonstrations`.
 
     Raises:
-        ConfigError: an argument cannot be, or other demonstrations are there.
+        ConfigError: an argument is invalid, or ``output`` has other demonstrations.
         AssetError: the game's data is missing.
-        DemosError: some races could not be recorded.
+        BatchError: some races could not be recorded.
     """
-    planned = plan_demos(agent, **plan)
-    return record_plan(planned, output, jobs=jobs, race_timeout=race_timeout, on_race=on_race)
+    options = RunOptions(jobs, race_timeout, on_race)
+    return record_plan(plan_demonstrations(agent, **plan), output, options)
 
 
 def record_plan(
-    plan: DemoPlan,
-    output: str | os.PathLike[str],
-    *,
-    jobs: int | None = None,
-    race_timeout: float = RACE_TIMEOUT,
-    on_race: ProgressListener | None = None,
+    plan: DemoPlan, output: str | os.PathLike[str], options: RunOptions
 ) -> Demonstrations:
-    """Records a planned data set; see :func:`record`."""
+    """Records a planned data set; see :func:`record_demonstrations`."""
     target = Path(output)
     if target.suffix != _ENDING:
         raise ConfigError(
             f"the data set is {str(output)!r}, expected a path that ends in {_ENDING}"
         )
-    if not 0 < race_timeout < 1e9:
-        raise ConfigError(f"race_timeout is {race_timeout!r}, expected seconds above 0")
-    if jobs is not None:
-        check_whole("jobs", jobs, 1)
     if target.exists():
-        return _there(plan, target)
-    folder_path = parts_folder(target)
-    with BatchFolder(DEMOS, folder_path) as folder:
-        plan = folder.keep_plan(plan)
-        orders = [replace(o, file=str(_part(folder_path, o))) for o in plan.orders()]
-        _run(orders, jobs or cpu_count(), race_timeout, on_race)
-        parts = [load(order.file) for order in orders]
-        demos = replace(join(parts), plan=plan.to_form())
-        save(demos, target)
-    shutil.rmtree(folder_path, ignore_errors=True)
+        return _load_same(plan, target)
+    parts = target.with_name(target.name + ".parts")
+    with open_batch(plan, parts) as batch:
+        orders = [
+            replace(order, file=str(parts / "races" / f"{order.number:05d}{_ENDING}"))
+            for order in batch.plan.orders()
+        ]
+        results = batch.run(orders, options)
+        if batch.errors:
+            raise BatchError(batch.errors, len(orders), None)
+        joined = join([results[order.number] for order in orders])
+        demos = replace(joined, plan=batch.plan.to_form())
+        save_demonstrations(demos, target)
+    shutil.rmtree(parts, ignore_errors=True)
     return demos
 
 
-def parts_folder(output: Path) -> Path:
-    """Where the races are kept meanwhile."""
-    return output.with_name(output.name + ".parts")
-
-
-def _there(plan: DemoPlan, target: Path) -> Demonstrations:
-    """The data set that is there already, if it is the one that is asked for."""
-    demos = load(target)
-    differences = DemoPlan.from_form(demos.plan).differences(plan)
-    if differences:
+def _load_same(plan: DemoPlan, target: Path) -> Demonstrations:
+    """The data set that exists already, if its plan is the same."""
+    demos = load_demonstrations(target)
+    if differences := DemoPlan.from_form(demos.plan).differences(plan):
         raise ConfigError(
             f"{target} has other demonstrations: {'; '.join(differences)}. Choose another file, or "
             "delete it"
         )
     return demos
-
-
-def _part(folder: Path, order: DemoOrder) -> Path:
-    return folder / "races" / f"{order.number:05d}{_ENDING}"
-
-
-def _run(
-    orders: Sequence[DemoOrder], jobs: int, timeout: float, on_race: ProgressListener | None
-) -> None:
-    """Runs those whose file is not there.
-
-    Raises:
-        DemosError: some could not be run.
-    """
-    tell = on_race or (lambda _: None)
-    left = [order for order in orders if not Path(order.file).exists()]
-    done = len(orders) - len(left)
-    errors: dict[int, str] = {}
-    tell(BatchProgress(done, len(orders)))
-    with closing(run_in_parallel(left, jobs, timeout)) as outcomes:
-        for outcome in outcomes:
-            last = None
-            if outcome.error:
-                errors[outcome.order.number] = outcome.error
-            else:
-                done += 1
-                last = RaceResult.from_json(outcome.result)
-            tell(BatchProgress(done, len(orders), last, outcome.error))
-    if errors:
-        raise DemosError(errors_in_words(errors, len(orders)))

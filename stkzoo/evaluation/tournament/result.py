@@ -1,4 +1,4 @@
-"""What a tournament came to."""
+"""The result of a tournament: standings, ratings and the payoff matrix."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ SCHEMA_VERSION = 1
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """How one agent did.
+    """The results of one agent.
 
     Attributes:
         place: by rating, 1 is best.
-        label: what it is called.
-        source: where it comes from.
+        label: its name.
+        source: its driver name or path.
         rating: its rating, with an interval.
-        races: races that it was in.
-        wins: races that it won.
+        races: races it was in.
+        wins: races it won.
         mean_rank: its mean rank in them; ``None`` without races.
-        finished: races that it finished.
-        retired: races that it was taken out of, because it failed.
+        finished: races it finished.
+        retired: races it was removed from because it failed.
         errors: how often it failed.
-        mean_time: mean time of the races that it finished [s]; ``None`` without.
-        track_ranks: its mean rank on each track that it was on.
+        mean_time: mean time of the races it finished [s]; ``None`` without.
+        track_ranks: its mean rank on each track it raced on.
     """
 
     place: int
@@ -52,7 +52,7 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class RaceSummary:
-    """One race: its number, where it was, and who came in in which order."""
+    """One race: number, track, seed, status, and the agents in finishing order."""
 
     number: int
     track: str
@@ -63,13 +63,13 @@ class RaceSummary:
 
 @dataclass(frozen=True, slots=True)
 class TournamentResult:
-    """What a tournament came to.
+    """The result of a tournament.
 
     Attributes:
-        plan: what it was to be.
-        standings: one entry an agent, best first.
-        ahead: ``ahead[i][j]``: in how many races the agent of ``standings[i]`` came in before
-            the one of ``standings[j]``.
+        plan: the tournament.
+        standings: one per agent, best first.
+        ahead: ``ahead[i][j]``: in how many races the agent of ``standings[i]`` finished ahead
+            of that of ``standings[j]``.
         races: the races that have been run.
     """
 
@@ -84,16 +84,13 @@ class TournamentResult:
         return len(self.races) == self.plan.races
 
     def payoff(self, one: int, two: int) -> float | None:
-        """The share of their races in which one agent of ``standings`` was before another."""
+        """The share of their races in which one agent of ``standings`` beat another."""
         won, lost = self.ahead[one][two], self.ahead[two][one]
         return won / (won + lost) if won + lost else None
 
     def to_json(self) -> str:
         """The result as JSON (``docs/schemas/tournament-result.schema.json``)."""
         everybody = range(len(self.standings))
-        plan = json.loads(self.plan.to_json())
-        for key in ("type", "schema_version"):
-            del plan[key]
         form = {
             "type": "tournament-result",
             "schema_version": SCHEMA_VERSION,
@@ -109,22 +106,22 @@ class TournamentResult:
             "ahead": self.ahead,
             "payoff": [[self.payoff(one, two) for two in everybody] for one in everybody],
             "races": [asdict(race) for race in self.races],
-            "plan": plan,
+            "plan": self.plan.to_form(),
         }
         return json.dumps(form, indent=2, allow_nan=False)
 
 
 def tournament_result(plan: TournamentPlan, results: Mapping[int, RaceResult]) -> TournamentResult:
-    """Sums up the races that have been run.
+    """Summarizes the races that have been run.
 
-    An agent that was taken out of a race, because it failed, is behind all that were not.
+    An agent that was removed from a race because it failed ranks behind all that were not.
 
     Args:
         plan: the tournament.
         results: of its races, by number.
 
     Raises:
-        ConfigError: the library that rates is not installed.
+        ConfigError: openskill is not installed.
     """
     number_of = {entrant.label: number for number, entrant in enumerate(plan.entrants)}
     orders = {number: _order(results[number]) for number in sorted(results)}

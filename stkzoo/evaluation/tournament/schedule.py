@@ -1,4 +1,4 @@
-"""Who races whom, where, from which place: as balanced as the numbers allow."""
+"""A schedule of races that is as balanced as the numbers allow."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class ScheduledRace:
     Attributes:
         number: counts the races, from 0.
         track: the track's name.
-        seed: decides what the race leaves to chance.
-        grid: the agents by their numbers, first place first.
+        seed: of all random choices in the race.
+        grid: the agents' numbers, in the order of the grid.
     """
 
     number: int
@@ -34,18 +34,18 @@ class ScheduledRace:
 def make_schedule(
     num_agents: int, tracks: Sequence[str], num_races: int, per_race: int, seed: int = 0
 ) -> tuple[ScheduledRace, ...]:
-    """A schedule in which nobody is favoured.
+    """A schedule that favours no agent.
 
     Of these counts no two differ by more than one: the races of each track; the races of
     each agent, altogether and on each track; the races of one agent from each grid place.
-    How often two agents meet is evened out by exchanging agents between races. No two races
+    Exchanging agents between races evens out how often two agents meet. No two races
     have the same seed.
 
     Args:
-        num_agents: how many agents.
+        num_agents: number of agents.
         tracks: the tracks, each named once.
-        num_races: how many races.
-        per_race: how many agents in each, at most ``num_agents``.
+        num_races: number of races.
+        per_race: agents per race, at most ``num_agents``.
         seed: the same arguments give the same schedule.
     """
     chance = random.Random(seed)

@@ -1,4 +1,4 @@
-"""An agent's code: loads its module and reads how it observes, acts and what it is called."""
+"""An agent's code: loads its module and reads its view, its actor and its name."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ class AgentCode:
     """An agent's code, loaded.
 
     Attributes:
-        wrap: wraps the environment of its kart (the ``full`` view) into its own view.
+        wrap: wraps its kart's environment (the ``full`` view) into its own view.
         make_actor: makes its actor for one race.
-        name: what it calls itself; empty if it does not say.
-        scope: context in which its code runs.
+        name: the name that it gives itself; may be empty.
+        scope: context for running its code.
     """
 
     wrap: View
@@ -62,15 +62,15 @@ def load_agent(place: AgentPlace, adapter: str | None = None) -> AgentCode:
     """Loads an agent from its files.
 
     Args:
-        place: where they are.
+        place: where to import it from.
         adapter: path of a Python file whose ``create_actor(get_actor, module_dir,
-            observation_space, action_space)`` makes the actor in place of the agent's own
-            ``get_actor``, and whose ``prepare_module_dir(folder)``, if there is one, is
-            called before the agent is imported.
+            observation_space, action_space)`` makes the actor instead of the agent's own
+            ``get_actor``, and whose optional ``prepare_module_dir(folder)`` is called before
+            the import of the agent.
 
     Raises:
-        ConfigError: the module is not made like an agent.
-        Exception: whatever the module itself raises.
+        ConfigError: the module is not an agent.
+        Exception: any exception of the module itself.
     """
     create_actor = None
     if adapter is not None:
@@ -88,16 +88,16 @@ def read_module(
     scope: AbstractContextManager[Any] | None = None,
     create_actor: Callable[..., Actor] | None = None,
 ) -> AgentCode:
-    """The code in a module that is made like an agent.
+    """The code in an agent's module.
 
     Args:
         module: has ``get_actor(module_dir, observation_space, action_space)`` and may have
             ``create_state()``, ``get_wrappers()``, ``env_name`` and ``player_name``.
-        scope: context in which its code runs.
+        scope: context for running its code.
         create_actor: an adapter's function.
 
     Raises:
-        ConfigError: it is not made like an agent.
+        ConfigError: the module is not an agent.
     """
     folder = Path(str(module.__file__)).parent
     get_actor = getattr(module, "get_actor", None)
@@ -136,9 +136,9 @@ def _wrap(view: View, wrappers: list[View], env: gym.Env[Any, Any]) -> gym.Env[A
 
 
 def _view_of(env_name: object) -> View:
-    """The view of an environment's id: one of ours, or the wrappers of a registered one."""
+    """The view of an environment's id: one of stkzoo's, or the wrappers of a registered one."""
     if not isinstance(env_name, str):
-        raise ConfigError(f"env_name is {env_name!r}, expected a text such as {_DEFAULT_ENV!r}")
+        raise ConfigError(f"env_name is {env_name!r}, expected text such as {_DEFAULT_ENV!r}")
     name = _view_name(env_name)
     if name in VIEWS:
         return VIEWS[name]
@@ -154,7 +154,7 @@ def _view_of(env_name: object) -> View:
 
 
 def env_sees_ground(env_name: str) -> bool:
-    """Whether an environment's id is of a view with the ground beside the road."""
+    """Whether an environment's id has a view with the ground beside the road."""
     view = VIEWS.get(_view_name(env_name))
     return view is not None and sees_ground(view)
 
@@ -166,7 +166,7 @@ def _view_name(env_name: str) -> str:
 def _load_adapter(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location("stkzoo_race_adapter", path)
     if not path.is_file() or spec is None or spec.loader is None:
-        raise ConfigError(f"the adapter {str(path)!r} is no Python file")
+        raise ConfigError(f"the adapter {str(path)!r} is not a Python file")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     if not callable(getattr(module, "create_actor", None)):
@@ -178,12 +178,12 @@ def _load_adapter(path: Path) -> ModuleType:
 
 
 class ModuleScope:
-    """A context in which an agent's modules are the ones that ``import`` finds.
+    """A context in which ``import`` finds an agent's own modules.
 
-    On entry the agent's own modules and folders take their places in ``sys.modules`` and
-    ``sys.path``; on exit they leave them again, and whoever else bears the same names is
-    back. May be entered within itself. ``pystk2_gymnasium`` is stkzoo's own in it
-    (:mod:`stkzoo.compat`).
+    It keeps agents apart whose files have the same names. On entry it puts the agent's modules and
+    folders into ``sys.modules`` and ``sys.path``; on exit it removes them and restores other
+    modules of the same names. It may be nested. In it, ``pystk2_gymnasium`` is
+    :mod:`stkzoo.compat`'s.
     """
 
     def __init__(self, place: AgentPlace) -> None:
@@ -222,10 +222,10 @@ class ModuleScope:
                 sys.path.remove(root)
 
     def load(self) -> ModuleType:
-        """Imports the agent's module; call it inside the context.
+        """Imports the agent's module; call it in the context.
 
         Raises:
-            ModuleNotFoundError: there is no such module.
+            ModuleNotFoundError: the module does not exist.
         """
         importlib.invalidate_caches()
         if self._place.package:
@@ -236,17 +236,17 @@ class ModuleScope:
                 return importlib.import_module(name)
             except ModuleNotFoundError as error:  # noqa: PERF203 - two at most
                 if error.name is None or not f"{name}.".startswith(f"{error.name}."):
-                    raise  # the agent's own imports fail
+                    raise  # an import in the agent failed
         return importlib.import_module(last)
 
     def _others(self) -> dict[str, ModuleType]:
-        """Modules that bear the agent's names at the moment."""
-        strange = {name for name in self._names if name in sys.modules and self._is_strange(name)}
+        """Loaded modules that have the agent's names."""
+        foreign = {name for name in self._names if name in sys.modules and self._is_foreign(name)}
         named = {name: sys.modules[name] for name in self._own if name in sys.modules}
-        if not strange:
+        if not foreign:
             return named
         loaded = list(sys.modules.items())
-        return named | {name: module for name, module in loaded if _top(name) in strange}
+        return named | {name: module for name, module in loaded if _top(name) in foreign}
 
     def _new_modules(self) -> dict[str, ModuleType]:
         return {
@@ -262,8 +262,8 @@ class ModuleScope:
             for root in self._roots
         )
 
-    def _is_strange(self, name: str) -> bool:
-        """Whether a module is another one than the agent means by its name."""
+    def _is_foreign(self, name: str) -> bool:
+        """Whether the module of this name belongs to another agent."""
         path = _path_of(sys.modules.get(_top(name)))
         if path is None or _INSTALLED & set(path.parts):
             return False
@@ -271,7 +271,7 @@ class ModuleScope:
 
 
 def _compat_modules() -> dict[str, ModuleType]:
-    """What agents find as ``pystk2_gymnasium``, whether the real one is installed or not."""
+    """The modules of ``pystk2_gymnasium`` for agents, even if the real one is installed."""
     home, name = "stkzoo.compat.", "pystk2_gymnasium"
     importlib.import_module(home + name)
     return {
@@ -282,7 +282,7 @@ def _compat_modules() -> dict[str, ModuleType]:
 
 
 def _path_of(module: ModuleType | None) -> Path | None:
-    """Where a module's code lies; ``None`` for those that are built in."""
+    """Path of a module's code; ``None`` for built-in modules."""
     file = getattr(module, "__file__", None)
     if not isinstance(file, str):
         folders = list(getattr(module, "__path__", None) or ())
@@ -295,7 +295,7 @@ def _top(name: str) -> str:
 
 
 def _siblings(place: AgentPlace) -> frozenset[str]:
-    """Modules beside the agent's, which it may import by their bare names."""
+    """Modules beside the agent's, which it may import by their plain names."""
     if not place.first or place.package:
         return frozenset()
     names = {entry.stem for entry in Path(place.first).glob("*.py")}
@@ -304,7 +304,7 @@ def _siblings(place: AgentPlace) -> frozenset[str]:
 
 
 def _import_package(folder: Path, name: str) -> None:
-    """Imports a package by its folder, which need not have a name that can be imported."""
+    """Imports a package by its folder, whose name need not be an identifier."""
     if name in sys.modules:
         return
     spec = importlib.util.spec_from_file_location(

@@ -6,7 +6,8 @@ import importlib.util
 import re
 import stat
 import zipfile
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.machinery import ModuleSpec
 from pathlib import Path, PurePosixPath
@@ -27,19 +28,19 @@ __all__ = [
     "unpack",
 ]
 
-#: The module that an agent consists of.
+#: Name of an agent's module.
 ACTOR_MODULE = "pystk_actor"
 _PACKAGE = "stk_actor"
-#: How a module names its environment in so many words.
+#: How a module names its environment as a literal.
 _ENV_NAME = re.compile(r"""^env_name\s*(?::\s*\w+\s*)?=\s*["']([^"'\n]+)["']""", re.MULTILINE)
-#: Nothing is looked for beyond so many characters of a module.
-_LONGEST = 1 << 20
+#: Only the first characters of a module are searched.
+_MAX_CHARACTERS = 1 << 20
 
-#: An agent with its weights takes up no more than this ...
+#: Largest size of an agent with its weights ...
 MAX_BYTES = 1 << 30
-#: ... in no more files than this ...
+#: ... largest number of its files ...
 MAX_FILES = 10_000
-#: ... and what is larger than a megabyte does not shrink by more than this when zipped.
+#: ... and largest compression ratio of files above a megabyte.
 MAX_RATIO = 200
 _SMALL = 1 << 20
 _BLOCK = 1 << 16
@@ -50,10 +51,10 @@ class AgentPlace:
     """How an agent's module is imported.
 
     Attributes:
-        modules: names to try in turn; the next one if there is no such module.
-        first: folder that is searched before all others; empty for none.
-        last: folder that is searched after all others; empty for none.
-        package: folder of the package that the module belongs to; empty for none.
+        modules: names to try in this order, until a module exists.
+        first: folder to search before all others; empty for none.
+        last: folder to search after all others; empty for none.
+        package: folder of the module's package; empty for none.
     """
 
     modules: tuple[str, ...]
@@ -64,23 +65,18 @@ class AgentPlace:
 
 @dataclass(frozen=True, slots=True)
 class AgentFiles:
-    """Files of an agent, as they were named and found.
+    """The files of an agent.
 
     Attributes:
-        source: as the user wrote it.
-        path: the folder, zip or file; ``None`` for a module that Python finds by its name.
+        source: the text that named them.
+        path: the folder, zip or file; ``None`` for a module that Python finds by name.
     """
 
     source: str
     path: Path | None
 
-    @property
-    def name(self) -> str:
-        """What to call an agent that has no name of its own."""
-        return self.source if self.path is None else self.path.stem
-
-    def place(self, life: ExitStack) -> AgentPlace:
-        """How to import the agent; a zip is unpacked for as long as ``life`` lasts.
+    def place(self, resources: ExitStack) -> AgentPlace:
+        """How to import the agent; a zip is unpacked for as long as ``resources`` lasts.
 
         Raises:
             ConfigError: there is no agent, or the zip cannot be unpacked.
@@ -92,30 +88,32 @@ class AgentFiles:
             return _place_in(self.path, self.source)
         if self.path.suffix == ".py":
             return AgentPlace((self.path.stem,), first=str(self.path.parent))
-        folder = life.enter_context(LockedTemporaryDirectory("agent"))
+        folder = resources.enter_context(LockedTemporaryDirectory("agent"))
         home = folder.path / self.path.stem
         unpack(self.path, home)
         return _place_in(_only_folder(home), self.source)
 
 
 def declared_env(files: AgentFiles) -> str:
-    """The environment's id that an agent's module names; empty if it does not in so many words.
+    """The environment's id that an agent's module names; empty if it names none as a literal.
 
-    Nothing of the module is run: ``env_name = "..."`` has to begin a line of it.
+    The module does not run: a line of it must begin with ``env_name = "..."``.
     """
     try:
-        with ExitStack() as life, _module_file(files.place(life)).open(errors="replace") as module:
-            found = _ENV_NAME.search(module.read(_LONGEST))
+        with ExitStack() as resources:
+            module = _module_file(files.place(resources))
+            stream = resources.enter_context(module.open(errors="replace"))
+            found = _ENV_NAME.search(stream.read(_MAX_CHARACTERS))
     except (ConfigError, OSError):
-        return ""  # told when the agent is loaded
+        return ""  # reported when the agent is loaded
     return found[1] if found else ""
 
 
 def _module_file(place: AgentPlace) -> Path:
-    """Where an agent's module is, as Python would find it.
+    """The file of an agent's module, as Python would find it.
 
     Raises:
-        FileNotFoundError: nowhere.
+        FileNotFoundError: there is none.
     """
     for name in place.modules:
         top, *rest = name.split(".")
@@ -128,7 +126,7 @@ def _module_file(place: AgentPlace) -> Path:
 
 
 def _homes(top: str, place: AgentPlace) -> list[Path]:
-    """Where a package may be, or a module but for its ending."""
+    """Possible folders of a package, or files of a module without their suffix."""
     if place.package:
         return [Path(place.package)]
     first, last = ([Path(folder) / top] if folder else [] for folder in (place.first, place.last))
@@ -139,7 +137,7 @@ def _homes(top: str, place: AgentPlace) -> list[Path]:
 
 
 def _installed(top: str) -> ModuleSpec | None:
-    """What Python has under a name without dots; nothing of it is run."""
+    """The spec of a top-level module; the module does not run."""
     try:
         return importlib.util.find_spec(top)
     except (ImportError, ValueError):
@@ -150,11 +148,11 @@ def find_files(source: str) -> AgentFiles | None:
     """The files of a source; ``None`` if it is neither a path nor a module.
 
     Args:
-        source: path of a folder, zip or Python file, or name of a module. Nothing of it is
-            run, so that its own mistakes show only when it is loaded.
+        source: path of a folder, zip or Python file, or name of a module. The code does not
+            run, so its own errors show only when it is loaded.
 
     Raises:
-        ConfigError: it is a path, but no agent.
+        ConfigError: it is a path, but not an agent.
     """
     path = Path(source).expanduser()
     if path.exists():
@@ -165,8 +163,8 @@ def find_files(source: str) -> AgentFiles | None:
             _require_actor(members_of(path), source)
         elif path.suffix != ".py":
             raise ConfigError(
-                f"agent {source!r} is a file of another kind; expected a folder, a .zip, or a "
-                ".py file"
+                f"agent {source!r} is another kind of file; expected a folder, a .zip, or a .py "
+                "file"
             )
         return AgentFiles(source, path)
     return AgentFiles(source, None) if _is_module(source) else None
@@ -224,45 +222,48 @@ def members_of(path: Path) -> list[str]:
     """Names of the files in a zip.
 
     Raises:
-        ConfigError: it is no zip, or one that :func:`unpack` refuses.
+        ConfigError: it is not a zip, or one that :func:`unpack` rejects.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return [member.filename for member in _checked(archive, path)]
-    except (ConfigError, MemoryError):
-        raise
-    except Exception as error:  # zipfile and zlib tell of damage in many ways
-        raise _damaged(path, error) from error
+    with _opened(path) as archive:
+        return [member.filename for member in _checked(archive, path)]
 
 
 def unpack(path: Path, folder: Path) -> None:
     """Unpacks a zip into a new folder.
 
-    Everything in it becomes a plain file or folder, readable by its owner alone.
+    Every entry becomes a plain file or folder that only its owner can read.
 
     Raises:
-        ConfigError: the zip is damaged, encrypted, too large, or holds links or paths that
-            lead out of it; the folder may hold a part of it then.
+        ConfigError: the zip is damaged, encrypted, too large, or has links or paths that
+            lead out of it. The folder may have a part of it then.
     """
+    with _opened(path) as archive:
+        budget = MAX_BYTES
+        folder.mkdir(parents=True)
+        for member in _checked(archive, path):
+            budget -= _write(archive, member, folder / member.filename, budget, path)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
+    """The zip; any error in reading it is a :class:`ConfigError`."""
     try:
         with zipfile.ZipFile(path) as archive:
-            budget = MAX_BYTES
-            folder.mkdir(parents=True)
-            for member in _checked(archive, path):
-                budget -= _write(archive, member, folder / member.filename, budget, path)
+            yield archive
     except (ConfigError, MemoryError):
         raise
-    except Exception as error:  # zipfile and zlib tell of damage in many ways
-        raise _damaged(path, error) from error
+    except Exception as error:  # zipfile and zlib report damage in many ways
+        why = "cannot be unpacked" if isinstance(error, OSError) else "is not a readable zip"
+        raise ConfigError(f"agent {str(path)!r} {why}: {error}") from error
 
 
 def _checked(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInfo]:
-    """The zip's files, if there is nothing wrong with its list of them."""
+    """The zip's files, after a check of their list."""
     members = archive.infolist()
     if len(members) > MAX_FILES:
-        raise _refused(path, f"it holds {len(members)} files, at most {MAX_FILES} may be")
+        raise _rejected(path, f"it holds {len(members)} files, at most {MAX_FILES} are allowed")
     if sum(member.file_size for member in members) > MAX_BYTES:
-        raise _refused(path, f"unpacked it is larger than {MAX_BYTES >> 20} MB")
+        raise _rejected(path, f"unpacked it is larger than {MAX_BYTES >> 20} MB")
     for member in members:
         _check(member, path)
     return [member for member in members if not member.is_dir()]
@@ -272,37 +273,31 @@ def _check(member: zipfile.ZipInfo, path: Path) -> None:
     name = PurePosixPath(member.filename)
     outside = name.is_absolute() or ".." in name.parts or "\\" in member.filename
     if outside or not name.parts or ":" in name.parts[0]:
-        raise _refused(path, f"{member.filename!r} leads out of it")
+        raise _rejected(path, f"{member.filename!r} leads out of it")
     kind = stat.S_IFMT(member.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
-        raise _refused(path, f"{member.filename!r} is a link or a device, not a file")
+        raise _rejected(path, f"{member.filename!r} is a link or a device, not a file")
     if member.flag_bits & 1:
-        raise _refused(path, f"{member.filename!r} is encrypted")
+        raise _rejected(path, f"{member.filename!r} is encrypted")
     if member.file_size > max(_SMALL, MAX_RATIO * member.compress_size):
-        raise _refused(path, f"{member.filename!r} would grow to {member.file_size} bytes")
+        raise _rejected(path, f"{member.filename!r} would grow to {member.file_size} bytes")
 
 
 def _write(
     archive: zipfile.ZipFile, member: zipfile.ZipInfo, target: Path, budget: int, path: Path
 ) -> int:
-    """Writes one file and returns its size, whatever the zip says it is."""
+    """Writes one file and returns its real size, which the zip may misstate."""
     target.parent.mkdir(parents=True, exist_ok=True)
     size = 0
     with archive.open(member) as source, target.open("xb") as file:
         while block := source.read(_BLOCK):
             size += len(block)
             if size > budget:
-                raise _refused(path, f"unpacked it is larger than {MAX_BYTES >> 20} MB")
+                raise _rejected(path, f"unpacked it is larger than {MAX_BYTES >> 20} MB")
             file.write(block)
     target.chmod(stat.S_IRUSR | stat.S_IWUSR)
     return size
 
 
-def _refused(path: Path, why: str) -> ConfigError:
+def _rejected(path: Path, why: str) -> ConfigError:
     return ConfigError(f"agent {str(path)!r} is not unpacked: {why}. Zip plain files only.")
-
-
-def _damaged(path: Path, error: BaseException) -> ConfigError:
-    if isinstance(error, OSError):
-        return ConfigError(f"agent {str(path)!r} cannot be unpacked: {error}")
-    return ConfigError(f"agent {str(path)!r} is no zip that can be read: {error}")

@@ -1,8 +1,8 @@
-"""The process of one agent: loads it, and answers observations with actions until told to end.
+"""The process of one agent: loads the agent and answers observations with actions.
 
 Messages on the socket are a length and that many bytes of :mod:`stkzoo.race.codec`. The first
-says what to load; each later one carries an observation. What the agent itself reads and
-writes goes elsewhere (``docs/agents.md``).
+message says what to load; each later one has an observation. The agent's own input and output go
+elsewhere (``docs/agents.md``).
 """
 
 from __future__ import annotations
@@ -12,54 +12,81 @@ import socket
 import struct
 import sys
 import time
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
+from stkzoo.errors import ProtocolError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race import codec
 from stkzoo.race.agents.code import load_agent
-from stkzoo.race.agents.failures import agent_trace, in_words
+from stkzoo.race.agents.failures import error_report
 from stkzoo.race.agents.files import AgentPlace
 from stkzoo.race.agents.inline import AgentRunner
 
-__all__ = ["Incoming", "main", "receive", "send"]
+__all__ = ["Channel", "main"]
 
 _LENGTH = struct.Struct("<I")
-_MAX_TEXT = 4000
 
 
-class Incoming(Protocol):
-    """Whatever bytes can be received from."""
+class Channel:
+    """Messages over a socket. A deadline holds for a whole message, however it trickles in.
 
-    def recv(self, size: int, /) -> bytes:
-        """At most so many bytes; none if the other end is gone."""
-        ...
+    Args:
+        connection: the socket.
 
-
-def send(connection: socket.socket, message: Any) -> None:
-    """Sends one message.
-
-    Raises:
-        OSError: the other end is gone, or the socket's time-out passed.
-        ProtocolError: it is not plain data.
+    Attributes:
+        deadline: when the next message must be sent or received, as
+            :func:`time.monotonic`; ``None`` for no limit.
     """
-    data = codec.encode(message)
-    connection.sendall(_LENGTH.pack(len(data)) + data)
 
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+        self.deadline: float | None = None
 
-def receive(connection: Incoming) -> Any:
-    """Waits for one message.
+    def send(self, message: Any) -> None:
+        """Sends one message.
 
-    Raises:
-        EOFError: the other end is gone.
-        OSError: the connection broke, or the socket's time-out passed.
-        ProtocolError: what came is no message.
-    """
-    (length,) = _LENGTH.unpack(_exactly(connection, _LENGTH.size))
-    if length > codec.LIMITS.max_bytes:
-        return codec.decode(bytes(codec.LIMITS.max_bytes + 1))  # says that it is too long
-    return codec.decode(_exactly(connection, length))
+        Raises:
+            OSError: the other end is gone, or the deadline has passed (``TimeoutError``).
+            ProtocolError: the message is not plain data.
+        """
+        data = codec.encode(message)
+        self._set_timeout()
+        self._connection.sendall(_LENGTH.pack(len(data)) + data)
+
+    def receive(self) -> Any:
+        """Waits for one message.
+
+        Raises:
+            EOFError: the other end is gone.
+            OSError: the connection broke, or the deadline has passed (``TimeoutError``).
+            ProtocolError: the bytes are not a message.
+        """
+        (length,) = _LENGTH.unpack(self._exactly(_LENGTH.size))
+        if length > codec.LIMITS.max_bytes:
+            raise ProtocolError(
+                f"a message of {length} bytes, expected at most {codec.LIMITS.max_bytes}"
+            )
+        return codec.decode(self._exactly(length))
+
+    def close(self) -> None:
+        """Closes the socket; may be called again."""
+        self._connection.close()
+
+    def _exactly(self, size: int) -> bytes:
+        data = bytearray()
+        while len(data) < size:
+            self._set_timeout()
+            block = self._connection.recv(size - len(data))
+            if not block:
+                raise EOFError("the connection was closed")
+            data += block
+        return bytes(data)
+
+    def _set_timeout(self) -> None:
+        left = None if self.deadline is None else max(self.deadline - time.monotonic(), 1e-4)
+        self._connection.settimeout(left)
 
 
 def main(connection_fd: int, parent: int, memory: int) -> None:
@@ -68,36 +95,36 @@ def main(connection_fd: int, parent: int, memory: int) -> None:
     Args:
         connection_fd: descriptor of the socket to the race.
         parent: process id of the race.
-        memory: how much the process may use [bytes]; 0 is no limit.
+        memory: how much memory the process may use [bytes]; 0 for no limit.
     """
     _die_with(parent)
     connection = socket.socket(fileno=connection_fd)
     connection.set_inheritable(False)
+    channel = Channel(connection)
     try:
-        order = receive(connection)
+        order = channel.receive()
         _limit_memory(memory)
-        runner = _start(connection, order)
+        runner = _start(channel, order)
         while runner is not None:
-            send(connection, _decide(runner, *receive(connection)))
+            channel.send(_decide(runner, *channel.receive()))
     except (EOFError, OSError):
         return  # the race is over
 
 
-def _start(connection: socket.socket, order: dict[str, Any]) -> AgentRunner | None:
-    """Loads the agent and tells the race what came of it."""
+def _start(channel: Channel, order: dict[str, Any]) -> AgentRunner | None:
+    """Loads the agent and reports the outcome to the race."""
     try:
         seed: int = order["seed"]
         _seed_everything(seed)
-        place = AgentPlace(**order["place"])
-        code = load_agent(place, order["adapter"])
-        code.scope.__enter__()  # for good: nobody else's modules are here
+        code = load_agent(AgentPlace(**order["place"]), order["adapter"])
+        code.scope.__enter__()  # for good: no other agent's modules are here
         spaces = kart_observation_space(sees_ground=order["sees_ground"]), kart_action_space()
         runner = AgentRunner(code, order["agent"], *spaces, seed)
-    except Exception as error:  # noqa: BLE001 - it is the race that must hear of it
-        send(connection, {"error": _describe(error)})
+    except Exception as error:  # noqa: BLE001 - reported to the race
+        channel.send({"error": error_report(error)})
         return None
     _seed_everything(seed)
-    send(connection, {"name": runner.name, "paths_used": runner.paths_used})
+    channel.send({"name": runner.name, "paths_used": runner.paths_used})
     return runner
 
 
@@ -105,18 +132,13 @@ def _decide(runner: AgentRunner, number: int, observation: Any) -> dict[str, Any
     begin = time.perf_counter()
     try:
         action = runner.act(observation)
-    except Exception as error:  # noqa: BLE001 - it is the race that must hear of it
-        return {"number": number, "error": _describe(error)}
+    except Exception as error:  # noqa: BLE001 - reported to the race
+        return {"number": number, "error": error_report(error)}
     return {"number": number, "action": action, "seconds": time.perf_counter() - begin}
 
 
-def _describe(error: Exception) -> list[str]:
-    """An exception in words: what it is, and where it came from."""
-    return [in_words(error)[:_MAX_TEXT], agent_trace(error)[-_MAX_TEXT:]]
-
-
 def _seed_everything(seed: int) -> None:
-    """Makes an agent that draws from the common random streams repeatable."""
+    """Seeds the global random generators, for agents that use them."""
     random.seed(seed)
     np.random.seed(seed % 2**32)
     if "torch" in sys.modules:
@@ -132,18 +154,8 @@ def _limit_memory(limit: int) -> None:
 
 
 def _die_with(parent: int) -> None:
-    """Makes the kernel end this process when the race's ends (Linux)."""
+    """Makes the kernel end this process when the race's process ends (Linux)."""
     if sys.platform == "linux":
         from stkzoo.engine import process_clone
 
         process_clone.die_with(parent)
-
-
-def _exactly(connection: Incoming, size: int) -> bytes:
-    data = bytearray()
-    while len(data) < size:
-        block = connection.recv(size - len(data))
-        if not block:
-            raise EOFError("the connection was closed")
-        data += block
-    return bytes(data)

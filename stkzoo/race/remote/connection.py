@@ -1,4 +1,4 @@
-"""The client's side of one server."""
+"""The client's side of the connection to one server."""
 
 from __future__ import annotations
 
@@ -9,42 +9,25 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
-from stkzoo.errors import ProtocolError, RemoteError
+from stkzoo.errors import AgentError, ProtocolError, RemoteError
+from stkzoo.race.agents.failures import printable, reported_error
 from stkzoo.race.codec import decode, encode
 from stkzoo.race.instances import Decision
+from stkzoo.race.remote import protocol
 from stkzoo.race.remote.keys import KeyPair
-from stkzoo.race.remote.library import zmq_module
-from stkzoo.race.remote.protocol import (
-    ACT,
-    ACTED,
-    ALIVE,
-    BYE,
-    CLOSE,
-    ERROR,
-    HELLO,
-    OPEN,
-    OPENED,
-    VERSION,
-    WELCOME,
-    pack,
-    printable,
-    take,
-    take_version,
-    unpack,
-)
-from stkzoo.race.remote.sockets import client_socket
+from stkzoo.race.remote.sockets import client_socket, zmq_module
 
-__all__ = ["Connection", "Failure", "Opened", "Server"]
+__all__ = ["Connection", "Failure", "Server"]
 
-#: How long goodbye may take after the program has gone on [ms].
+#: How long ZeroMQ may take to send the last message in the background [ms].
 _GOODBYE = 500
-#: How long messages that came in time may take to read [s].
+#: How late messages that came in time may be read [s].
 _READING = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Server:
-    """Where a server is, and how to know it.
+    """A server's address and identity.
 
     Attributes:
         address: in ZeroMQ's form.
@@ -57,39 +40,22 @@ class Server:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """What the server tells of an agent that failed.
+    """An agent's failure, as the server reported it.
 
     Attributes:
-        text: what happened.
-        trace: the traceback in the agent's code, or the last lines that it wrote.
-        is_timeout: whether it was too slow.
-        is_usable: whether it can be asked again.
+        error: without the agent's id.
+        is_usable: whether the agent can be asked again.
     """
 
-    text: str
-    trace: str
-    is_timeout: bool
+    error: AgentError
     is_usable: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Opened:
-    """What the server tells of an agent that can drive.
-
-    Attributes:
-        name: what it calls itself; may be empty.
-        paths_used: how many track segments it looks at; ``None`` is all.
-    """
-
-    name: str
-    paths_used: int | None
 
 
 class Connection:
     """Sends and receives; belongs to one thread.
 
-    Nothing waits without an end. Once anything is wrong with the server, :attr:`failure` says
-    what, and all methods raise :class:`~stkzoo.errors.RemoteError` at once.
+    All waits are bounded. After any problem with the server, :attr:`failure` describes it, and all
+    methods raise :class:`~stkzoo.errors.RemoteError` at once.
 
     Args:
         context: ZeroMQ's.
@@ -100,7 +66,7 @@ class Connection:
     def __init__(self, context: Any, server: Server, keys: KeyPair | None) -> None:
         self._zmq, self.server = zmq_module(), server
         self.failure = ""
-        #: What the server said of itself; empty until it has.
+        #: The server's description of itself; empty until it comes.
         self.welcome: dict[str, Any] = {}
         self._socket = client_socket(context, server.address, keys, server.key)
         self._monitor = self._socket.get_monitor_socket(
@@ -114,51 +80,53 @@ class Connection:
         self._poller.register(self._monitor, self._zmq.POLLIN)
         self._next_seat = self._step = 0
         self._opening: set[int] = set()
-        self._opened: dict[int, Opened | Failure] = {}
+        self._opened: dict[int, tuple[str, int | None] | Failure] = {}
         self._observations: list[list[Any]] = []
         self._asked: set[int] = set()
         self._decided: dict[int, Decision | Failure] = {}
         self._seats: set[int] = set()
-        self._send(HELLO, pack(protocol=VERSION, stkzoo=version("stkzoo")))
+        self._send(
+            protocol.HELLO, protocol.pack(protocol=protocol.VERSION, stkzoo=version("stkzoo"))
+        )
 
-    # ------------------------------------------------------------------ what the group does
+    # ------------------------------------------------------------------ requests
 
     def wait_welcome(self, deadline: float) -> dict[str, Any]:
-        """What the server says of itself."""
+        """The server's description of itself."""
         self._wait(lambda: bool(self.welcome), deadline, "connect")
         return self.welcome
 
     def open(self, **fields: Any) -> int:
-        """Asks for a seat; returns its number."""
+        """Asks the server to start a driver; returns the number of its seat."""
         number = self._next_seat
         self._next_seat += 1
         self._seats.add(number)
         self._opening.add(number)
-        self._send(OPEN, pack(protocol=VERSION, seat=number, **fields))
+        self._send(protocol.OPEN, protocol.pack(protocol=protocol.VERSION, seat=number, **fields))
         return number
 
-    def wait_opened(self, seat: int, deadline: float) -> Opened | Failure:
-        """What became of a seat that was asked for."""
+    def wait_opened(self, seat: int, deadline: float) -> tuple[str, int | None] | Failure:
+        """How the start of a driver ended: its name and the path segments it uses, or a failure."""
         self._wait(lambda: seat in self._opened, deadline, "start an agent")
         return self._opened[seat]
 
     def ask(self, seat: int, observation: Any) -> None:
-        """Keeps an observation until all seats have theirs, or for :meth:`flush`."""
+        """Keeps an observation until every seat has one, or until :meth:`flush`."""
         self._require()
         self._decided.pop(seat, None)
         self._observations.append([seat, encode(observation)])
         if len(self._observations) == len(self._seats):
-            self.flush()  # the server may begin while others are still asked
+            self.flush()  # the server starts while other servers are still asked
 
     def flush(self) -> None:
-        """Sends all observations that were kept, in one message; never raises."""
+        """Sends all kept observations in one message; never raises."""
         if not self._observations or self.failure:
             return
         observations, self._observations = self._observations, []
         self._step += 1
         self._asked = {seat for seat, _ in observations}
         try:
-            self._send(ACT, pack(step=self._step, observations=observations))
+            self._send(protocol.ACT, protocol.pack(step=self._step, observations=observations))
         except (ProtocolError, RemoteError) as error:
             self._fail(str(error))
 
@@ -168,27 +136,27 @@ class Connection:
         return self._decided.pop(seat)
 
     def close_seat(self, seat: int) -> None:
-        """Gives a seat back; the last one ends the connection."""
+        """Ends a driver instance; the last one ends the connection."""
         if seat not in self._seats:
             return
         self._seats.discard(seat)
         if not self.failure and self._seats:
-            self._send(CLOSE, pack(seats=[seat]))
+            self._send(protocol.CLOSE, protocol.pack(seats=[seat]))
         if not self._seats:
             self.close()
 
     def close(self) -> None:
-        """Says goodbye and ends; may be called twice."""
+        """Tells the server and ends; may be called twice."""
         if self._socket.closed:
             return
         if not self.failure:
-            self._send(BYE, b"")
+            self._send(protocol.BYE, b"")
             self.failure = self.failure or "the connection was closed"
         self._socket.disable_monitor()
         self._monitor.close(0)
         self._socket.close(_GOODBYE)
 
-    # ------------------------------------------------------------------ the wire
+    # ------------------------------------------------------------------ sockets
 
     def _require(self) -> None:
         if self.failure:
@@ -199,12 +167,13 @@ class Connection:
         try:
             self._socket.send_multipart([kind, body], self._zmq.NOBLOCK)
         except self._zmq.ZMQError as error:
-            self._fail(f"{self.server.address} does not take our messages: {error}")
+            self._fail(f"{self.server.address} does not accept messages: {error}")
 
     def _wait(self, is_there: Callable[[], bool], deadline: float, what: str) -> None:
-        """Receives until something is there.
+        """Receives until a condition holds.
 
-        What came in time counts, even if it is read late because another server was awaited.
+        A message that came in time counts even if the program reads it late, after a wait for
+        another server.
         """
         while not is_there():
             self._require()
@@ -216,30 +185,30 @@ class Connection:
                 if socket is self._socket:
                     self._receive()
                 elif not self._has_mail():
-                    self._take_event()
+                    self._receive_event()
 
     def _has_mail(self) -> bool:
-        """Whether something that the server said before it went is still to be read."""
+        """Whether a message that the server sent before it disconnected is still unread."""
         return bool(self._socket.getsockopt(self._zmq.EVENTS) & self._zmq.POLLIN)
 
-    def _take_event(self) -> None:
+    def _receive_event(self) -> None:
         from zmq.utils.monitor import parse_monitor_message
 
         event = parse_monitor_message(self._monitor.recv_multipart())["event"]
         if event == self._zmq.EVENT_DISCONNECTED:
-            # Before it has said anything it may just not have let us in yet, or be starting.
+            # Before its first message it may still be starting, or checking the key.
             if self.welcome:
                 self._fail(f"the connection to {self.server.address} was lost")
         else:
             self._fail(
-                f"{self.server.address} does not let us in: it expects a key (--secret) that is on "
-                "its list, and to be known by its own (--server-key)"
+                f"{self.server.address} refuses the connection: it expects a key (--secret) that "
+                "is on its list, and its own key (--server-key)"
             )
 
     def _receive(self) -> None:
         frames = self._socket.recv_multipart()
         try:
-            self._take(frames)
+            self._handle(frames)
         except ProtocolError as error:
             self._fail(f"{self.server.address} broke the protocol: {error}")
         except Exception as error:  # noqa: BLE001 - no server may end the race
@@ -249,29 +218,31 @@ class Connection:
         self.failure = self.failure or text
         self._observations = []
 
-    # ------------------------------------------------------------------ what comes in
+    # ------------------------------------------------------------------ incoming messages
 
-    def _take(self, frames: list[bytes]) -> None:
+    def _handle(self, frames: list[bytes]) -> None:
         if len(frames) != 2:
             raise ProtocolError(f"{len(frames)} frames came, expected 2")
         kind, body = frames
-        if kind == ALIVE:
+        if kind == protocol.ALIVE:
             return
-        fields = unpack(body)
-        if kind == ERROR:
-            self._fail(f"{self.server.address}: {printable(take(fields, 'text', str))}")
-        elif kind == WELCOME:
-            self._take_welcome(fields)
-        elif kind == OPENED:
-            self._take_opened(fields)
-        elif kind == ACTED:
-            self._take_acted(fields)
+        fields = protocol.unpack(body)
+        if kind == protocol.ERROR:
+            self._fail(
+                f"{self.server.address}: {printable(protocol.field(fields, 'text', str), 4000)}"
+            )
+        elif kind == protocol.WELCOME:
+            self._handle_welcome(fields)
+        elif kind == protocol.OPENED:
+            self._handle_opened(fields)
+        elif kind == protocol.ACTED:
+            self._handle_acted(fields)
         else:
             raise ProtocolError(f"message kind {kind!r:.20} came")
 
-    def _take_welcome(self, fields: dict[str, Any]) -> None:
-        take_version(fields)
-        for agent in take(fields, "agents", list):
+    def _handle_welcome(self, fields: dict[str, Any]) -> None:
+        protocol.check_version(fields)
+        for agent in protocol.field(fields, "agents", list):
             if type(agent) is not list or [*map(type, agent)] != [str, str, bool]:
                 raise ProtocolError(
                     f"an agent {agent!r:.100}, expected its name, its source and whether it sees "
@@ -281,32 +252,32 @@ class Connection:
             raise ProtocolError("no agents")
         self.welcome = fields
 
-    def _take_opened(self, fields: dict[str, Any]) -> None:
-        seat = take(fields, "seat", int)
+    def _handle_opened(self, fields: dict[str, Any]) -> None:
+        seat = protocol.field(fields, "seat", int)
         if seat not in self._opening:
-            raise ProtocolError(f"news of seat {seat}, which was not asked for")
+            raise ProtocolError(f"a start of seat {seat}, which was not asked for")
         self._opening.discard(seat)
         if "error" in fields:
-            self._opened[seat] = _failure(fields["error"], is_usable=False)
+            self._opened[seat] = Failure(reported_error(fields["error"], ""))
             return
         paths = fields.get("paths_used")
         if paths is not None and (type(paths) is not int or paths < 0):
             raise ProtocolError(f"{paths!r:.50} track segments, expected a number")
-        self._opened[seat] = Opened(printable(take(fields, "name", str), 100), paths)
+        self._opened[seat] = printable(protocol.field(fields, "name", str), 100), paths
 
-    def _take_acted(self, fields: dict[str, Any]) -> None:
-        if take(fields, "step", int) != self._step:
+    def _handle_acted(self, fields: dict[str, Any]) -> None:
+        if protocol.field(fields, "step", int) != self._step:
             raise ProtocolError(f"an answer to step {fields['step']}, expected {self._step}")
-        for entry in take(fields, "decisions", list):
+        for entry in protocol.field(fields, "decisions", list):
             match entry:
                 case [int(seat), bytes(action), float(seconds)] if 0 <= seconds < 1e9:
                     self._decide(seat, Decision(decode(action), seconds))
                 case _:
                     raise ProtocolError(f"a decision {entry!r:.100}")
-        for entry in take(fields, "failures", list):
+        for entry in protocol.field(fields, "failures", list):
             match entry:
                 case [int(seat), error, bool(is_usable)]:
-                    self._decide(seat, _failure(error, is_usable))
+                    self._decide(seat, Failure(reported_error(error, ""), is_usable))
                 case _:
                     raise ProtocolError(f"a failure {entry!r:.100}")
         if self._asked:
@@ -317,10 +288,3 @@ class Connection:
             raise ProtocolError(f"an answer of seat {seat}, which was not asked")
         self._asked.discard(seat)
         self._decided[seat] = outcome
-
-
-def _failure(error: Any, is_usable: bool) -> Failure:
-    match error:
-        case [str(kind), str(text), str(trace)]:
-            return Failure(printable(text), printable(trace), kind == "timeout", is_usable)
-    raise ProtocolError(f"an error {error!r:.100}")

@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
 from itertools import zip_longest
 from typing import Any, NoReturn
 
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError, RemoteError
+from stkzoo.race.agents.failures import printable
 from stkzoo.race.drivers import Driver
-from stkzoo.race.instances import Decision, DriverInstance, DriverRequest
+from stkzoo.race.instances import Decision, DriverRequest, without_unused_paths
 from stkzoo.race.remote.connection import Connection, Failure, Server
-from stkzoo.race.remote.keys import KeyPair
-from stkzoo.race.remote.library import zmq_module
-from stkzoo.race.remote.protocol import printable
-from stkzoo.race.remote.sockets import full_address
+from stkzoo.race.remote.keys import KeyPair, new_keys
+from stkzoo.race.remote.sockets import full_address, zmq_module
 from stkzoo.race.remote.spaces import space_to_data
 
 __all__ = ["RemoteDriverGroup", "RemoteInstance"]
 
-#: How long a server that has failed in this race may take to be there again [s].
+#: How long to wait for a server that has already failed in this race [s].
 _SECOND_CHANCE = 1.0
-#: What a server may need to tell that an agent was too slow, besides the agent's time [s].
+#: How long a server may take to report a slow agent, beyond the agent's own limit [s].
 _MARGIN = 5.0
-#: How long a server may take to answer if its agents may take as long as they like [s].
+#: How long a server may take to answer if its agents have no time limit [s].
 _TIMEOUT = 60.0
 
 
@@ -35,18 +35,18 @@ class RemoteDriverGroup:
     >>> with RemoteDriverGroup(["tcp://127.0.0.1:5555"]) as group:  # doctest: +SKIP
     ...     result = run_race([*group.drivers, "ai"])
 
-    Use it in one thread. It serves race after race; a connection lasts as long as a race.
+    Use it in one thread, for any number of races. A connection lasts for one race.
 
     Args:
         servers: their addresses.
-        keys: the client's own keys; ``None`` if the servers ask for none.
+        keys: the client's own keys; ``None`` for new ones, where any client is allowed.
         server_keys: the servers' public keys: none, one for all, or one for each.
-        timeout: how long a server may take for an answer [s], whatever its agents may.
-        connect_timeout: how long it may take to be there [s].
+        timeout: time limit for a server's answer [s], in place of its agents' limits.
+        connect_timeout: time limit for the connection [s].
 
     Raises:
-        ConfigError: an argument cannot be, or pyzmq is not installed.
-        RemoteError: a server is not there, or is no server of ours.
+        ConfigError: an argument is invalid, or pyzmq is not installed.
+        RemoteError: a server does not answer, or not as a stkzoo server.
     """
 
     def __init__(
@@ -68,7 +68,8 @@ class RemoteDriverGroup:
         for name, seconds in (("timeout", timeout), ("connect_timeout", connect_timeout)):
             if seconds is not None and not 0 < seconds < 1e9:
                 raise ConfigError(f"{name} is {seconds!r}, expected seconds above 0")
-        self.keys, self.timeout, self._patience = keys, timeout, connect_timeout
+        self._keys = keys or (new_keys() if server_keys else None)
+        self.timeout, self._patience = timeout, connect_timeout
         one_for_each = [*server_keys] * (len(servers) if len(server_keys) == 1 else 1)
         self._servers = [
             Server(full_address(address), key)
@@ -78,7 +79,7 @@ class RemoteDriverGroup:
         self._connections: dict[Server, Connection] = {}
         self._failed: set[Server] = set()
         try:
-            #: One driver for each agent of each server, in order.
+            #: One driver per agent of each server, in order.
             self.drivers: list[Driver] = self._find_drivers()
         except BaseException:
             self.close()
@@ -98,25 +99,25 @@ class RemoteDriverGroup:
         self._context.term()
 
     def connection(self, server: Server) -> Connection:
-        """The connection to a server, which is a new one if there was none or it failed."""
+        """The connection to a server; a new one if there is none or it has failed."""
         connection = self._connections.get(server)
         if connection is None or connection.failure:
             if connection is not None:
                 connection.close()
-            connection = Connection(self._context, server, self.keys)
+            connection = Connection(self._context, server, self._keys)
             self._connections[server] = connection
         return connection
 
     def patience(self, server: Server) -> float:
-        """How long to wait for a server to be there [s]."""
+        """How long to wait for the connection to a server [s]."""
         return _SECOND_CHANCE if server in self._failed else self._patience
 
-    def note(self, server: Server, is_there: bool) -> None:
-        """Remembers whether a server answered, for :meth:`patience`."""
+    def record(self, server: Server, is_there: bool) -> None:
+        """Records whether a server answered, for :meth:`patience`."""
         (self._failed.discard if is_there else self._failed.add)(server)
 
     def flush(self) -> None:
-        """Sends all that the seats were asked, to all servers, before any answer is awaited."""
+        """Sends the observations to all servers, before any wait for an answer."""
         for connection in self._connections.values():
             connection.flush()
 
@@ -130,56 +131,48 @@ class RemoteDriverGroup:
             welcome = connection.wait_welcome(deadline)
             for number, agent in enumerate(welcome["agents"]):
                 name, source, sees_ground = agent
-                opener = RemoteOpener(self, server, number, agent)
+                start = partial(
+                    RemoteInstance, group=self, server=server, number=number, agent=agent
+                )
                 where = f"{server.address} {printable(source, 100)}".strip()
-                drivers.append(Driver(printable(name, 100), opener, where, sees_ground=sees_ground))
+                drivers.append(Driver(printable(name, 100), start, where, sees_ground=sees_ground))
             connection.close()
         return drivers
-
-
-@dataclass(frozen=True, slots=True)
-class RemoteOpener:
-    """Opens seats of one agent of a server.
-
-    Attributes:
-        group: the agents of all servers.
-        server: where the agent is.
-        number: which of the server's agents it is.
-        agent: what the server said of it before the race: its name, empty if it did not know,
-            where it comes from, and whether it sees the ground.
-    """
-
-    group: RemoteDriverGroup
-    server: Server
-    number: int
-    agent: list[Any]
-
-    def __call__(self, request: DriverRequest) -> DriverInstance:
-        """Opens a seat."""
-        return RemoteInstance(self, request)
 
 
 class RemoteInstance:
     """An agent of a server in one race.
 
     Args:
-        opener: which agent.
-        request: what the runner asks for.
+        request: the runner's request.
+        group: the agents of all servers.
+        server: the agent's server.
+        number: index of the agent on the server.
+        agent: the server's description of the agent before the race: its name (may be empty), its
+            source, and whether it sees the ground.
 
     Raises:
         AgentError: the server cannot be reached.
     """
 
-    def __init__(self, opener: RemoteOpener, request: DriverRequest) -> None:
-        self._opener, self._group = opener, opener.group
+    def __init__(
+        self,
+        request: DriverRequest,
+        group: RemoteDriverGroup,
+        server: Server,
+        number: int,
+        agent: list[Any],
+    ) -> None:
+        self._group, self._server = group, server
+        self._number, self._description = number, agent
         self._agent, self._limits = request.agent, request.limits
         self._paths: int | None = None
         self.is_usable = True
         self._begin = time.monotonic()
         try:
-            self._connection = self._group.connection(opener.server)
+            self._connection = group.connection(server)
             self._seat = self._connection.open(
-                driver=opener.number,
+                driver=number,
                 agent=request.agent,
                 observation_space=space_to_data(request.observation_space),
                 action_space=space_to_data(request.action_space),
@@ -192,72 +185,60 @@ class RemoteInstance:
 
     def ready(self) -> str:
         """Waits until the agent can drive."""
-        server, begin = self._opener.server, self._begin
-        try:
-            patience = min(self._group.patience(server), self._limits.start_timeout)
-            welcome = self._connection.wait_welcome(begin + patience)
-            self._check_same(welcome["agents"])
-            deadline = begin + self._limits.start_timeout + _MARGIN
+        start_timeout = self._limits.start_timeout
+        with self._failures():
+            patience = min(self._group.patience(self._server), start_timeout)
+            welcome = self._connection.wait_welcome(self._begin + patience)
+            if welcome["agents"][self._number : self._number + 1] != [self._description]:
+                raise ProtocolError(f"{self._server.address} has other agents than before")
+            deadline = self._begin + start_timeout + _MARGIN
             opened = self._connection.wait_opened(self._seat, deadline)
-        except RemoteError as error:
-            self._lost(error)
         if isinstance(opened, Failure):
-            self._failed(opened)
-        self._group.note(server, is_there=True)
-        self._paths = opened.paths_used
-        return opened.name
+            self._fail(opened)
+        self._group.record(self._server, is_there=True)
+        name, self._paths = opened
+        return name
 
     def ask(self, observation: Any) -> None:
-        """Keeps the observation until all have theirs."""
+        """Keeps the observation until every driver has one."""
         self._begin = time.monotonic()
-        if self._paths is not None:
-            observation = {
-                key: value[: self._paths] if key.startswith("paths_") else value
-                for key, value in observation.items()
-            }
-        try:
-            self._connection.ask(self._seat, observation)
-        except RemoteError as error:
-            self._lost(error)
+        with self._failures():
+            self._connection.ask(self._seat, without_unused_paths(observation, self._paths))
 
     def answer(self) -> Decision:
         """Waits for the decision."""
         self._group.flush()
-        try:
-            outcome = self._connection.wait_decision(self._seat, self._begin + self._time())
-        except RemoteError as error:
-            self._lost(error)
-        if isinstance(outcome, Failure):
-            self._failed(outcome)
-        return outcome
+        with self._failures():
+            decision = self._connection.wait_decision(self._seat, self._begin + self._timeout())
+        if isinstance(decision, Failure):
+            self._fail(decision)
+        return decision
 
     def close(self) -> None:
-        """Gives the seat back."""
+        """Ends the agent's part in the race."""
         self.is_usable = False
         self._connection.close_seat(self._seat)
 
-    def _time(self) -> float:
-        """How long the server may take for an answer [s]."""
+    def _timeout(self) -> float:
+        """Time limit for the server's answer [s]."""
         if self._group.timeout is not None:
             return self._group.timeout
         limit = self._limits.action_timeout
         return _TIMEOUT if limit is None else limit + _MARGIN
 
-    def _check_same(self, agents: list[list[Any]]) -> None:
-        """Other agents may be there since the server was asked who they are."""
-        opener = self._opener
-        if agents[opener.number : opener.number + 1] != [opener.agent]:
-            raise ProtocolError(f"{opener.server.address} has other agents than before")
+    @contextmanager
+    def _failures(self) -> Iterator[None]:
+        """Raises :class:`AgentError` for a server that is gone; all its agents fail with it."""
+        try:
+            yield
+        except RemoteError as error:
+            self.is_usable = False
+            self._group.record(self._server, is_there=False)
+            is_late = "in time" in str(error)
+            raise (AgentTimeout if is_late else AgentError)(str(error), self._agent) from error
 
-    def _lost(self, error: RemoteError) -> NoReturn:
-        """Raises for a server that is gone; all its seats fail with it."""
-        self.is_usable = False
-        self._group.note(self._opener.server, is_there=False)
-        is_late = "in time" in str(error)
-        raise (AgentTimeout if is_late else AgentError)(str(error), self._agent) from error
-
-    def _failed(self, failure: Failure) -> NoReturn:
-        """Raises for an agent that the server says has failed."""
+    def _fail(self, failure: Failure) -> NoReturn:
+        """Raises for an agent whose failure the server reported."""
         self.is_usable = failure.is_usable
-        kind = AgentTimeout if failure.is_timeout else AgentError
-        raise kind(failure.text, self._agent, failure.trace)
+        failure.error.key = self._agent
+        raise failure.error

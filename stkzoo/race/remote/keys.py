@@ -1,8 +1,7 @@
-"""Keys of servers and clients: files that people hand to one another.
+"""Key files of servers and clients.
 
-``NAME.secret`` holds both halves and stays with its owner; ``NAME.public`` may be given to
-anybody. Each line is a word and a key in ZeroMQ's Z85 form, so that files of many public
-keys are made by writing them one after another.
+``NAME.secret`` has both halves of a key and stays with its owner; ``NAME.public`` is for others.
+Each line is a word and a key in ZeroMQ's Z85 encoding, so public files can be concatenated.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from stkzoo.errors import ConfigError
-from stkzoo.race.remote.library import zmq_module
+from stkzoo.race.remote.sockets import zmq_module
 
 __all__ = ["KeyPair", "new_key_files", "new_keys", "read_public", "read_publics", "read_secret"]
 
@@ -24,10 +23,10 @@ _KEY = re.compile(r"[0-9a-zA-Z.\-:+=^!/*?&<>()\[\]{}@%$#]{40}")
 
 @dataclass(frozen=True, slots=True)
 class KeyPair:
-    """Both halves of somebody's key, in Z85 form.
+    """Both halves of a key, in Z85 encoding.
 
     Attributes:
-        public: the half to give away.
+        public: the half to share.
         secret: the half to keep.
     """
 
@@ -53,20 +52,20 @@ def new_key_files(name: str, folder: Path) -> tuple[Path, Path]:
 
     Args:
         name: of the files, before ``.secret`` and ``.public``.
-        folder: where to.
+        folder: their folder.
 
     Returns:
-        The secret file, which only its owner may read, and the public one.
+        The secret file, which only its owner can read, and the public one.
 
     Raises:
-        ConfigError: there are such files already, or they cannot be written.
+        ConfigError: the files exist already, or cannot be written.
     """
     if not _NAME.fullmatch(name):
         raise ConfigError(f"key name {name!r}, expected letters, digits, _ . and -")
     secret_file, public_file = folder / f"{name}.secret", folder / f"{name}.public"
     for file in (secret_file, public_file):
         if file.exists():
-            raise ConfigError(f"{file} is there already; take another name, or remove it first")
+            raise ConfigError(f"{file} exists already; choose another name, or remove it first")
     keys = new_keys()
     public = f"public {keys.public} {name}\n"
     _write(secret_file, f"# A secret key: keep it to yourself.\n{public}secret {keys.secret}\n")
@@ -78,14 +77,14 @@ def read_secret(file: str | Path) -> KeyPair:
     """Both halves from a ``.secret`` file.
 
     Raises:
-        ConfigError: there is none, others may read it, or it is no secret key.
+        ConfigError: it does not exist, others can read it, or it is not a secret key.
     """
     path = Path(file).expanduser()
     words = dict(line[:2] for line in _lines_of(path))
     if "secret" not in words or "public" not in words:
-        raise ConfigError(f"{path} is no secret key; make one with: stkzoo keys new NAME")
+        raise ConfigError(f"{path} is not a secret key; make one with: stkzoo keys new NAME")
     if os.name == "posix" and path.stat().st_mode & 0o077:
-        raise ConfigError(f"other users may read the secret key {path}; first: chmod 600 {path}")
+        raise ConfigError(f"other users can read the secret key {path}; first: chmod 600 {path}")
     return KeyPair(words["public"], words["secret"])
 
 
@@ -105,7 +104,7 @@ def read_public(source: str | Path) -> str:
 
 
 def read_publics(sources: Iterable[str | Path]) -> dict[str, str]:
-    """Public keys, and the names that stand beside them.
+    """Public keys and their names.
 
     Args:
         sources: ``.public`` files, folders of them, files of many such lines, or keys.
@@ -143,7 +142,7 @@ def _lines_of(path: Path) -> list[list[str]]:
     for words in lines:
         if len(words) < 2 or words[0] not in ("public", "secret") or not _KEY.fullmatch(words[1]):
             raise ConfigError(
-                f"{path} has a line that is no key, expected 'public' or 'secret' and 40 characters"
+                f"{path} has an invalid line, expected 'public' or 'secret' and 40 characters"
             )
     return lines
 

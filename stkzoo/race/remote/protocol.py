@@ -1,7 +1,7 @@
-"""The messages between the two ends of a networked race (``docs/protocol.md``).
+"""The messages between client and server of a networked race (``docs/protocol.md``).
 
 A message is two ZeroMQ frames: its kind, one byte, and its body, a dict encoded by
-:mod:`stkzoo.race.codec`.
+:mod:`stkzoo.race.codec`. A *seat* is the number of a driver instance on one connection.
 """
 
 from __future__ import annotations
@@ -9,31 +9,11 @@ from __future__ import annotations
 from typing import Any, TypeVar
 
 from stkzoo.errors import ProtocolError
-from stkzoo.race.agents import failures
 from stkzoo.race.codec import Limits, decode, encode
 
-__all__ = [
-    "ACT",
-    "ACTED",
-    "ALIVE",
-    "BYE",
-    "CLOSE",
-    "ERROR",
-    "HELLO",
-    "LIMITS",
-    "MAX_SEATS",
-    "OPEN",
-    "OPENED",
-    "VERSION",
-    "WELCOME",
-    "pack",
-    "printable",
-    "take",
-    "take_version",
-    "unpack",
-]
+__all__ = ["LIMITS", "MAX_SEATS", "VERSION", "check_version", "field", "pack", "unpack"]
 
-#: Both ends must speak the same.
+#: Both ends must have the same.
 VERSION = 1
 
 # From client to server.
@@ -41,13 +21,11 @@ HELLO, OPEN, ACT, CLOSE, BYE = b"H", b"O", b"A", b"C", b"B"
 # From server to client.
 WELCOME, OPENED, ACTED, ALIVE, ERROR = b"W", b"P", b"D", b"L", b"E"
 
-#: Twenty observations of the longest track fit in half of it.
+#: Twenty observations of the longest track need half of it.
 LIMITS = Limits(max_bytes=4 << 20)
 
-#: Seats of one client on one server.
+#: Driver instances of one client on one server.
 MAX_SEATS = 32
-
-_MAX_TEXT = 4000
 
 Field = TypeVar("Field")
 
@@ -56,7 +34,7 @@ def pack(**fields: Any) -> bytes:
     """The body of a message.
 
     Raises:
-        ProtocolError: it cannot be sent.
+        ProtocolError: it is not plain data, or too large.
     """
     return encode(fields, LIMITS)
 
@@ -65,7 +43,7 @@ def unpack(body: bytes, *, limits: Limits = LIMITS) -> dict[str, Any]:
     """The fields of a message's body.
 
     Raises:
-        ProtocolError: it is no message.
+        ProtocolError: these bytes are not a message.
     """
     fields = decode(body, limits)
     if type(fields) is not dict:
@@ -73,11 +51,11 @@ def unpack(body: bytes, *, limits: Limits = LIMITS) -> dict[str, Any]:
     return fields
 
 
-def take(fields: dict[str, Any], name: str, kind: type[Field]) -> Field:
-    """One field, which must be there and of exactly this type.
+def field(fields: dict[str, Any], name: str, kind: type[Field]) -> Field:
+    """One field, which must exist and have exactly this type.
 
     Raises:
-        ProtocolError: it is not.
+        ProtocolError: it is missing or has another type.
     """
     value = fields.get(name)
     if type(value) is not kind:
@@ -85,21 +63,15 @@ def take(fields: dict[str, Any], name: str, kind: type[Field]) -> Field:
     return value
 
 
-def take_version(fields: dict[str, Any]) -> int:
-    """The version of the protocol that the other end speaks, if it is ours.
+def check_version(fields: dict[str, Any]) -> None:
+    """Checks that the other end has the same version of the protocol.
 
     Raises:
-        ProtocolError: it is another, or none.
+        ProtocolError: it has another, or none.
     """
-    protocol = take(fields, "protocol", int)
+    protocol = field(fields, "protocol", int)
     if protocol != VERSION:
         raise ProtocolError(
             f"the other end speaks protocol {protocol}, this one {VERSION}; "
             "install the same stkzoo on both sides"
         )
-    return protocol
-
-
-def printable(text: object, limit: int = _MAX_TEXT) -> str:
-    """What somebody else wrote, fit for a terminal: no control codes, not too long."""
-    return failures.printable(text)[:limit]

@@ -1,4 +1,4 @@
-"""One client's side of a server: its seats, in a thread of their own."""
+"""One client's side of a server: its driver instances, in a thread of their own."""
 
 from __future__ import annotations
 
@@ -10,31 +10,19 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from stkzoo.errors import AgentError, AgentTimeout, ProtocolError
+from stkzoo.errors import ProtocolError
+from stkzoo.race.agents.failures import error_report, printable
 from stkzoo.race.codec import Encoded, decode, encode
 from stkzoo.race.drivers import Driver
 from stkzoo.race.instances import DriverInstance, DriverLimits, DriverRequest
-from stkzoo.race.remote.protocol import (
-    ACT,
-    ACTED,
-    CLOSE,
-    ERROR,
-    MAX_SEATS,
-    OPEN,
-    OPENED,
-    pack,
-    printable,
-    take,
-    take_version,
-    unpack,
-)
+from stkzoo.race.remote import protocol
 from stkzoo.race.remote.spaces import space_from_data
 
 __all__ = ["Session"]
 
 _log = logging.getLogger(__name__)
 
-#: How much may wait for a session that is busy.
+#: Bounds of the queue of a session that is busy.
 _MAX_WAITING_MESSAGES, _MAX_WAITING_BYTES = 128, 16 << 20
 
 #: Sends a message (kind and body) to the session's client; an empty kind says it is over.
@@ -42,14 +30,14 @@ Reply = Callable[[bytes, bytes], None]
 
 
 class Session(threading.Thread):
-    """Seats of one client.
+    """The driver instances of one client.
 
-    The thread opens the seats, because some live as long as the thread that opened them.
+    The thread starts them, because some live as long as the thread that started them.
 
     Args:
-        drivers: who can be given a seat.
-        limits: what each may use at most.
-        replier: makes the way back to the client; called in the thread.
+        drivers: the drivers that the client can use.
+        limits: the resources of each instance.
+        replier: makes the function that sends to the client; called in the thread.
     """
 
     def __init__(
@@ -64,12 +52,12 @@ class Session(threading.Thread):
         self._waiting = 0
         self._changed = threading.Condition()
         self._is_ending = False
-        self._seats: dict[int, DriverInstance] = {}
+        self._instances: dict[int, DriverInstance] = {}
         self._starting: list[int] = []
         self._used: set[int] = set()
 
     def put(self, kind: bytes, body: bytes) -> bool:
-        """Hands over a message from the client; ``False`` if too many wait already."""
+        """Queues a message from the client; ``False`` if too many wait already."""
         with self._changed:
             self._waiting += len(body)
             self._inbox.append((kind, body))
@@ -77,7 +65,7 @@ class Session(threading.Thread):
             return len(self._inbox) <= _MAX_WAITING_MESSAGES and self._waiting <= _MAX_WAITING_BYTES
 
     def end(self) -> None:
-        """Lets the session end soon, whatever still waits."""
+        """Ends the session soon and drops the messages that wait."""
         with self._changed:
             self._is_ending = True
             self._inbox.clear()
@@ -89,30 +77,32 @@ class Session(threading.Thread):
             try:
                 self._serve()
             except ProtocolError as error:
-                self._reply(ERROR, pack(text=f"the session is over: {error}"))
-            except Exception:  # noqa: BLE001 - whatever it was, the server goes on
+                self._reply(protocol.ERROR, protocol.pack(text=f"the session is over: {error}"))
+            except Exception:  # noqa: BLE001 - the server continues after any error
                 _log.exception("a session failed")
-                self._reply(ERROR, pack(text="the session is over: the server made a mistake"))
+                self._reply(
+                    protocol.ERROR, protocol.pack(text="the session is over: the server failed")
+                )
             finally:
                 self._reply(b"", b"")
-                for seat in self._seats.values():
-                    seat.close()
+                for instance in self._instances.values():
+                    instance.close()
 
     def _serve(self) -> None:
         while (message := self._next()) is not None:
             kind, body = message
-            if kind == OPEN:
-                self._open(unpack(body))
-            elif kind == ACT:
+            if kind == protocol.OPEN:
+                self._open(protocol.unpack(body))
+            elif kind == protocol.ACT:
                 self._make_ready()
-                self._act(unpack(body))
-            elif kind == CLOSE:
-                self._close(take(unpack(body), "seats", list))
+                self._act(protocol.unpack(body))
+            elif kind == protocol.CLOSE:
+                self._close(protocol.field(protocol.unpack(body), "seats", list))
             else:
                 raise ProtocolError(f"message kind {kind!r:.20} came, expected one of O, A, C")
 
     def _next(self) -> tuple[bytes, bytes] | None:
-        """The next message; all drivers that are starting are waited for before waiting."""
+        """The next message; waits for the drivers that are starting first."""
         if not self._inbox:
             self._make_ready()
         with self._changed:
@@ -123,136 +113,132 @@ class Session(threading.Thread):
             self._waiting -= len(body)
             return kind, body
 
-    # ------------------------------------------------------------------ seats
+    # ------------------------------------------------------------------ driver instances
 
     def _open(self, fields: dict[str, Any]) -> None:
-        """Lets a driver start; several start side by side."""
-        take_version(fields)
-        number, driver = take(fields, "seat", int), take(fields, "driver", int)
-        if number in self._used or len(self._seats) >= MAX_SEATS or len(self._used) > 10_000:
-            raise ProtocolError(f"seat {number} is taken, or there are too many ({MAX_SEATS})")
+        """Starts a driver; several start side by side."""
+        protocol.check_version(fields)
+        seat, driver = protocol.field(fields, "seat", int), protocol.field(fields, "driver", int)
+        is_full = len(self._instances) >= protocol.MAX_SEATS or len(self._used) > 10_000
+        if seat in self._used or is_full:
+            raise ProtocolError(
+                f"seat {seat} is taken, or there are too many ({protocol.MAX_SEATS})"
+            )
         if not 0 <= driver < len(self._drivers):
             raise ProtocolError(f"driver {driver}, expected 0 to {len(self._drivers) - 1}")
         request = self._request(fields)
         start = self._drivers[driver].start
         if start is None:
-            raise ProtocolError(f"driver {driver} is the game's own AI, which has no seat")
-        self._used.add(number)
+            raise ProtocolError(f"driver {driver} is the game's own AI")
+        self._used.add(seat)
         try:
-            self._seats[number] = start(request)
-            self._starting.append(number)
-        except Exception as error:  # noqa: BLE001 - of anybody's code
-            self._reply(OPENED, pack(seat=number, error=_failure(error)))
+            self._instances[seat] = start(request)
+            self._starting.append(seat)
+        except Exception as error:  # noqa: BLE001 - of any driver's code
+            self._report_start(seat, error=error_report(error))
 
     def _request(self, fields: dict[str, Any]) -> DriverRequest:
         return DriverRequest(
-            agent=printable(take(fields, "agent", str), 100),
+            agent=printable(protocol.field(fields, "agent", str), 100),
             observation_space=space_from_data(fields.get("observation_space")),
             action_space=space_from_data(fields.get("action_space")),
-            seed=take(fields, "seed", int),
+            seed=protocol.field(fields, "seed", int),
             limits=dataclasses.replace(
                 self._limits,
-                action_timeout=_lower(self._limits.action_timeout, fields.get("action_timeout")),
-                start_timeout=_lower(self._limits.start_timeout, fields.get("start_timeout"))
+                action_timeout=_shorter(self._limits.action_timeout, fields.get("action_timeout")),
+                start_timeout=_shorter(self._limits.start_timeout, fields.get("start_timeout"))
                 or self._limits.start_timeout,
             ),
         )
 
     def _make_ready(self) -> None:
+        """Waits for the drivers that are starting, and reports how each start ended."""
         starting, self._starting = self._starting, []
-        for number in starting:
-            seat = self._seats.get(number)
-            if seat is None:
+        for seat in starting:
+            instance = self._instances.get(seat)
+            if instance is None:
                 continue
             try:
-                name = printable(seat.ready(), 100)
-            except Exception as error:  # noqa: BLE001 - of anybody's code
-                self._drop(number)
-                self._reply(OPENED, pack(seat=number, error=_failure(error)))
+                name = printable(instance.ready(), 100)
+            except Exception as error:  # noqa: BLE001 - of any driver's code
+                self._drop(seat)
+                self._report_start(seat, error=error_report(error))
             else:
-                paths = getattr(seat, "paths_used", None)
-                self._reply(OPENED, pack(seat=number, name=name, paths_used=paths))
+                paths = getattr(instance, "paths_used", None)
+                self._report_start(seat, name=name, paths_used=paths)
 
-    def _close(self, numbers: list[Any]) -> None:
-        for number in numbers:
-            if type(number) is not int:
-                raise ProtocolError(f"seat {number!r:.50}, expected a whole number")
-            self._drop(number)
+    def _report_start(self, seat: int, **fields: Any) -> None:
+        self._reply(protocol.OPENED, protocol.pack(seat=seat, **fields))
 
-    def _drop(self, number: int) -> None:
-        seat = self._seats.pop(number, None)
-        if seat is not None:
-            seat.close()
+    def _close(self, seats: list[Any]) -> None:
+        for seat in seats:
+            if type(seat) is not int:
+                raise ProtocolError(f"seat {seat!r:.50}, expected a whole number")
+            self._drop(seat)
+
+    def _drop(self, seat: int) -> None:
+        instance = self._instances.pop(seat, None)
+        if instance is not None:
+            instance.close()
 
     # ------------------------------------------------------------------ a step
 
     def _act(self, fields: dict[str, Any]) -> None:
-        """Asks all seats, then collects their decisions."""
-        step = take(fields, "step", int)
-        decisions: list[list[Any]] = []
+        """Asks all drivers, then collects their decisions."""
+        step = protocol.field(fields, "step", int)
+        observations = dict(map(_observation, protocol.field(fields, "observations", list)))
+        if len(observations) < len(fields["observations"]):
+            raise ProtocolError("a seat is asked twice")
         failures: list[list[Any]] = []
-        asked: list[int] = []
-        for entry in take(fields, "observations", list):
-            number, data = _observation(entry)
-            if number in asked:
-                raise ProtocolError(f"seat {number} is asked twice")
-            if self._attempt(number, failures, lambda seat, data=data: _ask(seat, data)):  # type: ignore[misc]
-                asked.append(number)
-        for number in asked:
-            self._attempt(
-                number,
-                failures,
-                lambda seat, number=number: decisions.append(_answer(number, seat)),  # type: ignore[misc]
-            )
-        self._reply(ACTED, pack(step=step, decisions=decisions, failures=failures))
+        asked = [s for s, data in observations.items() if self._attempt(s, failures, _ask, data)]
+        answers = [self._attempt(seat, failures, _answer) for seat in asked]
+        decisions = [[seat, *answer] for seat, answer in zip(asked, answers, strict=True) if answer]
+        body = protocol.pack(step=step, decisions=decisions, failures=failures)
+        self._reply(protocol.ACTED, body)
 
     def _attempt(
-        self, number: int, failures: list[list[Any]], deed: Callable[[DriverInstance], object]
-    ) -> bool:
-        """Whether it went well; if not, it is noted, and the seat is closed if it is of no use."""
-        seat = self._seats.get(number)
-        if seat is None:
-            failures.append([number, ["error", "it has no seat here", ""], False])
-            return False
+        self, seat: int, failures: list[list[Any]], function: Callable[..., Any], *arguments: Any
+    ) -> Any:
+        """Calls a function of a driver instance; records a failure and returns ``None`` then.
+
+        Closes an instance that cannot be used any more.
+        """
+        instance = self._instances.get(seat)
+        if instance is None:
+            failures.append([seat, ["error", "there is no driver in this seat", ""], False])
+            return None
         try:
-            deed(seat)
-        except Exception as error:  # noqa: BLE001 - of anybody's code
-            is_usable = bool(seat.is_usable)
+            return function(instance, *arguments)
+        except Exception as error:  # noqa: BLE001 - of any driver's code
+            is_usable = bool(instance.is_usable)
             if not is_usable:
-                self._drop(number)
-            failures.append([number, _failure(error), is_usable])
-            return False
-        return True
+                self._drop(seat)
+            failures.append([seat, error_report(error), is_usable])
+            return None
 
 
 def _observation(entry: Any) -> tuple[int, bytes]:
     match entry:
-        case [int(number), bytes(data)]:
-            return number, data
+        case [int(seat), bytes(data)]:
+            return seat, data
     raise ProtocolError(f"{entry!r:.100} came, expected a seat and its observation")
 
 
-def _ask(seat: DriverInstance, data: bytes) -> None:
-    """Hands an observation over, undecoded if it goes on to another process."""
-    seat.ask(Encoded(data) if getattr(seat, "takes_encoded", False) else decode(data))
+def _ask(instance: DriverInstance, data: bytes) -> bool:
+    """Hands an observation over, without decoding it if it goes on to another process."""
+    instance.ask(Encoded(data) if getattr(instance, "takes_encoded", False) else decode(data))
+    return True
 
 
-def _answer(number: int, seat: DriverInstance) -> list[Any]:
-    decision = seat.answer()
-    return [number, encode(decision.action), float(decision.seconds)]
+def _answer(instance: DriverInstance) -> tuple[bytes, float]:
+    decision = instance.answer()
+    return encode(decision.action), float(decision.seconds)
 
 
-def _failure(error: Exception) -> list[str]:
-    """What is told of a driver's failure: of which kind, what, and where in its code."""
-    kind = "timeout" if isinstance(error, AgentTimeout) else "error"
-    text = str(error) if isinstance(error, AgentError) else f"{type(error).__name__}: {error}"
-    return [kind, printable(text), printable(getattr(error, "trace", ""))]
-
-
-def _lower(own: float | None, asked: object) -> float | None:
-    """The shorter of two times, of which either may be without limit."""
-    if asked is None:
+def _shorter(own: float | None, requested: object) -> float | None:
+    """The shorter of two time limits; ``None`` is no limit."""
+    if requested is None:
         return own
-    if type(asked) not in (int, float) or not 0 < asked < 1e9:  # type: ignore[operator]
-        raise ProtocolError(f"a timeout of {asked!r:.50}, expected seconds or nothing")
-    return float(asked) if own is None else min(own, float(asked))  # type: ignore[arg-type]
+    if not isinstance(requested, (int, float)) or not 0 < requested < 1e9:
+        raise ProtocolError(f"a timeout of {requested!r:.50}, expected seconds or nothing")
+    return float(requested) if own is None else min(own, float(requested))

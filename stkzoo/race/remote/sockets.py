@@ -6,15 +6,16 @@ import ipaddress
 import re
 from collections.abc import Collection
 from dataclasses import dataclass, field
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from stkzoo.errors import ConfigError, RemoteError
-from stkzoo.race.remote.keys import KeyPair, new_keys
-from stkzoo.race.remote.library import zmq_module
 from stkzoo.race.remote.protocol import LIMITS
 
 if TYPE_CHECKING:
     import zmq
+
+    from stkzoo.race.remote.keys import KeyPair
 
 __all__ = [
     "DEFAULT_ADDRESS",
@@ -24,21 +25,37 @@ __all__ = [
     "full_address",
     "is_local",
     "server_socket",
+    "zmq_module",
 ]
 
-#: Where a server listens if nobody says otherwise.
+#: Default address of a server.
 DEFAULT_ADDRESS = "tcp://127.0.0.1:5555"
 
 _DEFAULT_PORT = "5555"
 _TCP = re.compile(r"(?P<host>\[[0-9a-fA-F:.%]+\]|[A-Za-z0-9_.-]+|\*)(:(?P<port>\d{1,5}|\*))?")
 
 
+def zmq_module() -> ModuleType:
+    """The module ``zmq``.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    try:
+        import zmq
+    except ImportError as error:
+        raise ConfigError(
+            "networked races need pyzmq, which is not installed: pip install 'stkzoo[remote]'"
+        ) from error
+    return zmq
+
+
 def full_address(text: str) -> str:
-    """An address as ZeroMQ wants it.
+    """An address in ZeroMQ's form.
 
     Args:
         text: ``tcp://host:port``, ``host:port``, ``host`` or ``ipc:///path``. A server's host
-            may be ``*`` for all of the machine's, and its port ``*`` for any that is free.
+            may be ``*`` for all of the machine's, and its port ``*`` for any free one.
 
     Raises:
         ConfigError: it is none of these.
@@ -57,7 +74,7 @@ def _is_port(text: str) -> bool:
 
 
 def is_local(address: str) -> bool:
-    """Whether only programs of the same machine can reach a listening address."""
+    """Whether only programs on the same machine can reach an address."""
     if address.startswith("ipc://"):
         return True
     host = address.removeprefix("tcp://").rpartition(":")[0].strip("[]")
@@ -67,40 +84,40 @@ def is_local(address: str) -> bool:
         return False
 
 
-#: Silence is broken this often, and means a dead end after so long [ms].
+#: Interval of heartbeats, and the silence after which a connection is dead [ms].
 _HEARTBEAT, _DEAD = 1000, 4000
-#: Whoever connects must have shown its keys within this time [ms].
+#: Time limit for a client to prove its keys [ms].
 _HANDSHAKE = 5000
-#: Messages that wait on either side of one connection.
+#: Queue length on either side of one connection [messages].
 _QUEUE = 16
 _DOMAIN = b"stkzoo"
 
 
 @dataclass(frozen=True, slots=True)
 class ServerKeys:
-    """Who a server is, and whom it serves.
+    """A server's own keys, and those of its clients.
 
     Attributes:
         own: its keys; ``None`` for no encryption.
-        allowed: public keys of the clients it serves; ``None`` for all.
+        allowed: public keys of its clients; ``None`` for all clients.
     """
 
     own: KeyPair | None = None
     allowed: Collection[str] | None = field(default=None)
 
-    def check(self, address: str, is_insecure: bool) -> None:
-        """Refuses an address that strangers can reach without keys.
+    def check(self, address: str, is_allowedsecure: bool) -> None:
+        """Rejects an address that other machines can reach without keys.
 
         Raises:
-            ConfigError: others can, and nobody said that they may.
+            ConfigError: they can, and ``is_allowedsecure`` is not set.
         """
         if self.allowed is not None and self.own is None:
-            raise ConfigError("allowed clients mean nothing without the server's secret key")
+            raise ConfigError("allowed clients have no effect without the server's secret key")
         is_closed = self.own is not None and self.allowed is not None
-        if not (is_local(address) or is_closed or is_insecure):
+        if not (is_local(address) or is_closed or is_allowedsecure):
             raise ConfigError(
-                f"{address} can be reached from other machines; give the server a key of its own "
-                "(--secret) and those of its clients (--allow), or say --insecure"
+                f"other machines can reach {address}; give the server a key of its own (--secret) "
+                "and those of its clients (--allow), or use --insecure"
             )
 
 
@@ -108,7 +125,7 @@ def server_socket(context: zmq.Context[Any], address: str, keys: ServerKeys) -> 
     """A ROUTER socket that listens.
 
     Raises:
-        ConfigError: the address cannot be listened on.
+        ConfigError: the address is not available.
     """
     lib = zmq_module()
     socket: zmq.Socket[Any] = context.socket(lib.ROUTER)
@@ -135,7 +152,7 @@ def client_socket(
     Args:
         context: ZeroMQ's.
         address: the server's.
-        keys: the client's own; ``None`` makes some up if they are needed.
+        keys: the client's own; needed with ``server_key``.
         server_key: the server's public key; ``None`` for no encryption.
 
     Raises:
@@ -147,7 +164,7 @@ def client_socket(
     socket.setsockopt(lib.RECONNECT_IVL, 50)
     socket.setsockopt(lib.RECONNECT_IVL_MAX, 500)
     if server_key is not None:
-        keys = keys or new_keys()
+        assert keys is not None  # noqa: S101 - RemoteDriverGroup makes them
         socket.setsockopt(lib.CURVE_SERVERKEY, server_key.encode())
         socket.setsockopt(lib.CURVE_PUBLICKEY, keys.public.encode())
         socket.setsockopt(lib.CURVE_SECRETKEY, keys.secret.encode())
@@ -173,11 +190,11 @@ def _set_limits(socket: zmq.Socket[Any], address: str) -> None:
 
 
 class ClientAuthenticator:
-    """Answers ZeroMQ's question whether a client's key is allowed (ZAP, RFC 27).
+    """Answers ZeroMQ's requests to authenticate clients by their keys (ZAP, RFC 27).
 
     Args:
         context: the server's.
-        allowed: the clients' public keys; ``None`` lets everybody in.
+        allowed: the clients' public keys; ``None`` allows all clients.
     """
 
     def __init__(self, context: zmq.Context[Any], allowed: Collection[str] | None) -> None:
@@ -191,11 +208,13 @@ class ClientAuthenticator:
         self.socket.bind("inproc://zeromq.zap.01")
 
     def answer(self) -> bool:
-        """Answers one question; whether somebody was let in."""
+        """Answers one request; returns whether the client is allowed."""
         version, request, domain, _, _, mechanism, *credentials = self.socket.recv_multipart()
         is_ours = version == b"1.0" and domain == _DOMAIN and mechanism == b"CURVE"
         key = self._encode(credentials[0]).decode() if is_ours and credentials else ""
-        is_in = bool(key) and (self._allowed is None or key in self._allowed)
-        status = [b"200", b"OK"] if is_in else [b"400", b"this key is not on the list"]
-        self.socket.send_multipart([version, request, *status, key.encode() if is_in else b"", b""])
-        return is_in
+        is_allowed = bool(key) and (self._allowed is None or key in self._allowed)
+        status = [b"200", b"OK"] if is_allowed else [b"400", b"this key is not on the list"]
+        self.socket.send_multipart(
+            [version, request, *status, key.encode() if is_allowed else b"", b""]
+        )
+        return is_allowed

@@ -1,4 +1,4 @@
-"""Replays: races kept in files, run again bit for bit.
+"""Replays: race files that run again bit for bit.
 
 >>> from stkzoo.race import run_race
 >>> from stkzoo.race.replay import ReplayWriter, load_replay, play_replay
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from stkzoo.race.replay.file import ReplayError, load_replay, save_replay
 from stkzoo.race.replay.playback import Playback, play_replay
-from stkzoo.race.replay.record import Replay, ReplayAgent
+from stkzoo.race.replay.record import Replay, ReplayAgent, action_of, controls_of
 from stkzoo.race.replay.writer import ReplayWriter
 
 __all__ = [
@@ -22,6 +22,8 @@ __all__ = [
     "ReplayAgent",
     "ReplayError",
     "ReplayWriter",
+    "action_of",
+    "controls_of",
     "load_replay",
     "play_replay",
     "save_replay",

@@ -1,7 +1,6 @@
 """The file of a replay: a zip of JSON and two plain arrays (``docs/replays.md``).
 
-Whatever is in a file, reading it raises nothing but :class:`ReplayError` and takes bounded
-time and memory.
+Reading any file raises only :class:`ReplayError`, and takes bounded time and memory.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from stkzoo.race.result import RaceResult
 
 __all__ = ["FORMAT", "ReplayError", "load_replay", "save_replay"]
 
-#: Version of the file's form; grows when an older reader would go wrong.
+#: Version of the format; grows when an older reader would fail.
 FORMAT = 1
 
 _TYPE = "stkzoo-replay"
@@ -39,7 +38,7 @@ _MAX_FILE = 64 << 20  # [bytes]
 _MAX_MEMBER = {_ABOUT: 8 << 20, _CONTROLS: 256 << 20, _DIGESTS: 16 << 20}
 _MAX_KARTS = 256
 _MAX_WHOLE = 2**63
-#: A zip needs some date; a fixed one makes equal replays equal files.
+#: A fixed date in the zip makes equal replays equal files.
 _DATE = (1980, 1, 1, 0, 0, 0)
 
 
@@ -48,10 +47,10 @@ class ReplayError(StkzooError):
 
 
 def save_replay(replay: Replay, path: str | os.PathLike[str]) -> None:
-    """Writes a replay, whole or not at all.
+    """Writes a replay, completely or not at all.
 
     Raises:
-        ReplayError: it cannot be written.
+        ReplayError: the file cannot be written.
     """
     about = asdict(replay) | {
         "result": json.loads(replay.result.to_json()) if replay.result else None,
@@ -59,9 +58,9 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> None:
         "steps": replay.steps,
     }
     del about["controls"], about["digests"]
-    form = {"type": _TYPE, "format": FORMAT, **about}
+    header = {"type": _TYPE, "format": FORMAT, **about}
     members = {
-        _ABOUT: json.dumps(form, indent=1).encode(),
+        _ABOUT: json.dumps(header, indent=1).encode(),
         _CONTROLS: replay.controls.astype("<f4").tobytes(),
         _DIGESTS: replay.digests.tobytes(),
     }
@@ -80,7 +79,7 @@ def load_replay(path: str | os.PathLike[str]) -> Replay:
     """Reads a replay.
 
     Raises:
-        ReplayError: there is none, it is damaged, too large, or of another version.
+        ReplayError: the file is missing, damaged, too large, or of another version.
     """
     file = Path(path)
     try:
@@ -89,11 +88,11 @@ def load_replay(path: str | os.PathLike[str]) -> Replay:
     except OSError as error:
         why = error.strerror or error
         raise ReplayError(
-            f"the replay {file} cannot be read: {why}; expected what `stkzoo race --replay` wrote"
+            f"the replay {file} cannot be read: {why}; expected a file from `stkzoo race --replay`"
         ) from error
     except (ReplayError, MemoryError):
         raise
-    except Exception as error:  # zipfile and zlib tell of damage in many ways
+    except Exception as error:  # zipfile and zlib report damage in many ways
         raise _damaged(file, f"{type(error).__name__}: {error}") from error
     try:
         return _replay_of(members)
@@ -105,8 +104,8 @@ def load_replay(path: str | os.PathLike[str]) -> Replay:
 
 def _check_size(file: Path) -> None:
     about = file.stat()
-    if not stat.S_ISREG(about.st_mode):  # a pipe, for one, would be waited for
-        raise ReplayError(f"{file} is no file; expected what `stkzoo race --replay` wrote")
+    if not stat.S_ISREG(about.st_mode):  # for example a pipe, which would block
+        raise ReplayError(f"{file} is not a file; expected a file from `stkzoo race --replay`")
     size = about.st_size
     if size > _MAX_FILE:
         raise ReplayError(
@@ -117,19 +116,19 @@ def _check_size(file: Path) -> None:
 
 def _damaged(file: Path, why: str) -> ReplayError:
     return ReplayError(
-        f"{file} is no replay or is damaged ({why:.200}); expected what `stkzoo race --replay` "
-        "wrote: copy the file again, or record the race again"
+        f"{file} is not a replay, or damaged ({why:.200}); expected a file from `stkzoo race "
+        "--replay`: copy the file again, or record the race again"
     )
 
 
 def _members(file: Path) -> dict[str, bytes]:
-    """The parts of the file, none larger than it may be."""
+    """The members of the zip, each within its size limit."""
     members = {}
     with zipfile.ZipFile(file) as archive:
         for name, limit in _MAX_MEMBER.items():
-            # The others unpack without a bound.
+            # Other methods unpack without a bound.
             if archive.getinfo(name).compress_type not in (ZIP_STORED, ZIP_DEFLATED):
-                raise _damaged(file, f"{name} is packed in a way that no replay is")
+                raise _damaged(file, f"{name} has another compression method")
             with archive.open(name) as stream:
                 data = stream.read(limit + 1)
             if len(data) > limit:
@@ -141,60 +140,60 @@ def _members(file: Path) -> dict[str, bytes]:
 
 
 def _replay_of(members: dict[str, bytes]) -> Replay:
-    form = json.loads(members[_ABOUT])
-    _check_version(form)
+    header = json.loads(members[_ABOUT])
+    _check_version(header)
     agents = tuple(
         ReplayAgent(_text(entry, "name"), _text(entry, "source"), _get(entry, "is_game_ai", bool))
-        for entry in _list(form, "agents", 1, _MAX_KARTS)
+        for entry in _list(header, "agents", 1, _MAX_KARTS)
     )
-    steps, count = _whole(form, "steps"), len(agents)
-    positions = tuple(_list(form, "start_positions", count, count))
-    kart_types = tuple(_list(form, "kart_types", count, count))
+    steps, count = _whole(header, "steps"), len(agents)
+    positions = tuple(_list(header, "start_positions", count, count))
+    kart_types = tuple(_list(header, "kart_types", count, count))
     if sorted(positions) != list(range(1, count + 1)):
-        raise ValueError("start_positions are not each place once")
+        raise ValueError("start_positions does not have each place once")
     if not all(isinstance(kart, str) for kart in kart_types):
-        raise TypeError("kart_types are not names")
-    options = RaceOptions(  # which checks them
+        raise TypeError("kart_types has entries that are not text")
+    options = RaceOptions(  # checks the values
         num_kart=count,
-        track=_text(form, "track"),
-        reverse=_get(form, "reverse", bool),
-        laps=_whole(form, "laps"),
-        difficulty=_whole(form, "difficulty"),
-        max_paths=None if form["max_paths"] is None else _whole(form, "max_paths"),
-        step_size=_get(form, "step_size", float),
+        track=_text(header, "track"),
+        reverse=_get(header, "reverse", bool),
+        laps=_whole(header, "laps"),
+        difficulty=_whole(header, "difficulty"),
+        max_paths=None if header["max_paths"] is None else _whole(header, "max_paths"),
+        step_size=_get(header, "step_size", float),
     )
     return Replay(
-        track=_text(form, "track"),
+        track=_text(header, "track"),
         reverse=options.reverse,
         laps=options.laps,
         difficulty=options.difficulty,
         max_paths=options.max_paths,
         step_size=options.step_size,
-        seed=_whole(form, "seed"),
-        num_tracks=_whole(form, "num_tracks", 1, 10_000),
-        engine_seed=_whole(form, "engine_seed"),
+        seed=_whole(header, "seed"),
+        num_tracks=_whole(header, "num_tracks", 1, 10_000),
+        engine_seed=_whole(header, "engine_seed"),
         start_positions=positions,
         kart_types=kart_types,
         agents=agents,
         controls=_controls(members[_CONTROLS], steps, count),
         digests=np.frombuffer(members[_DIGESTS], np.uint8).reshape(steps + 1, DIGEST_SIZE),
-        status=_text(form, "status"),
-        result=_result(form["result"]),
+        status=_text(header, "status"),
+        result=_result(header["result"]),
         versions={
             printable(name): printable(value)
-            for name, value in _get(form, "versions", dict).items()
+            for name, value in _get(header, "versions", dict).items()
         },
     )
 
 
-def _check_version(form: Any) -> None:
-    if not isinstance(form, dict) or form.get("type") != _TYPE:
-        raise ValueError(f"race.json does not say that it is a {_TYPE}")
-    found = form.get("format")
+def _check_version(header: Any) -> None:
+    if not isinstance(header, dict) or header.get("type") != _TYPE:
+        raise ValueError(f"race.json is not a {_TYPE}")
+    found = header.get("format")
     if found != FORMAT:
         raise ReplayError(
-            f"it has format {found!r}, this stkzoo reads format {FORMAT}; another version of "
-            "stkzoo wrote it, so read it with that one"
+            f"it has format {found!r}, this stkzoo reads format {FORMAT}; use the version of "
+            "stkzoo that wrote it"
         )
 
 
@@ -202,42 +201,42 @@ def _controls(data: bytes, steps: int, count: int) -> npt.NDArray[np.float32]:
     controls = np.frombuffer(data, "<f4").reshape(steps, count, len(CONTROLS))
     low = np.array([0, -1, 0, 0, 0, 0, 0], np.float32)
     is_button = np.arange(len(CONTROLS)) >= 2
-    good = (controls >= low) & (controls <= 1)  # false for what is not a number
+    good = (controls >= low) & (controls <= 1)  # false for NaN
     if not (good & (~is_button | (controls == np.round(controls)))).all():
-        raise ValueError(f"{_CONTROLS} has controls that cannot be")
+        raise ValueError(f"{_CONTROLS} has invalid controls")
     return controls.astype(np.float32)
 
 
-def _result(form: Any) -> RaceResult | None:
-    if form is None:
+def _result(header: Any) -> RaceResult | None:
+    if header is None:
         return None
     try:
-        return RaceResult.from_json(json.dumps(form))
+        return RaceResult.from_json(json.dumps(header))
     except ConfigError as error:
         raise ReplayError(f"its result cannot be read: {error}") from None
 
 
-def _get(form: Any, name: str, kind: type[Any] | Callable[..., Any]) -> Any:
-    value = form[name]
+def _get(header: Any, name: str, kind: type[Any] | Callable[..., Any]) -> Any:
+    value = header[name]
     if type(value) is not kind:
         raise TypeError(f"{name} is {value!r:.60}")
     return value
 
 
-def _text(form: Any, name: str) -> str:
-    text: str = _get(form, name, str)
-    return printable(text)  # it is shown on terminals
+def _text(header: Any, name: str) -> str:
+    text: str = _get(header, name, str)
+    return printable(text)  # terminals show it
 
 
-def _whole(form: Any, name: str, low: int = 0, high: int = _MAX_WHOLE) -> int:
-    value: int = _get(form, name, int)
+def _whole(header: Any, name: str, low: int = 0, high: int = _MAX_WHOLE) -> int:
+    value: int = _get(header, name, int)
     if not low <= value <= high:
         raise ValueError(f"{name} is {value}, expected {low} to {high}")
     return value
 
 
-def _list(form: Any, name: str, low: int, high: int) -> list[Any]:
-    value: list[Any] = _get(form, name, list)
+def _list(header: Any, name: str, low: int, high: int) -> list[Any]:
+    value: list[Any] = _get(header, name, list)
     if not low <= len(value) <= high:
         raise ValueError(f"{name} has {len(value)} entries, expected {low} to {high}")
     return value

@@ -26,16 +26,16 @@ _AGENT_FACTS = ("start_position", "rank", "finish_time", "laps", "distance", "re
 
 @dataclass(frozen=True, slots=True)
 class Playback:
-    """What came of playing a replay.
+    """The outcome of a replay.
 
     Attributes:
-        result: how the race ended. Where all was as recorded this is the recorded result,
-            with what went wrong in the agents then.
+        result: the race's result; for an exact replay the recorded one, with the agents'
+            recorded failures.
         steps: steps played.
-        first_difference: the first step after which a kart was not where it had been, 0 on
-            the grid; ``None`` if all were, to the last bit.
-        result_differences: where the recorded result is not what the race came to, in
-            words. Somebody has changed it, if all karts were where they had been.
+        first_difference: the first step after which a kart's state differs in any bit, 0 on the
+            grid; ``None`` if none does.
+        result_differences: differences between the recorded result and this one, in words. If
+            all karts are equal, the file was changed.
     """
 
     result: RaceResult
@@ -45,7 +45,7 @@ class Playback:
 
     @property
     def is_exact(self) -> bool:
-        """Whether everything was as recorded."""
+        """Whether everything is as recorded."""
         return self.first_difference is None and not self.result_differences
 
 
@@ -56,52 +56,56 @@ def play_replay(
     to_the_end: bool = False,
     any_engine: bool = False,
 ) -> Playback:
-    """Runs a recorded race again, on the real engine, and checks where all karts are.
+    """Runs a recorded race again, on the real engine, and compares all karts.
 
-    The drivers themselves are not needed: what they did is in the replay, and the game's AI
-    does the same again.
+    The drivers are not needed: their actions are in the replay, and the game's AI repeats itself.
 
     Args:
         replay: the race.
-        listeners: who watches, as in :func:`~stkzoo.race.run_race`.
-        to_the_end: go on after a difference.
-        any_engine: play it also with another version of the engine, which may drive
+        listeners: the race's listeners, as in :func:`~stkzoo.race.run_race`.
+        to_the_end: continue after a difference.
+        any_engine: also play a replay of another version of the engine, which may drive
             differently.
 
     Raises:
-        ReplayError: another engine recorded it, or its track is not there.
+        ReplayError: another version of the engine recorded it, or its track is missing.
         AssetError: the game's data is missing.
         EngineError: the game died or hangs.
         RaceInterrupted: an interrupt from the keyboard.
     """
     _check_engine(replay, any_engine)
     _check_track(replay)
-    judge = _Judge(replay, to_the_end)
+    comparison = _Comparison(replay, to_the_end)
+    watching = [_WithRecordedFailures(listener, replay, comparison) for listener in listeners]
     result = run_race(
         [_driver(replay, number) for number in range(len(replay.agents))],
-        listeners=[judge, *(_Retold(listener, replay, judge) for listener in listeners)],
+        listeners=[comparison, *watching],
         start_positions=replay.start_positions,
-        # As many choices as there were, so that the stream of random numbers is the same.
+        # As many choices as in the recording, so that the random numbers are the same.
         track=(replay.track,) * replay.num_tracks,
         laps=replay.laps,
         difficulty=replay.difficulty,
         reverse=replay.reverse,
         seed=replay.seed,
         max_paths=replay.max_paths,
-        max_steps=replay.steps + 1,  # the judge ends the race
+        max_steps=replay.steps + 1,  # the comparison ends the race
         action_timeout=None,
     )
-    differences = tuple(judge.differences(result))
-    return Playback(judge.told(result), judge.steps, judge.first_difference, differences)
+    return Playback(
+        result=comparison.reported(result),
+        steps=comparison.steps,
+        first_difference=comparison.first_difference,
+        result_differences=tuple(comparison.differences(result)),
+    )
 
 
 def _check_engine(replay: Replay, any_engine: bool) -> None:
     recorded, here = replay.versions.get("pystk2"), versions_now()["pystk2"]
     if recorded != here and not any_engine:
         raise ReplayError(
-            f"the replay was recorded with version {recorded} of the engine, and here is {here}, "
-            f"which may drive differently: pip install PySuperTuxKart2=={recorded}, or try it "
-            "all the same with any_engine=True (--any-engine)"
+            f"the replay was recorded with version {recorded} of the engine; version {here} is "
+            f"installed and may drive differently: pip install PySuperTuxKart2=={recorded}, or "
+            "play it anyway with any_engine=True (--any-engine)"
         )
 
 
@@ -126,8 +130,8 @@ def _driver(replay: Replay, number: int) -> Driver:
     return replace(Driver.of_actor(agent.name, make_actor), source=agent.source)
 
 
-class _Judge(RaceListener):
-    """Compares the race with the recorded one, and ends it where that one ended."""
+class _Comparison(RaceListener):
+    """Compares the race with the recording, and ends it at the same step."""
 
     def __init__(self, replay: Replay, to_the_end: bool) -> None:
         self._replay, self._to_the_end = replay, to_the_end
@@ -142,24 +146,22 @@ class _Judge(RaceListener):
     def started(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
         self._compare(race)
-        info = race.env.race
-        assert info is not None  # noqa: S101 - a race has started
-        if info.seed != self._replay.engine_seed:
+        if race.race_info.seed != self._replay.engine_seed:
             self._differ(race)
 
     def stepped(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
         self._compare(race)
 
-    def told(self, result: RaceResult) -> RaceResult:
-        """The recorded result if this race came to it."""
+    def reported(self, result: RaceResult) -> RaceResult:
+        """The recorded result if this race has the same, else this race's own."""
         recorded = self._recorded()
         if recorded is None or self.differences(result):
             return result
         return replace(recorded, wall_time=result.wall_time)
 
     def differences(self, result: RaceResult) -> list[str]:
-        """Where the recorded result is not what this race came to."""
+        """Differences between the recorded result and this one."""
         recorded = self._recorded()
         if recorded is None:
             return []
@@ -171,16 +173,15 @@ class _Judge(RaceListener):
         ]
 
     def _recorded(self) -> RaceResult | None:
-        """The recorded result, if this race is that one from start to end."""
+        """The recorded result, if this race equals the recording from start to end."""
         replay = self._replay
         is_whole = self.steps == replay.steps and not replay.is_partial
         return replay.result if is_whole and self.first_difference is None else None
 
     def _compare(self, race: RaceProgress) -> None:
-        replay, snapshot = self._replay, race.env.snapshot
-        assert snapshot is not None  # noqa: S101 - a race runs
+        replay = self._replay
         self.steps = race.steps
-        self._digest = next_digest(self._digest, snapshot)
+        self._digest = next_digest(self._digest, race.snapshot)
         if self.first_difference is None and self._digest != replay.digests[race.steps].tobytes():
             self._differ(race)
         elif race.steps == replay.steps:
@@ -193,7 +194,7 @@ class _Judge(RaceListener):
 
 
 def _facts(result: RaceResult) -> dict[str, Any]:
-    """What of a result follows from the race itself."""
+    """The part of a result that follows from the race itself."""
     facts = {name: getattr(result, name) for name in _RACE_FACTS}
     for row in result.agents:
         facts |= {f"{row.agent}'s {name}": getattr(row, name) for name in _AGENT_FACTS}
@@ -201,19 +202,19 @@ def _facts(result: RaceResult) -> dict[str, Any]:
 
 
 def _is_equal(one: Any, two: Any) -> bool:
-    if isinstance(one, float) and isinstance(two, float):  # the kernel rounds otherwise than numpy
+    if isinstance(one, float) and isinstance(two, float):  # the kernel and numpy round differently
         return math.isclose(one, two, rel_tol=1e-4, abs_tol=1e-2)
     return bool(one == two)
 
 
-class _Retold(RaceListener):
-    """Tells a listener of the race with the failures of then.
+class _WithRecordedFailures(RaceListener):
+    """Passes the race on to a listener, with the recorded failures.
 
-    In a replay no agent fails: what was done in its place is recorded too.
+    In a replay no agent fails: the recording has the action that replaced the failed one.
     """
 
-    def __init__(self, listener: RaceListener, replay: Replay, judge: _Judge) -> None:
-        self._listener, self._judge = listener, judge
+    def __init__(self, listener: RaceListener, replay: Replay, comparison: _Comparison) -> None:
+        self._listener, self._comparison = listener, comparison
         agents = replay.result.agents if replay.result else ()
         self._failures = {row.agent: row.errors for row in agents}
 
@@ -228,7 +229,7 @@ class _Retold(RaceListener):
         self._listener.stepped(self._now(race))
 
     def ended(self, result: RaceResult) -> None:
-        self._listener.ended(self._judge.told(result))
+        self._listener.ended(self._comparison.reported(result))
 
     def closed(self) -> None:
         self._listener.closed()

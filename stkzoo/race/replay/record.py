@@ -1,4 +1,4 @@
-"""What a replay consists of."""
+"""The content of a replay."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class ReplayAgent:
 
     Attributes:
         name: the name to show.
-        source: where its driver came from.
+        source: the driver's source.
         is_game_ai: whether the game drove it.
     """
 
@@ -42,25 +42,25 @@ class Replay:
 
     Attributes:
         track: its name.
-        reverse: whether it was driven the other way round.
+        reverse: whether it was driven in the other direction.
         laps: laps to drive.
         difficulty: level of the game's AI, 0 to 3.
-        max_paths: how many track segments ahead were observed; ``None`` is all.
+        max_paths: track segments ahead in observations; ``None`` for all.
         step_size: game time of a step [s].
-        seed: what the environment was reset with.
-        num_tracks: how many tracks ``track`` was drawn from: it is a part of the seed's
-            stream of random numbers.
-        engine_seed: what came out of it for the engine.
+        seed: seed of the environment's reset.
+        num_tracks: number of tracks that ``track`` was drawn from, which affects the random
+            numbers after it.
+        engine_seed: the engine's seed, drawn with ``seed``.
         start_positions: every agent's place on the grid, 1 is in front.
         kart_types: model of each kart, in grid order.
-        agents: who drove, in agent order.
-        controls: ``(T, A, 7)`` float32: what each agent did in each step, with the columns of
-            :data:`~stkzoo.engine.snapshot.CONTROLS`; zeros for those whom the game drives
-            and those who have finished.
+        agents: the drivers, in agent order.
+        controls: ``(T, A, 7)`` float32: each agent's controls in each step, with the columns of
+            :data:`~stkzoo.engine.snapshot.CONTROLS`; zeros for agents that the game drives or
+            that have finished.
         digests: ``(T + 1, 8)`` uint8: the chain of :func:`next_digest`, from the grid on.
-        status: why the race was over; ``"partial"`` if it ended by an error.
-        result: how it ended; ``None`` if it ended by an error.
-        versions: of the software that ran it.
+        status: the result's status; ``"partial"`` if the race ended with an error.
+        result: the race's result; ``None`` if it ended with an error.
+        versions: versions of the software.
     """
 
     track: str
@@ -88,14 +88,14 @@ class Replay:
 
     @property
     def is_partial(self) -> bool:
-        """Whether the race was cut off, by an interrupt or an error."""
+        """Whether an interrupt or an error ended the race."""
         return self.result is None or self.status == "interrupted"
 
 
 def next_digest(digest: bytes, snapshot: Snapshot) -> bytes:
-    """One more link of the chain: it depends on where all karts are now and ever were.
+    """The next link of a hash chain, which depends on the positions of all karts so far.
 
-    It is BLAKE2b (8 bytes) of the link before (nothing for the first) and of all karts'
+    It is BLAKE2b (8 bytes) of the previous link (nothing for the first) and of all karts'
     locations ``(K, 3)``, rotations ``(K, 4)`` and velocities ``(K, 3)``, as little-endian
     float32, karts in grid order.
     """
@@ -111,7 +111,7 @@ def controls_of(action: Mapping[str, Any]) -> list[float]:
 
 
 def action_of(row: npt.NDArray[np.float32]) -> dict[str, Any]:
-    """The action that :func:`controls_of` made a row of."""
+    """The inverse of :func:`controls_of`."""
     action: dict[str, Any] = {
         name: row[column : column + 1] for column, name in enumerate(CONTROLS[:2])
     }

@@ -1,4 +1,4 @@
-"""Writes a replay of the race it listens to."""
+"""Writes a replay of a race."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ __all__ = ["ReplayWriter"]
 
 
 class ReplayWriter(RaceListener):
-    """Makes a replay of the race it listens to.
+    """Writes a replay of the race that it listens to.
 
     After an interrupt or an error the file has the race so far and is marked as partial.
 
     Args:
-        path: the file; written whole when the race is over, in the place of an older one.
+        path: the file; written when the race is over, replacing an older one.
 
     Raises:
-        ConfigError: there is no folder to write it in, or it is a folder itself.
+        ConfigError: its folder does not exist, or it is a folder itself.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         if self.path.is_dir() or not self.path.absolute().parent.is_dir():
             raise ConfigError(
-                f"the replay cannot be written as {str(path)!r}; expected a file's name in a "
-                "folder that there is"
+                f"the replay cannot be written as {str(path)!r}; expected a file's name in an "
+                "existing folder"
             )
         self._head: Replay | None = None
         self._controls: list[list[list[float]]] = []
@@ -71,17 +71,17 @@ class ReplayWriter(RaceListener):
         self._write(None)
 
     def _add_digest(self, race: RaceProgress) -> None:
-        snapshot = race.env.snapshot
-        assert snapshot is not None  # noqa: S101 - a race runs
         before = self._digests[-1] if self._digests else b""
-        self._digests.append(next_digest(before, snapshot))
+        self._digests.append(next_digest(before, race.snapshot))
 
     def _write(self, result: RaceResult | None) -> None:
-        """Writes the file, if a race has started and its file is not written yet."""
+        """Writes the file once, if a race has started."""
         head, self._head = self._head, None
         if head is None:
             return
-        steps = min(len(self._controls), len(self._digests) - 1)  # an interrupt may part them
+        steps = min(
+            len(self._controls), len(self._digests) - 1
+        )  # an interrupt may come between them
         shape = (steps, len(head.agents), len(CONTROLS))
         links = np.frombuffer(b"".join(self._digests[: steps + 1]), np.uint8)
         replay = replace(
@@ -95,9 +95,8 @@ class ReplayWriter(RaceListener):
 
 
 def _head(race: RaceProgress) -> Replay:
-    """The replay of a race that stands on the grid."""
-    env, info = race.env, race.env.race
-    assert info is not None  # noqa: S101 - a race has started
+    """The replay of a race on the grid."""
+    env, info = race.env, race.race_info
     return Replay(
         track=info.track,
         reverse=info.reverse,

@@ -1,4 +1,4 @@
-"""Run, pause, step, stop and the speed of a race that somebody watches."""
+"""Run, pause, step, stop and the speed of a race on the live page."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from stkzoo.errors import ConfigError
 
 __all__ = ["SPEEDS", "RaceControl"]
 
-#: How many times as fast as real time; ``None`` is as fast as it goes.
+#: Multiples of real time; ``None`` for no limit.
 SPEEDS: tuple[float | None, ...] = (1.0, 2.0, 4.0, None)
 
-#: A wait looks up so often, so that Ctrl-C is heard on every system [s].
-_LOOK_UP = 0.5
-#: A race that is late by more than this does not catch up [s].
+#: A wait wakes up this often, so that Ctrl-C works on every system [s].
+_WAKE_UP = 0.5
+#: A race that is later than this does not catch up [s].
 _MOST_LATE = 0.25
 
 
 class RaceControl:
     """Decides when a race may take its next step.
 
-    One thread races and calls :meth:`wait_turn`; others steer.
+    The race's thread calls :meth:`wait_turn`; others call the rest.
 
     Args:
         speed: one of :data:`SPEEDS`.
         paused: whether the race waits on the grid.
 
     Raises:
-        ConfigError: the speed is none of these.
+        ConfigError: the speed is invalid.
     """
 
     def __init__(self, speed: float | None = 1.0, *, paused: bool = False) -> None:
@@ -39,7 +39,7 @@ class RaceControl:
         self._paused, self._stopped, self._over = paused, False, False
         self._steps = 0
         self._last = time.monotonic()
-        #: Is called after every change, in the thread that made it.
+        #: Called after every change, in the thread that made it.
         self.on_change: Callable[[], None] = lambda: None
 
     @property
@@ -52,8 +52,8 @@ class RaceControl:
         return "paused" if self._paused else "running"
 
     @property
-    def form(self) -> dict[str, Any]:
-        """What the page is told."""
+    def state(self) -> dict[str, Any]:
+        """The state as the page shows it."""
         return {"mode": self.mode, "speed": self._speed}
 
     def run(self) -> None:
@@ -61,33 +61,33 @@ class RaceControl:
         self._set(_paused=False, _steps=0, _last=time.monotonic())
 
     def pause(self) -> None:
-        """Holds the race before its next step."""
+        """Pauses the race before its next step."""
         self._set(_paused=True, _steps=0)
 
     def step(self) -> None:
-        """Lets the race take one step more and holds it then."""
+        """Lets the race take one more step, then pauses it."""
         self._set(_steps=self._steps + 1 if self._paused else 0, _paused=True)
 
     def stop(self) -> None:
-        """Ends the race after the present step."""
+        """Ends the race after the current step."""
         self._set(_stopped=True)
 
     def set_speed(self, speed: float | None) -> None:
         """Sets the speed.
 
         Raises:
-            ConfigError: it is none of :data:`SPEEDS`.
+            ConfigError: it is not in :data:`SPEEDS`.
         """
         self._set(_speed=_checked(speed), _last=time.monotonic())
 
     def begin(self) -> None:
-        """A race begins. A stop that came before the first one still holds."""
+        """Begins a race. A stop before the first race still holds."""
         with self._changed:
             is_stopped = self._stopped and not self._over
             self._set(_over=False, _stopped=is_stopped, _last=time.monotonic())
 
     def finish(self) -> None:
-        """The race is over."""
+        """Ends the race."""
         self._set(_over=True, _stopped=False)
 
     def wait_turn(self, step_size: float) -> bool:
@@ -108,24 +108,24 @@ class RaceControl:
         """Waits for :meth:`stop`, also after the race."""
         with self._changed:
             while not self._stopped:
-                self._changed.wait(_LOOK_UP)
+                self._changed.wait(_WAKE_UP)
 
     def _may_go(self, step_size: float) -> bool:
-        """Whether the next step may be taken; waits a while if not."""
+        """Whether the race may take its next step; waits a while if not."""
         now = time.monotonic()
         if self._paused:
             if self._steps:
                 self._steps -= 1
                 self._last = now
                 return True
-            self._changed.wait(_LOOK_UP)
+            self._changed.wait(_WAKE_UP)
             return False
         if self._speed is None:
             self._last = now
             return True
         due = self._last + step_size / self._speed
         if now < due:
-            self._changed.wait(min(due - now, _LOOK_UP))
+            self._changed.wait(min(due - now, _WAKE_UP))
             return False
         self._last = due if now - due < _MOST_LATE else now
         return True

@@ -14,17 +14,18 @@ from stkzoo.race.web.messages import encoded, plain
 
 __all__ = ["COLUMNS", "RaceFeed", "TraceLog", "ViewerState"]
 
-#: ``gap`` is the way behind the leader [m]; ``throttle`` is the acceleration, 0 to 1, or -1
+#: ``gap`` is the distance behind the leader [m]; ``throttle`` is the acceleration, 0 to 1, or -1
 #: while the kart brakes; ``reward`` is the sum since the start.
 COLUMNS = ("speed", "rank", "gap", "reward", "steer", "throttle")
 
 FloatArray = npt.NDArray[np.float32]
+_Message = Mapping[str, Any]
 
 
 class TraceLog:
-    """The past of a race in bounded memory. One thread adds, others read.
+    """The past of a race in bounded memory, for the charts. One thread adds, others read.
 
-    Once it is full, every second entry goes, and from then on every second is kept.
+    A full log drops every second entry, and from then on keeps every second step.
 
     Args:
         most: how many steps it holds.
@@ -66,26 +67,23 @@ class TraceLog:
         return {"steps": steps, "values": columns}
 
 
-_Form = Mapping[str, Any]
-
-
 @dataclass
 class ViewerState:
-    """What one viewer has been sent.
+    """What one viewer has received.
 
     Attributes:
         race: number of the race.
         moment: number of the moment.
-        state: text of the state.
+        control: text of the last ``state`` message.
         step: the last step of the traces.
-        has_result: whether the result.
-        watched: the agent whose observation is asked for; ``None`` is nobody.
+        has_result: whether it has the result.
+        watched: the agent whose observations it wants; ``None`` for none.
         observed: agent and number of the moment of the last observation.
     """
 
     race: int = 0
     moment: int = 0
-    state: str = ""
+    control: str = ""
     step: int = -1
     has_result: bool = False
     watched: str | None = None
@@ -94,29 +92,29 @@ class ViewerState:
 
 @dataclass(frozen=True, slots=True)
 class _Present:
-    """What there is to show, replaced as a whole."""
+    """All that there is to show; replaced as a whole."""
 
     race: int = 0
     race_text: str = ""
     agents: tuple[str, ...] = ()
     traces: TraceLog = field(default_factory=TraceLog)
     moment: int = 0
-    make_moment: Callable[[], _Form] | None = None
+    make_moment: Callable[[], _Message] | None = None
     steps: int = 0
-    sights: Mapping[str, _Form] = field(default_factory=dict)
-    state_text: str = ""
+    details: Mapping[str, _Message] = field(default_factory=dict)
+    control_text: str = ""
     result_text: str = ""
 
 
 class RaceFeed:
-    """The present of a race. One thread races and writes, one serves and reads.
+    """The current messages of a race. The race's thread writes, the server's thread reads.
 
-    The writer hands over references and goes on: texts are made by the reader, once for
-    all viewers, and only of moments that are really sent.
+    The writer hands over references and goes on. The reader makes the texts, once for all
+    viewers, and only of moments that it sends.
     """
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()  # of writers: whoever steers sets the state
+        self._lock = threading.Lock()  # of writers: viewers set the state in the server's thread
         self._present = _Present()
         self._moment_text = (0, "")  # of the reader
 
@@ -130,39 +128,39 @@ class RaceFeed:
         """The race's past, to add to."""
         return self._present.traces
 
-    def set_race(self, form: _Form) -> None:
-        """A new race; its moments follow."""
-        agents = tuple(kart["agent"] for kart in form["karts"] if kart["agent"] is not None)
+    def set_race(self, message: _Message) -> None:
+        """Begins a new race."""
+        agents = tuple(kart["agent"] for kart in message["karts"] if kart["agent"] is not None)
         with self._lock:
             self._present = _Present(
                 race=self._present.race + 1,
-                race_text=encoded(form),
+                race_text=encoded(message),
                 agents=agents,
                 moment=self._present.moment,
-                state_text=self._present.state_text,
+                control_text=self._present.control_text,
             )
 
     def set_moment(
-        self, steps: int, make_form: Callable[[], _Form], sights: Mapping[str, _Form]
+        self, steps: int, make_message: Callable[[], _Message], details: Mapping[str, _Message]
     ) -> None:
-        """The race has moved.
+        """Sets the moment to show.
 
         Args:
             steps: environment steps so far.
-            make_form: makes the moment's message.
-            sights: for each agent what can be looked at in the tree.
+            make_message: makes the moment's message.
+            details: values of each agent for the page's tree.
         """
         number = self._present.moment + 1
-        self._set(moment=number, steps=steps, make_moment=make_form, sights=sights)
+        self._set(moment=number, steps=steps, make_moment=make_message, details=details)
 
-    def set_state(self, make_form: Callable[[], _Form]) -> None:
-        """Somebody has steered; from any thread, of which the last tells how things stand."""
+    def set_state(self, make_message: Callable[[], _Message]) -> None:
+        """Sets the state of the controls, from any thread; the last call wins."""
         with self._lock:
-            self._present = replace(self._present, state_text=encoded(make_form()))
+            self._present = replace(self._present, control_text=encoded(make_message()))
 
-    def set_result(self, form: _Form) -> None:
-        """The race is over."""
-        self._set(result_text=encoded(form))
+    def set_result(self, message: _Message) -> None:
+        """Sets the race's result."""
+        self._set(result_text=encoded(message))
 
     def _set(self, **changes: Any) -> None:
         with self._lock:
@@ -170,52 +168,37 @@ class RaceFeed:
 
     # ------------------------------------------------------------------ the reader
 
-    def news(self, sight: ViewerState, *, with_observation: bool) -> list[str]:
-        """The texts that a viewer lacks; marks them as sent."""
+    def news(self, viewer: ViewerState, *, with_observation: bool) -> list[str]:
+        """The texts that a viewer does not have yet; marks them as sent."""
         now, texts = self._present, []
-        if sight.race != now.race:
-            sight.race, sight.step, sight.has_result = now.race, -1, False
-            sight.observed = (None, 0)
+        if viewer.race != now.race:
+            viewer.race, viewer.step, viewer.has_result = now.race, -1, False
+            viewer.observed = (None, 0)
             texts.append(now.race_text)
-        if sight.state != now.state_text:
-            sight.state = now.state_text
-            texts.append(sight.state)
-        if now.make_moment is not None and sight.moment != now.moment:
-            sight.moment = now.moment
-            texts += [*_traces_after(sight, now.traces), self._text_of_moment(now)]
-        if with_observation and _owes_observation(sight, now):
-            sight.observed = (sight.watched, now.moment)
-            texts.append(_observation_of(str(sight.watched), now))
-        if now.result_text and not sight.has_result:
-            sight.has_result = True
+        if viewer.control != now.control_text:
+            viewer.control = now.control_text
+            texts.append(viewer.control)
+        if now.make_moment is not None and viewer.moment != now.moment:
+            viewer.moment = now.moment
+            past = now.traces.since(viewer.step)
+            if past["steps"]:
+                viewer.step = past["steps"][-1]
+                texts.append(encoded({"type": "traces", **past}))
+            if self._moment_text[0] != now.moment:
+                self._moment_text = (now.moment, encoded(now.make_moment()))
+            texts.append(self._moment_text[1])
+        if with_observation and self.owes_observation(viewer, now):
+            viewer.observed = (viewer.watched, now.moment)
+            parts = plain(now.details[str(viewer.watched)])
+            message = {"agent": viewer.watched, "steps": now.steps, "parts": parts}
+            texts.append(encoded({"type": "observation", **message}))
+        if now.result_text and not viewer.has_result:
+            viewer.has_result = True
             texts.append(now.result_text)
         return texts
 
-    def owes_observation(self, sight: ViewerState) -> bool:
-        """Whether a viewer's agent has seen something that the viewer has not."""
-        return _owes_observation(sight, self._present)
-
-    def _text_of_moment(self, now: _Present) -> str:
-        number, text = self._moment_text
-        if number != now.moment:
-            assert now.make_moment is not None  # noqa: S101 - there is a moment
-            text = encoded(now.make_moment())
-            self._moment_text = (now.moment, text)
-        return text
-
-
-def _owes_observation(sight: ViewerState, now: _Present) -> bool:
-    return sight.watched in now.sights and sight.observed != (sight.watched, now.moment)
-
-
-def _traces_after(sight: ViewerState, traces: TraceLog) -> list[str]:
-    past = traces.since(sight.step)
-    if not past["steps"]:
-        return []
-    sight.step = past["steps"][-1]
-    return [encoded({"type": "traces", **past})]
-
-
-def _observation_of(agent: str, now: _Present) -> str:
-    parts = plain(now.sights[agent])
-    return encoded({"type": "observation", "agent": agent, "steps": now.steps, "parts": parts})
+    def owes_observation(self, viewer: ViewerState, now: _Present | None = None) -> bool:
+        """Whether a viewer lacks the last observation of the agent that it watches."""
+        now = now or self._present
+        is_new = viewer.observed != (viewer.watched, now.moment)
+        return viewer.watched in now.details and is_new

@@ -1,4 +1,4 @@
-"""A race and its moments as the page is told them: plain values for JSON.
+"""The messages about a race to its page: plain values for JSON.
 
 ``docs/live-page.md`` describes every message.
 """
@@ -19,14 +19,14 @@ from stkzoo.render.palette import readable_on
 from stkzoo.render.road import road_of
 from stkzoo.render.scene import Scene
 
-__all__ = ["control_rows", "encoded", "moment_form", "plain", "race_form", "trace_row"]
+__all__ = ["control_rows", "encoded", "moment_message", "plain", "race_message", "trace_row"]
 
 FloatArray = npt.NDArray[np.float32]
 
-#: So many entries of a list are shown; the page says how many there are.
+#: Entries of a list that the page shows, beside its length.
 _MOST_ENTRIES = 12
 _DEEPEST = 8
-#: What the numbers in an observation mean.
+#: Enumerations behind numbers in an observation.
 _LEGEND = {
     "attachment": AttachmentType,
     "items_type": ItemType,
@@ -37,18 +37,18 @@ _BUTTONS = ("brake", "drift", "fire", "nitro", "rescue")
 _COLUMN = {name: number for number, name in enumerate(CONTROLS)}
 
 
-def encoded(form: Mapping[str, Any]) -> str:
+def encoded(message: Mapping[str, Any]) -> str:
     """The text of a message."""
-    return json.dumps(form, separators=(",", ":"), allow_nan=False)
+    return json.dumps(message, separators=(",", ":"), allow_nan=False)
 
 
-def race_form(scene: Scene, sources: Mapping[str, str], seed: int | None) -> dict[str, Any]:
-    """All that stays the same in a race.
+def race_message(scene: Scene, sources: Mapping[str, str], seed: int | None) -> dict[str, Any]:
+    """The message with the constants of a race.
 
     Args:
         scene: the race.
-        sources: where agents come from.
-        seed: what the race was started with, if it is known.
+        sources: sources of the agents.
+        seed: the race's seed, if known.
     """
     agents = {kart: f"kart_{number}" for number, kart in enumerate(scene.kart_indices)}
     karts = [
@@ -88,12 +88,12 @@ def race_form(scene: Scene, sources: Mapping[str, str], seed: int | None) -> dic
 
 
 def control_rows(scene: Scene, snapshot: Snapshot, actions: Mapping[str, Any]) -> FloatArray:
-    """What every kart's driver does: ``(K, 7)`` float32 in the order of ``CONTROLS``.
+    """The controls of every kart: ``(K, 7)`` float32 in the order of ``CONTROLS``.
 
     Args:
         scene: the race.
-        snapshot: its moment, which has what the game's AI does.
-        actions: of agents, in the game's own form.
+        snapshot: its state now, with the controls of the game's AI.
+        actions: of the agents, in the game's own form.
     """
     rows = np.array(snapshot.karts["control"], np.float32)
     for number, kart in enumerate(scene.kart_indices):
@@ -106,7 +106,7 @@ def control_rows(scene: Scene, snapshot: Snapshot, actions: Mapping[str, Any]) -
 def trace_row(
     scene: Scene, snapshot: Snapshot, controls: FloatArray, rewards: Sequence[float]
 ) -> FloatArray:
-    """What the charts show of a moment: ``(C, K)``; see :data:`stkzoo.race.web.feed.COLUMNS`."""
+    """The values for the charts: ``(C, K)``; see :data:`stkzoo.race.web.feed.COLUMNS`."""
     karts = snapshot.karts
     distances = _distances(scene, snapshot)
     brakes = controls[:, _COLUMN["brake"]] > 0
@@ -117,10 +117,10 @@ def trace_row(
     return np.stack([np.asarray(part, np.float32) for part in parts])
 
 
-def moment_form(
+def moment_message(
     scene: Scene, snapshot: Snapshot, steps: int, traces: FloatArray, controls: FloatArray
 ) -> dict[str, Any]:
-    """One moment of a race; columns over karts in grid order."""
+    """The message about one moment of a race, with columns over karts in grid order."""
     karts = snapshot.karts
     ways = (karts["front"] - karts["location"])[:, ::2]
     laps = scene.setup.laps
@@ -163,7 +163,7 @@ def moment_form(
 
 
 def _distances(scene: Scene, snapshot: Snapshot) -> FloatArray:
-    """How far every kart has come, from the start to the finish [m]."""
+    """Distance of every kart from the start, at most to the finish [m]."""
     length = scene.track_map.length * scene.setup.laps
     karts = snapshot.karts
     distances = np.where(karts["has_finished_race"] != 0, length, karts["overall_distance"])
@@ -173,9 +173,8 @@ def _distances(scene: Scene, snapshot: Snapshot) -> FloatArray:
 def plain(value: Any, name: str = "", depth: int = 0) -> Any:
     """Any observation as values for JSON.
 
-    Mappings stay mappings. A list that is too long to show becomes ``{"first": [...],
-    "of": length}``; a number that stands for something becomes a text with its meaning;
-    what is no number or not finite becomes a text.
+    Mappings stay mappings. A long list becomes ``{"first": [...], "of": length}``. A number of an
+    enumeration becomes a text with its name. Other values and infinite numbers become a text.
     """
     if depth > _DEEPEST:
         return "…"
@@ -211,6 +210,6 @@ def _word(name: str) -> str:
 
 
 def _rounded(values: Any, digits: int = 2) -> Any:
-    """Numbers as lists; what is not finite becomes 0, which every chart can draw."""
+    """Numbers as lists; infinite and missing ones become 0, which every chart can draw."""
     array = np.nan_to_num(np.asarray(values, np.float64), posinf=0.0, neginf=0.0)
     return array.round(digits).tolist()

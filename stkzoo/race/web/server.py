@@ -31,7 +31,7 @@ _FILES = Path(__file__).parent / "static"
 _MOST_VIEWERS = 64
 _LONGEST_MESSAGE = 1024
 _HEARTBEAT = 20.0
-#: So long viewers are given to take the last messages [s]; and the thread to end.
+#: How long viewers have for the last messages, and the thread to end [s].
 _FAREWELL, _END = 2.0, 10.0
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -47,8 +47,8 @@ _HEADERS = {
 _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
-class Guard:
-    """Decides by a request's headers who may watch a race and who may steer it.
+class RequestGuard:
+    """Decides by a request's headers who may watch a race and who may control it.
 
     A page of another site, open in the viewer's browser, can send requests to this machine.
     Two headers, which the browser writes and the page cannot change, identify such a request:
@@ -59,8 +59,8 @@ class Guard:
         host: the name or address that the page is served on.
 
     Attributes:
-        key: who shows it may steer; empty if everybody may who can reach the page, which is
-            so on the loopback address.
+        key: needed for control; empty on the loopback address, where every viewer may
+            control the race.
     """
 
     def __init__(self, host: str) -> None:
@@ -77,19 +77,19 @@ class Guard:
     def knows_origin(self, origin: str | None, host: str | None) -> bool:
         """Whether a request comes from this page.
 
-        Programs that are no browsers send no ``Origin``, and could send any.
+        Programs other than browsers send no ``Origin``, and could send any.
         """
         if origin is None:
             return True
         return host is not None and origin.lower() == f"http://{host.lower()}"
 
     def may_steer(self, key: str) -> bool:
-        """Whether somebody with this key may steer."""
+        """Whether a viewer with this key may control the race."""
         return hmac.compare_digest(key.encode(), self.key.encode()) or not self.key
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address can be reached from this machine only."""
+    """Whether only this machine can reach an address."""
     address = _address_of(host)
     return host.lower() == "localhost" or (address is not None and address.is_loopback)
 
@@ -117,16 +117,16 @@ class LiveServer:
     Args:
         host: address or name to listen on.
         port: its port; 0 takes a free one.
-        board: what there is to show.
-        control: what viewers may steer.
+        feed: the messages to show.
+        control: the control of the race.
 
     Raises:
-        ConfigError: nothing can be served there.
+        ConfigError: the address or port is not available.
     """
 
-    def __init__(self, host: str, port: int, board: RaceFeed, control: RaceControl) -> None:
-        self._board, self._control = board, control
-        self._guard = Guard(host)
+    def __init__(self, host: str, port: int, feed: RaceFeed, control: RaceControl) -> None:
+        self._feed, self._control = feed, control
+        self._guard = RequestGuard(host)
         self._pages = {f"/{file.name}": file for file in _FILES.iterdir() if file.is_file()}
         self._pages["/"] = _FILES / "index.html"
         self._viewers: set[Viewer] = set()
@@ -140,28 +140,28 @@ class LiveServer:
 
     @property
     def key(self) -> str:
-        """What a viewer must know to steer; empty if all may."""
+        """Key that a viewer needs for control; empty if none."""
         return self._guard.key
 
     @property
     def num_viewers(self) -> int:
-        """How many watch."""
+        """Number of viewers."""
         return len(self._viewers)
 
     def wake(self) -> None:
-        """Tells viewers that there may be something new; from any thread, at once."""
+        """Wakes the viewers' senders; from any thread, returns at once."""
         if self._viewers and not self._is_waking and not self._loop.is_closed():
             self._is_waking = True
             self._call(self._wake_viewers)
 
     def close(self) -> None:
-        """Lets viewers take the last messages, then ends; may be called again."""
+        """Sends viewers the last messages, then ends; may be called again."""
         if not self._thread.is_alive():
             return
         try:
-            asyncio.run_coroutine_threadsafe(self._say_goodbye(), self._loop).result(_END)
+            asyncio.run_coroutine_threadsafe(self._dismiss_viewers(), self._loop).result(_END)
         except FutureTimeout:
-            logger.warning("the live page's viewers could not be let go in %.0f s", _END)
+            logger.warning("the live page's viewers did not close in %.0f s", _END)
         self._call(self._loop.stop)
         self._thread.join(_END)
 
@@ -189,7 +189,7 @@ class LiveServer:
     def _call(self, function: Callable[[], object]) -> None:
         try:
             self._loop.call_soon_threadsafe(function)
-        except RuntimeError:  # it has ended meanwhile
+        except RuntimeError:  # it has ended in the meantime
             logger.debug("the live page has ended")
 
     def _wake_viewers(self) -> None:
@@ -197,7 +197,7 @@ class LiveServer:
         for viewer in self._viewers:
             viewer.wake()
 
-    async def _say_goodbye(self) -> None:
+    async def _dismiss_viewers(self) -> None:
         leaving = [asyncio.ensure_future(viewer.leave()) for viewer in self._viewers]
         if leaving:
             _, late = await asyncio.wait(leaving, timeout=_FAREWELL)
@@ -210,17 +210,15 @@ class LiveServer:
     async def _guarded(self, request: web.Request, handler: _Handler) -> web.StreamResponse:
         host, origin = request.headers.get("Host"), request.headers.get("Origin")
         if not self._guard.knows_host(host):
-            raise web.HTTPForbidden(
-                text="this page is served under another name; open it by its address\n"
-            )
+            raise web.HTTPForbidden(text="the page has another name; open it by its address\n")
         if not self._guard.knows_origin(origin, host):
-            raise web.HTTPForbidden(text="this page takes requests from itself only\n")
+            raise web.HTTPForbidden(text="the page accepts requests from itself only\n")
         return await handler(request)
 
     async def _page(self, request: web.Request) -> web.StreamResponse:
         file = self._pages.get(request.path)
         if file is None:
-            raise web.HTTPNotFound(text="there is no such page; the race is at /\n")
+            raise web.HTTPNotFound(text="this page does not exist; the race is at /\n")
         kind = mimetypes.types_map.get(file.suffix, "application/octet-stream")
         return web.Response(
             body=file.read_bytes(), content_type=kind, charset="utf-8", headers=_HEADERS
@@ -228,15 +226,17 @@ class LiveServer:
 
     async def _live(self, request: web.Request) -> web.StreamResponse:
         if request.query.get("version") != str(PROTOCOL_VERSION):
-            raise web.HTTPBadRequest(text=f"expected ?version={PROTOCOL_VERSION}; load / anew\n")
+            raise web.HTTPBadRequest(text=f"expected ?version={PROTOCOL_VERSION}; reload /\n")
         if len(self._viewers) >= _MOST_VIEWERS:
-            raise web.HTTPServiceUnavailable(text=f"{_MOST_VIEWERS} viewers watch already\n")
+            raise web.HTTPServiceUnavailable(
+                text=f"{_MOST_VIEWERS} viewers are connected already\n"
+            )
         connection = web.WebSocketResponse(
             max_msg_size=_LONGEST_MESSAGE, heartbeat=_HEARTBEAT, compress=False, timeout=1.0
         )
         await connection.prepare(request)
         may_steer = self._guard.may_steer(request.query.get("key", ""))
-        viewer = Viewer(connection, self._board, self._control, may_steer=may_steer)
+        viewer = Viewer(connection, self._feed, self._control, may_steer=may_steer)
         self._viewers.add(viewer)
         try:
             await viewer.serve()
@@ -251,20 +251,20 @@ def _listener(host: str, port: int) -> socket.socket:
         return socket.create_server(address[:2], family=family)
     except (OSError, OverflowError) as error:
         raise ConfigError(
-            f"the live page cannot be served on {host}, port {port}: {error}; choose another "
-            "port (0 takes a free one), or end the program that has it"
+            f"the live page cannot use {host}, port {port}: {error}; choose another port (0 "
+            "takes a free one), or end the program that uses it"
         ) from error
 
 
 def _shown(host: str) -> str:
-    """An address to open in a browser: this machine's own where all are served."""
+    """The address to open in a browser: this machine's own for a wildcard address."""
     try:
         family, _, _, _, (address, *_) = _resolved(host, 0)[0]
         if not ipaddress.ip_address(str(address).split("%")[0]).is_unspecified:
             return host
         beyond = "2001:db8::1" if family == socket.AF_INET6 else "192.0.2.1"
         with socket.socket(family, socket.SOCK_DGRAM) as way:
-            way.connect((beyond, 9))  # asks which way it would go; sends nothing
+            way.connect((beyond, 9))  # only looks up the route; sends nothing
             return str(way.getsockname()[0])
     except (OSError, ValueError):
         return host

@@ -1,4 +1,4 @@
-"""One browser that shows the page: what it is sent, and what it may ask for."""
+"""One browser that shows the page: the messages to it and its commands."""
 
 from __future__ import annotations
 
@@ -19,38 +19,38 @@ __all__ = ["PROTOCOL_VERSION", "Viewer"]
 
 logger = logging.getLogger(__name__)
 
-#: Of the messages; grows when a page of an older version would go wrong.
+#: Version of the messages; grows when a page of an older version would fail.
 PROTOCOL_VERSION = 1
 
-#: A viewer is sent at most so many moments a second, and observations.
+#: Shortest time between two moments for a viewer, and between two observations [s].
 _MOMENT_PAUSE, _OBSERVATION_PAUSE = 1 / 30, 1 / 5
-#: Who takes nothing for so long is let go [s].
+#: A viewer that receives nothing for this time is disconnected [s].
 _PATIENCE = 20.0
 
 
 class Viewer:
-    """One connection. It is sent what is new whenever it has taken the last.
+    """One connection. It gets the news whenever it has received the last.
 
-    A slow viewer leaves moments out; nobody waits for it.
+    A slow viewer misses moments; nothing waits for it.
 
     Args:
         socket: the connection.
-        board: what there is to show.
-        control: what it may steer.
-        may_steer: whether it may.
+        feed: the messages to show.
+        control: the control of the race.
+        may_steer: whether the viewer may control the race.
     """
 
     def __init__(
         self,
         socket: web.WebSocketResponse,
-        board: RaceFeed,
+        feed: RaceFeed,
         control: RaceControl,
         *,
         may_steer: bool,
     ) -> None:
-        self._socket, self._board, self._control = socket, board, control
+        self._socket, self._feed, self._control = socket, feed, control
         self._may_steer = may_steer
-        self._sight = ViewerState()
+        self._state = ViewerState()
         self._news = asyncio.Event()
         self._leaving = False
         self._observed_at = 0.0
@@ -63,11 +63,11 @@ class Viewer:
         }
 
     def wake(self) -> None:
-        """There may be something new."""
+        """Makes the sender look for news."""
         self._news.set()
 
     async def serve(self) -> None:
-        """Sends and listens until the viewer leaves."""
+        """Sends and receives until the viewer leaves."""
         self._news.set()
         self._sender = asyncio.ensure_future(self._send())
         try:
@@ -77,7 +77,7 @@ class Viewer:
             await asyncio.gather(self._sender, return_exceptions=True)
 
     async def leave(self) -> None:
-        """Sends what is left, says goodbye and closes."""
+        """Sends the last messages and closes."""
         self._leaving = True
         self._news.set()
         if self._sender is not None:
@@ -98,7 +98,7 @@ class Viewer:
             await self._put_news()
             await self._put(encoded({"type": "bye"}))
         except (ConnectionError, asyncio.TimeoutError, RuntimeError) as error:
-            logger.debug("a viewer is let go: %r", error)
+            logger.debug("a viewer is disconnected: %r", error)
             await self._socket.close(code=WSCloseCode.TRY_AGAIN_LATER, drain=False)
 
     async def _put_news(self) -> None:
@@ -107,9 +107,9 @@ class Viewer:
         is_time = self._leaving or now - self._observed_at >= _OBSERVATION_PAUSE
         if is_time:
             self._observed_at = now
-        for text in self._board.news(self._sight, with_observation=is_time):
+        for text in self._feed.news(self._state, with_observation=is_time):
             await self._put(text)
-        if not is_time and self._board.owes_observation(self._sight):
+        if not is_time and self._feed.owes_observation(self._state):
             loop.call_later(_OBSERVATION_PAUSE, self.wake)
 
     async def _put(self, text: str) -> None:
@@ -122,38 +122,38 @@ class Viewer:
             if message.type == WSMsgType.ERROR:
                 return
             try:
-                self._obey(message)
+                self._execute(message)
             except (ProtocolError, ConfigError) as error:
                 await self._put(encoded({"type": "error", "text": str(error)}))
                 await self._socket.close(code=WSCloseCode.POLICY_VIOLATION)
                 return
 
-    def _obey(self, message: Any) -> None:
-        form = _parsed(message)
-        kind = form.get("type")
+    def _execute(self, message: Any) -> None:
+        command = _parsed(message)
+        kind = command.get("type")
         if kind == "watch":
-            self._watch(form.get("agent"))
+            self._watch(command.get("agent"))
         elif kind == "speed" or (isinstance(kind, str) and kind in self._commands):
-            self._steer(kind, form)
+            self._steer(kind, command)
         else:
             known = ", ".join(["speed", "watch", *self._commands])
             raise ProtocolError(f"a message of type {kind!r:.50}, expected one of {known}")
 
     def _watch(self, agent: object) -> None:
-        if agent is not None and agent not in self._board.agents:
+        if agent is not None and agent not in self._feed.agents:
             raise ProtocolError(f"agent is {agent!r:.50}, expected an agent of this race or null")
-        self._sight.watched = None if agent is None else str(agent)
+        self._state.watched = None if agent is None else str(agent)
         self._observed_at = 0.0
         self.wake()
 
-    def _steer(self, kind: str, form: dict[str, Any]) -> None:
+    def _steer(self, kind: str, command: dict[str, Any]) -> None:
         if not self._may_steer:
             raise ProtocolError(
-                "this viewer may only watch; to steer, open the address that was shown where the "
-                "race was started, with its key"
+                "this viewer may only watch; to control the race, open the address with the key "
+                "that was shown where the race was started"
             )
         if kind == "speed":
-            value = form.get("value")
+            value = command.get("value")
             if not (value is None or isinstance(value, (int, float))):
                 raise ProtocolError(f"a speed of {value!r:.50}, expected 1, 2, 4 or null")
             self._control.set_speed(value)
@@ -165,9 +165,9 @@ def _parsed(message: Any) -> dict[str, Any]:
     if message.type != WSMsgType.TEXT:
         raise ProtocolError("a binary message, expected JSON text")
     try:
-        form = json.loads(message.data)
+        command = json.loads(message.data)
     except (ValueError, RecursionError) as error:
-        raise ProtocolError("a message that is no JSON, expected an object") from error
-    if not isinstance(form, dict):
-        raise ProtocolError(f"a message that is a {type(form).__name__}, expected an object")
-    return form
+        raise ProtocolError("a message that is not JSON, expected an object") from error
+    if not isinstance(command, dict):
+        raise ProtocolError(f"a message that is a {type(command).__name__}, expected an object")
+    return command

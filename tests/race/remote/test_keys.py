@@ -44,7 +44,7 @@ def test_others_get_nothing(closed_server, stranger):
     address, server_key, client = closed_server
     keys = {"another key": new_keys(), "wrong server": client}.get(stranger)
     server_keys = {"no encryption": [], "wrong server": [new_keys().public]}
-    with pytest.raises(RemoteError, match=r"does not let us in|in time"):
+    with pytest.raises(RemoteError, match=r"refuses the connection|in time"):
         RemoteDriverGroup(
             [address],
             keys=keys,
@@ -74,7 +74,7 @@ def test_a_server_with_a_key_and_no_list_lets_all_in_who_know_it():
 @pytest.mark.parametrize("address", ["*:5599", "0.0.0.0:5599", "[::]:5599", "192.168.3.4:5599"])
 @pytest.mark.parametrize("keys", [ServerKeys(), ServerKeys(new_keys())], ids=["none", "own"])
 def test_other_machines_are_not_listened_to_without_keys(address, keys):
-    with pytest.raises(ConfigError, match="can be reached from other machines"):
+    with pytest.raises(ConfigError, match="other machines can reach"):
         RaceServer([find_driver("heuristic")], address, keys=keys)
 
 
@@ -86,7 +86,7 @@ def test_other_machines_are_listened_to_with_keys_or_if_told():
 
 
 def test_a_list_without_a_key_of_ones_own_means_nothing():
-    with pytest.raises(ConfigError, match="mean nothing"):
+    with pytest.raises(ConfigError, match="have no effect"):
         RaceServer([find_driver("heuristic")], keys=ServerKeys(None, {}))
 
 
@@ -101,7 +101,7 @@ def test_key_files_hold_a_pair_and_the_secret_is_the_owners_only(tmp_path):
 def test_key_files_are_not_overwritten(tmp_path):
     secret, _ = new_key_files("ada", tmp_path)
     before = secret.read_text()
-    with pytest.raises(ConfigError, match="is there already"):
+    with pytest.raises(ConfigError, match="exists already"):
         new_key_files("ada", tmp_path)
     assert secret.read_text() == before
 

@@ -11,7 +11,7 @@ import pytest
 from stkzoo.errors import ConfigError, RemoteError
 from stkzoo.race import RaceListener, find_driver, run_race
 from stkzoo.race.remote import RaceServer, RemoteDriverGroup
-from stkzoo.race.remote.server import _PATIENCE, _Guest
+from stkzoo.race.remote.server import _PATIENCE, _Client
 from stkzoo.race.remote.sockets import _QUEUE
 from tests.support.remote_race import server_process, server_thread, write_agent
 
@@ -241,12 +241,12 @@ def test_a_client_that_is_gone_frees_its_place(tmp_path):
 
 def test_a_client_that_pauses_is_not_flooded():
     """What it does not read stays below the length of its queue, or the connection is lost."""
-    guest = _Guest(session=None, heard=0.0, asked=0.0)
+    client = _Client(session=None, heard=0.0, pinged=0.0)
     asked = []
     for now in range(int(_PATIENCE)):
-        if guest.is_to_be_asked(float(now)):
+        if client.needs_ping(float(now)):
             asked.append(now)
-            guest.asked = float(now)
+            client.pinged = float(now)
     assert asked[0] <= 3
     assert 5 < len(asked) < _QUEUE
 

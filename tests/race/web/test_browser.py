@@ -208,6 +208,6 @@ def test_another_site_in_the_same_browser_cannot_steer(reader, other_site):
         reader.show(other_site(page.port))
         reader.until(lambda: reader.browser.title != "waiting")
         assert reader.browser.title == "refused"
-        assert page.broadcast.control.mode == "paused"
+        assert page.control.mode == "paused"
     finally:
         page.closed()

@@ -198,7 +198,7 @@ def test_stop_on_the_grid_ends_a_race_that_waits():
 
 def test_stop_before_the_grid_is_not_forgotten():
     page = LivePage(port=0)
-    page.broadcast.control.stop()
+    page.control.stop()
     result = run_race(["ai"], listeners=[page], track="olivermath")
     assert (result.status, result.steps) == ("stopped", 0)
 
@@ -250,7 +250,7 @@ def test_a_late_viewer_is_told_the_past():
 
     with WatchedRace() as race:
         race.watch(scenario)
-        race.page.broadcast.control.pause()
+        race.page.control.pause()
         traces, moment = race.watch(late)
     assert traces["steps"] == list(range(traces["steps"][-1] + 1))
     assert moment["steps"] >= 40
@@ -295,7 +295,7 @@ def test_a_viewer_that_takes_nothing_holds_nobody_up_and_is_let_go(monkeypatch):
             await one.next("moment")
 
     with WatchedRace() as race:
-        race.page.broadcast._server._listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+        race.page._server._listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
         with socket.create_connection(("127.0.0.1", race.page.port), timeout=10) as sleeper:
             sleeper.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             sleeper.sendall(

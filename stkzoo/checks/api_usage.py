@@ -1,4 +1,4 @@
-"""Checks of how an environment behaves towards its user."""
+"""Checks of calls and actions that users get wrong, and of what reaches the terminal."""
 
 from __future__ import annotations
 
@@ -10,11 +10,19 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from stkzoo.checks.factory import EnvFactory, short_race
-from stkzoo.checks.failure import CheckFailed, NotApplicable
-from stkzoo.checks.play import Env, RandomPolicy, Step, play
+from stkzoo.checks.play import (
+    CheckFailed,
+    Env,
+    EnvFactory,
+    NotApplicable,
+    RandomPolicy,
+    Step,
+    check_equal,
+    play,
+    short_race,
+    trace,
+)
 from stkzoo.checks.processes import run_fresh
-from stkzoo.checks.trace import check_equal, trace
 
 __all__ = [
     "check_bad_actions_are_refused",
@@ -39,10 +47,10 @@ def check_nothing_is_written_to_the_terminal(make_env: EnvFactory) -> None:
 
 
 def check_close_can_be_repeated_and_undone(make_env: EnvFactory) -> None:
-    """``close`` may come twice or before any reset, and ``reset`` after it plays as ever.
+    """``close`` may be called twice or before any reset; ``reset`` still works after it.
 
     Raises:
-        CheckFailed: the race after ``close`` is another one.
+        CheckFailed: the race after ``close`` differs.
     """
     make = short_race(make_env)
     make().close()
@@ -57,11 +65,11 @@ def check_close_can_be_repeated_and_undone(make_env: EnvFactory) -> None:
 
 
 def check_render_without_a_mode_warns(make_env: EnvFactory) -> None:
-    """``render`` of an environment without a render mode returns ``None`` with a warning.
+    """``render`` of an environment without a render mode returns ``None`` and warns.
 
     Raises:
-        CheckFailed: it returns something, or is silent.
-        NotApplicable: the factory chooses a render mode by itself.
+        CheckFailed: it returns something, or does not warn.
+        NotApplicable: the factory chooses a render mode itself.
     """
     with closing(short_race(make_env)()) as env:
         if getattr(env, "render_mode", None) is not None:
@@ -77,10 +85,10 @@ def check_render_without_a_mode_warns(make_env: EnvFactory) -> None:
 
 
 def check_bad_actions_are_refused(make_env: EnvFactory) -> None:
-    """Actions outside their space raise an error that names the agent; the race stands still.
+    """Actions outside their space raise an error that names the agent; the race does not advance.
 
     Raises:
-        CheckFailed: one was taken, the error names nobody, or the race has moved.
+        CheckFailed: one was accepted, the error names no agent, or the race has moved.
     """
     with closing(short_race(make_env)()) as env:
         expected = trace(play(env, _SEED, max_steps=_FEW_STEPS))
@@ -118,7 +126,7 @@ def _expect_refusal(env: Env, actions: dict[Any, Any], agent: Any, what: str) ->
                 "names the agent"
             ) from error
     else:
-        raise CheckFailed(f"{what} of agent {agent!r} was taken, expected an error")
+        raise CheckFailed(f"{what} of agent {agent!r} was accepted, expected an error")
 
 
 def _bad_actions(space: spaces.Space[Any], good: Any, path: str) -> Iterator[tuple[str, Any]]:

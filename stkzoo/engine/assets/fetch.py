@@ -1,8 +1,9 @@
-"""The game's data from Debian's or Ubuntu's package, as an ordinary user.
+"""Downloading the game's data: from Debian's or Ubuntu's package, or with ``pystk2``.
 
-The package is downloaded and unpacked, not installed: nothing outside stkzoo's cache
-changes. Where the machine's package lists are missing or out of date, fresh ones are
-fetched into a private folder. The apt client checks signatures and sums.
+The Debian package is downloaded and unpacked, not installed: nothing outside stkzoo's cache
+changes, and an ordinary user may do it. Where the machine's package lists are missing or out
+of date, apt fetches new ones into a private folder. The apt client checks signatures and
+sums.
 """
 
 from __future__ import annotations
@@ -11,19 +12,94 @@ import hashlib
 import os
 import shutil
 import subprocess
+import sys
 import tarfile
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import IO
 
-from stkzoo.engine.assets.command import run
-from stkzoo.engine.assets.overlay import mend
-from stkzoo.engine.assets.progress import Progress
-from stkzoo.engine.assets.staging import check_space
-from stkzoo.engine.assets.tree import check_files, write_marker
+from stkzoo.engine.assets.find import DATADIR_VARIABLE, pystk2_cache_folder
+from stkzoo.engine.assets.overlay import adapt
+from stkzoo.engine.assets.staging import Progress, check_space
+from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, check_files, write_marker
 from stkzoo.errors import AssetError
 
-__all__ = ["PACKAGE", "fetch_debian", "unpack_package"]
+__all__ = ["PACKAGE", "fetch_debian", "fetch_upstream", "unpack_package"]
+
+_LOOK_EVERY = 0.1  # [s]
+
+
+def _run(
+    command: Sequence[str],
+    *,
+    folder: Path,
+    watch: Callable[[], None] = lambda: None,
+    name: str = "",
+    last_lines: int = 8,
+    environment: Mapping[str, str] | None = None,
+) -> str:
+    """Runs a program to its end.
+
+    Args:
+        command: the program and its arguments.
+        folder: where it runs.
+        watch: called a few times a second meanwhile; what it raises ends the program.
+        name: what the message calls it; the command itself by default.
+        last_lines: how much of its output the message shows.
+        environment: variables; ``None`` for our own.
+
+    Returns:
+        What it wrote.
+
+    Raises:
+        AssetError: it failed; the message carries its last lines.
+    """
+    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as log:
+        process = subprocess.Popen(  # noqa: S603 - a fixed program, no shell
+            [*_ending_with_us(), *command],
+            cwd=folder,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+        )
+        try:
+            _wait(process, watch)
+        finally:
+            _end(process)
+        log.seek(0)
+        text = log.read()
+    if process.returncode != 0:
+        name = name or f"`{' '.join(command)}`"
+        lines = "\n".join(text.strip().splitlines()[-last_lines:])
+        raise AssetError(f"{name} failed ({process.returncode}): {lines}")
+    return text
+
+
+def _ending_with_us() -> list[str]:
+    """Command prefix that ends the program when this process is killed, if available."""
+    setpriv = shutil.which("setpriv") if os.name == "posix" else None
+    return [setpriv, "--pdeathsig", "TERM", "--"] if setpriv else []
+
+
+def _wait(process: subprocess.Popen[bytes], watch: Callable[[], None]) -> None:
+    while process.poll() is None:
+        watch()
+        time.sleep(_LOOK_EVERY)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    if process.poll() is None:
+        process.terminate()
+        try:
+            process.wait(5)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
 
 PACKAGE = "supertuxkart-data"
 
@@ -33,7 +109,7 @@ _BLOCK = 1 << 20
 
 @dataclass(frozen=True)
 class _Record:
-    """What the package lists say: name, size of the file and of what it holds [bytes]."""
+    """The package's entry in the package lists: version, download and unpacked size [bytes]."""
 
     version: str
     download: int
@@ -46,38 +122,38 @@ def fetch_debian(target: Path, work: Path, progress: Progress) -> None:
     Args:
         target: an empty folder, which becomes the tree's root.
         work: an empty folder for what is needed meanwhile, on the same disk.
-        progress: told about it.
+        progress: receives the progress.
 
     Raises:
         AssetError: there is no apt client, it fails, or the disk has no room.
     """
     if shutil.which("apt-get") is None or shutil.which("dpkg-deb") is None:
-        raise AssetError("this machine has no apt-get and dpkg-deb (it is no Debian or Ubuntu).")
+        raise AssetError("this machine has no apt-get and dpkg-deb (it is not Debian or Ubuntu).")
     package = _download(work, progress)
     unpack_package(package, target, progress)
     package.unlink()
-    mend(target / "data")
+    adapt(target / "data")
     check_files(target)
     write_marker(target, package.name, headless=False)
 
 
 def _download(work: Path, progress: Progress) -> Path:
-    """By the machine's own package lists if they will do, else by fresh ones."""
+    """Uses the machine's own package lists if they work, else new ones."""
     try:
         return _download_with([], work, progress)
     except AssetError as error:
-        progress.note(f"the machine's package lists will not do; fetching fresh ones ({error})")
+        progress.note(f"the machine's package lists do not work; fetching new ones ({error})")
     options = _private_options(work)
     progress.begin("fetching the package lists")
     try:
-        run(["apt-get", *options, "update"], folder=work, environment=_environment())
+        _run(["apt-get", *options, "update"], folder=work, environment=_environment())
     except AssetError as error:
         progress.note(f"some package lists could not be fetched ({error})")
     return _download_with(options, work, progress)
 
 
 def _private_options(work: Path) -> list[str]:
-    """Has apt keep its state in our folder; it reads the machine's sources and keys."""
+    """Makes apt keep its state in ``work`` and read the machine's sources and keys."""
     state, cache = work / "apt-state", work / "apt-cache"
     (state / "lists" / "partial").mkdir(parents=True, exist_ok=True)
     (cache / "archives" / "partial").mkdir(parents=True, exist_ok=True)
@@ -103,7 +179,7 @@ def _download_with(options: list[str], work: Path, progress: Progress) -> Path:
         old.unlink()
     progress.begin(f"downloading {PACKAGE} {record.version}", record.download)
     command = ["apt-get", *options, "-o", "APT::Sandbox::User=root", "download", PACKAGE]
-    run(
+    _run(
         command,
         folder=work,
         watch=lambda: progress.reach(_size_of_packages(work)),
@@ -111,7 +187,7 @@ def _download_with(options: list[str], work: Path, progress: Progress) -> Path:
     )
     found = sorted(work.glob("*.deb"))
     if len(found) != 1 or found[0].stat().st_size != record.download:
-        raise AssetError(f"`{' '.join(command)}` said all was well but brought no whole package.")
+        raise AssetError(f"`{' '.join(command)}` downloaded no complete package.")
     progress.reach(record.download)
     return found[0]
 
@@ -122,7 +198,7 @@ def _size_of_packages(work: Path) -> int:
 
 def _read_record(options: list[str], work: Path) -> _Record:
     command = ["apt-cache", *options, "show", "--no-all-versions", PACKAGE]
-    text = run(command, folder=work, environment=_environment())
+    text = _run(command, folder=work, environment=_environment())
     lines = (line.split(": ", 1) for line in text.splitlines() if ": " in line)
     fields = {key: value for key, value in lines}  # noqa: C416 - dict() confuses the types
     try:
@@ -141,7 +217,7 @@ def unpack_package(package: Path, target: Path, progress: Progress) -> None:
     Args:
         package: the file.
         target: an existing folder that gets ``data``.
-        progress: told about it.
+        progress: receives the progress.
 
     Raises:
         AssetError: the package is broken or holds other content.
@@ -170,7 +246,7 @@ def unpack_package(package: Path, target: Path, progress: Progress) -> None:
 
 def _read_sums(package: Path) -> dict[str, str]:
     """MD5 sums of the data files by name, from the package's own list."""
-    text = run(["dpkg-deb", "--info", str(package.absolute()), "md5sums"], folder=package.parent)
+    text = _run(["dpkg-deb", "--info", str(package.absolute()), "md5sums"], folder=package.parent)
     sums = {}
     for line in text.splitlines():
         digest, _, name = line.partition("  ")
@@ -218,3 +294,73 @@ def _compare(wanted: dict[str, str], found: dict[str, str], package: Path) -> No
         raise AssetError(
             f"{package} unpacked to {len(wrong)} wrong or missing files, such as {wrong[0]!r}."
         )
+
+
+_ARCHIVE = f"SuperTuxKart-{ENGINE_DATA_VERSION}-src.tar.gz"
+
+#: Room for the archive and what it holds [bytes].
+_NEEDED = 1_800_000_000
+
+#: A download without progress for this long is stopped [s].
+_PATIENCE = 90.0
+
+_PROGRAM = "import pystk2; pystk2.init(pystk2.GraphicsConfig.none())"
+
+
+def fetch_upstream(work: Path, progress: Progress) -> Path:
+    """Makes ``pystk2`` download its data into its own cache, in a separate process.
+
+    Args:
+        work: a folder to run in.
+        progress: receives the progress.
+
+    Returns:
+        The tree's root.
+
+    Raises:
+        AssetError: it failed, or made no progress for a minute and a half.
+    """
+    cache = pystk2_cache_folder()
+    cache.mkdir(parents=True, exist_ok=True)
+    check_space(cache, _NEEDED, "the game's data")
+    progress.begin("downloading with pystk2")
+    archive = cache / _ARCHIVE
+    watch = _Watch(archive, cache / f"{_ARCHIVE}.tmp", progress)
+    variables = {name: text for name, text in os.environ.items() if name != DATADIR_VARIABLE}
+    try:
+        _run(
+            [sys.executable, "-c", _PROGRAM],
+            folder=work,
+            watch=watch,
+            name="the download of pystk2",
+            last_lines=1,
+            environment=variables,
+        )
+    except AssetError:
+        archive.unlink(missing_ok=True)  # pystk2 would try the same broken file again
+        raise
+    root = cache / ENGINE_DATA_VERSION
+    check_files(root)
+    return root
+
+
+class _Watch:
+    """Reports the growing download; raises when it no longer grows."""
+
+    def __init__(self, archive: Path, growing: Path, progress: Progress) -> None:
+        self._archive, self._growing, self._progress = archive, growing, progress
+        self._size, self._since = -1, time.monotonic()
+        self._unpacking = False
+
+    def __call__(self) -> None:
+        if self._archive.exists():
+            if not self._unpacking:
+                self._progress.begin("unpacking with pystk2")
+            self._unpacking = True
+            return
+        size = self._growing.stat().st_size if self._growing.exists() else 0
+        if size != self._size:
+            self._size, self._since = size, time.monotonic()
+            self._progress.reach(size)
+        if not self._unpacking and time.monotonic() - self._since > _PATIENCE:
+            raise AssetError(f"the download of pystk2 made no progress for {_PATIENCE:.0f} s.")

@@ -1,0 +1,159 @@
+"""The agents of a batch, each with a label of its own and a digest of its files."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import itertools
+import os
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path, PurePath
+
+from stkzoo.errors import ConfigError
+from stkzoo.race.agents.failures import printable
+from stkzoo.race.agents.files import find_files
+from stkzoo.race.drivers import driver_names, find_driver
+from stkzoo.race.settings import RaceSettings
+
+__all__ = ["NAME_MARK", "Entrant", "find_entrants", "fingerprint"]
+
+#: Separates a driver's source from its name.
+NAME_MARK = "@:"
+_MOST_FILES = 1000
+_DIGEST_SIZE = 8
+#: What running an agent may write beside its code.
+_IGNORED_FOLDERS, _IGNORED_ENDINGS = ("__pycache__",), (".pyc", ".log")
+
+
+@dataclass(frozen=True, slots=True)
+class Entrant:
+    """An agent that takes part.
+
+    Attributes:
+        label: its name, unique in the batch.
+        source: its driver name or path, for :func:`~stkzoo.race.find_driver`.
+        files: a digest of each of its files, by path.
+    """
+
+    label: str
+    source: str
+    files: Mapping[str, str] = field(default_factory=dict, hash=False)
+
+    @classmethod
+    def of(cls, label: str, source: str) -> Entrant:
+        """An agent with the present state of its files."""
+        return cls(label, source, fingerprint(source))
+
+    @property
+    def text(self) -> str:
+        """The driver's text for a race."""
+        return f"{self.source}{NAME_MARK}{self.label}"
+
+    def changed_files(self, now: Entrant) -> list[str]:
+        """Those of its files that differ now; new files do not count."""
+        if self.text != now.text:
+            return []
+        return [name for name, digest in self.files.items() if now.files.get(name) != digest]
+
+
+def find_entrants(agents: Sequence[str], settings: RaceSettings) -> tuple[Entrant, ...]:
+    """The agents that texts name, each with a unique label.
+
+    Args:
+        agents: texts for :func:`~stkzoo.race.find_driver`.
+        settings: of the races.
+
+    Raises:
+        ConfigError: there is no such agent, or two have the same name.
+    """
+    sources, names = [], []
+    for text in agents:
+        driver = find_driver(text, inline=settings.inline, adapter=settings.adapter)
+        named = text.rpartition(NAME_MARK)[2] if NAME_MARK in text else ""
+        sources.append(_lasting(driver.source))
+        names.append(printable(named or _short(driver.source)).replace("\n", " "))
+    counts = Counter(names)
+    labels = [
+        name if counts[name] == 1 else (text.rpartition(NAME_MARK)[2] or text)
+        for name, text in zip(names, agents, strict=True)
+    ]
+    for label, count in Counter(labels).items():
+        if count > 1:
+            raise ConfigError(
+                f"{count} agents are called {label!r}; give each a name of its own, such as "
+                f"{agents[labels.index(label)].partition(NAME_MARK)[0]}@:{label}-2"
+            )
+    return tuple(map(Entrant.of, labels, sources))
+
+
+def _lasting(source: str) -> str:
+    """The source in a form that works from every folder."""
+    path = Path(source).expanduser()
+    return str(path.resolve()) if source not in driver_names() and path.exists() else source
+
+
+def _short(source: str) -> str:
+    path = PurePath(source)
+    return (path.stem if path.suffix in (".zip", ".py") else path.name) or source
+
+
+def fingerprint(source: str) -> dict[str, str]:
+    """A digest of each file of an agent, by its path in the agent's folder.
+
+    Hidden files, logs, compiled modules and everything after the first thousand files are left
+    out. Drivers that come with stkzoo have no files: their version is stkzoo's.
+
+    Args:
+        source: as for :func:`~stkzoo.race.find_driver`, without ``@:Name``.
+    """
+    home = None if source in driver_names() else _home(source)
+    if home is None:
+        return {}
+    files = itertools.islice(_files(home), _MOST_FILES)
+    return {file.relative_to(home.parent).as_posix(): _digest(file) for file in files}
+
+
+def _home(source: str) -> Path | None:
+    files = find_files(source)
+    if files is None or files.path is not None:
+        return files.path if files else None
+    top = source.partition(".")[0]
+    for place in (*_places_of_module(top), top, f"{top}.py"):
+        if place and Path(place).exists():
+            return Path(place).resolve()
+    return None
+
+
+def _places_of_module(name: str) -> Sequence[str | None]:
+    try:
+        spec = importlib.util.find_spec(name)
+    except (ImportError, ValueError):
+        spec = None
+    if spec is None:
+        return ()
+    return list(spec.submodule_search_locations or ()) or [spec.origin]
+
+
+def _files(home: Path) -> Iterator[Path]:
+    if home.is_file():
+        yield home
+        return
+    for folder, folders, names in os.walk(home):
+        folders[:] = sorted(n for n in folders if n[0] != "." and n not in _IGNORED_FOLDERS)
+        for name in sorted(names):
+            file = Path(folder, name)
+            if name[0] != "." and not name.endswith(_IGNORED_ENDINGS) and file.is_file():
+                yield file
+
+
+def _digest(file: Path) -> str:
+    sum_so_far = hashlib.blake2b(digest_size=_DIGEST_SIZE)
+    try:
+        with file.open("rb") as stream:
+            while block := stream.read(1 << 20):
+                sum_so_far.update(block)
+    except OSError:
+        return "unreadable"
+    return sum_so_far.hexdigest()
