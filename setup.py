@@ -5,7 +5,16 @@ import sys
 import numpy
 from setuptools import Extension, setup
 
-_PARTS = ("module", "engine", "track", "view", "racing", "controls", "outcome", "rows")
+_PARTS = (
+    "module",
+    "action_reader",
+    "game_stepper",
+    "kart_observer",
+    "racing_observer",
+    "rows",
+    "step_scorer",
+    "track_graph",
+)
 
 setup(
     ext_modules=[

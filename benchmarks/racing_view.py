@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from stkzoo import race_v0
-from stkzoo.kernel import kernel
+from stkzoo.kernel import IS_COMPILED
 from stkzoo.tracks import SPLITS
 from stkzoo.wrappers.racing import BatchedRacingView, RoadTable, racing_features
 
@@ -66,7 +66,7 @@ def main() -> None:
     parser.add_argument("--track", choices=SPLITS["all"], default="lighthouse", metavar="NAME")
     parser.add_argument("--output", type=Path, default=RESULTS, help="where the JSON goes")
     options = parser.parse_args()
-    if kernel is None:
+    if not IS_COMPILED:
         parser.error("there is no kernel here to compare; see `stkzoo doctor`")
     found = {karts: cost(karts, options.track) for karts in options.karts}
     table = Table(title="The view racing, all karts of a race [µs]", box=box.SIMPLE)

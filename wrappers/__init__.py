@@ -5,7 +5,7 @@ Each wrapper is an ordinary Gymnasium wrapper around one kart's environment.
 many; :mod:`stkzoo.views` runs them for all agents of a race.
 """
 
-from stkzoo.views.bases import ActionObservationWrapper, BatchedWrapper
+from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
 from stkzoo.wrappers.adapter import MonoAgentWrapperAdapter
 from stkzoo.wrappers.camera import CameraObservations
 from stkzoo.wrappers.constant_size import ConstantSizedObservations
@@ -19,8 +19,8 @@ from stkzoo.wrappers.space_flattener import SpaceFlattener
 
 __all__ = [
     "ActionObservationWrapper",
-    "BatchedWrapper",
     "CameraObservations",
+    "CompiledWrapper",
     "ConstantSizedObservations",
     "DiscreteActionsWrapper",
     "Discretizer",

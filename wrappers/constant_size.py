@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
@@ -11,8 +11,11 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError
-from stkzoo.views.bases import BatchedWrapper
+from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import dict_space, whole_number
+
+if TYPE_CHECKING:
+    from stkzoo.views.plan import ViewPlan
 
 __all__ = ["ConstantSizedObservations"]
 
@@ -23,7 +26,7 @@ _LISTS = {
 }
 
 
-class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], BatchedWrapper):
+class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
     """Cuts or zero-pads what is near the kart to a fixed number of entries.
 
     ``paths_distance`` becomes ``(state_paths, 2)``, ``paths_width`` ``(state_paths, 1)``,
@@ -73,6 +76,14 @@ class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], BatchedWr
             dict_space(env.observation_space, "observations", "ConstantSizedObservations")
         )
         self.observation_space = self._space
+
+    def compile_into(self, plan: ViewPlan) -> bool:
+        """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
+        if plan.sizes or plan.is_flat or plan.observer:
+            return False
+        plan.sizes = dict(self._sizes)
+        plan.names = tuple(self._space.spaces)
+        return True
 
     def _constant_space(self, space: spaces.Dict) -> spaces.Dict:
         entries = copy.deepcopy(space.spaces)

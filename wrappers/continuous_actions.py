@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import copy
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError
-from stkzoo.views.bases import ActionObservationWrapper, BatchedWrapper
+from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
 from stkzoo.wrappers.arguments import dict_space, observed_action, with_observed_action
+
+if TYPE_CHECKING:
+    from stkzoo.views.plan import ViewPlan
 
 __all__ = ["OnlyContinuousActionsWrapper"]
 
 
-class OnlyContinuousActionsWrapper(ActionObservationWrapper, BatchedWrapper):
+class OnlyContinuousActionsWrapper(ActionObservationWrapper, CompiledWrapper):
     """Keeps the continuous parts of an action; no button is ever pressed.
 
     The game AI's own ``action``, where the observation carries it, loses its buttons too.
@@ -47,6 +50,13 @@ class OnlyContinuousActionsWrapper(ActionObservationWrapper, BatchedWrapper):
         self.action_space = spaces.Dict(self._boxes)
         self._has_action = observed_action(env.observation_space) is not None
         self.observation_space = with_observed_action(env.observation_space, self.action_space)
+
+    def compile_into(self, plan: ViewPlan) -> bool:
+        """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
+        if plan.has_action or "" in plan.leaves:
+            return False
+        plan.leaves = {key: plan.leaves[key] for key in self._boxes}
+        return True
 
     def action(self, action: dict[str, Any]) -> dict[str, Any]:
         """The action with all buttons 0."""

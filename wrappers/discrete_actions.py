@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
@@ -11,13 +11,16 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError
-from stkzoo.views.bases import ActionObservationWrapper, BatchedWrapper
+from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
 from stkzoo.wrappers.arguments import (
     dict_space,
     observed_action,
     whole_number,
     with_observed_action,
 )
+
+if TYPE_CHECKING:
+    from stkzoo.views.plan import ViewPlan
 
 __all__ = ["DiscreteActionsWrapper", "Discretizer"]
 
@@ -76,7 +79,7 @@ class Discretizer:
         return self.max_value - self.min_value
 
 
-class DiscreteActionsWrapper(ActionObservationWrapper, BatchedWrapper):
+class DiscreteActionsWrapper(ActionObservationWrapper, CompiledWrapper):
     """Makes ``acceleration`` and ``steer`` a choice among evenly spaced steps.
 
     The game AI's own ``action``, where the observation carries it, is given as the
@@ -109,6 +112,18 @@ class DiscreteActionsWrapper(ActionObservationWrapper, BatchedWrapper):
         self.action_space = spaces.Dict({**copy.deepcopy(space.spaces), **steps})
         self._has_action = observed_action(env.observation_space) is not None
         self.observation_space = with_observed_action(env.observation_space, self.action_space)
+
+    def compile_into(self, plan: ViewPlan) -> bool:
+        """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
+        if plan.has_action or not {"acceleration", "steer"} <= plan.leaves.keys():
+            return False
+        steps = {}
+        for key, discretizer in self._discretizers.items():
+            table = discretizer.numbers(np.arange(discretizer.values)).astype(np.float32)
+            column = plan.leaves[key][0][3]
+            steps[key] = ((0.0, float(discretizer.values - 1), True, column, table),)
+        plan.leaves = {**plan.leaves, **steps}
+        return True
 
     def action(self, action: dict[str, Any]) -> dict[str, Any]:
         """The action with numbers, ``(..., 1)`` float32, for steps ``(...)``."""

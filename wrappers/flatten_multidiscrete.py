@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
@@ -10,13 +10,16 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError
-from stkzoo.views.bases import ActionObservationWrapper, BatchedWrapper
+from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
 from stkzoo.wrappers.arguments import observed_action, with_observed_action
+
+if TYPE_CHECKING:
+    from stkzoo.views.plan import ViewPlan
 
 __all__ = ["FlattenMultiDiscreteActions"]
 
 
-class FlattenMultiDiscreteActions(ActionObservationWrapper, BatchedWrapper):
+class FlattenMultiDiscreteActions(ActionObservationWrapper, CompiledWrapper):
     """Numbers all combinations of a ``MultiDiscrete`` action.
 
     The first choice varies fastest: number 1 differs from number 0 in the first choice.
@@ -41,6 +44,13 @@ class FlattenMultiDiscreteActions(ActionObservationWrapper, BatchedWrapper):
         self.action_space = spaces.Discrete(int(np.prod(self.nvec)))
         self._has_action = observed_action(env.observation_space) is not None
         self.observation_space = with_observed_action(env.observation_space, self.action_space)
+
+    def compile_into(self, plan: ViewPlan) -> bool:
+        """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
+        if plan.has_action or not plan.has_choices:
+            return False
+        plan.number_choices(self.action(np.arange(np.prod(self.nvec))))
+        return True
 
     def action(self, action: Any) -> npt.NDArray[np.int64]:
         """The choices ``(..., m)`` int64 that a number ``(...)`` stands for."""

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import copy
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 from gymnasium import spaces
 
-from stkzoo.views.bases import ActionObservationWrapper, BatchedWrapper
+from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
 from stkzoo.wrappers.arguments import dict_space, observed_action, with_observed_action
 from stkzoo.wrappers.space_flattener import SpaceFlattener
+
+if TYPE_CHECKING:
+    from stkzoo.views.plan import ViewPlan
 
 __all__ = ["FlattenerWrapper"]
 
 
-class FlattenerWrapper(ActionObservationWrapper, BatchedWrapper):
+class FlattenerWrapper(ActionObservationWrapper, CompiledWrapper):
     """Joins all numbers into one vector and all choices into another.
 
     The observation becomes ``{"continuous": (n,) float32, "discrete": (m,) int64}``, the
@@ -51,6 +54,26 @@ class FlattenerWrapper(ActionObservationWrapper, BatchedWrapper):
         else:
             self.observation_space = with_observed_action(env.observation_space, self.action_space)
 
+    def compile_into(self, plan: ViewPlan) -> bool:
+        """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
+        is_seen = not self.flatten_observations or (
+            len(plan.sizes) == 3 and not (plan.is_flat or plan.sees_ground or plan.observer)
+        )
+        if plan.has_action or not is_seen or "" in plan.leaves:
+            return False
+        if self.flatten_observations:
+            seen = self.observation_flattener
+            plan.names, plan.is_flat = (*seen.continuous_keys, *seen.discrete_keys), True
+        done = self.action_flattener
+        groups = {"continuous": done.continuous_keys, "discrete": done.discrete_keys}
+        leaves = {
+            name: tuple(entry for key in keys for entry in plan.leaves[key])
+            for name, keys in groups.items()
+            if keys
+        }
+        plan.leaves = leaves if len(leaves) > 1 else {"": next(iter(leaves.values()))}
+        return True
+
     def _flat_space(self) -> spaces.Space[Any]:
         flattener = self.observation_flattener
         if not self.has_action:
@@ -65,16 +88,16 @@ class FlattenerWrapper(ActionObservationWrapper, BatchedWrapper):
         """The observation as vectors, ``(..., n)`` and ``(..., m)``."""
         if not self.flatten_observations:
             flat: Any = dict(observation)
-        elif not self.has_action:
+            if self.has_action:
+                flat["action"] = self.action_flattener.flatten(observation["action"])
+            return flat
+        if not self.has_action:
             return self.observation_flattener.flatten(observation)
-        else:
-            flat = {}
-            if not self.observation_flattener.only_discrete:
-                flat["continuous"] = self.observation_flattener.continuous(observation)
-            if not self.observation_flattener.only_continuous:
-                flat["discrete"] = self.observation_flattener.discrete(observation)
-        if self.has_action:
-            flat["action"] = self.action_flattener.flatten(observation["action"])
+        flat = {"action": self.action_flattener.flatten(observation["action"])}
+        if not self.observation_flattener.only_discrete:
+            flat["continuous"] = self.observation_flattener.continuous(observation)
+        if not self.observation_flattener.only_continuous:
+            flat["discrete"] = self.observation_flattener.discrete(observation)
         return flat
 
     def action(self, action: Any) -> dict[str, Any]:

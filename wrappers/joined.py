@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import copy
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError
-from stkzoo.views.bases import BatchedWrapper
+from stkzoo.views.bases import CompiledWrapper
+
+if TYPE_CHECKING:
+    from stkzoo.views.plan import ViewPlan
 
 __all__ = ["JoinedObservations"]
 
 
-class JoinedObservations(gym.ObservationWrapper[Any, Any, Any], BatchedWrapper):
+class JoinedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
     """Joins the ``continuous`` and ``discrete`` vectors of a flattened view into one.
 
     The observation becomes ``(n + v,)`` float32: the ``n`` numbers as they are, then one place
@@ -42,6 +45,7 @@ class JoinedObservations(gym.ObservationWrapper[Any, Any, Any], BatchedWrapper):
                 "FlattenerWrapper inside it."
             )
         sizes = np.asarray(choices.nvec, np.int64)
+        self._sizes = tuple(sizes.tolist())
         self._count = int(sizes.sum())
         self._places = np.concatenate([[0], np.cumsum(sizes)[:-1]]) - choices.start
         bounds = (
@@ -50,10 +54,17 @@ class JoinedObservations(gym.ObservationWrapper[Any, Any, Any], BatchedWrapper):
         )
         joined = spaces.Box(*bounds, dtype=np.float32)
         rest = {key: part for key, part in parts.items() if key not in ("continuous", "discrete")}
-        self._others = tuple(rest)
         self.observation_space = (
             spaces.Dict({"observation": joined, **copy.deepcopy(rest)}) if rest else joined
         )
+        self._keys = tuple(getattr(self.observation_space, "spaces", ()))
+
+    def compile_into(self, plan: ViewPlan) -> bool:
+        """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
+        if not plan.is_flat or plan.joined:
+            return False
+        plan.joined = self._sizes
+        return True
 
     def observation(self, observation: Any) -> Any:
         """The observation as one vector, ``(..., n + v)``, and what stands beside it."""
@@ -61,6 +72,7 @@ class JoinedObservations(gym.ObservationWrapper[Any, Any, Any], BatchedWrapper):
         ones = np.zeros((*choices.shape[:-1], self._count), np.float32)
         np.put_along_axis(ones, choices, 1.0, axis=-1)
         joined = np.concatenate([observation["continuous"], ones], axis=-1, dtype=np.float32)
-        if not self._others:
+        if not self._keys:
             return joined
-        return {"observation": joined, **{key: observation[key] for key in self._others}}
+        seen = {**observation, "observation": joined}
+        return {key: seen[key] for key in self._keys}

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
-import numpy.typing as npt
 
 from stkzoo.errors import ConfigError
-from stkzoo.views.bases import BatchedWrapper
+from stkzoo.mdp.geometry import to_polar
+from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import dict_space
+
+if TYPE_CHECKING:
+    from stkzoo.views.plan import ViewPlan
 
 __all__ = ["PolarObservations"]
 
 _KEYS = ("center_path", "items_position", "karts_position", "paths_end", "paths_start")
 
 
-class PolarObservations(gym.ObservationWrapper[Any, Any, Any], BatchedWrapper):
+class PolarObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
     """Turns positions in the kart frame into two angles and a distance.
 
     ``(x, y, z)`` [m], x right, y up, z forward, becomes ``(atan2(x, z), atan2(y, z),
@@ -41,23 +44,20 @@ class PolarObservations(gym.ObservationWrapper[Any, Any, Any], BatchedWrapper):
                 f"it changes {', '.join(_KEYS)}."
             )
 
+    def compile_into(self, plan: ViewPlan) -> bool:
+        """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
+        if plan.is_polar or plan.is_flat or plan.observer:
+            return False
+        plan.is_polar = True
+        return True
+
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
         """The observation with polar positions; ``(..., 3)`` arrays keep their shape."""
         changed = dict(observation)
         for key in self._keys:
             value = observation[key]
             if not isinstance(value, tuple):
-                changed[key] = _polar(np.asarray(value, np.float32))
+                changed[key] = to_polar(np.asarray(value, np.float32))
             elif value:
-                changed[key] = tuple(_polar(np.asarray(value, np.float32)))
+                changed[key] = tuple(to_polar(np.asarray(value, np.float32)))
         return changed
-
-
-def _polar(positions: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """``(..., 3)`` positions [m] as angles [rad] and a distance [m]."""
-    x, y, z = positions[..., 0], positions[..., 1], positions[..., 2]
-    polar = np.empty_like(positions)
-    polar[..., 0] = np.arctan2(x, z)
-    polar[..., 1] = np.arctan2(y, z)
-    polar[..., 2] = np.linalg.norm(positions, axis=-1)
-    return polar

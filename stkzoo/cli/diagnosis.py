@@ -15,7 +15,7 @@ from pathlib import Path
 
 from stkzoo.engine.assets import DATADIR_VARIABLE, Assets, find_assets
 from stkzoo.errors import AssetError
-from stkzoo.kernel import kernel
+from stkzoo.kernel import IS_COMPILED
 
 __all__ = ["Finding", "diagnose"]
 
@@ -165,9 +165,9 @@ def _check_fork() -> Finding:
 def _check_kernel() -> Finding:
     if os.environ.get("STKZOO_KERNEL") == "off":
         return Finding("kernel", False, "turned off: numpy does its work", "unset STKZOO_KERNEL")
-    found = "compiled" if kernel else "not compiled: a step costs more"
+    found = "compiled" if IS_COMPILED else "not compiled: a step costs more"
     remedy = "install a C compiler and Python's headers (python3-dev), then stkzoo again"
-    return Finding("kernel", kernel is not None, found, remedy)
+    return Finding("kernel", IS_COMPILED, found, remedy)
 
 
 def _check_graphics() -> Finding:

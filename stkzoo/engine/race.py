@@ -10,22 +10,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.engine.reader import BY_ATTRIBUTE, WorldReader
+from stkzoo.engine.reader import BY_ATTRIBUTE, block_plans
 from stkzoo.engine.setup import KartSetup, RaceSetup
-from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, Snapshot
+from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.engine.starting import put_karts
 from stkzoo.engine.track import encode_track
 from stkzoo.errors import EngineError
-from stkzoo.kernel import kernel
+from stkzoo.kernel import GameStepper
+from stkzoo.kernel.reference import game_stepper
 from stkzoo.names import AttachmentType, ItemType, Phase, PowerupType
 
 __all__ = ["GameRace", "RaceStart", "init_engine"]
 
 #: More steps than any race needs before the engine shows READY (31 at 0.1 s).
 _MAX_WARMUP_STEPS = 100_000
-
-#: The first controls are numbers, the others buttons.
-_NUM_ANALOGUE = 2
 
 _is_initialised = False
 
@@ -116,8 +114,7 @@ class GameRace:
         self._race = pystk2.Race(_race_config(pystk2, setup))
         self._race.start()
         self._world = pystk2.WorldState()
-        self._reader: WorldReader | None = None
-        self._engine: Any = None  # the compiled kernel's hold on the race
+        self._stepper: Any = None  # a GameStepper of the kernel, once the race is ready
         self._track = pystk2.Track()
 
     def begin(self) -> RaceStart:
@@ -133,8 +130,7 @@ class GameRace:
         track = self._track
         if self._setup.starts:
             put_karts(self._race, self._world, track, self._setup, self._make_action)
-        self._reader = WorldReader(self._world)
-        self._engine = self._kernel_engine(self._reader)
+        self._stepper = self._new_stepper()
         return RaceStart(
             kart_types=tuple(kart.kart_type for kart in self._world.karts),
             track=encode_track(
@@ -144,7 +140,7 @@ class GameRace:
                 track.path_distance,
                 track.successors,
             ),
-            snapshot=self._read(running=True),
+            snapshot=Snapshot(self._stepper.read(True)),
         )
 
     def step(self, controls: bytes | npt.NDArray[np.float32]) -> Snapshot:
@@ -154,20 +150,12 @@ class GameRace:
             controls: ``(P, 7)`` float32, or its bytes: a row for each player kart in grid
                 order, columns as in :data:`stkzoo.engine.snapshot.CONTROLS`.
         """
-        if self._engine is not None:
-            return Snapshot(self._engine.step(controls))
-        rows = np.frombuffer(controls, np.float32).reshape(len(self._actions), len(CONTROLS))
-        for action, row in zip(self._actions, rows.tolist(), strict=True):
-            for column, (name, value) in enumerate(zip(CONTROLS, row, strict=True)):
-                setattr(action, name, value if column < _NUM_ANALOGUE else value > 0)
-        running = self._race.step(self._actions) if self._actions else self._race.step()
-        self._world.update()
-        return self._read(running)
+        return Snapshot(self._stepper.step(controls))
 
     @property
     def can_serve(self) -> bool:
         """Whether :meth:`serve` can be had."""
-        return hasattr(self._engine, "serve")
+        return hasattr(self._stepper, "serve")
 
     def serve(self, connection: socket.socket) -> bytes:
         """Takes the steps that are asked for, until something else is, which it returns.
@@ -178,42 +166,28 @@ class GameRace:
         Raises:
             EOFError: the other end is gone.
         """
-        request: bytes = self._engine.serve(connection.fileno())
+        request: bytes = self._stepper.serve(connection.fileno())
         return request
 
     def stop(self) -> None:
         """Ends the race; nothing else may be called afterwards."""
         self._race.stop()
 
-    def _read(self, running: bool) -> Snapshot:
-        world = self._world
-        assert self._reader is not None  # noqa: S101 - it begins with the race
-        karts, items = self._reader.read()
-        for row in self._reporting:
-            action = self._race.get_kart_action(row)
-            karts[row]["control"] = [float(getattr(action, name)) for name in CONTROLS]
-        phase = self._phases.get(world.phase, Phase.RACE_PHASE)
-        header = np.array(
-            [(world.time, world.aux_ticks, phase, len(karts), len(items), running)], HEADER_DTYPE
-        )
-        return Snapshot.of(header[0], karts, items)
-
-    def _kernel_engine(self, reader: WorldReader) -> Any:
-        """The kernel's way to step and read; ``None`` if it cannot, or reads otherwise."""
-        if kernel is None or not reader.is_fast:
-            return None
-        engine = kernel.Engine(
-            self._race,
-            self._world,
-            self._actions,
-            CONTROLS,
-            BY_ATTRIBUTE,
-            self._phases,
-            Phase.RACE_PHASE,
-            tuple(self._reporting),
-            reader.plans,
-        )
-        return engine if engine.read(True) == self._read(running=True).data else None
+    def _new_stepper(self) -> Any:
+        """What steps and reads the race: by the engine's block, or attribute by attribute."""
+        race, world = self._race, self._world
+        names = CONTROLS, BY_ATTRIBUTE
+        phases: tuple[Any, int] = self._phases, Phase.RACE_PHASE
+        last = tuple(self._reporting), block_plans(world)
+        by_attribute = game_stepper.GameStepper(race, world, self._actions, *names, *phases, *last)
+        if last[1] is None:
+            return by_attribute
+        try:
+            by_block = GameStepper(race, world, self._actions, *names, *phases, *last)
+            is_right = by_block.read(True) == by_attribute.read(True)
+        except (TypeError, ValueError):
+            is_right = False
+        return by_block if is_right else by_attribute
 
 
 def _race_config(pystk2: Any, setup: RaceSetup) -> Any:

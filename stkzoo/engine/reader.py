@@ -1,9 +1,9 @@
-"""From the engine's world to arrays, once a step.
+"""Where a race's numbers lie in the block of bytes that the engine writes of its world.
 
-The engine can write its whole world as one block of bytes (what it pickles), which takes
-a few microseconds where reading attribute by attribute takes ten times as long. The
-block's layout is no promise of the engine's, so it is used only if, at the race's start,
-everything in it is what the attributes say; otherwise attributes are read.
+The engine can write its whole world as one block (what it pickles), which takes a few
+microseconds where reading attribute by attribute takes ten times as long. The block's layout
+is no promise of the engine's: :class:`~stkzoo.engine.race.GameRace` uses it only if, at the
+race's start, everything in it is what the attributes say.
 
 The block, all little-endian and unpadded: header; number of karts; karts; number of
 items; items. A kart is a flag, two ids, its name and model with their lengths, and then
@@ -14,17 +14,15 @@ dimensions and their length before them.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.engine.snapshot import CONTROLS, ITEM_DTYPE, KART_DTYPE
+from stkzoo.engine.snapshot import ITEM_DTYPE, KART_DTYPE
 
-__all__ = ["BY_ATTRIBUTE", "WorldReader"]
-
-Records = npt.NDArray[np.void]
+__all__ = ["BY_ATTRIBUTE", "block_plans"]
 
 _INT = struct.Struct("<i")
 #: World time, then the number of players, each a flag, a kart id and "has no camera".
@@ -109,136 +107,36 @@ def _attribute_plan(target: Any, names: Iterable[str]) -> npt.NDArray[np.int32]:
 _ATTRIBUTE_PLAN = _attribute_plan(KART_DTYPE, BY_ATTRIBUTE)
 
 
-class WorldReader:
-    """Reads the karts and items of one race.
+def block_plans(world: Any) -> tuple[Any, ...] | None:
+    """What the kernel's :class:`~stkzoo.kernel.GameStepper` needs to read the block.
+
+    The karts and items stay at their places all race long.
 
     Args:
         world: the race's ``pystk2.WorldState``, updated at least once.
 
-    Attributes:
-        is_fast: whether the block of bytes is used.
+    Returns:
+        Places of the karts, what to copy of each; the place of the items, their size, what to
+        copy of each; and which attributes of a kart go where. ``None`` if there is no block, or
+        one of another layout.
     """
-
-    def __init__(self, world: Any) -> None:
-        self._world = world
-        self._kart_places = np.empty(0, np.intp)
-        self._items_at = 0
-        try:
-            self._learn(world.__getstate__()[0])
-            self.is_fast = self._agrees()
-        except (AttributeError, IndexError, TypeError, ValueError, struct.error):
-            self.is_fast = False
-
-    def read(self) -> tuple[Records, Records]:
-        """All karts and items now: records of ``KART_DTYPE`` and ``ITEM_DTYPE``."""
-        return self._read_block() if self.is_fast else self._read_attributes()
-
-    @property
-    def plans(self) -> tuple[Any, ...]:
-        """What the compiled kernel's engine needs to read the block by itself.
-
-        Places of the karts, what to copy of each; the place of the items, their size, what
-        to copy of each; and which attributes of a kart go where.
-        """
-        items = self._items_at, _STATE_ITEM.itemsize, _ITEM_PLAN
-        return self._kart_places, _KART_PLAN, *items, _ATTRIBUTE_PLAN
-
-    def _learn(self, block: bytes) -> None:
-        """Finds the places of the karts, which stay where they are all race long."""
-        offset = _PLAYERS_AT + _INT.size + _PLAYER_SIZE * _INT.unpack_from(block, _PLAYERS_AT)[0]
-        (num_kart,) = _INT.unpack_from(block, offset)
-        offset += _INT.size
-        places = []
-        for _ in range(num_kart):
-            offset += 1 + 2 * _INT.size
-            for _ in ("name", "model"):
-                offset += _INT.size + _INT.unpack_from(block, offset)[0]
-            places.append(offset)
-            offset += _STATE_KART.itemsize
-        self._kart_places = np.array(places, np.intp)
-        self._items_at = offset
-
-    def _agrees(self) -> bool:
-        by_block, by_attribute = self._read_block(), self._read_attributes()
-        return all(
-            ours.tobytes() == theirs.tobytes()
-            for ours, theirs in zip(by_block, by_attribute, strict=True)
-        )
-
-    def _read_block(self) -> tuple[Records, Records]:
-        block = self._world.__getstate__()[0]
-        karts = np.zeros(len(self._kart_places), KART_DTYPE)
-        _copy(block, self._kart_places, _STATE_KART, karts)
-        for name in BY_ATTRIBUTE:
-            karts[name] = [getattr(kart, name) for kart in self._world.karts]
-        (num_items,) = _INT.unpack_from(block, self._items_at)
-        items = np.zeros(num_items, ITEM_DTYPE)
-        begin = self._items_at + _INT.size
-        _copy(block, begin + _STATE_ITEM.itemsize * np.arange(num_items), _STATE_ITEM, items)
-        return karts, items
-
-    def _read_attributes(self) -> tuple[Records, Records]:
-        karts = _records(KART_DTYPE, self._world.karts, _kart_record)
-        items = _records(ITEM_DTYPE, self._world.items, _item_record)
-        return karts, items
+    try:
+        places, items_at = _places(world.__getstate__()[0])
+    except (AttributeError, IndexError, TypeError, ValueError, struct.error):
+        return None
+    return places, _KART_PLAN, items_at, _STATE_ITEM.itemsize, _ITEM_PLAN, _ATTRIBUTE_PLAN
 
 
-def _copy(
-    block: bytes, places: npt.NDArray[np.intp], source: np.dtype[np.void], records: Records
-) -> None:
-    """Fills the fields that records share with what begins at some places of the block."""
-    rows = np.frombuffer(block, np.uint8)[np.add.outer(places, np.arange(source.itemsize))]
-    state = rows.view(source)[:, 0]
-    for name in state.dtype.names or ():
-        if not name.startswith("_"):
-            records[name] = state[name]
-
-
-def _records(
-    dtype: np.dtype[np.void], objects: Iterable[Any], record: Callable[[Any], tuple[Any, ...]]
-) -> Records:
-    return np.array([record(thing) for thing in objects], dtype)
-
-
-def _item_record(item: Any) -> tuple[Any, ...]:
-    """The fields of ``ITEM_DTYPE`` in its order."""
-    return item.location, item.size, item.type.value, item.id
-
-
-_ZERO_CONTROL = (0.0,) * len(CONTROLS)
-
-
-def _kart_record(kart: Any) -> tuple[Any, ...]:
-    """The fields of ``KART_DTYPE`` in its order."""
-    powerup, attachment = kart.powerup, kart.attachment
-    return (
-        kart.location,
-        kart.rotation,
-        kart.front,
-        kart.velocity,
-        kart.velocity_lc,
-        kart.angular_velocity,
-        kart.size,
-        kart.speed,
-        kart.max_steer_angle,
-        kart.wheel_base,
-        kart.energy,
-        kart.skeed_factor,
-        kart.shield_time,
-        attachment.time_left,
-        kart.distance_down_track,
-        kart.overall_distance,
-        kart.finish_time,
-        kart.lap_time,
-        kart.node,
-        kart.position,
-        kart.finished_laps,
-        powerup.type.value,
-        powerup.num,
-        attachment.type.value,
-        kart.has_finished_race,
-        kart.race_result,
-        kart.jumping,
-        kart.is_on_road,
-        _ZERO_CONTROL,
-    )
+def _places(block: bytes) -> tuple[npt.NDArray[np.intp], int]:
+    """Where each kart's numbers begin, and where the items do."""
+    offset = _PLAYERS_AT + _INT.size + _PLAYER_SIZE * _INT.unpack_from(block, _PLAYERS_AT)[0]
+    (num_kart,) = _INT.unpack_from(block, offset)
+    offset += _INT.size
+    places = []
+    for _ in range(num_kart):
+        offset += 1 + 2 * _INT.size
+        for _ in ("name", "model"):
+            offset += _INT.size + _INT.unpack_from(block, offset)[0]
+        places.append(offset)
+        offset += _STATE_KART.itemsize
+    return np.array(places, np.intp), offset

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.kernel import kernel
+from stkzoo.kernel import layouts
 
 __all__ = ["CONTROLS", "CONTROL_DTYPE", "HEADER_DTYPE", "ITEM_DTYPE", "KART_DTYPE", "Snapshot"]
 
@@ -86,7 +86,8 @@ def _offsets(dtype: np.dtype[np.void]) -> dict[str, int]:
     return {name: offset for name, (_, offset, *_) in (dtype.fields or {}).items()}
 
 
-if kernel is not None and kernel.layouts() != {
+_compiled = layouts()
+if _compiled is not None and _compiled != {
     "header": _offsets(HEADER_DTYPE),
     "kart": _offsets(KART_DTYPE),
     "item": _offsets(ITEM_DTYPE),

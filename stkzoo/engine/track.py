@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import functools
-import heapq
 import json
 import struct
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.kernel import kernel
+from stkzoo.kernel import TrackGraph
 
 __all__ = ["TrackMap", "decode_track", "encode_track"]
 
@@ -33,7 +31,7 @@ class TrackMap:
         path_distance: ``(N, 2)`` float32 [m]: distance from the start line to each
             segment's start and end.
         successors: for each node, the nodes that follow it; more than one at a fork.
-        in_kernel: the track as the compiled kernel has it; ``None`` without a kernel.
+        graph: the same as the kernel has it.
     """
 
     def __init__(
@@ -52,7 +50,7 @@ class TrackMap:
         self.successors = tuple(tuple(nodes) for nodes in successors)
         for array in (path_nodes, path_width, path_distance):
             array.flags.writeable = False
-        self.in_kernel = self._kernel_track()
+        self.graph = self._graph()
         self._orders: dict[int, IntArray] = {}
 
     @property
@@ -78,34 +76,14 @@ class TrackMap:
 
     def _ahead(self, node: int) -> IntArray:
         if node not in self._orders:
-            known = self._order_from(node) if self.in_kernel is None else self.in_kernel.ahead(node)
-            self._orders[node] = np.array(known, np.intp)
+            self._orders[node] = self.graph.ahead(node)
         return self._orders[node]
 
-    def _kernel_track(self) -> Any:
-        if kernel is None:
-            return None
+    def _graph(self) -> TrackGraph:
         begins = np.cumsum([0, *map(len, self.successors)], dtype=np.intp)
         successors = np.array([node for nodes in self.successors for node in nodes], np.intp)
         arrays = self.path_nodes, self.path_width, self.path_distance, begins, successors
-        return kernel.Track(*arrays, self.length)
-
-    def _order_from(self, start: int) -> list[int]:
-        begin = self.path_distance[:, 0].tolist()
-        order: list[int] = []
-        seen: set[int] = set()
-        queue = [(0.0, start)]
-        while queue:
-            distance, node = heapq.heappop(queue)
-            if node in seen:
-                continue
-            seen.add(node)
-            order.append(node)
-            for successor in self.successors[node]:
-                gap = (begin[successor] - begin[node]) % self.length
-                heapq.heappush(queue, (distance + gap, successor))
-        unreachable = set(range(self.num_nodes)) - seen
-        return order + sorted(unreachable, key=lambda n: (begin[n] - begin[start]) % self.length)
+        return TrackGraph(*arrays, self.length)
 
 
 def encode_track(

@@ -4,51 +4,64 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.agent_names import by_agent, find_agent
 from stkzoo.engine.ground import Ground, ground_of
 from stkzoo.engine.race import RaceStart
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.engine.track import decode_track
 from stkzoo.env.grid import RaceInfo
-from stkzoo.env.infos import EpisodeRecord
 from stkzoo.env.options import RaceOptions
 from stkzoo.env.scenario import past_controls
-from stkzoo.kernel import kernel
-from stkzoo.mdp.observations import KartObserver, ai_actions
-from stkzoo.mdp.rewards import Reward
+from stkzoo.errors import ConfigError
+from stkzoo.kernel import StepScorer
+from stkzoo.mdp.observations import ai_actions, observe_karts
+from stkzoo.mdp.rewards import Reward, as_reward
 from stkzoo.mdp.state import race_state
-from stkzoo.views.chains import AgentChains, StepParts
-from stkzoo.wrappers.racing import GroundSight, RacingSight, ground_table
+from stkzoo.mdp.transition import Transition
+from stkzoo.wrappers.racing import ground_table
 
-__all__ = ["Episode"]
+__all__ = ["Episode", "EpisodeRecord", "rewards_of_agents"]
 
+FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
+
+#: Rewards, terminations and truncations, each by agent.
+Ends = tuple[dict[str, float], dict[str, bool], dict[str, bool]]
+
+
+def rewards_of_agents(choice: object, agents: Sequence[str]) -> dict[str, Reward]:
+    """Every agent's reward; see :mod:`stkzoo.mdp.rewards` for what can be chosen."""
+    if isinstance(choice, Mapping) and any(_is_agent(name, agents) for name in choice):
+        chosen = by_agent(choice, agents)
+        return {agent: as_reward(chosen.get(agent)) for agent in agents}
+    return dict.fromkeys(agents, as_reward(choice))
 
 
 class Episode:
-    """A race under way.
+    """A race under way. It is the source of its agents' observations.
 
     Args:
         options: the options of this race.
-        setup: what the engine was told.
+        setup: what the engine was given.
         race: what was drawn; its kart types are filled in from ``start``.
         start: what the engine answered.
         rewards: every agent's reward, in agent order.
         root: of the game's data.
 
     Attributes:
-        setup: what the engine was told.
+        setup: what the engine was given.
         race: names of the race and its karts.
         track_map: the track.
+        course: its graph, how many of its segments are seen, and the karts' models.
         snapshot: the present moment.
-        record: rewards and infos.
     """
 
     def __init__(
@@ -69,7 +82,6 @@ class Episode:
         nobody = np.empty(0, np.intp)
         self._asked_for: tuple[tuple[str, ...], tuple[IntArray, IntArray]] = (), (nobody, nobody)
         self._reports_control = any(kart.reports_control for kart in setup.karts)
-        self._outcome: tuple[Any, Any] | None = None  # (for whom, kernel.Outcome)
         self._past: Any = None  # (what was before, the latest controls), shared by copies
         self._start(options, rewards)
 
@@ -77,11 +89,10 @@ class Episode:
         """A copy of this moment; either goes on without touching the other."""
         twin = copy.copy(self)
         shared = {id(reward): reward for reward in self._rewards.values()}
-        twin.record = copy.deepcopy(self.record, shared)
-        twin._outcome = None
+        twin._record = copy.deepcopy(self._record, shared)
         return twin
 
-    def anew(self, options: RaceOptions, rewards: Mapping[str, Reward]) -> Episode:
+    def restarted(self, options: RaceOptions, rewards: Mapping[str, Reward]) -> Episode:
         """An episode that starts at this moment of this race.
 
         Args:
@@ -94,77 +105,54 @@ class Episode:
 
     @property
     def num_players(self) -> int:
-        """How many karts the engine is told what to do."""
+        """How many karts the engine takes controls for."""
         return len(self._players)
 
     def player_rows(self, agents: Sequence[str]) -> IntArray:
-        """Which of the karts that the engine is told what to do are the agents'.
+        """The agents' rows of the engine's controls.
 
-        Those of agents that the game's AI drives are none of them.
+        Agents that the game's AI drives have none.
         """
         return self._places(agents)[1]
 
+    def karts(self, agents: Sequence[str]) -> IntArray:
+        """The agents' karts, ``(A,)``."""
+        return self._places(agents)[0]
+
     def remember(self, controls: npt.NDArray[np.float32]) -> None:
-        """Takes note of what the engine is told in a step."""
+        """Takes note of the controls of a step."""
         self._past = self._past, controls.tobytes()
 
     def past_controls(self) -> npt.NDArray[np.float32]:
-        """What the engine was told in all steps since the race began: ``(T, P, 7)`` float32."""
+        """The controls of all steps since the race began: ``(T, P, 7)`` float32."""
         return past_controls(self._past, self.num_players)
 
-    def advance(self, snapshot: Snapshot, agents: Sequence[str], chains: AgentChains) -> StepParts:
-        """Takes in the moment after a step.
+    def advance(self, snapshot: Snapshot, agents: Sequence[str]) -> Ends:
+        """Goes on to the moment after a step.
 
         Args:
             snapshot: the moment.
             agents: the agents that acted.
-            chains: their wrappers.
 
         Returns:
-            What the agents get: observations, rewards, terminations, truncations and infos.
+            Their rewards, terminations and truncations.
         """
         before, self.snapshot = self.snapshot, snapshot
         self._num_steps += 1
         is_over = self._max_cycles is not None and self._num_steps >= self._max_cycles
-        if kernel is None:
-            parts = self._told(before, agents, is_over)
-        else:
-            self.record.score_own_terms(before, snapshot)
-            outcome = self._outcome_for(agents, chains)
-            parts = outcome.step(before.data, snapshot.data, is_over, self._num_steps)
-        return chains.step(agents, self.sight(agents, chains), parts)
+        return self._record.score(before, snapshot, agents, is_over)
 
-    def _outcome_for(self, agents: Sequence[str], chains: AgentChains) -> Any:
-        whom = chains, tuple(agents)
-        if self._outcome is None or self._outcome[0] != whom:
-            views = chains.views(agents)
-            self._outcome = whom, self.record.outcome(agents, views, self._observer.course)
-        return self._outcome[1]
+    def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
+        """Fresh infos of some agents; see :class:`EpisodeRecord`."""
+        return self._record.infos(self.snapshot, agents, self._num_steps)
 
-    def _told(self, before: Snapshot, agents: Sequence[str], is_over: bool) -> StepParts:
-        """What a step means for the agents, without what they see."""
-        rewards = self.record.step(before, self.snapshot, agents)
-        finished = self.snapshot.karts["has_finished_race"][self._karts(agents)] > 0
-        terminations = dict(zip(agents, finished.tolist(), strict=True))
-        truncations = {agent: is_over and not ended for agent, ended in terminations.items()}
-        return dict.fromkeys(agents), rewards, terminations, truncations, self.infos(agents)
-
-    def observe(
-        self, agents: Sequence[str], paths_used: int | None = None, sees_ground: bool = False
-    ) -> dict[str, Any]:
-        """What some agents see now in the ``full`` view, in batch form.
-
-        Args:
-            agents: the agents.
-            paths_used: make no more track segments than this.
-            sees_ground: add what is beside the road ahead.
-        """
-        karts = self._karts(agents)
-        batch = self._observer.observe(self.snapshot, karts, paths_used)
+    def observe_batch(self, agents: Sequence[str]) -> dict[str, Any]:
+        """What some agents see now in the ``full`` view, in batch form."""
+        karts = self.karts(agents)
+        _, num_paths, kart_types = self.course
+        batch = observe_karts(self.track_map, kart_types, self.snapshot, karts, num_paths)
         if self._reports_control:
             batch["action"] = ai_actions(self.snapshot, karts)
-        if sees_ground:
-            batch |= self._ground_ahead(karts)
         return batch
 
     @property
@@ -173,22 +161,13 @@ class Episode:
         race = self.race
         return ground_of(self.track_map, race.track, self._root, reverse=race.reverse)
 
-    def sight(self, agents: Sequence[str], chains: AgentChains) -> Sight:
-        """What some agents see now, to be made in the form that their chains ask for."""
-        return Sight(self, self._karts(agents), agents, chains)
-
-    def through(self, view: Any, karts: IntArray) -> list[Any] | None:
-        """What some karts see now in a view that needs no batch (``views/compile.py``)."""
-        if isinstance(view, RacingSight):
-            return view.observe(self.track_map, self.snapshot, karts, self._observer.max_paths)
-        if isinstance(view, GroundSight):
-            seen = self._observer.through(view.rest, self.snapshot, karts)
-            return view.added(seen, self._ground_ahead(karts))
-        return self._observer.through(view, self.snapshot, karts)
-
-    def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
-        """Fresh infos of some agents; see :class:`~stkzoo.env.infos.EpisodeRecord`."""
-        return self.record.infos(self.snapshot, agents, self._num_steps)
+    def ground_ahead(self, karts: IntArray) -> dict[str, npt.NDArray[Any]]:
+        """What is beside the road ahead of some karts, by entry of the observation."""
+        records = self.snapshot.karts[karts]
+        ahead = ground_table(self.track_map, self.ground).ahead(
+            records["node"], records["location"]
+        )
+        return {"ground_kind": ahead.kind, "ground_speed": ahead.speed}
 
     def state(self) -> npt.NDArray[np.float32]:
         """The whole race as one vector (:mod:`stkzoo.mdp.state`)."""
@@ -197,57 +176,145 @@ class Episode:
         order = np.array([*agents, *bots], np.intp)
         return race_state(self.snapshot, order, self.track_map.length, self.race.laps)
 
-    def _ground_ahead(self, karts: IntArray) -> dict[str, Any]:
-        records = self.snapshot.karts[karts]
-        ahead = ground_table(self.track_map, self.ground).ahead(
-            records["node"], records["location"]
-        )
-        return {"ground_kind": ahead.kind, "ground_speed": ahead.speed}
-
     def _start(self, options: RaceOptions, rewards: Mapping[str, Reward]) -> None:
         """Starts all counts at zero."""
         self._rewards = rewards
         race_length = self.track_map.length * self.race.laps
-        self.record = EpisodeRecord(rewards, self.race.kart_indices, race_length)
-        self._outcome = None
+        self._record = EpisodeRecord(rewards, self.race.kart_indices, race_length)
         self._num_steps = 0
         self._max_cycles = options.max_cycles
-        self._observer = KartObserver(self.track_map, self.race.kart_types, options.max_paths)
-
-    def _karts(self, agents: Sequence[str]) -> IntArray:
-        return self._places(agents)[0]
+        num_nodes = self.track_map.num_nodes
+        num_paths = min(num_nodes, options.max_paths or num_nodes)
+        self.course = self.track_map.graph, num_paths, tuple(self.race.kart_types)
 
     def _places(self, agents: Sequence[str]) -> tuple[IntArray, IntArray]:
         """The agents' karts, and their rows among the players."""
         key = tuple(agents)
-        if key != self._asked_for[0]:  # they change only when somebody leaves
+        if key != self._asked_for[0]:  # they change only when an agent leaves
             karts = np.array([self._kart_of[agent] for agent in key], np.intp)
             self._asked_for = key, (karts, np.searchsorted(self._players, karts))
         return self._asked_for[1]
 
 
-class Sight:
-    """What some agents of an episode see at its present moment (:class:`wrappers.chain.Sight`)."""
+@dataclass(frozen=True)
+class _RewardGroup:
+    """Agents that share a reward: their rows, their karts and the columns of the terms."""
+
+    reward: Reward
+    rows: IntArray
+    karts: IntArray
+    columns: IntArray
+
+
+class EpisodeRecord:
+    """Rewards and infos of one episode.
+
+    Args:
+        rewards: every agent's reward, in agent order.
+        kart_indices: every agent's kart, in agent order.
+        race_length: laps times the lap's length [m].
+    """
 
     def __init__(
-        self,
-        episode: Episode,
-        karts: IntArray,
-        agents: Sequence[str],
-        chains: AgentChains,
+        self, rewards: Mapping[str, Reward], kart_indices: Sequence[int], race_length: float
     ) -> None:
-        self._episode, self._karts = episode, karts
-        self._agents, self._chains = agents, chains
-        self._batch: dict[str, Any] | None = None
+        self._karts = np.array(kart_indices, np.intp)
+        self._rows = {agent: row for row, agent in enumerate(rewards)}
+        names = sorted({name for reward in rewards.values() for name in reward.terms})
+        self._groups = _groups(rewards, self._karts, {name: c for c, name in enumerate(names)})
+        self._race_length = race_length
+        self._last = np.zeros((len(rewards), len(names)))
+        self._sums = np.zeros_like(self._last)
+        self._keys = (
+            *("position", "distance", "lap", "finish_time"),
+            *(f"reward/{name}" for name in names),
+            *(f"episode/reward/{name}" for name in names),
+            *("episode/return", "episode/length"),
+        )
+        self._scorer: tuple[tuple[str, ...], StepScorer] | None = None
 
-    def batch(self) -> dict[str, Any]:
-        """The ``full`` view of all the agents, in batch form."""
-        if self._batch is None:
-            self._batch = self._episode.observe(
-                self._agents, self._chains.paths_used, self._chains.sees_ground
-            )
-        return self._batch
+    def score(
+        self, before: Snapshot, after: Snapshot, agents: Sequence[str], is_over: bool
+    ) -> Ends:
+        """Adds one step.
 
-    def through(self, view: Any, rows: IntArray) -> list[Any] | None:
-        """What the agents of some rows see in a view that needs no batch."""
-        return self._episode.through(view, self._karts[rows])
+        Args:
+            before: the moment before it.
+            after: the moment after it.
+            agents: the agents that were still racing.
+            is_over: whether time is up.
+
+        Returns:
+            Their rewards, terminations and truncations.
+        """
+        own = [group for group in self._groups if group.reward.kernel_terms is None]
+        if own:
+            self._score_in_python(own, Transition(before, after, self._race_length))
+        return self._scorer_of(agents).score(before.data, after.data, is_over)
+
+    def infos(
+        self, snapshot: Snapshot, agents: Sequence[str], length: int
+    ) -> dict[str, dict[str, Any]]:
+        """Fresh infos of some agents: plain numbers under the same keys from reset on.
+
+        ``position`` is the rank, ``distance`` the metres driven, ``lap`` the number of
+        laps done, ``finish_time`` seconds (0 before the finish), ``reward/<term>`` the
+        weighted terms of this step, ``episode/reward/<term>`` their sums,
+        ``episode/return`` the sum of all, ``episode/length`` the steps so far (``length``).
+        """
+        return self._scorer_of(agents).infos(snapshot.data, length)
+
+    def _score_in_python(self, groups: Sequence[_RewardGroup], step: Transition) -> None:
+        """Writes the terms of rewards that have others than the kernel's."""
+        for group in groups:
+            values = group.reward(step).values()
+            for column, value in zip(group.columns, values, strict=True):
+                self._last[group.rows, column] = value[group.karts]
+
+    def _scorer_of(self, agents: Sequence[str]) -> StepScorer:
+        key = tuple(agents)
+        if self._scorer is None or self._scorer[0] != key:
+            self._scorer = key, self._new_scorer(key)
+        return self._scorer[1]
+
+    def _new_scorer(self, agents: tuple[str, ...]) -> StepScorer:
+        rows = np.array([self._rows[agent] for agent in agents], np.intp)
+        where = {int(row): number for number, row in enumerate(rows)}
+        rewards = []
+        for group in self._groups:
+            terms = group.reward.kernel_terms
+            racing = [where[row] for row in group.rows.tolist() if row in where]
+            if terms is not None:
+                rewards.append((*terms, group.columns, np.array(racing, np.intp)))
+        numbers = self._last, self._sums, self._keys, self._race_length
+        return StepScorer(agents, self._karts[rows], rows, *numbers, tuple(rewards))
+
+    def __getstate__(self) -> dict[str, Any]:
+        # A copy has arrays of its own, and so a scorer of its own.
+        return {**self.__dict__, "_scorer": None}
+
+
+def _groups(
+    rewards: Mapping[str, Reward], karts: IntArray, columns: Mapping[str, int]
+) -> list[_RewardGroup]:
+    members: dict[int, list[int]] = {}
+    for row, reward in enumerate(rewards.values()):
+        members.setdefault(id(reward), []).append(row)
+    of_row = list(rewards.values())
+    return [
+        _RewardGroup(
+            reward=of_row[rows[0]],
+            rows=np.array(rows, np.intp),
+            karts=karts[rows],
+            columns=np.array([columns[name] for name in of_row[rows[0]].terms], np.intp),
+        )
+        for rows in members.values()
+    ]
+
+
+def _is_agent(name: object, agents: Sequence[str]) -> bool:
+    try:
+        find_agent(name, agents)
+    except ConfigError:
+        return False
+    return True

@@ -11,7 +11,6 @@ from gymnasium.utils import EzPickle
 from stkzoo.config import AgentSpec
 from stkzoo.env.gymnasium_base import GymnasiumRaceEnv
 from stkzoo.errors import ActionError, ApiOrderError
-from stkzoo.views.batch import split, take
 
 __all__ = ["STKRaceMultiEnv"]
 
@@ -107,14 +106,7 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
 
     def _observe_departed(self, present: Mapping[str, Any]) -> dict[str, Any]:
         departed = [agent for agent in self.core.possible_agents if agent not in present]
-        if not departed:
-            return {}
-        batch = self.core.observe_batch(departed)
-        return {
-            agent: split(space, take(space, batch, [row]))[0]
-            for row, agent in enumerate(departed)
-            for space in [self.core.observation_space(agent)]
-        }
+        return self.core.observe(departed) if departed else {}
 
     def _info(self, rewards: Mapping[str, float]) -> dict[str, Any]:
         done = {a: self._terminated[a] or self._truncated[a] for a in self._terminated}

@@ -23,10 +23,9 @@ from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.engine.track import TrackMap
 from stkzoo.env.branching import BranchingRace
 from stkzoo.env.cameras import RaceCameras
-from stkzoo.env.episode import Episode
+from stkzoo.env.episode import Episode, rewards_of_agents
 from stkzoo.env.graphics import RENDER_MODES, frame_rate
 from stkzoo.env.grid import RaceInfo, draw_race
-from stkzoo.env.infos import rewards_of_agents
 from stkzoo.env.options import (
     RaceOptions,
     check_agents,
@@ -210,11 +209,11 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         else:
             agents = self._racing_agents(state, options)
             state.resume_in(self._session)
-            self._episode = state.moment.episode.anew(options_now, self._rewards)
+            self._episode = state.moment.episode.restarted(options_now, self._rewards)
         self.agents, self._asked = [], None  # in case a wrapper fails
         result = self._chains.reset(
             agents,
-            self._episode.sight(agents, self._chains),
+            self._episode,
             self._episode.infos(agents),
             seed=seed,
             options=dict(options),
@@ -291,7 +290,12 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         agents = self.agents
         if not agents:
             return {}, {}, {}, {}, {}
-        result = episode.advance(self._session.step_wait(), agents, self._chains)
+        snapshot = self._session.step_wait()
+        rewards, terminations, truncations = episode.advance(snapshot, agents)
+        observations = self._chains.observe(agents, episode)
+        infos = episode.infos(agents)
+        result = observations, rewards, terminations, truncations, infos
+        result = self._chains.finish(agents, result)
         _, _, terminations, truncations, _ = result
         if any(terminations.values()) or any(truncations.values()):
             self.agents = [a for a in agents if not (terminations[a] or truncations[a])]
@@ -412,7 +416,11 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         for agent in agents:
             if not isinstance(agent, str) or agent not in self.possible_agents:
                 raise unknown_name("agent", agent, self.possible_agents)
-        return episode.observe(agents)
+        return episode.observe_batch(agents)
+
+    def observe(self, agents: Sequence[str]) -> Observations:
+        """What some agents, racing or not, see now, before wrappers of your own."""
+        return self._chains.observe(agents, self._running("observe"))
 
     def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
         """The present infos of some agents, racing or not, before their wrappers."""

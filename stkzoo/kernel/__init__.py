@@ -1,26 +1,76 @@
-"""The step's inner loops in C.
+"""The inner loops of a step, once in C and once in numpy.
 
-``kernel`` is the compiled module, or ``None`` where it could not be built or where
-``STKZOO_KERNEL=off`` asks for numpy. Whatever it does, numpy does too, in the place that
-calls it; the tests hold the two together.
+Every name here is a class or function of the compiled extension ``_kernel``, or its twin in
+:mod:`stkzoo.kernel.reference`, which does the same in numpy. This module alone decides which:
+the extension, unless it is not built here or ``STKZOO_KERNEL=off`` is set. The stub
+``_kernel.pyi`` types both, and ``tests/kernel`` runs each name against its twin.
+
+Attributes:
+    IS_COMPILED: whether the names are those of the extension.
 """
 
 from __future__ import annotations
 
+import importlib
 import os
 from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["kernel"]
+if TYPE_CHECKING:
+    from stkzoo.kernel._kernel import (
+        ActionReader,
+        GameStepper,
+        KartObserver,
+        RacingObserver,
+        StepScorer,
+        TrackGraph,
+        join_rows,
+        layouts,
+    )
+
+__all__ = [
+    "IS_COMPILED",
+    "ActionReader",
+    "GameStepper",
+    "KartObserver",
+    "RacingObserver",
+    "StepScorer",
+    "TrackGraph",
+    "join_rows",
+    "layouts",
+]
+
+#: The modules of the twins, below ``stkzoo.kernel.reference``. Each is imported when it is first
+#: needed: some are made of formulas from packages that use the kernel themselves.
+_TWINS = {
+    "ActionReader": "action_reader",
+    "GameStepper": "game_stepper",
+    "KartObserver": "kart_observer",
+    "RacingObserver": "racing_observer",
+    "StepScorer": "step_scorer",
+    "TrackGraph": "track_graph",
+    "join_rows": "rows",
+    "layouts": "rows",
+}
 
 
-def _load() -> ModuleType | None:
+def _extension() -> ModuleType | None:
     if os.environ.get("STKZOO_KERNEL") == "off":
         return None
     try:
-        from stkzoo.kernel import _kernel
+        return importlib.import_module("stkzoo.kernel._kernel")
     except ImportError:
         return None
-    return _kernel
 
 
-kernel = _load()
+_compiled = _extension()
+IS_COMPILED = _compiled is not None
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _TWINS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    twin = f"stkzoo.kernel.reference.{_TWINS[name]}"
+    value = getattr(_compiled or importlib.import_module(twin), name)
+    globals()[name] = value
+    return value

@@ -3,7 +3,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-class Engine:
+class GameStepper:
     def __new__(
         cls,
         race: Any,
@@ -14,13 +14,13 @@ class Engine:
         phases: dict[Any, int],
         last_phase: int,
         reporting: tuple[int, ...],
-        plans: tuple[Any, ...],
-    ) -> Engine: ...
+        plans: tuple[Any, ...] | None,
+    ) -> GameStepper: ...
     def step(self, controls: bytes | npt.NDArray[np.float32]) -> bytes: ...
     def read(self, is_running: bool) -> bytes: ...
     def serve(self, fd: int) -> bytes: ...
 
-class Track:
+class TrackGraph:
     def __new__(
         cls,
         nodes: npt.NDArray[np.float32],
@@ -29,10 +29,10 @@ class Track:
         begins: npt.NDArray[np.intp],
         successors: npt.NDArray[np.intp],
         length: float,
-    ) -> Track: ...
+    ) -> TrackGraph: ...
     def ahead(self, node: int) -> npt.NDArray[np.intp]: ...
 
-class View:
+class KartObserver:
     def __new__(
         cls,
         names: tuple[str, ...],
@@ -41,32 +41,35 @@ class View:
         paths: int = -1,
         polar: bool = False,
         flat: bool = False,
-    ) -> View: ...
+        joined: npt.NDArray[np.intp] | None = None,
+        nitro: npt.NDArray[np.bool_] | None = None,
+        fire: npt.NDArray[np.bool_] | None = None,
+    ) -> KartObserver: ...
     def observe(
         self,
-        track: Track,
+        track: TrackGraph,
         num_paths: int,
         kart_types: tuple[str, ...],
         data: bytes,
         who: npt.NDArray[np.intp],
     ) -> list[Any]: ...
 
-class Racing:
+class RacingObserver:
     def __new__(
         cls,
         road: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.float32]],
         tables: tuple[npt.NDArray[np.float32], npt.NDArray[np.int8], npt.NDArray[np.int8]],
         counts: tuple[int, int, int, int, int, int, int],
         lengths: tuple[float, float, float, float, float, float],
-    ) -> Racing: ...
+    ) -> RacingObserver: ...
     def observe(
         self, data: bytes, who: npt.NDArray[np.intp], out: npt.NDArray[np.float32]
     ) -> None: ...
 
-class Controls:
+class ActionReader:
     def __new__(
         cls, names: tuple[str, ...], leaves: tuple[Any, ...], num_columns: int
-    ) -> Controls: ...
+    ) -> ActionReader: ...
     def read(
         self,
         actions: Any,
@@ -75,7 +78,7 @@ class Controls:
         controls: npt.NDArray[np.float32],
     ) -> bool: ...
 
-class Outcome:
+class StepScorer:
     def __new__(
         cls,
         agents: tuple[str, ...],
@@ -86,20 +89,11 @@ class Outcome:
         keys: tuple[str, ...],
         race_length: float,
         rewards: tuple[Any, ...],
-        groups: tuple[Any, ...],
-        track: Track,
-        num_paths: int,
-        kart_types: tuple[str, ...],
-    ) -> Outcome: ...
-    def step(
-        self, before: bytes, after: bytes, is_over: bool, length: int
-    ) -> tuple[
-        dict[str, Any],
-        dict[str, float],
-        dict[str, bool],
-        dict[str, bool],
-        dict[str, dict[str, Any]],
-    ]: ...
+    ) -> StepScorer: ...
+    def score(
+        self, before: bytes, after: bytes, is_over: bool
+    ) -> tuple[dict[str, float], dict[str, bool], dict[str, bool]]: ...
+    def infos(self, data: bytes, length: int) -> dict[str, dict[str, Any]]: ...
 
-def layouts() -> dict[str, dict[str, int]]: ...
+def layouts() -> dict[str, dict[str, int]] | None: ...
 def join_rows(rows: tuple[Any, ...]) -> bytes | None: ...

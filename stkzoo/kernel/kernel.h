@@ -1,5 +1,5 @@
-/* What the parts of the kernel share. Everything here has a numpy counterpart in the package,
-   which the tests compare with it and which runs where no compiler was at hand. */
+/* What the parts of the kernel share. Every type has a twin in numpy in stkzoo.kernel.reference,
+   with which the tests compare it and which runs where the kernel is not compiled. */
 
 #ifndef STKZOO_KERNEL_H
 #define STKZOO_KERNEL_H
@@ -57,26 +57,10 @@ typedef struct {
     npy_intp num_nodes;
     double length;
     npy_int32 **orders; /* (N,) each; NULL until asked for */
-} Track;
+} TrackGraph;
 
 /* The segments ahead of one, by distance; NULL with an exception set if there is none such. */
-const npy_int32 *nodes_ahead(Track *track, npy_intp node);
-
-/* How a race is seen. */
-typedef struct {
-    Track *track;
-    npy_intp num_paths;   /* segments that are seen */
-    PyObject *kart_types; /* a tuple */
-} Course;
-
-typedef struct View View;
-
-/* One observation for each of some karts, which out takes over; -1 with an exception set. */
-int observe(View *view, const Course *course, const Moment *moment, const npy_intp *who,
-            npy_intp count, PyObject **out);
-
-/* Checks a course; -1 with an exception set if its parts do not fit together. */
-int set_course(Course *course, PyObject *track, PyObject *num_paths, PyObject *kart_types);
+const npy_int32 *nodes_ahead(TrackGraph *track, npy_intp node);
 
 /* The data of a C-contiguous array of one of numpy's own types, and how many numbers it has;
    NULL with an exception set if it is none. */
@@ -84,6 +68,6 @@ void *numbers_of(PyObject *object, const char *name, int type, npy_intp *count);
 
 PyObject *join_rows(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
 
-extern PyTypeObject EngineType, TrackType, ViewType, RacingType, ControlsType, OutcomeType;
+extern PyTypeObject GameStepperType, TrackGraphType, KartObserverType, RacingObserverType, ActionReaderType, StepScorerType;
 
 #endif

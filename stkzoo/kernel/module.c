@@ -113,8 +113,8 @@ static struct PyModuleDef module = {
 
 PyMODINIT_FUNC PyInit__kernel(void)
 {
-    static PyTypeObject *const TYPES[] = {&EngineType, &TrackType,    &ViewType,
-                                          &RacingType, &ControlsType, &OutcomeType};
+    static PyTypeObject *const TYPES[] = {&GameStepperType, &TrackGraphType,    &KartObserverType,
+                                          &RacingObserverType, &ActionReaderType, &StepScorerType};
     const size_t count = sizeof TYPES / sizeof *TYPES;
     import_array();
     PyObject *kernel = PyModule_Create(&module);

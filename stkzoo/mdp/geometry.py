@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["rotation_matrices", "squared", "to_kart_frame"]
+__all__ = ["rotation_matrices", "squared", "to_kart_frame", "to_polar"]
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -74,3 +74,13 @@ def squared(vectors: FloatArray) -> FloatArray:
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     squares: FloatArray = x * x + y * y + z * z
     return squares
+
+
+def to_polar(positions: FloatArray) -> FloatArray:
+    """``(..., 3)`` positions [m] as two angles [rad] and a distance [m]."""
+    x, y, z = positions[..., 0], positions[..., 1], positions[..., 2]
+    polar = np.empty_like(positions)
+    polar[..., 0] = np.arctan2(x, z)
+    polar[..., 1] = np.arctan2(y, z)
+    polar[..., 2] = np.linalg.norm(positions, axis=-1)
+    return polar

@@ -8,106 +8,90 @@ kart's own frame: x right, y up, z forward [m].
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.snapshot import CONTROLS, KART_DTYPE, Snapshot
-from stkzoo.engine.track import TrackMap
 from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
 from stkzoo.mdp.spaces import POWERUP_COUNT_LIMIT
 
-__all__ = ["KartObserver", "ai_actions"]
+__all__ = ["TrackLines", "ai_actions", "observe_karts"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 Batch = dict[str, Any]
 
 
-class KartObserver:
-    """Observes the karts of one race.
+class TrackLines(Protocol):
+    """What observations need of a track; a :class:`~stkzoo.engine.track.TrackMap` has it."""
+
+    path_nodes: FloatArray
+    path_width: FloatArray
+    path_distance: FloatArray
+
+    def nodes_ahead(self, nodes: IntArray, max_paths: int | None = None) -> IntArray:
+        """The segments ahead of some segments."""
+
+
+def observe_karts(
+    track: TrackLines,
+    kart_types: Sequence[str],
+    snapshot: Snapshot,
+    karts: IntArray,
+    max_paths: int | None = None,
+) -> Batch:
+    """The ``full`` view of some karts, in batch form.
 
     Args:
         track: the race's track.
         kart_types: model name of each kart, in grid order.
+        snapshot: the moment.
+        karts: ``(A,)`` indices of the observing karts.
         max_paths: how many track segments ahead are seen; all by default.
-
-    Attributes:
-        max_paths: how many track segments ahead are seen; ``None`` is all.
-        course: the race as the compiled kernel's views need it.
     """
+    records = snapshot.karts[karts]
+    ahead = track.nodes_ahead(records["node"], max_paths)
+    front, own_node, items, others, ahead_ends = _seen(track, snapshot, records, karts, ahead)
+    return {
+        "kart_type": np.array(kart_types)[karts],
+        **_own_state(snapshot, records),
+        "front": front[:, 0],
+        **_center_path(own_node),
+        **_items(snapshot, items),
+        "karts_position": _in_order(others, _nearest_first(others)),
+        "paths_distance": track.path_distance[ahead],
+        "paths_width": track.path_width[ahead],
+        "paths_start": ahead_ends[:, ::2],
+        "paths_end": ahead_ends[:, 1::2],
+    }
 
-    def __init__(self, track: TrackMap, kart_types: Sequence[str], max_paths: int | None) -> None:
-        self._track = track
-        self._kart_types = np.array(kart_types)
-        self.max_paths = max_paths
-        num_paths = min(track.num_nodes, max_paths or track.num_nodes)
-        self.course = track.in_kernel, num_paths, tuple(kart_types)
-        num_kart = len(kart_types)
-        self._others = np.array(
-            [[other for other in range(num_kart) if other != kart] for kart in range(num_kart)],
-            np.intp,
-        ).reshape(num_kart, num_kart - 1)
 
-    def observe(self, snapshot: Snapshot, karts: IntArray, paths_used: int | None = None) -> Batch:
-        """The observations of some karts, in batch form.
+def _seen(
+    track: TrackLines, snapshot: Snapshot, records: Any, karts: IntArray, ahead: IntArray
+) -> list[FloatArray]:
+    """Everything that has a place, in the karts' frames, all turned at once.
 
-        Args:
-            snapshot: the moment.
-            karts: ``(A,)`` indices of the observing karts.
-            paths_used: make no more segments than this, because nobody looks at them.
-        """
-        records = snapshot.karts[karts]
-        limits = [limit for limit in (self.max_paths, paths_used) if limit is not None]
-        ahead = self._track.nodes_ahead(records["node"], min(limits, default=None))
-        front, own_node, items, others, ahead_ends = self._seen(snapshot, records, karts, ahead)
-        return {
-            "kart_type": self._kart_types[karts],
-            **_own_state(snapshot, records),
-            "front": front[:, 0],
-            **_center_path(own_node),
-            **_items(snapshot, items),
-            "karts_position": _in_order(others, _nearest_first(others)),
-            "paths_distance": self._track.path_distance[ahead],
-            "paths_width": self._track.path_width[ahead],
-            "paths_start": ahead_ends[:, ::2],
-            "paths_end": ahead_ends[:, 1::2],
-        }
-
-    def through(self, view: Any, snapshot: Snapshot, karts: IntArray) -> list[Any]:
-        """What some karts see in a view of the compiled kernel, one value each.
-
-        Args:
-            view: a ``kernel.View``.
-            snapshot: the moment.
-            karts: ``(A,)`` indices of the observing karts.
-        """
-        seen: list[Any] = view.observe(*self.course, snapshot.data, karts)
-        return seen
-
-    def _seen(
-        self, snapshot: Snapshot, records: Any, karts: IntArray, ahead: IntArray
-    ) -> list[FloatArray]:
-        """Everything that has a place, in the karts' frames, all turned at once.
-
-        Returns:
-            ``(A, n, 3)`` float32 each: the kart's front, the two ends of its track segment,
-            the items, the other karts, and the ends of the segments ahead, start and end in
-            turn.
-        """
-        nodes, count = self._track.path_nodes, len(records)
-        groups = (
-            records["front"][:, None],
-            nodes[records["node"]],
-            np.broadcast_to(snapshot.items["location"], (count, len(snapshot.items), 3)),
-            snapshot.karts["location"][self._others[karts]],
-            nodes[ahead].reshape(count, -1, 3),
-        )
-        points = np.concatenate(groups, axis=1)
-        seen = to_kart_frame(points, records["location"], rotation_matrices(records["rotation"]))
-        ends = np.cumsum([group.shape[1] for group in groups]).tolist()
-        return [seen[:, begin:end] for begin, end in zip([0, *ends], ends, strict=False)]
+    Returns:
+        ``(A, n, 3)`` float32 each: the kart's front, the two ends of its track segment,
+        the items, the other karts, and the ends of the segments ahead, start and end in
+        turn.
+    """
+    nodes, count = track.path_nodes, len(records)
+    others = np.arange(len(snapshot.karts) - 1)[None] + np.zeros((count, 1), np.intp)
+    others += others >= karts[:, None]
+    groups = (
+        records["front"][:, None],
+        nodes[records["node"]],
+        np.broadcast_to(snapshot.items["location"], (count, len(snapshot.items), 3)),
+        snapshot.karts["location"][others],
+        nodes[ahead].reshape(count, -1, 3),
+    )
+    points = np.concatenate(groups, axis=1)
+    seen = to_kart_frame(points, records["location"], rotation_matrices(records["rotation"]))
+    ends = np.cumsum([group.shape[1] for group in groups]).tolist()
+    return [seen[:, begin:end] for begin, end in zip([0, *ends], ends, strict=False)]
 
 
 #: What a kart knows of itself: the observation's keys and the fields of ``KART_DTYPE``.

@@ -20,10 +20,9 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.errors import ConfigError, unknown_name
-from stkzoo.kernel import kernel
 from stkzoo.mdp.transition import Transition
 
-__all__ = ["REWARDS", "Reward", "RewardTerm", "as_reward"]
+__all__ = ["KERNEL_TERMS", "REWARDS", "Reward", "RewardTerm", "as_reward"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
@@ -64,8 +63,8 @@ def placement(step: Transition) -> FloatArray:
     return step.finishes * (step.num_kart - step.position) / others
 
 
-#: The terms that the compiled kernel knows, by its numbers for them.
-_KERNEL_TERMS: tuple[RewardTerm, ...] = (progress, rank, time, finish, course, placement)
+#: The terms that the kernel's ``StepScorer`` knows, by its numbers for them.
+KERNEL_TERMS: tuple[RewardTerm, ...] = (progress, rank, time, finish, course, placement)
 
 
 @dataclass(frozen=True)
@@ -108,13 +107,13 @@ class Reward:
 
     @cached_property
     def kernel_terms(self) -> tuple[IntArray, FloatArray] | None:
-        """The compiled kernel's numbers of the terms, and their weights.
+        """The kernel's numbers of the terms, and their weights.
 
-        ``None`` if a term is not one of this module's, or nothing is compiled.
+        ``None`` if a term is not one of this module's.
         """
-        if kernel is None or not all(term in _KERNEL_TERMS for term in self.terms.values()):
+        if not all(term in KERNEL_TERMS for term in self.terms.values()):
             return None
-        numbers = [_KERNEL_TERMS.index(term) for term in self.terms.values()]
+        numbers = [KERNEL_TERMS.index(term) for term in self.terms.values()]
         weights = [self.weights.get(name, 1.0) for name in self.terms]
         return np.array(numbers, np.intp), np.array(weights, np.float64)
 

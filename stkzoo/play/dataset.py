@@ -47,7 +47,7 @@ class DatasetWriter(RaceListener):
         self._view = view
         seen = kart_observation_space(sees_ground=sees_ground(VIEWS[view]))
         self._chain = AgentChain(_AGENT, seen, kart_action_space(), VIEWS[view])
-        if not self._chain.is_batched or not self._chain.observation_space.is_np_flattenable:
+        if not self._chain.is_pure or not self._chain.observation_space.is_np_flattenable:
             raise ConfigError(
                 f"observations in view {view!r} differ in size from step to step, or depend on "
                 "earlier ones; record in simple or a flattened view"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeAlias
 
@@ -11,10 +11,11 @@ from gymnasium import spaces
 
 from stkzoo.errors import ActionError, AgentError, AgentException
 from stkzoo.views.actions import read_actions
-from stkzoo.views.bases import ActionObservationWrapper, BatchedWrapper
-from stkzoo.views.batch import space_identity, split
+from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
+from stkzoo.views.batch import split
 from stkzoo.views.memory import Memory
-from stkzoo.views.split_step import AgentStep, MonoAgentEnv, SplitStep
+from stkzoo.views.plan import ViewPlan
+from stkzoo.views.split_step import AgentStep, CompiledPart, MonoAgentEnv, SplitStep
 
 __all__ = ["AgentChain", "WrapperFactory", "agent_failures"]
 
@@ -51,7 +52,7 @@ class AgentChain:
         action_space: what the agent chooses from, before all wrappers.
         base_observation_space: the innermost observations.
         base_action_space: the innermost actions.
-        is_batched: whether all wrappers are :class:`BatchedWrapper`.
+        is_pure: whether no wrapper but pure functions of this package is among them.
 
     Args:
         agent: the agent's id.
@@ -80,48 +81,48 @@ class AgentChain:
             self._wrappers = _wrappers_between(self.env, self._mono)
             self.observation_space = self.env.observation_space
             self.action_space = self.env.action_space
-        self._is_plain = all(_has_plain_step(wrapper) for wrapper in self._wrappers)
-        self.is_batched = self._is_plain and all(
-            isinstance(wrapper, BatchedWrapper) and wrapper.keeps_batch_promise()
-            for wrapper in self._wrappers
-        )
+        self._door: MonoAgentEnv | CompiledPart = self._mono
+        self._owners = (*self._wrappers, self._mono)
+        self._is_plain = all(map(_has_plain_step, self._wrappers))
+        self.is_pure = all(_is_compiled(w) and not w.has_memory for w in self._wrappers)
 
-    def fused_view(self) -> Any:
-        """The kernel's view that shows the same; ``None`` if it has none."""
-        from stkzoo.views.compile import fused_view  # the wrappers stand above this module
+    def compile(self, columns: Sequence[str]) -> ViewPlan:
+        """Leaves the wrappers that the kernel can do, the innermost ones, to the kernel.
 
-        if not self.is_batched:
-            return None
-        return fused_view(self._wrappers[::-1], self.base_observation_space)
-
-    def fused_controls(self, columns: Sequence[str]) -> Any:
-        """The kernel's reader of the agent's actions; ``None`` if it has none.
+        From then on the chain's base is what these make of the race.
 
         Args:
-            columns: the keys of the base actions, in the order of the controls' columns.
+            columns: the keys of the base actions, in the order of the controls.
+
+        Returns:
+            What the kernel is to do.
         """
-        from stkzoo.views.compile import fused_controls
+        observed: Any = self.base_observation_space
+        acted: Any = self.base_action_space
+        plan = ViewPlan(observed, acted, columns)
+        walked = list(self._wrappers)
+        compiled = None
+        while walked and _is_compiled(walked[-1]) and walked[-1].compile_into(plan):
+            compiled = walked.pop()
+        if compiled is not None:
+            self.base_observation_space = compiled.observation_space
+            self.base_action_space = compiled.action_space
+        if compiled is not None and walked:
+            walked[-1].env = self._door = CompiledPart(compiled)
+            self._owners = (*self._owners, self._door)
+        self._wrappers = tuple(walked)
+        self._is_plain = all(map(_has_plain_step, walked))
+        return plan
 
-        if not self.is_batched:
-            return None
-        return fused_controls(self._wrappers[::-1], self.base_action_space, columns)
-
-    def identity(self) -> Hashable:
-        """Equal for batched chains that do the same."""
-        return (
-            space_identity(self.base_observation_space),
-            space_identity(self.base_action_space),
-            tuple(w.batch_identity() for w in self._wrappers if isinstance(w, BatchedWrapper)),
-        )
+    @property
+    def is_empty(self) -> bool:
+        """Whether the chain has no wrappers, or the kernel does the work of all."""
+        return not self._wrappers
 
     def paths_used(self) -> int | None:
         """How many track segments the chain looks at; ``None`` is all."""
-        from stkzoo.wrappers.constant_size import ConstantSizedObservations
-
         innermost = self._wrappers[-1] if self._wrappers else None
-        if isinstance(innermost, ConstantSizedObservations) and innermost.keeps_batch_promise():
-            return innermost.state_paths
-        return None
+        return getattr(innermost, "state_paths", None) if _is_compiled(innermost) else None
 
     def reset(
         self,
@@ -133,13 +134,13 @@ class AgentChain:
     ) -> tuple[Any, dict[str, Any]]:
         """Calls the wrappers' ``reset`` with the race's first observation and info."""
         self.abandon()
-        self._mono.start((observation, info))
+        self._door.start((observation, info))
         try:
             with agent_failures(self.agent, "reset"):
                 observation, info = self.env.reset(seed=seed, options=options)
                 return observation, dict(info)
         finally:
-            self._mono.start(None)
+            self._door.start(None)
 
     def read_action(self, action: object) -> Any:
         """The single form of an action that is in the agent's space.
@@ -156,7 +157,7 @@ class AgentChain:
             if self._is_plain:
                 return self.act(action)
             self._split_step = SplitStep(self.env.step, action)
-            self._mono.connect(self._split_step)
+            self._door.connect(self._split_step)
             try:
                 return self._split_step.begin()
             except BaseException:
@@ -214,11 +215,11 @@ class AgentChain:
         try:
             return begun.finish(result)
         finally:
-            self._mono.connect(None)
+            self._door.connect(None)
 
     def abandon(self) -> None:
         """Forgets a step that was begun and will not be finished."""
-        self._mono.connect(None)
+        self._door.connect(None)
         if self._split_step is not None:
             self._split_step.abandon()
             self._split_step = None
@@ -229,11 +230,11 @@ class AgentChain:
         Raises:
             AgentException: they hold something that cannot be copied.
         """
-        if self.is_batched:
+        if self.is_pure:
             return None
         self.abandon()
         with agent_failures(self.agent, "have their state copied"):
-            return Memory.of([*self._wrappers, self._mono])
+            return Memory.of(self._owners)
 
     def check_memory(self, memory: Memory | None) -> None:
         """Checks that :meth:`recall` can take a memory.
@@ -242,10 +243,10 @@ class AgentChain:
             AgentException: it is one of other wrappers.
         """
         with agent_failures(self.agent, "take over a saved state"):
-            if self.is_batched != (memory is None):
+            if self.is_pure != (memory is None):
                 raise TypeError("they are of another kind than the state's")
             if memory is not None:
-                memory.check([*self._wrappers, self._mono])
+                memory.check(self._owners)
 
     def recall(self, memory: Memory | None) -> None:
         """Makes the wrappers remember what :meth:`memory` gave, here or in an equal chain.
@@ -257,7 +258,7 @@ class AgentChain:
         self.check_memory(memory)
         if memory is not None:
             with agent_failures(self.agent, "take over a saved state"):
-                memory.give_to([*self._wrappers, self._mono])
+                memory.give_to(self._owners)
 
     def close(self) -> None:
         """Forgets a begun step and closes the wrappers."""
@@ -294,3 +295,12 @@ def _wrappers_between(env: object, mono: MonoAgentEnv) -> tuple[Any, ...]:
 
 def _has_plain_step(wrapper: gym.Wrapper[Any, Any, Any, Any]) -> bool:
     return type(wrapper).step in _PLAIN_STEPS and "step" not in vars(wrapper)
+
+
+def _is_compiled(wrapper: Any) -> bool:
+    """Whether a wrapper says how the kernel does its work, and nothing was put over that."""
+    return (
+        isinstance(wrapper, CompiledWrapper)
+        and wrapper.keeps_promise()
+        and _has_plain_step(wrapper)  # type: ignore[arg-type]
+    )

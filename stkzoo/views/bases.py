@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
-from typing import Any, SupportsFloat
+from typing import TYPE_CHECKING, Any, SupportsFloat
 
 import gymnasium as gym
 
-__all__ = ["ActionObservationWrapper", "BatchedWrapper"]
+if TYPE_CHECKING:
+    from stkzoo.views.plan import ViewPlan
+
+__all__ = ["ActionObservationWrapper", "CompiledWrapper"]
 
 
 class ActionObservationWrapper(gym.Wrapper[Any, Any, Any, Any]):
@@ -41,26 +43,38 @@ class ActionObservationWrapper(gym.Wrapper[Any, Any, Any, Any]):
         return self.observation(observation), reward, terminated, truncated, info
 
 
-class BatchedWrapper(gym.utils.RecordConstructorArgs):
-    """Marks a wrapper whose methods are pure functions over the last axes.
+class CompiledWrapper(gym.utils.RecordConstructorArgs):
+    """Marks a wrapper that says how the kernel does its work.
 
     A wrapper class that lists this class among its direct bases promises that
 
     - ``observation`` and ``action`` depend on nothing but their input and the
-      constructor's arguments, and change neither;
-    - both take any leading axes: ``(..., n)`` arrays where one agent has ``(n,)``, and
-      ``(...)`` integer arrays where one agent has an ``int``;
-    - the arguments are hashable and recorded with ``RecordConstructorArgs.__init__``;
+      constructor's arguments, and change neither; or else ``has_memory`` is true;
+    - :meth:`compile_into` says what they do;
+    - the arguments are recorded with ``RecordConstructorArgs.__init__``;
     - ``reset`` and ``step`` are Gymnasium's own, and rewards are left alone.
 
     The promise is not inherited, because a subclass may break it: a subclass that keeps
     it lists this class again.
+
+    Attributes:
+        has_memory: whether the wrapper remembers something from step to step.
     """
 
-    def batch_identity(self) -> Hashable:
-        """What two wrappers have in common that do the same to the same spaces."""
-        return type(self), tuple(sorted(self._saved_kwargs.items()))
+    has_memory = False
 
-    def keeps_batch_promise(self) -> bool:
-        """Whether the object's own class lists :class:`BatchedWrapper`."""
-        return BatchedWrapper in type(self).__bases__
+    def compile_into(self, plan: ViewPlan) -> bool:
+        """Adds what this wrapper does to the plan of an agent's view.
+
+        Args:
+            plan: what the wrappers inside this one do.
+
+        Returns:
+            Whether the plan can say it. If not, the plan is as it was, and this wrapper and
+            all outside of it run as they are.
+        """
+        raise NotImplementedError
+
+    def keeps_promise(self) -> bool:
+        """Whether the object's own class lists :class:`CompiledWrapper`."""
+        return CompiledWrapper in type(self).__bases__

@@ -8,23 +8,12 @@ tuple, dict.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium import spaces
 
-__all__ = ["space_identity", "split", "take"]
-
-IntArray = npt.NDArray[np.intp]
-
-
-def take(space: spaces.Space[Any], batch: Any, rows: Sequence[int] | IntArray | slice) -> Any:
-    """The given rows of a batch, without the dict entries that the space does not have."""
-    if isinstance(space, spaces.Dict):
-        return {key: take(part, batch[key], rows) for key, part in space.spaces.items()}
-    return batch[rows]
+__all__ = ["split"]
 
 
 def split(space: spaces.Space[Any], batch: Any) -> list[Any]:
@@ -47,22 +36,3 @@ def split(space: spaces.Space[Any], batch: Any) -> list[Any]:
     if isinstance(space, spaces.Sequence):
         return [tuple(row) for row in np.array(batch)]
     return list(np.array(batch)) if isinstance(batch, np.ndarray) else list(batch)
-
-
-def space_identity(space: spaces.Space[Any]) -> Hashable:
-    """Something hashable that is equal for spaces that are certainly equal."""
-    if isinstance(space, spaces.Dict):
-        parts = space.spaces.items()
-        return type(space), tuple((key, space_identity(part)) for key, part in parts)
-    if isinstance(space, spaces.Sequence):
-        return type(space), space_identity(space.feature_space)
-    if isinstance(space, spaces.Box):
-        return type(space), space.shape, str(space.dtype), space.low.tobytes(), space.high.tobytes()
-    if isinstance(space, spaces.Discrete):
-        return type(space), int(space.n), int(space.start), str(space.dtype)
-    if isinstance(space, spaces.MultiDiscrete):
-        bounds = space.nvec.tobytes(), space.start.tobytes()
-        return type(space), space.shape, str(space.dtype), bounds
-    if isinstance(space, spaces.Text):
-        return type(space), space.min_length, space.max_length, space.character_set
-    return type(space), id(space)

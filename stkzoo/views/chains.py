@@ -1,10 +1,10 @@
-"""The chains of all agents of a race, each run once for all agents that share it."""
+"""The chains of all agents of a race, in which equal views are made together."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias, cast
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -12,16 +12,18 @@ from gymnasium import spaces
 from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo.errors import ActionError, ConfigError
-from stkzoo.kernel import kernel
-from stkzoo.mdp.spaces import shows_ground
+from stkzoo.kernel import ActionReader
 from stkzoo.views.actions import read_actions
-from stkzoo.views.agent_chain import AgentChain, WrapperFactory, agent_failures
-from stkzoo.views.batch import split, take
+from stkzoo.views.agent_chain import AgentChain, WrapperFactory
+from stkzoo.views.batch import split
 from stkzoo.views.memory import Memory
+from stkzoo.views.plan import ObservationSource, Observer
 from stkzoo.views.split_step import AgentStep
 
-__all__ = ["AgentChains", "Sight"]
+__all__ = ["AgentChains", "StepParts"]
 
+IntArray = npt.NDArray[np.intp]
+FloatArray = npt.NDArray[np.float32]
 
 #: Observations, rewards, terminations, truncations and infos, each by agent.
 StepParts: TypeAlias = tuple[
@@ -36,62 +38,64 @@ StepParts: TypeAlias = tuple[
 _Dicts: TypeAlias = tuple[dict[str, Any], ...]
 
 
-class Sight(Protocol):
-    """What the agents of one call see at one moment, made in the form that is asked for."""
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """Agents with equal plans, among the agents of one call.
 
-    def batch(self) -> Mapping[str, Any]:
-        """All agents' base observations in batch form."""
+    Attributes:
+        agents: all of them.
+        rows: their places among the call's agents.
+        observer: makes what they see.
+        reader: reads what they do.
+        acting: those whose action it reads as it comes.
+        acting_rows: their places.
+    """
 
-    def through(self, view: Any, rows: npt.NDArray[np.intp]) -> list[Any] | None:
-        """What some agents see in a view that needs no batch, in Gymnasium's form.
-
-        Args:
-            view: of :func:`stkzoo.views.compile.fused_view`.
-            rows: which agents.
-
-        Returns:
-            One observation an agent; ``None`` if only :meth:`batch` can be had.
-        """
+    agents: tuple[str, ...]
+    rows: IntArray
+    observer: Observer
+    reader: ActionReader
+    acting: tuple[str, ...]
+    acting_rows: IntArray
 
 
 @dataclass(frozen=True, slots=True)
-class _Group:
-    """Agents that share a chain, among the agents of one call."""
+class _Walked:
+    """An agent with wrappers that the kernel does not do."""
 
+    agent: str
+    row: IntArray
     chain: AgentChain
+    reader: ActionReader
+
+
+@dataclass(frozen=True, slots=True)
+class _Roster:
+    """The agents of one call, sorted by what there is to do for them."""
+
     agents: tuple[str, ...]
-    rows: npt.NDArray[np.intp]
-    is_all: bool
-    has_ignored: bool
-    view: Any
-    controls: Any
+    groups: tuple[_Group, ...]
+    walked: tuple[_Walked, ...]
 
 
 class AgentChains:
     """Decodes the actions of all agents and makes each agent's view of what follows.
 
-    Observations come in as a :class:`Sight`, whose batch form has the keys of the base
-    observation space, each with the agents as leading axis (``Discrete`` and ``Text``
-    ``(A,)``, ``Box`` ``(A, *shape)``, ``Sequence`` ``(A, M, ...)``, ``Dict`` a dict of
-    these); they go out by agent in Gymnasium's form. Agents whose wrappers are all
-    :class:`BatchedWrapper`, of equal arguments around equal spaces, are run together, and
-    chains that the compiled kernel knows (:mod:`stkzoo.views.compile`) in one pass. All
-    other chains run agent by agent; a wrapper with a ``step`` of its own works too, and
-    waits in a small thread while the race moves. Observations that are handed out share no
-    memory with the batch or with earlier results.
+    The innermost wrappers of a chain that the kernel can do (:mod:`stkzoo.views.plan`) are left
+    to it, in one pass for all agents with equal ones. The wrappers outside of these run agent by
+    agent; a wrapper with a ``step`` of its own works too, and waits in a small thread while the
+    race moves. Observations that are handed out share no memory with earlier results.
 
     Attributes:
         observation_spaces: each agent's observation space, after its wrappers.
         action_spaces: each agent's action space, before its wrappers.
-        paths_used: how many track segments the chains look at; ``None`` is all.
-        sees_ground: whether an agent's base observations tell of the ground.
 
     Args:
-        observation_spaces: each agent's base observation space.
+        observation_spaces: each agent's space in the ``full`` view.
         action_spaces: each agent's base action space, the same ``Dict`` for all.
         factories: wraps an agent's environment; agents that are left out, or ``None``,
             have no wrappers.
-        ignored: agents that somebody else drives. They may leave out their action; it is
+        ignored: agents that the game's AI drives. They may leave out their action; it is
             not looked at, and their base action is all zeros.
         columns: the keys of the base actions in the order in which :meth:`decode` gives
             them; by default the order of their space.
@@ -120,18 +124,12 @@ class AgentChains:
             agent: AgentChain(agent, space, action_spaces[agent], factories.get(agent))
             for agent, space in observation_spaces.items()
         }
+        self._plans = {agent: chain.compile(self._columns) for agent, chain in self._chains.items()}
+        self._identities = {agent: plan.identity() for agent, plan in self._plans.items()}
         self._numbers = {agent: number for number, agent in enumerate(self._chains)}
-        self._identities: dict[str, Hashable] = {
-            agent: chain.identity() if chain.is_batched else agent
-            for agent, chain in self._chains.items()
-        }
-        self.paths_used = _most([chain.paths_used() for chain in self._chains.values()])
-        self.sees_ground = any(map(shows_ground, observation_spaces.values()))
         self._ignored = frozenset(ignored)
-        self._plan_key: tuple[str, ...] | None = None
-        self._plan: list[_Group] = []
-        self._fused: dict[Hashable, tuple[Any, Any]] = {}
-        self._targets_of: tuple[Any, Any, list[npt.NDArray[np.intp]]] = None, None, []
+        self._made: dict[Hashable, tuple[Observer, ActionReader]] = {}
+        self._present: _Roster | None = None
         self.observation_spaces = {a: chain.observation_space for a, chain in self._chains.items()}
         self.action_spaces = {a: chain.action_space for a, chain in self._chains.items()}
 
@@ -139,9 +137,9 @@ class AgentChains:
         self,
         actions: Mapping[str, Any],
         agents: Sequence[str],
-        rows: npt.NDArray[np.intp] | None = None,
+        rows: IntArray | None = None,
         num_rows: int | None = None,
-    ) -> npt.NDArray[np.float32]:
+    ) -> FloatArray:
         """The base actions for the agents' actions.
 
         All actions are checked before any wrapper sees one. Actions of others than
@@ -156,45 +154,50 @@ class AgentChains:
                 are zeros.
 
         Returns:
-            ``(num_rows, n)`` float32, with the columns that the constructor was told of.
+            ``(num_rows, n)`` float32, with the columns that the constructor was given.
 
         Raises:
             ActionError: an action is missing or not in its space.
             AgentException: a wrapper failed.
         """
-        groups = self._groups(agents)
-        targets = self._targets(groups, rows)
+        roster = self._roster(agents)
+        rows = np.arange(len(agents)) if rows is None else rows
         count = len(agents) if num_rows is None else num_rows
         controls = np.zeros((count, len(self._columns)), np.float32)
         unread = [
-            (group, target)
-            for group, target in zip(groups, targets, strict=True)
-            if not _is_read(group, actions, target, controls)
+            group
+            for group in roster.groups
+            if not group.reader.read(actions, group.acting, rows[group.acting_rows], controls)
         ]
-        if unread:
+        if unread or roster.walked:
             self._require_actions(actions, agents)
-            self._decode_unread(unread, actions, controls)
+            for group in unread:
+                usual = self._in_usual_form(group, actions)
+                group.reader.read(usual, group.acting, rows[group.acting_rows], controls)
+            self._walk_actions(roster.walked, actions, rows, controls)
         return controls
 
-    def _decode_unread(
-        self,
-        unread: Sequence[tuple[_Group, npt.NDArray[np.intp]]],
-        actions: Mapping[str, Any],
-        controls: npt.NDArray[np.float32],
-    ) -> None:
-        checked = [self._read(group, actions) for group, _ in unread]
-        try:
-            for (group, target), batch in zip(unread, checked, strict=True):
-                if batch is not None:
-                    self._decode_group(group, batch, target, controls)
-        except BaseException:
-            self._abandon()
-            raise
+    def observe(self, agents: Sequence[str], source: ObservationSource) -> dict[str, Any]:
+        """What some agents see, before the wrappers that run agent by agent.
+
+        Args:
+            agents: the agents.
+            source: the race at this moment.
+        """
+        roster, karts = self._roster(agents), source.karts(agents)
+        if len(roster.groups) == 1:
+            (group,) = roster.groups
+            return dict(zip(group.agents, group.observer.observe(source, karts), strict=True))
+        observations: dict[str, Any] = dict.fromkeys(agents)
+        for group in roster.groups:
+            seen = group.observer.observe(source, karts[group.rows])
+            observations.update(zip(group.agents, seen, strict=True))
+        return observations
 
     def reset(
         self,
         agents: Sequence[str],
-        sight: Sight,
+        source: ObservationSource,
         infos: Mapping[str, dict[str, Any]],
         *,
         seed: int | None = None,
@@ -203,8 +206,8 @@ class AgentChains:
         """Resets all wrappers with the race's first observations.
 
         Args:
-            agents: the agents, in the order of the sight's rows.
-            sight: what they see.
+            agents: the agents.
+            source: the race at its first moment.
             infos: info by agent.
             seed: seeds the wrappers' ``np_random``: agent number ``n`` with ``seed + n``.
             options: handed to every wrapper's ``reset``.
@@ -216,35 +219,24 @@ class AgentChains:
             AgentException: a wrapper failed.
         """
         self._abandon()
-        observations: dict[str, Any] = {}
-        new_infos: dict[str, dict[str, Any]] = {}
-        for group in self._groups(agents):
-            for agent, observation in zip(group.agents, self._seen(group, sight), strict=True):
-                info = dict(infos[agent])
-                if not group.chain.is_batched:
-                    own_seed = None if seed is None else seed + self._numbers[agent]
-                    own_options = None if options is None else dict(options)
-                    observation, info = group.chain.reset(
-                        observation, info, seed=own_seed, options=own_options
-                    )
-                observations[agent], new_infos[agent] = observation, info
-        return _ordered(observations, agents), _ordered(new_infos, agents)
+        observations = self.observe(agents, source)
+        new_infos = {agent: dict(infos[agent]) for agent in agents}
+        for walked in self._roster(agents).walked:
+            agent = walked.agent
+            observations[agent], new_infos[agent] = walked.chain.reset(
+                observations[agent],
+                new_infos[agent],
+                seed=None if seed is None else seed + self._numbers[agent],
+                options=None if options is None else dict(options),
+            )
+        return observations, new_infos
 
-    def views(self, agents: Sequence[str]) -> list[tuple[Any, npt.NDArray[np.intp]]]:
-        """The kernel's views, each with the numbers of the agents that it shows all to."""
-        if kernel is None:
-            return []
-        return [(g.view, g.rows) for g in self._groups(agents) if isinstance(g.view, kernel.View)]
-
-    def step(self, agents: Sequence[str], sight: Sight, parts: StepParts) -> StepParts:
-        """The agents' views of one step; call it once after each :meth:`decode`.
+    def finish(self, agents: Sequence[str], parts: StepParts) -> StepParts:
+        """Runs the second half of the wrappers' steps; call it once after each :meth:`decode`.
 
         Args:
-            agents: the agents that acted, in the order of the sight's rows.
-            sight: what they see.
-            parts: what happened to them, by agent in the same order; it becomes the
-                result. Observations other than ``None`` are there already, through
-                :meth:`views`.
+            agents: the agents that acted.
+            parts: what happened to them, with what :meth:`observe` gave; becomes the result.
 
         Returns:
             Observations, rewards, terminations, truncations and infos by agent.
@@ -252,17 +244,11 @@ class AgentChains:
         Raises:
             AgentException: a wrapper failed.
         """
-        observations = parts[0]
         try:
-            for group in self._groups(agents):
-                if observations[group.agents[0]] is not None:
-                    continue
-                observations.update(zip(group.agents, self._seen(group, sight), strict=True))
-                if not group.chain.is_batched:
-                    (agent,) = group.agents
-                    own = group.chain.finish_step(_part(parts, agent))
-                    for part, value in zip(cast(_Dicts, parts), own, strict=True):
-                        part[agent] = value
+            for walked in self._roster(agents).walked:
+                own = walked.chain.finish_step(_part(parts, walked.agent))
+                for part, value in zip(cast(_Dicts, parts), own, strict=True):
+                    part[walked.agent] = value
         except BaseException:
             self._abandon()
             raise
@@ -299,41 +285,43 @@ class AgentChains:
         for chain in self._chains.values():
             chain.close()
 
-    def _groups(self, agents: Sequence[str]) -> list[_Group]:
+    def _roster(self, agents: Sequence[str]) -> _Roster:
         key = tuple(agents)
-        if key != self._plan_key:
-            members: dict[Hashable, list[int]] = {}
-            for row, agent in enumerate(key):
-                members.setdefault(self._identities[agent], []).append(row)
-            self._plan = [self._group(key, identity, rows) for identity, rows in members.items()]
-            self._plan_key = key
-        return self._plan
+        if self._present is None or key != self._present.agents:
+            self._present = self._new_roster(key)
+        return self._present
 
-    def _group(self, agents: tuple[str, ...], identity: Hashable, rows: list[int]) -> _Group:
+    def _new_roster(self, agents: tuple[str, ...]) -> _Roster:
+        members: dict[Hashable, list[int]] = {}
+        for row, agent in enumerate(agents):
+            members.setdefault(self._identities[agent], []).append(row)
+        groups = tuple(self._group(agents, rows) for rows in members.values())
+        walked = tuple(
+            _Walked(agent, np.array([agents.index(agent)], np.intp), chain, group.reader)
+            for group in groups
+            for agent in group.agents
+            for chain in [self._chains[agent]]
+            if not chain.is_empty
+        )
+        return _Roster(agents, groups, walked)
+
+    def _group(self, agents: tuple[str, ...], rows: list[int]) -> _Group:
         own = tuple(agents[row] for row in rows)
-        chain = self._chains[own[0]]
-        if identity not in self._fused:
-            self._fused[identity] = chain.fused_view(), chain.fused_controls(self._columns)
-        view, controls = self._fused[identity]
+        acting = [a for a in own if self._chains[a].is_empty and a not in self._ignored]
+        identity, plan = self._identities[own[0]], self._plans[own[0]]
+        if identity not in self._made:
+            self._made[identity] = plan.new_observer(), plan.new_reader()
         return _Group(
-            chain=chain,
-            agents=own,
-            rows=np.array(rows, np.intp),
-            is_all=own == agents,
-            has_ignored=not self._ignored.isdisjoint(own),
-            view=view,
-            controls=controls,
+            own,
+            np.array(rows, np.intp),
+            *self._made[identity],
+            tuple(acting),
+            np.array([agents.index(agent) for agent in acting], np.intp),
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        # What the kernel has made of the chains is made again when it is needed.
-        fresh: dict[str, Any] = {
-            "_plan_key": None,
-            "_plan": [],
-            "_fused": {},
-            "_targets_of": (None, None, []),
-        }
-        return {**self.__dict__, **fresh}
+        # What the kernel has made of the plans is made again when it is needed.
+        return {**self.__dict__, "_made": {}, "_present": None}
 
     def _require_actions(self, actions: Mapping[str, Any], agents: Sequence[str]) -> None:
         if not isinstance(actions, Mapping):
@@ -350,59 +338,35 @@ class AgentChains:
                 missing[0],
             )
 
-    def _read(self, group: _Group, actions: Mapping[str, Any]) -> Any:
-        """A group's actions in batch form; ``None`` if the group has nothing to decode."""
-        chain = group.chain
-        acting = [agent for agent in group.agents if agent not in self._ignored]
-        if len(acting) == len(group.agents):
-            return read_actions(chain.action_space, [actions[a] for a in acting], acting)
-        if chain.is_batched and not acting:
-            return None
-        idle = create_zero_array(chain.action_space)
-        chosen = [actions[agent] if agent in acting else idle for agent in group.agents]
-        return read_actions(chain.action_space, chosen, group.agents)
+    def _in_usual_form(self, group: _Group, actions: Mapping[str, Any]) -> dict[str, Any]:
+        """A group's actions in a form that the kernel reads."""
+        space = self.action_spaces[group.acting[0]]
+        batch = read_actions(space, [actions[a] for a in group.acting], group.acting)
+        return dict(zip(group.acting, split(space, batch), strict=True))
 
-    def _targets(
-        self, groups: Sequence[_Group], rows: npt.NDArray[np.intp] | None
-    ) -> list[npt.NDArray[np.intp]]:
-        """The rows of the controls that belong to each group's agents."""
-        if rows is None:
-            return [group.rows for group in groups]
-        if self._targets_of[0] is not groups or self._targets_of[1] is not rows:
-            self._targets_of = groups, rows, [rows[group.rows] for group in groups]
-        return self._targets_of[2]
-
-    def _decode_group(
+    def _walk_actions(
         self,
-        group: _Group,
-        batch: Any,
-        target: npt.NDArray[np.intp],
-        controls: npt.NDArray[np.float32],
+        walked: Sequence[_Walked],
+        actions: Mapping[str, Any],
+        rows: IntArray,
+        controls: FloatArray,
     ) -> None:
-        chain = group.chain
-        if chain.is_batched:
-            with agent_failures(group.agents[0], "change its action"):
-                base = chain.act(batch)
-        else:
-            base = chain.begin_base_step(split(chain.action_space, batch)[0])
-        acting = [agent not in self._ignored for agent in group.agents]
-        for column, key in enumerate(self._columns):
-            controls[target[acting], column] = np.reshape(base[key], -1)[acting]
-
-    def _seen(self, group: _Group, sight: Sight) -> list[Any]:
-        """What a group's agents see: the final view of a batched group, else the base view."""
-        chain = group.chain
-        if group.view is not None:
-            seen = sight.through(group.view, group.rows)
-            if seen is not None:
-                return seen
-        space = chain.base_observation_space
-        batch = take(space, sight.batch(), slice(None) if group.is_all else group.rows)
-        if chain.is_batched:
-            space = chain.observation_space
-            with agent_failures(group.agents[0], "change its observation"):
-                batch = chain.observe(batch)
-        return split(space, batch)
+        """Runs the first half of the steps of wrappers that the kernel does not do."""
+        checked = [
+            create_zero_array(one.chain.action_space)
+            if one.agent in self._ignored
+            else one.chain.read_action(actions[one.agent])
+            for one in walked
+        ]
+        try:
+            for one, action in zip(walked, checked, strict=True):
+                batch = one.chain.begin_base_step(action)
+                if one.agent not in self._ignored:
+                    base = {one.agent: split(one.chain.base_action_space, batch)[0]}
+                    one.reader.read(base, (one.agent,), rows[one.row], controls)
+        except BaseException:
+            self._abandon()
+            raise
 
     def _abandon(self) -> None:
         for chain in self._chains.values():
@@ -416,18 +380,6 @@ def _part(result: StepParts, agent: str) -> AgentStep:
     return observations[agent], rewards[agent], terminations[agent], truncations[agent], info
 
 
-def _is_read(
-    group: _Group,
-    actions: Mapping[str, Any],
-    target: npt.NDArray[np.intp],
-    controls: npt.NDArray[np.float32],
-) -> bool:
-    """Whether the kernel could read a group's actions, and has."""
-    if group.controls is None or group.has_ignored:
-        return False
-    return bool(group.controls.read(actions, group.agents, target, controls))
-
-
 def _shared_space(action_spaces: Mapping[str, spaces.Space[Any]]) -> spaces.Dict:
     """The one base action space of all agents."""
     found = list(action_spaces.values())
@@ -435,12 +387,3 @@ def _shared_space(action_spaces: Mapping[str, spaces.Space[Any]]) -> spaces.Dict
     if not isinstance(first, spaces.Dict) or any(space != first for space in found):
         raise ConfigError(f"agents need one Dict space for all base actions, but have {found!r}.")
     return first
-
-
-def _most(counts: Sequence[int | None]) -> int | None:
-    known = [count for count in counts if count is not None]
-    return max(known, default=None) if len(known) == len(counts) else None
-
-
-def _ordered(values: dict[str, Any], agents: Sequence[str]) -> dict[str, Any]:
-    return {agent: values[agent] for agent in agents}

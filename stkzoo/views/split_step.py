@@ -19,25 +19,59 @@ from gymnasium import spaces
 if TYPE_CHECKING:
     from stkzoo.wrappers.camera import Camera
 
-__all__ = ["AgentStep", "MonoAgentEnv", "SplitStep", "StepHandler"]
+__all__ = ["AgentStep", "CompiledPart", "MonoAgentEnv", "SplitStep", "StepHandler"]
 
 #: What a Gymnasium environment's ``step`` returns.
 AgentStep = tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]
 
 
 class StepHandler(Protocol):
-    """Whoever turns one agent's action into the race's answer."""
+    """Turns one agent's action into the race's answer."""
 
     def step(self, action: Any) -> AgentStep:
         """The answer to the action, once the race has moved."""
         ...
 
 
-class MonoAgentEnv(gym.Env[Any, Any]):
-    """One agent's side of a race, as its wrappers wrap it.
+class AgentSide:
+    """One agent's side of a race, in place of an environment that moves by itself.
 
-    All agents move together, so this environment does nothing by itself: it hands out
-    what :meth:`start` was given, and passes actions to a handler.
+    All agents move together, so it hands out what :meth:`start` was given, and passes actions
+    to a handler.
+    """
+
+    _handler: StepHandler | None = None
+    _first: tuple[Any, dict[str, Any]] | None = None
+
+    def start(self, first: tuple[Any, dict[str, Any]] | None) -> None:
+        """Sets what ``reset`` returns; ``None`` refuses resets from now on."""
+        self._first = first
+
+    def connect(self, handler: StepHandler | None) -> None:
+        """Sets what answers ``step``; ``None`` refuses steps from now on."""
+        self._handler = handler
+
+    def step(self, action: Any) -> AgentStep:
+        """Waits for the race to move and returns this agent's part."""
+        if self._handler is None:
+            raise RuntimeError(
+                "a wrapper called step outside its own step (in reset, perhaps); one agent's "
+                "wrapper cannot move the race of all."
+            )
+        return self._handler.step(action)
+
+    def _begun(self) -> tuple[Any, dict[str, Any]]:
+        if self._first is None:
+            raise RuntimeError(
+                "a wrapper called reset in the middle of a race; one agent's wrapper cannot "
+                "restart the race of all. End the agent's episode (truncated) instead."
+            )
+        observation, info = self._first
+        return observation, dict(info)
+
+
+class MonoAgentEnv(AgentSide, gym.Env[Any, Any]):
+    """One agent's side of a race, as its wrappers wrap it.
 
     Attributes:
         camera: the agent's camera, where the race can draw; set before the wrappers are made.
@@ -60,38 +94,27 @@ class MonoAgentEnv(gym.Env[Any, Any]):
         self.observation_space = observation_space
         self.action_space = action_space
         self.camera: Camera | None = None
-        self._handler: StepHandler | None = None
-        self._first: tuple[Any, dict[str, Any]] | None = None
-
-    def start(self, first: tuple[Any, dict[str, Any]] | None) -> None:
-        """Sets what ``reset`` returns; ``None`` refuses resets from now on."""
-        self._first = first
-
-    def connect(self, handler: StepHandler | None) -> None:
-        """Sets who answers ``step``; ``None`` refuses steps from now on."""
-        self._handler = handler
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Returns the race's first observation and info; seeds ``np_random``."""
         super().reset(seed=seed, options=options)
-        if self._first is None:
-            raise RuntimeError(
-                "a wrapper called reset in the middle of a race; one agent's wrapper cannot "
-                "restart the race of all. End the agent's episode (truncated) instead."
-            )
-        observation, info = self._first
-        return observation, dict(info)
+        return self._begun()
 
-    def step(self, action: Any) -> AgentStep:
-        """Waits for the race to move and returns this agent's part."""
-        if self._handler is None:
-            raise RuntimeError(
-                "a wrapper called step outside its own step (in reset, perhaps); one agent's "
-                "wrapper cannot move the race of all."
-            )
-        return self._handler.step(action)
+
+class CompiledPart(AgentSide, gym.Wrapper[Any, Any, Any, Any]):
+    """One agent's side of a race, where the kernel does the work of the wrappers inside.
+
+    Wrappers around it see those inside as ever; only ``reset`` and ``step`` go past them.
+    """
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Returns the race's first observation and info; seeds ``np_random``."""
+        gym.Env.reset(self.unwrapped, seed=seed, options=options)
+        return self._begun()
 
 
 class _Abandoned(BaseException):

@@ -15,9 +15,9 @@ import stkzoo
 from stkzoo import AgentSpec, ConfigError, MonoAgentWrapperAdapter, race_v0
 from stkzoo.engine.snapshot import HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
 from stkzoo.engine.track import TrackMap
-from stkzoo.env.infos import EpisodeRecord
+from stkzoo.env.episode import EpisodeRecord
 from stkzoo.errors import ActionError
-from stkzoo.mdp.observations import KartObserver
+from stkzoo.mdp.observations import observe_karts
 from stkzoo.mdp.rewards import as_reward
 from stkzoo.mdp.spaces import kart_observation_space
 from stkzoo.wrappers import ConstantSizedObservations, Discretizer, PolarObservations
@@ -258,7 +258,7 @@ def test_d06_a_better_finish_never_earns_less_under_the_placement_reward(history
     racing = agents
     earned = dict.fromkeys(agents, 0.0)
     for after in moments:
-        for agent, amount in record.step(before, after, racing).items():
+        for agent, amount in record.score(before, after, racing, False)[0].items():
             earned[agent] += amount
         racing = [a for k, a in enumerate(agents) if not after.karts["has_finished_race"][k]]
         before = after
@@ -548,8 +548,8 @@ def test_d15_many_power_ups_are_in_the_space(held, seen):
         karts = env.snapshot.karts.copy()
         karts["powerup_num"] = held
         snapshot = Snapshot.of(env.snapshot.header, karts, env.snapshot.items)
-        observer = KartObserver(env.track_map, env.race.kart_types, None)
-        count = observer.observe(snapshot, np.array([0]))["powerup_count"][0]
+        batch = observe_karts(env.track_map, env.race.kart_types, snapshot, np.array([0]))
+        count = batch["powerup_count"][0]
     assert count == seen
     assert kart_observation_space()["powerup_count"].contains(count)
 
@@ -646,7 +646,7 @@ def seen_line(start, end):
     karts["rotation"][:, 0] = 1
     header = np.zeros(1, HEADER_DTYPE)
     snapshot = Snapshot.of(header[0], karts, np.zeros(0, ITEM_DTYPE))
-    seen = KartObserver(track, ["tux"], None).observe(snapshot, np.array([0]))
+    seen = observe_karts(track, ["tux"], snapshot, np.array([0]))
     return seen["center_path"][0].tolist(), seen["center_path_distance"][0, 0]
 
 

@@ -12,7 +12,7 @@ PROGRAM = """
     import os, sys
     import numpy as np
     from pathlib import Path
-    from stkzoo.engine.reader import WorldReader
+    from stkzoo.kernel.reference import game_stepper
     from stkzoo.engine.session import LocalSession
     from stkzoo.engine.setup import KartSetup, RaceSetup
 
@@ -20,18 +20,20 @@ PROGRAM = """
     karts = tuple(KartSetup(name="n" * i, kart=["", "gnu"][i % 2]) for i in range(num_kart))
     session = LocalSession(Path(sys.argv[1]))
     session.start(RaceSetup(track, karts, seed=3, difficulty=3))
-    reader = session._race._reader
+    race = session._race
+    twin = game_stepper.GameStepper(
+        race._race, race._world, [], (), (), race._phases, 3, race._reporting, None
+    )
     controls = np.zeros((0, 7), np.float32)
     steps, numbers_of_items, finished = 0, set(), 0
-    while session.step(controls).running and steps < 700:
-        block, attributes = reader._read_block(), reader._read_attributes()
-        same = [a.tobytes() == b.tobytes() for a, b in zip(block, attributes)]
-        if not all(same):
-            raise SystemExit(f"step {steps}: {same}")
+    while (snapshot := session.step(controls)).running and steps < 700:
+        if snapshot.data != twin.read(True):
+            raise SystemExit(f"step {steps}: they differ")
         steps += 1
-        numbers_of_items.add(len(block[1]))
-        finished = int(block[0]["has_finished_race"].sum())
-    print(reader.is_fast, steps > 100, len(numbers_of_items) > 1, finished > 0)
+        numbers_of_items.add(len(snapshot.items))
+        finished = int(snapshot.karts["has_finished_race"].sum())
+    is_fast = type(race._stepper) is not game_stepper.GameStepper
+    print(is_fast, steps > 100, len(numbers_of_items) > 1, finished > 0)
 """
 
 
@@ -59,21 +61,29 @@ def test_an_engine_whose_block_is_laid_out_otherwise_is_read_by_attribute():
     program = """
         import sys
         from pathlib import Path
-        from stkzoo.engine.reader import WorldReader
         from stkzoo.engine.session import LocalSession
         from stkzoo.engine.setup import KartSetup, RaceSetup
+        from stkzoo.engine.snapshot import Snapshot
 
         class Shifted:
             def __init__(self, world):
                 self.karts, self.items = world.karts, world.items
+                self.time, self.aux_ticks, self.phase = world.time, world.aux_ticks, world.phase
+                self.update = world.update
                 self.block = world.__getstate__()[0]
             def __getstate__(self):
                 return (self.block[:90] + b"x" + self.block[90:],)
 
         session = LocalSession(Path(sys.argv[1]))
         session.start(RaceSetup("olivermath", (KartSetup(), KartSetup())))
-        reader = WorldReader(Shifted(session._race._world))
-        karts, items = reader.read()
-        print(reader.is_fast, len(karts), len(items) > 10)
+        race = session._race
+        race._world = Shifted(race._world)
+        by_attribute = race._new_stepper()
+        snapshot = Snapshot(by_attribute.read(True))
+        print(type(by_attribute).__module__, len(snapshot.karts), len(snapshot.items) > 10)
     """
-    assert run(program=program).stdout.split() == ["False", "2", "True"]
+    assert run(program=program).stdout.split() == [
+        "stkzoo.kernel.reference.game_stepper",
+        "2",
+        "True",
+    ]

@@ -1,32 +1,48 @@
-"""The compiled kernel does what the package's own numpy code does."""
+"""Each name of the kernel does what its numpy twin does."""
 
 from __future__ import annotations
 
+import ast
 import contextlib
+import importlib
+import inspect
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stkzoo import race_v0
+from stkzoo import kernel, race_v0
 from stkzoo.config import AgentSpec
-from stkzoo.engine.snapshot import HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
-from stkzoo.engine.track import TrackMap
+from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
+from stkzoo.engine.track import TrackMap, decode_track
 from stkzoo.errors import ActionError
-from stkzoo.kernel import kernel
+from stkzoo.kernel import (
+    IS_COMPILED,
+    ActionReader,
+    KartObserver,
+    RacingObserver,
+    StepScorer,
+    TrackGraph,
+    join_rows,
+)
+from stkzoo.kernel.reference import action_reader, game_stepper, rows, track_graph
+from stkzoo.kernel.reference.kart_observer import KartObserver as KartObserverTwin
+from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.names import AttachmentType, ItemType, PowerupType
 from stkzoo.tracks import SPLITS
 from stkzoo.views import VIEWS as ALL_VIEWS
-from stkzoo.views import chains as chain_module
+from stkzoo.views import AgentChain
 from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarObservations
 from stkzoo.wrappers.racing import SIZE, BatchedRacingView, RoadTable, racing_features
+from stkzoo.wrappers.racing.batched_view import racing_view_of
 from stkzoo.wrappers.racing.features import KERNEL_TABLES
 from stkzoo.wrappers.racing.road import NUM_POINTS
 
-pytestmark = pytest.mark.skipif(kernel is None, reason="nothing was compiled here to compare")
+pytestmark = pytest.mark.skipif(not IS_COMPILED, reason="nothing was compiled here to compare")
 
 TRACKS = ["lighthouse", "cocoa_temple", "olivermath"]
 
@@ -48,9 +64,7 @@ def flat_actions_only(env):
     return FlattenerWrapper(env, flatten_observations=False)
 
 
-#: Those that the kernel does not know, or makes elsewhere.
-OTHERS = ("control", "racing", "box", "masked")
-VIEWS = [view for view in ALL_VIEWS if not any(word in view for word in OTHERS)]
+VIEWS = list(ALL_VIEWS)
 
 CHAINS = [*VIEWS, masked, masked_dict, polar_lists, flat_actions_only]
 
@@ -75,7 +89,7 @@ def assert_close(ours, theirs, path=""):
 def assert_owned(observations):
     """What an agent gets is its own, to write into as it likes."""
     for observation in observations.values():
-        for key, value in observation.items():
+        for key, value in (observation if isinstance(observation, dict) else {"": observation}).items():
             rows = value if isinstance(value, tuple) else (value,)
             for row in rows:
                 if isinstance(row, np.ndarray):
@@ -84,13 +98,53 @@ def assert_owned(observations):
 
 @pytest.fixture
 def numpy_only(monkeypatch):
-    """A switch that makes everything made from then on do without the kernel."""
+    """A switch that makes everything made from then on with the twins."""
 
     def turn_off():
-        for module in ("views.compile", "env.episode", "mdp.rewards"):
-            monkeypatch.setattr(f"stkzoo.{module}.kernel", None)
+        for user, names in USERS.items():
+            for name in names:
+                twin = importlib.import_module(f"stkzoo.kernel.reference.{kernel._TWINS[name]}")
+                monkeypatch.setattr(f"stkzoo.{user}.{name}", getattr(twin, name))
+        decode_track.cache_clear()
+        racing_view_of.cache_clear()
 
-    return turn_off
+    yield turn_off
+    decode_track.cache_clear()
+    racing_view_of.cache_clear()
+
+
+#: The modules that use the kernel's names.
+USERS = {
+    "engine.race": ["GameStepper"],
+    "engine.track": ["TrackGraph"],
+    "env.episode": ["StepScorer"],
+    "race.codec": ["join_rows"],
+    "views.plan": ["ActionReader", "KartObserver"],
+    "wrappers.racing.batched_view": ["RacingObserver"],
+}
+
+
+def test_every_name_has_a_twin_that_is_tested():
+    assert sorted(kernel._TWINS) == [name for name in kernel.__all__ if name != "IS_COMPILED"]
+    assert {*(name for names in USERS.values() for name in names), "layouts"} == set(kernel._TWINS)
+
+
+@pytest.mark.parametrize("name", [name for name in kernel._TWINS if name != "layouts"])
+def test_a_twin_takes_what_the_stub_says(name):
+    twin = importlib.import_module(f"stkzoo.kernel.reference.{kernel._TWINS[name]}")
+    stub = ast.parse((Path(kernel.__file__).parent / "_kernel.pyi").read_text())
+    (node,) = (node for node in stub.body if getattr(node, "name", None) == name)
+    functions = node.body if isinstance(node, ast.ClassDef) else [node]
+    for function in functions:
+        is_new = function.name == "__new__"
+        made = getattr(twin, name)
+        if node is not function:
+            if function.name == "serve":  # C alone: it takes steps without Python
+                continue
+            made = made.__init__ if is_new else getattr(made, function.name)
+        theirs = [argument.arg for argument in function.args.args]
+        ours = list(inspect.signature(made).parameters)
+        assert ours[bool(is_new) :] == theirs[bool(is_new) :], function.name
 
 
 @pytest.mark.parametrize("track", TRACKS)
@@ -105,14 +159,12 @@ def test_a_race_is_the_same_with_and_without_the_kernel(view, track, numpy_only)
     for _ in range(12):
         actions.append({a: with_kernel.action_space(a).sample() for a in with_kernel.agents})
         steps.append(with_kernel.step(actions[-1]))
-    assert all(group.view is not None for group in with_kernel._chains._plan)
-    assert all(group.controls is not None for group in with_kernel._chains._plan)
+    assert "control" in str(view) or with_kernel._chains._present.walked == ()
     with_kernel.close()
 
     numpy_only()
     without = race_v0.parallel_env(**settings)
     assert_close(first[0], without.reset(seed=3)[0])
-    assert all(group.view is None for group in without._chains._plan)
     for action, step in zip(actions, steps, strict=True):
         assert_owned(step[0])
         observations, *rest = without.step(action)
@@ -121,17 +173,39 @@ def test_a_race_is_the_same_with_and_without_the_kernel(view, track, numpy_only)
     without.close()
 
 
+@pytest.mark.parametrize("view", VIEWS)
+def test_a_compiled_view_shows_what_its_wrappers_make(view):
+    """The same race, seen by the kernel and by the wrappers one by one."""
+    settings = {"num_kart": 3, "track": "lighthouse", "max_cycles": 40}
+    base = "ground" if view == "ground" else "full"
+    with race_v0.parallel_env(view={0: view, 1: base, 2: base}, **settings) as env:
+        spaces_of_kart = kart_observation_space(sees_ground=base == "ground"), kart_action_space()
+        chain = AgentChain("kart_0", *spaces_of_kart, ALL_VIEWS[view])
+        observations, _ = env.reset(seed=3)
+        for agent, space in env.action_spaces.items():
+            space.seed(int(agent[-1]))
+        for _ in range(20):
+            seen = env._chains._made[full_of(env)][0].observe(env._episode, np.array([0]))
+            assert_close(observations["kart_0"], chain.observe(seen[0]))
+            observations = env.step({a: env.action_space(a).sample() for a in env.agents})[0]
+
+
+def full_of(env):
+    """The identity of the plan of an agent in the full view."""
+    return env._chains._identities["kart_1"]
+
+
 @pytest.mark.parametrize("track", TRACKS)
 def test_the_racing_view_is_the_same_with_and_without_the_kernel(track):
     with race_v0.parallel_env(num_kart=6, track=track, view="racing") as env:
         env.reset(seed=3)
         for agent, space in env.action_spaces.items():
             space.seed(int(agent[-1]))
-        crowd, who = BatchedRacingView([RoadTable(env.track_map)]), np.array([5, 0, 3])
+        view, who = BatchedRacingView([RoadTable(env.track_map)]), np.array([5, 0, 3])
         for _ in range(80):
             env.step({agent: env.action_space(agent).sample() for agent in env.agents})
-            seen = crowd.observe([env.snapshot], [0], [who])
-            made = racing_features(*crowd.surroundings([env.snapshot], [0], [who]))
+            seen = view.observe([env.snapshot], [0], [who])
+            made = racing_features(*view.surroundings([env.snapshot], [0], [who]))
             assert_close(seen, made)
     assert seen.any(axis=0).sum() > 80
 
@@ -154,9 +228,9 @@ def test_the_racing_view_is_the_same_wherever_things_are(seed):
     karts["powerup_num"], karts["jumping"] = random.integers(0, 20, 9), random.integers(0, 2, 9)
     items["type"] = random.choice(list(ItemType), 12)
     snapshot = Snapshot.of(np.zeros((), HEADER_DTYPE), karts, items)
-    crowd, who = BatchedRacingView([road_of(random)]), np.arange(9)
-    seen = crowd.observe([snapshot], [0], [who])
-    made = racing_features(*crowd.surroundings([snapshot], [0], [who]))
+    view, who = BatchedRacingView([road_of(random)]), np.arange(9)
+    seen = view.observe([snapshot], [0], [who])
+    made = racing_features(*view.surroundings([snapshot], [0], [who]))
     np.testing.assert_allclose(seen, made, atol=2e-4)
 
 
@@ -242,9 +316,7 @@ def test_custom_wrappers_and_terms_do_without():
     )
     env.reset(seed=0)
     env.step({a: env.action_space(a).sample() for a in env.agents})
-    groups = {group.agents[0]: group for group in env._chains._plan}
-    assert groups["kart_0"].view is None
-    assert groups["kart_1"].view is not None
+    assert [walked.agent for walked in env._chains._present.walked] == ["kart_0"]
     env.close()
 
 
@@ -279,25 +351,34 @@ def fuzzed(random, value):
     return choices[random.integers(len(choices))]
 
 
-@pytest.mark.parametrize("view", VIEWS)
-def test_the_kernel_reads_no_action_otherwise_than_numpy(view):
-    """Whatever the kernel takes, numpy takes too, with the same controls."""
+@pytest.mark.parametrize("view", [view for view in VIEWS if "control" not in view])
+def test_an_action_is_read_as_its_wrappers_turn_it(view):
+    """Whatever the kernel takes, its twin and the wrappers take too, with the same controls."""
     env = race_v0.parallel_env(num_kart=1, track="lighthouse", view=view)
     chains, space = env._chains, env.action_space("kart_0")
+    chain = AgentChain("kart_0", *bare_spaces(view), ALL_VIEWS[view])
     space.seed(0)
     random = np.random.default_rng(0)
-    (group,) = chains._groups(["kart_0"])
+    plan = chains._plans["kart_0"]
+    names = () if set(plan.leaves) == {""} else tuple(plan.leaves)
+    twin = action_reader.ActionReader(names, tuple(plan.leaves.values()), 7)
+    (group,) = chains._roster(["kart_0"]).groups
     num_taken = 0
-    for _ in range(2000):
+    for _ in range(1000):
         actions = {"kart_0": fuzzed(random, space.sample())}
-        ours = np.zeros((1, 7), np.float32)
-        if not chain_module._is_read(group, actions, group.rows, ours):
+        ours, theirs = np.zeros((2, 1, 7), np.float32)
+        if not group.reader.read(actions, group.agents, group.rows, ours):
             continue
         num_taken += 1
-        theirs = np.zeros_like(ours)
-        chains._decode_group(group, chains._read(group, actions), group.rows, theirs)
+        assert twin.read(actions, group.agents, group.rows, theirs), actions
         assert ours.tolist() == theirs.tolist(), actions
+        base = chain.act(chain.read_action(actions["kart_0"]))
+        assert ours[0].tolist() == [np.float32(np.ravel(base[key])[0]) for key in CONTROLS]
     assert num_taken > 100
+
+
+def bare_spaces(view):
+    return kart_observation_space(sees_ground=view == "ground"), kart_action_space()
 
 
 def track_of(successors, length=20.0, count=None):
@@ -306,10 +387,10 @@ def track_of(successors, length=20.0, count=None):
     count = len(successors) if count is None else count
     sizes = (6, 1, 2)
     arrays = (np.arange(size * count, dtype=np.float32) for size in sizes)
-    return kernel.Track(*arrays, begins, ends, length)
+    return TrackGraph(*arrays, begins, ends, length)
 
 
-#: Of an Outcome of one agent alone: karts, rows, last, sums, keys.
+#: Of a StepScorer of one agent alone: karts, rows, last, sums, keys.
 ALONE = (
     ("kart_0",),
     np.zeros(1, np.intp),
@@ -321,8 +402,8 @@ ALONE = (
 )
 
 
-def outcome_of(*, alone=ALONE, rewards=(), groups=(), num_paths=1):
-    return kernel.Outcome(*alone, rewards, groups, track_of([[0]]), num_paths, ("tux",))
+def scorer_of(*, alone=ALONE, rewards=()):
+    return StepScorer(*alone, rewards)
 
 
 def test_the_kernel_checks_what_it_is_given():
@@ -332,26 +413,26 @@ def test_the_kernel_checks_what_it_is_given():
         np.zeros((), HEADER_DTYPE), np.zeros(1, KART_DTYPE), np.zeros(2, ITEM_DTYPE)
     )
     with pytest.raises(TypeError):
-        kernel.View(("energy",)).observe(*[numbers] * 5)
+        KartObserver(("energy",)).observe(*[numbers] * 5)
     with pytest.raises(ValueError, match="no snapshot"):
-        kernel.View(("energy",)).observe(track_of([[0]]), 1, ("tux",), snapshot.data[:-1], one)
+        KartObserver(("energy",)).observe(track_of([[0]]), 1, ("tux",), snapshot.data[:-1], one)
     with pytest.raises(IndexError, match="kart 1 of 1"):
-        kernel.View(("energy",)).observe(track_of([[0]]), 1, ("tux",), snapshot.data, one + 1)
+        KartObserver(("energy",)).observe(track_of([[0]]), 1, ("tux",), snapshot.data, one + 1)
     with pytest.raises(ValueError, match="2 of 1 segments"):
-        kernel.View(("energy",)).observe(track_of([[0]]), 2, ("tux",), snapshot.data, one)
+        KartObserver(("energy",)).observe(track_of([[0]]), 2, ("tux",), snapshot.data, one)
     with pytest.raises(ValueError, match="no entry"):
-        kernel.View(("colour",))
+        KartObserver(("colour",))
     with pytest.raises(ValueError, match="fixed size"):
-        kernel.View(("energy",), flat=True)
+        KartObserver(("energy",), flat=True)
     with pytest.raises(ValueError, match="table"):
-        kernel.Controls((), (((0.0, 3.0, True, 0, np.zeros((3, 2), "f4")),),), 2)
+        ActionReader((), (((0.0, 3.0, True, 0, np.zeros((3, 2), "f4")),),), 2)
     with pytest.raises(ValueError, match="last column"):
-        kernel.Controls((), (((0.0, 1.0, True, 7, None),),), 7)
+        ActionReader((), (((0.0, 1.0, True, 7, None),),), 7)
     for wrong in ([[1]], [[-1]], []):
         with pytest.raises(ValueError, match="do not fit"):
             track_of(wrong)
     road = road_of(np.random.default_rng(0))
-    racing = kernel.Racing((road.lines, road.starts, road.along), *KERNEL_TABLES)
+    racing = RacingObserver((road.lines, road.starts, road.along), *KERNEL_TABLES)
     view = np.zeros((1, SIZE), "f4")
     racing.observe(snapshot.data, one, view)
     with pytest.raises(ValueError, match="165 numbers"):
@@ -362,7 +443,7 @@ def test_the_kernel_checks_what_it_is_given():
     with pytest.raises(ValueError, match="165 numbers"):
         racing.observe(snapshot.data, one, view)
     with pytest.raises(ValueError, match="do not fit"):
-        kernel.Racing((road.lines[:, 1:].copy(), road.starts[:0], road.along), *KERNEL_TABLES)
+        RacingObserver((road.lines[:, 1:].copy(), road.starts[:0], road.along), *KERNEL_TABLES)
     with pytest.raises(ValueError, match="do not fit"):
         track_of([[0]], count=2)
     with pytest.raises(IndexError):
@@ -372,33 +453,40 @@ def test_the_kernel_checks_what_it_is_given():
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"alone": (*ALONE[:1], one_off := np.ones(1, np.intp), *ALONE[2:])},
-        {"alone": (*ALONE[:2], one_off, *ALONE[3:])},
+        {"alone": (*ALONE[:1], np.zeros(2, np.intp), *ALONE[2:])},
+        {"alone": (*ALONE[:2], one_off := np.ones(1, np.intp), *ALONE[3:])},
         {"alone": (*ALONE[:3], np.zeros((1, 2)), *ALONE[4:])},
         {"alone": (*ALONE[:5], ALONE[5][1:], *ALONE[6:])},
         {"rewards": ((one_off * 6, np.ones(1), np.zeros(1, np.intp), np.zeros(1, np.intp)),)},
         {"rewards": ((one_off, np.ones(1), one_off, np.zeros(1, np.intp)),)},
         {"rewards": ((one_off, np.ones(1), np.zeros(1, np.intp), one_off),)},
-        {"num_paths": 2},
     ],
 )
-def test_an_outcome_checks_what_it_is_given(wrong):
-    outcome_of()
-    with pytest.raises(ValueError, match=r"do not fit|segments"):
-        outcome_of(**wrong)
+def test_a_scorer_checks_what_it_is_given(wrong):
+    scorer_of()
+    with pytest.raises(ValueError, match="do not fit"):
+        scorer_of(**wrong)
 
 
-def test_an_outcome_refuses_snapshots_of_another_race():
+def test_a_scorer_refuses_snapshots_of_another_race():
     snapshots = [
         Snapshot.of(np.zeros((), HEADER_DTYPE), np.zeros(n, KART_DTYPE), np.zeros(0, ITEM_DTYPE))
-        for n in (1, 2)
+        for n in (0, 1)
     ]
-    one, two = (snapshot.data for snapshot in snapshots)
-    assert outcome_of().step(one, one, False, 1)[0] == {"kart_0": None}
+    none, one = (snapshot.data for snapshot in snapshots)
+    assert scorer_of().score(one, one, False)[1] == {"kart_0": False}
     with pytest.raises(ValueError, match="another race"):
-        outcome_of().step(one, two, False, 1)
+        scorer_of().score(one, none, False)
     with pytest.raises(ValueError, match="no snapshot"):
-        outcome_of().step(one, b"", False, 1)
+        scorer_of().infos(b"", 1)
+
+
+def twin_of(track):
+    """The same graph in numpy."""
+    begins = np.cumsum([0, *map(len, track.successors)]).astype(np.intp)
+    ends = np.array([node for nodes in track.successors for node in nodes], np.intp)
+    arrays = track.path_nodes, track.path_width, track.path_distance, begins, ends
+    return track_graph.TrackGraph(*arrays, track.length)
 
 
 def test_the_order_ahead_is_the_same_on_every_track_and_segment():
@@ -407,7 +495,7 @@ def test_the_order_ahead_is_the_same_on_every_track_and_segment():
             env.reset(seed=0)
             track = env.track_map
         for node in range(0, track.num_nodes, 1 + track.num_nodes // 40):
-            assert track.in_kernel.ahead(node).tolist() == track._order_from(node), (name, node)
+            assert track.graph.ahead(node).tolist() == twin_of(track).ahead(node).tolist()
 
 
 @settings(max_examples=200, deadline=None)
@@ -426,28 +514,29 @@ def test_the_order_ahead_is_the_same_on_any_graph(successors):
         successors=successors,
     )
     for node in range(count):
-        assert track.in_kernel.ahead(node).tolist() == track._order_from(node)
+        assert track.graph.ahead(node).tolist() == twin_of(track).ahead(node).tolist()
 
 
-def test_the_engine_reads_what_its_attributes_say():
+def test_the_engine_is_read_as_its_attributes_say():
     agents = [AgentSpec(use_ai=True), AgentSpec(), AgentSpec()]
     env = race_v0.parallel_env(agents=agents, num_kart=4, track="lighthouse", use_subprocess=False)
     env.reset(seed=0)
     race = env._session._race
-    assert race._engine is not None
+    twin = game_stepper.GameStepper(
+        race._race, race._world, [], CONTROLS, (), race._phases, 3, race._reporting, None
+    )
+    assert not isinstance(race._stepper, game_stepper.GameStepper)
     for _ in range(45):  # over all phases
         env.step({a: env.action_space(a).sample() for a in env.agents})
-        assert race._read(running=True).data == env.snapshot.data
-        assert race._reader.is_fast
-        assert [part.tobytes() for part in race._reader.read()] == [
-            part.tobytes() for part in race._reader._read_attributes()
-        ]
+        assert twin.read(True) == env.snapshot.data
     with pytest.raises(ValueError, match="bytes of controls"):
-        race._engine.step(b"1234")
+        race._stepper.step(b"1234")
+    with pytest.raises(ValueError, match="bytes of controls"):
+        twin.step(b"1234")
     env.close()
 
 
-def test_an_engine_without_the_kernel_steps_the_same(monkeypatch):
+def test_an_engine_without_the_kernel_steps_the_same(numpy_only):
     def race():
         env = race_v0.parallel_env(num_kart=3, track="lighthouse", use_subprocess=False)
         env.reset(seed=0)
@@ -459,12 +548,38 @@ def test_an_engine_without_the_kernel_steps_the_same(monkeypatch):
         env.close()
 
     with_kernel = list(race())
-    monkeypatch.setattr("stkzoo.engine.race.kernel", None)
+    numpy_only()
     assert list(race()) == with_kernel
 
 
+@pytest.mark.parametrize(
+    "parts",
+    [
+        (),
+        (np.ones(3, "f4"), np.zeros(3, "f4")),
+        (np.ones(3, "f4"), np.zeros(2, "f4")),
+        (np.ones(3, "f4"), np.zeros(3, "f8")),
+        (np.ones(3, "f4"), 7),
+        (np.ones((3, 2), "f4"), np.ones((2, 3), "f4").T),
+        (np.zeros(0), np.zeros(0)),
+    ],
+)
+def test_rows_are_joined_as_in_numpy(parts):
+    assert join_rows(parts) == rows.join_rows(parts)
+
+
+def test_both_refuse_what_the_twin_refuses():
+    for make in (KartObserver, KartObserverTwin):
+        with pytest.raises(ValueError, match="no entry"):
+            make(("colour",))
+        with pytest.raises(ValueError, match="fixed size"):
+            make(("energy",), flat=True)
+
+
 def test_a_variable_turns_the_kernel_off():
-    code = "from stkzoo.kernel import kernel; print(kernel)"
+    code = (
+        "from stkzoo.kernel import IS_COMPILED, KartObserver as k; print(IS_COMPILED, k.__module__)"
+    )
     answer = subprocess.run(
         [sys.executable, "-c", code],
         env={"STKZOO_KERNEL": "off", "PATH": ""},
@@ -472,4 +587,4 @@ def test_a_variable_turns_the_kernel_off():
         text=True,
         check=True,
     )
-    assert answer.stdout == "None\n"
+    assert answer.stdout == "False stkzoo.kernel.reference.kart_observer\n"

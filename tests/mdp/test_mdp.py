@@ -9,7 +9,7 @@ from stkzoo.engine.snapshot import HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapsho
 from stkzoo.engine.track import TrackMap, decode_track, encode_track
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.geometry import rotation_matrices
-from stkzoo.mdp.observations import KartObserver
+from stkzoo.mdp.observations import observe_karts
 from stkzoo.mdp.rewards import REWARDS, Reward, as_reward
 from stkzoo.mdp.state import KART_FEATURES, state_space
 from stkzoo.mdp.transition import Transition
@@ -108,12 +108,12 @@ def test_after_steering_right_a_point_that_was_ahead_lies_to_the_left():
 
 def test_what_lies_in_front_comes_first_and_then_what_lies_behind():
     snapshot = make_snapshot(5, location=[[0, 0, z] for z in (0, -2, 7, -9, 3)])
-    batch = KartObserver(forked_track(), ["tux"] * 5, None).observe(snapshot, np.array([0]))
+    batch = observe_karts(forked_track(), ["tux"] * 5, snapshot, np.array([0]))
     assert batch["karts_position"][0, :, 2].tolist() == [3, 7, -2, -9]
 
 
 def test_a_lone_kart_sees_no_others():
-    batch = KartObserver(forked_track(), ["tux"], 3).observe(make_snapshot(1), np.array([0]))
+    batch = observe_karts(forked_track(), ["tux"], make_snapshot(1), np.array([0]), 3)
     assert batch["karts_position"].shape == (1, 0, 3)
     assert batch["items_position"].shape == (1, 0, 3)
     assert batch["paths_start"].shape == (1, 3, 3)

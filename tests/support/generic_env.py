@@ -10,7 +10,11 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
+from stkzoo.engine.snapshot import HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
+from stkzoo.engine.track import TrackMap
+from stkzoo.kernel import KartObserver
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.names import AttachmentType, ItemType, Phase, PowerupType
 from stkzoo.views.actions import read_actions
 from stkzoo.views.batch import split
 from stkzoo.wrappers import (
@@ -137,6 +141,51 @@ def random_batch(rng, count, *, items=7, karts=4, paths=9, use_ai=False):
         return np.clip(numbers, space.low, space.high)
 
     return column("", kart_observation_space(use_ai))
+
+
+class RandomMoment:
+    """A source of observations: karts and items anywhere on a small round track."""
+
+    def __init__(self, rng, num_kart=5, num_items=7, num_nodes=9):
+        karts, items = np.zeros(num_kart, KART_DTYPE), np.zeros(num_items, ITEM_DTYPE)
+        for things in (karts, items):
+            things["location"] = rng.normal(scale=30, size=(len(things), 3))
+        turns = rng.normal(size=(num_kart, 4))
+        karts["rotation"] = turns / np.linalg.norm(turns, axis=1, keepdims=True)
+        karts["front"] = karts["location"] + 1
+        karts["velocity_lc"] = rng.normal(scale=9, size=(num_kart, 3))
+        for key in ("energy", "skeed_factor", "shield_time", "attachment_time_left"):
+            karts[key] = rng.integers(0, 9, num_kart)
+        karts["max_steer_angle"] = rng.uniform(0, 1, num_kart)
+        karts["distance_down_track"] = rng.uniform(0, 99, num_kart)
+        for key, kind in (("powerup_type", PowerupType), ("attachment_type", AttachmentType)):
+            karts[key] = rng.choice(list(kind), num_kart)
+        karts["powerup_num"] = rng.integers(0, 20, num_kart)
+        karts["jumping"] = rng.integers(0, 2, num_kart)
+        karts["node"] = rng.integers(0, num_nodes, num_kart)
+        karts["control"] = rng.integers(0, 2, (num_kart, 7))
+        items["type"] = rng.choice(list(ItemType), num_items)
+        header = np.zeros((), HEADER_DTYPE)
+        header["aux_ticks"], header["phase"] = rng.integers(0, 99), rng.choice(list(Phase))
+        self.snapshot = Snapshot.of(header, karts, items)
+        corners = rng.normal(scale=30, size=(num_nodes, 3)).astype(np.float32)
+        self.track_map = TrackMap(
+            length=10.0 * num_nodes,
+            path_nodes=np.stack([corners, np.roll(corners, -1, axis=0)], axis=1),
+            path_width=rng.uniform(2, 9, (num_nodes, 1)).astype(np.float32),
+            path_distance=np.arange(2 * num_nodes, dtype=np.float32).reshape(-1, 2) * 5,
+            successors=[[(node + 1) % num_nodes] for node in range(num_nodes)],
+        )
+        kart_types = tuple(rng.choice(["tux", "gnu", "sara_the_racer"], num_kart).tolist())
+        self.course = self.track_map.graph, num_nodes, kart_types
+
+    def karts(self, agents):
+        return np.arange(len(agents))
+
+    def full(self, agents, use_ai=False):
+        """What agents see in the ``full`` view."""
+        observer = KartObserver(tuple(kart_observation_space(use_ai)))
+        return observer.observe(*self.course, self.snapshot.data, self.karts(agents))
 
 
 def assert_same(left, right):

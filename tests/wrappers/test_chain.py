@@ -19,14 +19,14 @@ from gymnasium.wrappers import (
 
 from stkzoo.errors import ActionError, AgentException, ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
-from stkzoo.views import AgentChains
-from stkzoo.views.batch import split
+from stkzoo.views import AgentChain, AgentChains
 from stkzoo.wrappers import (
     ConstantSizedObservations,
     DiscreteActionsWrapper,
+    FlattenerWrapper,
     PolarObservations,
 )
-from tests.support.generic_env import VIEWS, Counter, assert_same, kart_env, random_batch, wrap
+from tests.support.generic_env import VIEWS, Counter, RandomMoment, assert_same, kart_env, wrap
 
 
 def make_chains(*factories, ai=()):
@@ -54,19 +54,6 @@ class TenTimes(gym.RewardWrapper):
         return 10 * reward
 
 
-class BatchSight:
-    """Sees what a batch says."""
-
-    def __init__(self, batch):
-        self._batch = batch
-
-    def batch(self):
-        return self._batch
-
-    def through(self, *_):
-        return None
-
-
 def decoded(chains, actions, agents):
     """The decoded actions by key of the base space."""
     controls = chains.decode(actions, agents)
@@ -82,27 +69,23 @@ class Race:
         self.agents = list(chains.action_spaces)
         self.random = np.random.default_rng(seed)
 
-    def batch(self, count):
-        return random_batch(self.random, count, use_ai=True)
-
     def reset(self, seed=None, options=None):
         infos = {agent: {"position": 1} for agent in self.agents}
-        return self.chains.reset(
-            self.agents, BatchSight(self.batch(len(self.agents))), infos, seed=seed, options=options
-        )
+        self.moment = RandomMoment(self.random)
+        return self.chains.reset(self.agents, self.moment, infos, seed=seed, options=options)
 
     def step(self, actions, agents=None, terminated=False):
         agents = self.agents if agents is None else agents
         self.controls = decoded(self.chains, actions, agents)
-        self.last_batch = self.batch(len(agents))
+        self.moment = RandomMoment(self.random)
         parts = (
-            dict.fromkeys(agents),
+            self.chains.observe(agents, self.moment),
             {agent: float(self.agents.index(agent) + 1) for agent in agents},
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, False),
             {agent: {"position": 1} for agent in agents},
         )
-        return self.chains.step(agents, BatchSight(self.last_batch), parts)
+        return self.chains.finish(agents, parts)
 
     def sample(self):
         return {agent: space.sample() for agent, space in self.chains.action_spaces.items()}
@@ -133,8 +116,7 @@ def test_observations_are_those_of_the_wrappers_one_by_one(name):
     race.reset()
     observations = race.step(race.sample())[0]
     alone = wrap(kart_env(), name)
-    batch = {k: v for k, v in race.last_batch.items() if k != "action"}
-    for agent, base in zip(race.agents, split(kart_observation_space(), batch), strict=True):
+    for agent, base in zip(race.agents, race.moment.full(race.agents), strict=True):
         stack = []
         env = alone
         while isinstance(env, gym.Wrapper):
@@ -188,17 +170,43 @@ def test_agents_that_are_left_out_of_a_step_are_left_out_of_the_results():
     assert all(list(result) == ["kart_2", "kart_0"] for result in results)
 
 
-def test_equal_chains_run_once_for_all_their_agents():
-    sizes = []
+def test_equal_views_are_made_together():
+    chains = make_chains(view("simple"), view("full"), view("simple"), Counter, view("full"))
+    groups = chains._roster(list(chains.action_spaces)).groups
+    assert [group.agents for group in groups] == [
+        ("kart_0", "kart_2"),
+        ("kart_1", "kart_3", "kart_4"),
+    ]
 
-    class Spy(PolarObservations, PolarObservations.__bases__[1]):
-        def observation(self, observation):
-            sizes.append(len(observation["velocity"]))
-            return super().observation(observation)
 
-    chains = make_chains(Spy, view("simple"), Spy, Spy)
-    Race(chains).reset()
-    assert sizes == [3]
+def test_a_shipped_wrapper_inside_a_users_own_is_compiled():
+    chains = make_chains(lambda env: Counter(PolarObservations(ConstantSizedObservations(env))))
+    (chain,) = chains._chains.values()
+    assert [type(wrapper) for wrapper in chain._wrappers] == [Counter]
+    assert chain.base_observation_space["items_position"].shape == (5, 3)
+
+
+class Slower(gym.ObservationWrapper):
+    def observation(self, observation):
+        return {**observation, "velocity": observation["velocity"] / 2}
+
+
+class SlowerByStep(gym.Wrapper):
+    def step(self, action):
+        observation, *rest = self.env.step(action)
+        return {**observation, "velocity": observation["velocity"] / 2}, *rest
+
+
+@pytest.mark.parametrize("users_own", [Slower, SlowerByStep])
+def test_wrappers_around_a_users_own_see_what_it_makes(users_own):
+    race = Race(make_chains(lambda env: FlattenerWrapper(users_own(wrap(env, "simple")))))
+    race.reset()
+    (observation,) = race.step(race.sample())[0].values()
+    env = FlattenerWrapper(Slower(wrap(kart_env(), "simple")))
+    (base,) = race.moment.full(race.agents)
+    for wrapper in (env.env.env.env, env.env.env, env.env, env):
+        base = wrapper.observation(base)
+    assert_same(observation, base)
 
 
 def test_chains_of_other_arguments_are_kept_apart():
@@ -218,7 +226,7 @@ def test_spaces_are_the_same_objects_each_time():
 
 
 @pytest.mark.parametrize("name", VIEWS)
-def test_results_share_no_memory_with_the_batch_or_later_results(name):
+def test_results_share_no_memory_with_later_results(name):
     chains = make_chains(view(name), view(name))
     race = Race(chains)
     race.reset()
@@ -229,10 +237,13 @@ def test_results_share_no_memory_with_the_batch_or_later_results(name):
         if isinstance(value, dict):
             for part in value.values():
                 wipe(part)
-        elif value.dtype.kind in "if":
+        elif isinstance(value, tuple):
+            for part in value:
+                wipe(part)
+        elif isinstance(value, np.ndarray):
             value[...] = 0
 
-    wipe(race.last_batch)
+    wipe(race.chains.observe(race.agents, race.moment))
     race.step(race.sample())
     assert_same(earlier, kept)
 
@@ -508,7 +519,7 @@ def test_the_infos_handed_in_are_not_changed():
     decoded(chains, race.sample(), ["kart_0"])
     info = {"position": 1}
     parts = [{"kart_0": value} for value in (None, 1.0, True, False, info)]
-    chains.step(["kart_0"], BatchSight(race.batch(1)), tuple(parts))
+    chains.finish(["kart_0"], (chains.observe(["kart_0"], race.moment), *parts[1:]))
     assert info == {"position": 1}
     assert len(parts[-1]["kart_0"]) > 1
 
@@ -674,29 +685,26 @@ def test_chains_around_no_agents_decode_nothing():
 
 
 class TestPathsUsed:
-    """How many track segments have to be made for the chains."""
+    """How many track segments a chain looks at."""
 
     @staticmethod
-    def chains(**factories):
-        agents = list(factories)
-        return AgentChains(
-            {agent: kart_observation_space() for agent in agents},
-            {agent: kart_action_space() for agent in agents},
-            factories,
+    def paths_used(factory):
+        spaces_of_kart = kart_observation_space(), kart_action_space()
+        return AgentChain("kart_0", *spaces_of_kart, factory).paths_used()
+
+    def test_is_that_of_the_innermost_wrapper(self):
+        assert (
+            self.paths_used(
+                lambda env: PolarObservations(ConstantSizedObservations(env, state_paths=3))
+            )
+            == 3
         )
 
-    def test_is_the_most_that_any_chain_looks_at(self):
-        chains = self.chains(
-            a=lambda env: PolarObservations(ConstantSizedObservations(env, state_paths=3)),
-            b=lambda env: ConstantSizedObservations(env, state_paths=8),
-        )
-        assert chains.paths_used == 8
-
-    def test_is_all_when_one_agent_sees_everything(self):
-        assert self.chains(a=ConstantSizedObservations, b=None).paths_used is None
+    def test_is_all_without_wrappers(self):
+        assert self.paths_used(None) is None
 
     def test_is_all_for_a_users_own_kind_of_wrapper(self):
         class Mine(ConstantSizedObservations):
             pass
 
-        assert self.chains(a=Mine).paths_used is None
+        assert self.paths_used(Mine) is None

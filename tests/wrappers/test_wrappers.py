@@ -19,7 +19,7 @@ from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.views.batch import split
 from stkzoo.wrappers import (
     ActionObservationWrapper,
-    BatchedWrapper,
+    CompiledWrapper,
     ConstantSizedObservations,
     DiscreteActionsWrapper,
     Discretizer,
@@ -389,25 +389,15 @@ def test_a_spec_keeps_arguments_that_are_not_the_defaults():
     assert env.spec.make(disable_env_checker=True).action_space["steer"].n == 3
 
 
-def test_a_subclass_does_not_inherit_the_batch_promise():
+def test_a_subclass_does_not_inherit_the_promise():
     class Mine(PolarObservations):
         pass
 
-    class Kept(PolarObservations, BatchedWrapper):
+    class Kept(PolarObservations, CompiledWrapper):
         pass
 
-    assert not Mine(kart_env()).keeps_batch_promise()
-    assert Kept(kart_env()).keeps_batch_promise()
-
-
-def test_wrappers_with_other_arguments_have_another_identity():
-    first, second, third = (
-        DiscreteActionsWrapper(kart_env(), steer_steps=steps).batch_identity()
-        for steps in (5, 5, 7)
-    )
-    assert first == second
-    assert hash(first) == hash(second)
-    assert first != third
+    assert not Mine(kart_env()).keeps_promise()
+    assert Kept(kart_env()).keeps_promise()
 
 
 def test_an_action_observation_wrapper_changes_both():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
@@ -13,13 +13,16 @@ from gymnasium import spaces
 
 from stkzoo.errors import ConfigError
 from stkzoo.names import PowerupType
-from stkzoo.views.bases import ActionObservationWrapper, BatchedWrapper
+from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
 from stkzoo.wrappers.flattener import FlattenerWrapper
+
+if TYPE_CHECKING:
+    from stkzoo.views.plan import ViewPlan
 
 __all__ = ["ActionMasks"]
 
 
-class ActionMasks(gym.ObservationWrapper[Any, Any, Any], BatchedWrapper):
+class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
     """Adds ``action_mask`` to a flattened view: 1 for actions that can do something, 0 for others.
 
     Nitro does nothing with an empty tank, and fire nothing without a powerup; actions with one
@@ -59,6 +62,14 @@ class ActionMasks(gym.ObservationWrapper[Any, Any, Any], BatchedWrapper):
         self._nitro, self._fire = _uses(env, flattener)
         mask = spaces.Box(0, 1, self._nitro.shape, np.int8)
         self.observation_space = spaces.Dict({**copy.deepcopy(space.spaces), "action_mask": mask})
+        self._keys = tuple(self.observation_space.spaces)
+
+    def compile_into(self, plan: ViewPlan) -> bool:
+        """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
+        if not plan.is_flat or plan.joined or plan.nitro is not None:
+            return False
+        plan.nitro, plan.fire = self._nitro, self._fire
+        return True
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
         """The observation with the mask, ``(..., n)`` int8."""
@@ -66,7 +77,8 @@ class ActionMasks(gym.ObservationWrapper[Any, Any, Any], BatchedWrapper):
         powerup = np.asarray(observation["discrete"])[..., self._powerup, None]
         has_item = powerup != PowerupType.NOTHING
         mask = (~self._nitro | has_nitro) & (~self._fire | has_item)
-        return {**observation, "action_mask": mask.astype(np.int8)}
+        seen = {**observation, "action_mask": mask.astype(np.int8)}
+        return {key: seen[key] for key in self._keys}
 
 
 def _inwards(env: Any) -> Iterator[Any]:

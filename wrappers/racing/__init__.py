@@ -1,15 +1,16 @@
 """The racing view: a fixed-size driver's view of the race, and a few choices to act by."""
 
-from stkzoo.wrappers.racing.batched_view import BatchedRacingView, KartColumns, RacingSight
+from stkzoo.wrappers.racing.batched_view import BatchedRacingView
 from stkzoo.wrappers.racing.features import (
     ABSENT,
     LOOKS,
     Surroundings,
     racing_features,
 )
-from stkzoo.wrappers.racing.ground import GroundAhead, GroundSight, GroundTable, ground_table
+from stkzoo.wrappers.racing.ground import GroundAhead, GroundTable, ground_table
 from stkzoo.wrappers.racing.layout import MIRROR, PARTS, PLACES, SIZE
 from stkzoo.wrappers.racing.road import RoadTable, road_line
+from stkzoo.wrappers.racing.surroundings import KartColumns, RoadSurroundings
 from stkzoo.wrappers.racing.wrapper import (
     BRAKE,
     CHOICES,
@@ -35,12 +36,11 @@ __all__ = [
     "STEERS",
     "BatchedRacingView",
     "GroundAhead",
-    "GroundSight",
     "GroundTable",
     "KartColumns",
     "RacingActions",
     "RacingObservations",
-    "RacingSight",
+    "RoadSurroundings",
     "RoadTable",
     "Surroundings",
     "choices_of_action",

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +18,7 @@ from stkzoo.wrappers.racing.road import NUM_POINTS, RoadTable
 if TYPE_CHECKING:
     from stkzoo.engine.track import TrackMap
 
-__all__ = ["GroundAhead", "GroundSight", "GroundTable", "ground_table"]
+__all__ = ["GroundAhead", "GroundTable", "ground_table"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
@@ -84,25 +83,6 @@ class GroundTable:
 def ground_table(track: TrackMap, ground: Ground) -> GroundTable:
     """The table of a track; takes 0.3 s the first time in a program."""
     return GroundTable(RoadTable(track), ground)
-
-
-@dataclass(frozen=True, slots=True)
-class GroundSight:
-    """A view of the compiled kernel with the ground beside the road ahead.
-
-    Attributes:
-        rest: the ``kernel.View`` of all else.
-    """
-
-    rest: Any
-
-    @staticmethod
-    def added(observations: list[Any], ahead: Mapping[str, npt.NDArray[Any]]) -> list[Any]:
-        """Observations, each with what is ahead of its kart."""
-        return [
-            seen | {key: values[row] for key, values in ahead.items()}
-            for row, seen in enumerate(observations)
-        ]
 
 
 def _look(points: FloatArray, ground: Ground) -> tuple[ByteArray, FloatArray]:

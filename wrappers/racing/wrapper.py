@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
@@ -13,11 +13,15 @@ from gymnasium import spaces
 
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
-from stkzoo.views.bases import ActionObservationWrapper, BatchedWrapper
+from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
 from stkzoo.wrappers.arguments import dict_space, observed_action, with_observed_action
+from stkzoo.wrappers.racing.batched_view import racing_view_of
 from stkzoo.wrappers.racing.features import LOOKS, Surroundings, line_places, racing_features
 from stkzoo.wrappers.racing.layout import SIZE
 from stkzoo.wrappers.racing.road import MAX_SEGMENTS, road_line
+
+if TYPE_CHECKING:
+    from stkzoo.views.plan import ObservationSource, Observer, ViewPlan
 
 __all__ = [
     "BRAKE",
@@ -45,7 +49,7 @@ _GO, _COAST, BRAKE, RESCUE = range(CHOICES[1])
 _NEEDED = ("paths_start", "paths_end", "paths_width", "items_position", "karts_position")
 
 
-class RacingObservations(gym.ObservationWrapper[Any, Any, Any], BatchedWrapper):
+class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
     """What matters to a driver as one vector of about -1 to 1, of the same size everywhere.
 
     The road ahead is given at fixed distances, not by segments, whose lengths differ from
@@ -80,17 +84,40 @@ class RacingObservations(gym.ObservationWrapper[Any, Any, Any], BatchedWrapper):
             else spaces.Dict({"observation": vector, "action": copy.deepcopy(action)})
         )
 
+    def compile_into(self, plan: ViewPlan) -> bool:
+        """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
+        if not plan.is_full:
+            return False
+        plan.observer = _RacingObserver(plan.new_observer())
+        return True
+
     def observation(self, observation: dict[str, Any]) -> Any:
         """The vector ``(..., SIZE)``, and the AI's action if it is there."""
         vector = self._vector(observation)
         if not self._has_action:
             return vector
-        return {"observation": vector, "action": observation["action"]}
+        return {"action": observation["action"], "observation": vector}
 
     @staticmethod
     def _vector(observation: dict[str, Any]) -> FloatArray:
         lead = np.shape(observation["velocity"])[:-1]
         return racing_features(*surroundings_of(observation)).reshape(*lead, SIZE)
+
+
+class _RacingObserver:
+    """The vectors of some karts at once, straight from the game's records."""
+
+    def __init__(self, full: Observer) -> None:
+        self._full = full
+
+    def observe(self, source: ObservationSource, karts: npt.NDArray[np.intp]) -> list[Any]:
+        """See :class:`~stkzoo.views.plan.Observer`."""
+        track, (_, num_paths, _) = source.track_map, source.course
+        if num_paths < min(MAX_SEGMENTS, track.num_nodes):
+            # They see less of the road than the vector tells.
+            seen = self._full.observe(source, karts)
+            return [racing_features(*surroundings_of(one))[0] for one in seen]
+        return list(racing_view_of(track).observe([source.snapshot], [0], [karts]))
 
 
 def surroundings_of(
@@ -152,7 +179,7 @@ def _road(paths: dict[str, FloatArray], looks: FloatArray) -> FloatArray:
     return road
 
 
-class RacingActions(ActionObservationWrapper, BatchedWrapper):
+class RacingActions(ActionObservationWrapper, CompiledWrapper):
     """The game's actions as a few choices: steering, pedal, drift, nitro, fire.
 
     The pedal is go, coast, brake or rescue; the brake also drives backwards. :data:`CHOICES` says
@@ -178,6 +205,23 @@ class RacingActions(ActionObservationWrapper, BatchedWrapper):
         self.action_space = spaces.MultiDiscrete(np.array(CHOICES))
         self._has_action = observed_action(env.observation_space) is not None
         self.observation_space = with_observed_action(env.observation_space, self.action_space)
+
+    def compile_into(self, plan: ViewPlan) -> bool:
+        """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
+        if plan.has_action or plan.leaves.keys() != set(CONTROLS):
+            return False
+        columns = [CONTROLS.index(key) for key in plan.columns]
+        choices = np.zeros((max(CHOICES), len(CHOICES)), np.int64)
+        choices[:, 1] = _COAST
+        leaf = []
+        for place, count in enumerate(CHOICES):
+            chosen = choices[:count].copy()
+            chosen[:, 0] = len(STEERS) // 2
+            chosen[:, place] = range(count)
+            table = np.ascontiguousarray(controls_of_choices(chosen)[:, columns])
+            leaf.append((0.0, count - 1.0, True, 0, table))
+        plan.leaves = {"": tuple(leaf)}
+        return True
 
     def action(self, action: npt.NDArray[Any]) -> dict[str, Any]:
         """The game's own action."""

@@ -57,7 +57,7 @@ class DemoView:
         full = kart_observation_space()
         self._keys = tuple(full.spaces)
         self._seeing = AgentChain("kart_0", full, kart_action_space(), VIEWS[name])
-        if not self._seeing.is_batched or not self._seeing.observation_space.is_np_flattenable:
+        if not self._seeing.is_pure or not self._seeing.observation_space.is_np_flattenable:
             raise ConfigError(
                 f"observations in view {name!r} differ in size from step to step, or need their "
                 "past; record in racing, simple, or a flattened view"

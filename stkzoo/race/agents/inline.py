@@ -101,7 +101,7 @@ class AgentRunner:
     def _decode(self, action: Any) -> Any:
         """The game's own action; checked again after wrappers of the agent's own."""
         checked = self._chain.read_action(action)
-        if self._chain.is_batched:
+        if self._chain.is_pure:
             return self._chain.begin_step(checked)
         return split(self._base, self._chain.begin_base_step(checked))[0]
 

@@ -41,7 +41,7 @@ static Reached pop(Reached *heap, npy_intp count)
 }
 
 /* How far it is from one segment's start on to another's, along the lap. */
-static double gap(const Track *track, npy_intp from, npy_intp to)
+static double gap(const TrackGraph *track, npy_intp from, npy_intp to)
 {
     const double way = (double)track->distances[2 * to] - (double)track->distances[2 * from];
     const double rest = fmod(way, track->length);
@@ -49,7 +49,7 @@ static double gap(const Track *track, npy_intp from, npy_intp to)
 }
 
 /* Those that no way leads to, by their place in the lap, after those that are in the row. */
-static void add_unreachable(const Track *track, npy_intp start, const char *is_seen,
+static void add_unreachable(const TrackGraph *track, npy_intp start, const char *is_seen,
                             npy_int32 *row, npy_intp count)
 {
     const npy_intp first = count;
@@ -64,7 +64,7 @@ static void add_unreachable(const Track *track, npy_intp start, const char *is_s
     }
 }
 
-static void fill_order(const Track *track, npy_intp start, Reached *heap, char *is_seen,
+static void fill_order(const TrackGraph *track, npy_intp start, Reached *heap, char *is_seen,
                        npy_int32 *row)
 {
     npy_intp size = 1, count = 0;
@@ -82,7 +82,7 @@ static void fill_order(const Track *track, npy_intp start, Reached *heap, char *
     add_unreachable(track, start, is_seen, row, count);
 }
 
-const npy_int32 *nodes_ahead(Track *track, npy_intp node)
+const npy_int32 *nodes_ahead(TrackGraph *track, npy_intp node)
 {
     if (node < 0 || node >= track->num_nodes) {
         PyErr_Format(PyExc_IndexError, "there is no segment %zd", node);
@@ -110,7 +110,7 @@ const npy_int32 *nodes_ahead(Track *track, npy_intp node)
 /* ahead(node): the segments ahead of one, (N,). */
 static PyObject *track_ahead(PyObject *self, PyObject *number)
 {
-    Track *track = (Track *)self;
+    TrackGraph *track = (TrackGraph *)self;
     const npy_intp node = PyLong_AsSsize_t(number);
     if (node == -1 && PyErr_Occurred()) return NULL;
     const npy_int32 *row = nodes_ahead(track, node);
@@ -121,7 +121,7 @@ static PyObject *track_ahead(PyObject *self, PyObject *number)
     return array;
 }
 
-static int is_whole(const Track *track, const npy_intp sizes[5])
+static int is_whole(const TrackGraph *track, const npy_intp sizes[5])
 {
     const npy_intp count = track->num_nodes;
     if (count < 1 || count > NPY_MAX_INT32 || sizes[0] != 6 * count || sizes[1] != count ||
@@ -138,12 +138,12 @@ static int is_whole(const Track *track, const npy_intp sizes[5])
     return 1;
 }
 
-/* Track(nodes, widths, distances, begins, successors, length) */
+/* TrackGraph(nodes, widths, distances, begins, successors, length) */
 static PyObject *track_new(PyTypeObject *type, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
     PyObject *arrays[5];
     npy_intp sizes[5];
-    Track *track = (Track *)type->tp_alloc(type, 0);
+    TrackGraph *track = (TrackGraph *)type->tp_alloc(type, 0);
     if (!track) return NULL;
     if (!PyArg_ParseTuple(args, "OOOOOd", arrays, arrays + 1, arrays + 2, arrays + 3, arrays + 4,
                           &track->length) ||
@@ -171,7 +171,7 @@ static PyObject *track_new(PyTypeObject *type, PyObject *args, PyObject *Py_UNUS
 
 static void track_dealloc(PyObject *self)
 {
-    Track *track = (Track *)self;
+    TrackGraph *track = (TrackGraph *)self;
     for (npy_intp n = 0; track->orders && n < track->num_nodes; n++) PyMem_Free(track->orders[n]);
     PyMem_Free(track->orders);
     Py_XDECREF(track->arrays);
@@ -183,10 +183,10 @@ static PyMethodDef track_methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-PyTypeObject TrackType = {
+PyTypeObject TrackGraphType = {
     PyVarObject_HEAD_INIT(NULL, 0)
-    .tp_name = "stkzoo.kernel._kernel.Track",
-    .tp_basicsize = sizeof(Track),
+    .tp_name = "stkzoo.kernel._kernel.TrackGraph",
+    .tp_basicsize = sizeof(TrackGraph),
     .tp_flags = Py_TPFLAGS_DEFAULT,
     .tp_doc = "A track's segments.",
     .tp_new = track_new,

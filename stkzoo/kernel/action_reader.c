@@ -1,7 +1,7 @@
 /* Actions as they come from agents, into the controls that the engine takes.
 
-   Only the usual forms are read, and only what lies in the space; for all else the caller has
-   stkzoo.wrappers.actions.read_actions, which is kinder and knows what to say. */
+   Only the usual forms are read, and only what lies in the space. For all else the caller has
+   stkzoo.views.actions.read_actions, which brings an action into a usual form or raises. */
 
 #include "kernel.h"
 
@@ -12,7 +12,7 @@
 typedef struct {
     double low, high;
     int is_whole, column, width; /* where it goes; columns of the table */
-    const float *table;          /* the controls for each whole number; NULL: it is the control */
+    const float *table;          /* controls to add for each whole number; NULL: it is the control */
 } Entry;
 
 /* Numbers that come together: the whole action, or what stands under one key. */
@@ -27,9 +27,9 @@ typedef struct {
     int num_leaves, num_entries, num_columns;
     Leaf *leaves;
     Entry *entries;
-} Controls;
+} ActionReader;
 
-/* As wrappers.actions.BOUND_TOLERANCE */
+/* stkzoo.views.actions.BOUND_TOLERANCE */
 static const double TOLERANCE = 1e-6;
 
 static int put(const Entry *entry, double value, float *row)
@@ -38,9 +38,8 @@ static int put(const Entry *entry, double value, float *row)
     if (!(value >= entry->low - slack && value <= entry->high + slack)) return 0;
     if (entry->is_whole && value != floor(value)) return 0;
     if (entry->table) {
-        const npy_intp step = (npy_intp)(value - entry->low);
-        memcpy(row + entry->column, entry->table + step * entry->width,
-               (size_t)entry->width * sizeof *row);
+        const float *controls = entry->table + (npy_intp)(value - entry->low) * entry->width;
+        for (int i = 0; i < entry->width; i++) row[entry->column + i] += controls[i];
         return 1;
     }
     if (value < entry->low) value = entry->low;
@@ -65,7 +64,7 @@ static int number_at(PyArrayObject *array, npy_intp i, double *value)
     }
 }
 
-static int read_array(const Controls *self, const Leaf *leaf, PyArrayObject *array, float *row)
+static int read_array(const ActionReader *self, const Leaf *leaf, PyArrayObject *array, float *row)
 {
     if (!PyArray_IS_C_CONTIGUOUS(array) || !PyArray_ISBEHAVED_RO(array) ||
         PyArray_SIZE(array) != leaf->count || (leaf->count > 1 && PyArray_NDIM(array) != 1)) {
@@ -80,7 +79,7 @@ static int read_array(const Controls *self, const Leaf *leaf, PyArrayObject *arr
     return 1;
 }
 
-static int read_leaf(const Controls *self, const Leaf *leaf, PyObject *object, float *row)
+static int read_leaf(const ActionReader *self, const Leaf *leaf, PyObject *object, float *row)
 {
     if (PyArray_Check(object)) return read_array(self, leaf, (PyArrayObject *)object, row);
     if (leaf->count != 1) return 0;
@@ -96,7 +95,7 @@ static int read_leaf(const Controls *self, const Leaf *leaf, PyObject *object, f
     return put(self->entries + leaf->first, value, row);
 }
 
-static int read_action(const Controls *self, PyObject *action, float *row)
+static int read_action(const ActionReader *self, PyObject *action, float *row)
 {
     const Py_ssize_t num_names = PyTuple_GET_SIZE(self->names);
     if (num_names == 0) return read_leaf(self, self->leaves, action, row);
@@ -112,9 +111,9 @@ static int read_action(const Controls *self, PyObject *action, float *row)
 
 /* read(actions, agents, rows, controls): the action of agents[i], from a dict, into row rows[i];
    whether all were there and could be read. */
-static PyObject *controls_read(PyObject *object, PyObject *const *args, Py_ssize_t nargs)
+static PyObject *reader_read(PyObject *object, PyObject *const *args, Py_ssize_t nargs)
 {
-    const Controls *self = (Controls *)object;
+    const ActionReader *self = (ActionReader *)object;
     npy_intp num_rows, size;
     if (nargs != 4 || !PyTuple_Check(args[1])) {
         return PyErr_Format(PyExc_TypeError, "read() takes actions, a tuple and two arrays");
@@ -135,6 +134,7 @@ static PyObject *controls_read(PyObject *object, PyObject *const *args, Py_ssize
         PyObject *action = PyDict_GetItemWithError(args[0], PyTuple_GET_ITEM(args[1], i));
         if (!action && PyErr_Occurred()) return NULL;
         float *row = controls + rows[i] * self->num_columns;
+        memset(row, 0, (size_t)self->num_columns * sizeof *row);
         const int is_read = action ? read_action(self, action, row) : 0;
         if (is_read < 0) return NULL;
         if (!is_read) Py_RETURN_FALSE;
@@ -143,7 +143,7 @@ static PyObject *controls_read(PyObject *object, PyObject *const *args, Py_ssize
 }
 
 /* One entry from (low, high, is_whole, column, table or None). */
-static int set_entry(Controls *self, Entry *entry, PyObject *spec)
+static int set_entry(ActionReader *self, Entry *entry, PyObject *spec)
 {
     PyObject *table;
     npy_intp size;
@@ -169,7 +169,7 @@ static int set_entry(Controls *self, Entry *entry, PyObject *spec)
     return 0;
 }
 
-static int set_leaves(Controls *self, PyObject *leaves)
+static int set_leaves(ActionReader *self, PyObject *leaves)
 {
     const Py_ssize_t num_leaves = PyTuple_GET_SIZE(leaves);
     Py_ssize_t num_entries = 0;
@@ -198,7 +198,7 @@ static int set_leaves(Controls *self, PyObject *leaves)
     return 0;
 }
 
-static PyObject *controls_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
+static PyObject *reader_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
 {
     static char *words[] = {"names", "leaves", "num_columns", NULL};
     PyObject *names, *leaves;
@@ -212,7 +212,7 @@ static PyObject *controls_new(PyTypeObject *type, PyObject *args, PyObject *kwar
         PyErr_SetString(PyExc_ValueError, "there is one leaf for each name, or one without");
         return NULL;
     }
-    Controls *self = (Controls *)type->tp_alloc(type, 0);
+    ActionReader *self = (ActionReader *)type->tp_alloc(type, 0);
     if (!self) return NULL;
     Py_INCREF(names);
     self->names = names;
@@ -222,9 +222,9 @@ static PyObject *controls_new(PyTypeObject *type, PyObject *args, PyObject *kwar
     return (PyObject *)self;
 }
 
-static void controls_dealloc(PyObject *object)
+static void reader_dealloc(PyObject *object)
 {
-    Controls *self = (Controls *)object;
+    ActionReader *self = (ActionReader *)object;
     Py_XDECREF(self->names);
     Py_XDECREF(self->tables);
     PyMem_Free(self->leaves);
@@ -232,19 +232,19 @@ static void controls_dealloc(PyObject *object)
     Py_TYPE(object)->tp_free(object);
 }
 
-static PyMethodDef controls_methods[] = {
-    {"read", (PyCFunction)(void (*)(void))controls_read, METH_FASTCALL,
+static PyMethodDef reader_methods[] = {
+    {"read", (PyCFunction)(void (*)(void))reader_read, METH_FASTCALL,
      "Actions into rows of controls; whether all could be read."},
     {NULL, NULL, 0, NULL},
 };
 
-PyTypeObject ControlsType = {
+PyTypeObject ActionReaderType = {
     PyVarObject_HEAD_INIT(NULL, 0)
-    .tp_name = "stkzoo.kernel._kernel.Controls",
-    .tp_basicsize = sizeof(Controls),
+    .tp_name = "stkzoo.kernel._kernel.ActionReader",
+    .tp_basicsize = sizeof(ActionReader),
     .tp_flags = Py_TPFLAGS_DEFAULT,
     .tp_doc = "How actions of one space become controls.",
-    .tp_new = controls_new,
-    .tp_dealloc = controls_dealloc,
-    .tp_methods = controls_methods,
+    .tp_new = reader_new,
+    .tp_dealloc = reader_dealloc,
+    .tp_methods = reader_methods,
 };

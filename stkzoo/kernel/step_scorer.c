@@ -1,6 +1,7 @@
-/* What a step means for the agents: observations, rewards, ends and infos.
+/* Rewards, ends and infos of a race's agents.
 
-   The formulas are those of stkzoo.mdp.rewards and stkzoo.env.infos. */
+   Its numpy twin is stkzoo.kernel.reference.step_scorer; the formulas are those of
+   stkzoo.mdp.rewards. */
 
 #include "kernel.h"
 
@@ -16,15 +17,6 @@ typedef struct {
     npy_intp num_terms, num_agents;
 } Reward;
 
-/* Agents that share a view. */
-typedef struct {
-    View *view;
-    const npy_intp *who;
-    npy_intp *karts;
-    npy_intp num_agents;
-    PyObject **seen;
-} Group;
-
 typedef struct {
     PyObject_HEAD
     PyObject *arguments;      /* keeps alive what follows */
@@ -34,12 +26,11 @@ typedef struct {
     double *last, *sums;      /* (R, C): a step's terms and the episode's, of all agents */
     npy_intp num_agents, num_rows, num_columns;
     double race_length;
-    Course course;
     Reward *rewards;
-    Group *groups;
-    Py_ssize_t num_rewards, num_groups;
+    Py_ssize_t num_rewards;
+    npy_intp last_kart; /* the highest number of a kart */
     char *is_racing; /* (R,) whether a row is one of the agents' */
-} Outcome;
+} StepScorer;
 
 /* ---------------------------------------------------------------- rewards */
 
@@ -67,7 +58,7 @@ static double term(npy_intp code, const Kart *before, const Kart *after, double 
     }
 }
 
-static void score(Outcome *self, const Reward *reward, const Moment *before, const Moment *after)
+static void score(StepScorer *self, const Reward *reward, const Moment *before, const Moment *after)
 {
     for (npy_intp i = 0; i < reward->num_agents; i++) {
         const npy_intp agent = reward->who[i], kart = self->karts[agent];
@@ -82,7 +73,7 @@ static void score(Outcome *self, const Reward *reward, const Moment *before, con
 }
 
 /* Adds the step's terms to the sums; those who have left get nothing. */
-static void add_up(Outcome *self)
+static void add_up(StepScorer *self)
 {
     const npy_intp width = self->num_columns;
     for (npy_intp row = 0; row < self->num_rows; row++) {
@@ -101,7 +92,7 @@ static int put(PyObject *dict, PyObject *key, PyObject *value)
     return status;
 }
 
-static PyObject *info_of(const Outcome *self, npy_intp agent, const Kart *kart, PyObject *length)
+static PyObject *info_of(const StepScorer *self, npy_intp agent, const Kart *kart, PyObject *length)
 {
     const npy_intp width = self->num_columns;
     const double *last = self->last + self->rows[agent] * width;
@@ -129,7 +120,7 @@ static PyObject *info_of(const Outcome *self, npy_intp agent, const Kart *kart, 
     return dict;
 }
 
-static double total_of(const Outcome *self, npy_intp agent)
+static double total_of(const StepScorer *self, npy_intp agent)
 {
     double total = 0;
     const double *last = self->last + self->rows[agent] * self->num_columns;
@@ -137,30 +128,17 @@ static double total_of(const Outcome *self, npy_intp agent)
     return total;
 }
 
-enum { OBSERVATIONS, REWARDS, TERMINATIONS, TRUNCATIONS, INFOS, NUM_PARTS };
-
-static int add_agent(const Outcome *self, PyObject *parts, npy_intp agent, const Moment *after,
-                     int is_over, PyObject *length)
+static int is_of_this_race(const StepScorer *self, const Moment *moment)
 {
-    PyObject *name = PyTuple_GET_ITEM(self->agents, agent);
-    const Kart *kart = after->karts + self->karts[agent];
-    const int has_ended = kart->has_finished_race > 0;
-    PyObject *values[NUM_PARTS] = {
-        [OBSERVATIONS] = Py_None,
-        [REWARDS] = PyFloat_FromDouble(total_of(self, agent)),
-        [TERMINATIONS] = PyBool_FromLong(has_ended),
-        [TRUNCATIONS] = PyBool_FromLong(is_over && !has_ended),
-        [INFOS] = info_of(self, agent, kart, length),
-    };
-    int status = 0;
-    Py_INCREF(Py_None);
-    for (int part = 0; part < NUM_PARTS; part++) {
-        if (put(PyTuple_GET_ITEM(parts, part), name, values[part]) < 0) status = -1;
-    }
-    return status;
+    if (self->last_kart < moment->header->num_kart) return 1;
+    PyErr_Format(PyExc_ValueError, "a snapshot of another race, of %d karts",
+                 moment->header->num_kart);
+    return 0;
 }
 
-static PyObject *tell(const Outcome *self, const Moment *after, int is_over, PyObject *length)
+enum { REWARDS, TERMINATIONS, TRUNCATIONS, NUM_PARTS };
+
+static PyObject *ends_and_rewards(const StepScorer *self, const Moment *after, int is_over)
 {
     PyObject *parts = PyTuple_New(NUM_PARTS);
     for (int part = 0; parts && part < NUM_PARTS; part++) {
@@ -169,48 +147,52 @@ static PyObject *tell(const Outcome *self, const Moment *after, int is_over, PyO
         else PyTuple_SET_ITEM(parts, part, dict);
     }
     for (npy_intp agent = 0; parts && agent < self->num_agents; agent++) {
-        if (add_agent(self, parts, agent, after, is_over, length) < 0) Py_CLEAR(parts);
+        PyObject *name = PyTuple_GET_ITEM(self->agents, agent);
+        const int has_ended = after->karts[self->karts[agent]].has_finished_race > 0;
+        if (put(PyTuple_GET_ITEM(parts, REWARDS), name,
+                PyFloat_FromDouble(total_of(self, agent))) < 0 ||
+            put(PyTuple_GET_ITEM(parts, TERMINATIONS), name, PyBool_FromLong(has_ended)) < 0 ||
+            put(PyTuple_GET_ITEM(parts, TRUNCATIONS), name,
+                PyBool_FromLong(is_over && !has_ended)) < 0) {
+            Py_CLEAR(parts);
+        }
     }
     return parts;
 }
 
-static int show(Outcome *self, const Group *group, const Moment *after, PyObject *observations)
+/* score(before, after, is_over): rewards, terminations and truncations of the step between the
+   bytes of two snapshots, each a dict by agent; whether time is up. */
+static PyObject *scorer_score(PyObject *object, PyObject *const *args, Py_ssize_t nargs)
 {
-    const npy_intp count = group->num_agents;
-    if (observe(group->view, &self->course, after, group->karts, count, group->seen) < 0) return -1;
-    int status = 0;
-    for (npy_intp i = 0; i < count; i++) {
-        PyObject *name = PyTuple_GET_ITEM(self->agents, group->who[i]);
-        if (put(observations, name, group->seen[i]) < 0) status = -1;
-    }
-    return status;
-}
-
-/* step(before, after, is_over, length): observations, rewards, terminations, truncations and
-   infos, each a dict by agent. The bytes of two snapshots; whether time is up; and how many steps
-   the episode has now. Agents without a view see None. */
-static PyObject *outcome_step(PyObject *object, PyObject *const *args, Py_ssize_t nargs)
-{
-    Outcome *self = (Outcome *)object;
+    StepScorer *self = (StepScorer *)object;
     Moment before, after;
-    if (nargs != 4) return PyErr_Format(PyExc_TypeError, "step() takes 4 arguments");
+    if (nargs != 3) return PyErr_Format(PyExc_TypeError, "score() takes 3 arguments");
     if (read_moment(args[0], &before) < 0 || read_moment(args[1], &after) < 0) return NULL;
     const int is_over = PyObject_IsTrue(args[2]);
-    if (is_over < 0) return NULL;
-    const npy_intp num_kart = PyTuple_GET_SIZE(self->course.kart_types);
-    if (before.header->num_kart != num_kart || after.header->num_kart != num_kart) {
-        return PyErr_Format(PyExc_ValueError, "the snapshots are of another race");
+    if (is_over < 0 || !is_of_this_race(self, &before) || !is_of_this_race(self, &after)) {
+        return NULL;
     }
     for (Py_ssize_t i = 0; i < self->num_rewards; i++) {
         score(self, self->rewards + i, &before, &after);
     }
     add_up(self);
-    PyObject *parts = tell(self, &after, is_over, args[3]);
-    for (Py_ssize_t i = 0; parts && i < self->num_groups; i++) {
-        PyObject *observations = PyTuple_GET_ITEM(parts, OBSERVATIONS);
-        if (show(self, self->groups + i, &after, observations) < 0) Py_CLEAR(parts);
+    return ends_and_rewards(self, &after, is_over);
+}
+
+/* infos(data, length): the infos at a snapshot, a dict by agent; how many steps the episode has. */
+static PyObject *scorer_infos(PyObject *object, PyObject *const *args, Py_ssize_t nargs)
+{
+    const StepScorer *self = (StepScorer *)object;
+    Moment now;
+    if (nargs != 2) return PyErr_Format(PyExc_TypeError, "infos() takes 2 arguments");
+    if (read_moment(args[0], &now) < 0 || !is_of_this_race(self, &now)) return NULL;
+    PyObject *infos = PyDict_New();
+    for (npy_intp agent = 0; infos && agent < self->num_agents; agent++) {
+        const Kart *kart = now.karts + self->karts[agent];
+        PyObject *name = PyTuple_GET_ITEM(self->agents, agent);
+        if (put(infos, name, info_of(self, agent, kart, args[1])) < 0) Py_CLEAR(infos);
     }
-    return parts;
+    return infos;
 }
 
 /* ---------------------------------------------------------------- the type */
@@ -230,7 +212,7 @@ static int unfit(const char *what)
 }
 
 /* A reward from (terms, weights, columns, who). */
-static int set_reward(const Outcome *self, Reward *reward, PyObject *spec)
+static int set_reward(const StepScorer *self, Reward *reward, PyObject *spec)
 {
     PyObject *arrays[4];
     npy_intp num_weights, num_columns;
@@ -248,30 +230,7 @@ static int set_reward(const Outcome *self, Reward *reward, PyObject *spec)
     return 0;
 }
 
-/* A group from (view, who). */
-static int set_group(const Outcome *self, Group *group, PyObject *spec)
-{
-    PyObject *view, *who;
-    if (!PyArg_ParseTuple(spec, "O!O", &ViewType, &view, &who) ||
-        !(group->who = numbers_of(who, "who", NPY_INTP, &group->num_agents)) ||
-        !are_below(group->who, group->num_agents, self->num_agents)) {
-        return unfit("parts of a group");
-    }
-    group->view = (View *)view;
-    const size_t count = (size_t)group->num_agents + 1;
-    group->karts = PyMem_Calloc(count, sizeof *group->karts);
-    group->seen = PyMem_Calloc(count, sizeof *group->seen);
-    if (!group->karts || !group->seen) {
-        PyErr_NoMemory();
-        return -1;
-    }
-    for (npy_intp i = 0; i < group->num_agents; i++) {
-        group->karts[i] = self->karts[group->who[i]];
-    }
-    return 0;
-}
-
-static int set_rows(Outcome *self, PyObject *const *arrays)
+static int set_rows(StepScorer *self, PyObject *const *arrays)
 {
     npy_intp num_karts, num_rows, sizes[2];
     if (!(self->karts = numbers_of(arrays[0], "karts", NPY_INTP, &num_karts)) ||
@@ -285,7 +244,7 @@ static int set_rows(Outcome *self, PyObject *const *arrays)
     self->num_rows = PyArray_DIM((PyArrayObject *)arrays[2], 0);
     self->num_columns = PyArray_DIM((PyArrayObject *)arrays[2], 1);
     if (num_karts != self->num_agents || num_rows != self->num_agents || sizes[0] != sizes[1] ||
-        !are_below(self->karts, num_karts, PyTuple_GET_SIZE(self->course.kart_types)) ||
+        !are_below(self->karts, num_karts, NPY_MAX_INT32) ||
         !are_below(self->rows, num_rows, self->num_rows) ||
         PyTuple_GET_SIZE(self->keys) != 6 + 2 * self->num_columns) {
         return unfit("arrays");
@@ -294,11 +253,15 @@ static int set_rows(Outcome *self, PyObject *const *arrays)
         PyErr_NoMemory();
         return -1;
     }
-    for (npy_intp i = 0; i < num_rows; i++) self->is_racing[self->rows[i]] = 1;
+    self->last_kart = -1;
+    for (npy_intp i = 0; i < num_rows; i++) {
+        self->is_racing[self->rows[i]] = 1;
+        if (self->karts[i] > self->last_kart) self->last_kart = self->karts[i];
+    }
     return 0;
 }
 
-static int set_blank_info(Outcome *self)
+static int set_blank_info(StepScorer *self)
 {
     self->blank_info = PyDict_New();
     for (Py_ssize_t i = 0; self->blank_info && i < PyTuple_GET_SIZE(self->keys); i++) {
@@ -309,39 +272,31 @@ static int set_blank_info(Outcome *self)
     return self->blank_info ? 0 : -1;
 }
 
-static int set_lists(Outcome *self, PyObject *rewards, PyObject *groups)
+static int set_rewards(StepScorer *self, PyObject *rewards)
 {
-    const Py_ssize_t num_rewards = PyTuple_GET_SIZE(rewards), num_groups = PyTuple_GET_SIZE(groups);
-    self->rewards = PyMem_Calloc((size_t)num_rewards + 1, sizeof *self->rewards);
-    self->groups = PyMem_Calloc((size_t)num_groups + 1, sizeof *self->groups);
-    if (!self->rewards || !self->groups) {
+    const Py_ssize_t count = PyTuple_GET_SIZE(rewards);
+    if (!(self->rewards = PyMem_Calloc((size_t)count + 1, sizeof *self->rewards))) {
         PyErr_NoMemory();
         return -1;
     }
-    while (self->num_rewards < num_rewards) {
+    while (self->num_rewards < count) {
         const Py_ssize_t i = self->num_rewards++;
         if (set_reward(self, self->rewards + i, PyTuple_GET_ITEM(rewards, i)) < 0) return -1;
-    }
-    while (self->num_groups < num_groups) {
-        const Py_ssize_t i = self->num_groups++;
-        if (set_group(self, self->groups + i, PyTuple_GET_ITEM(groups, i)) < 0) return -1;
     }
     return 0;
 }
 
-/* Outcome(agents, karts, rows, last, sums, keys, race_length, rewards, groups, track, num_paths,
-   kart_types): rewards and groups are tuples of what set_reward and set_group take. */
-static PyObject *outcome_new(PyTypeObject *type, PyObject *args, PyObject *Py_UNUSED(kwargs))
+/* StepScorer(agents, karts, rows, last, sums, keys, race_length, rewards): rewards is a tuple of
+   what set_reward takes. */
+static PyObject *scorer_new(PyTypeObject *type, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
-    PyObject *arrays[4], *rewards, *groups, *track, *num_paths, *kart_types;
-    Outcome *self = (Outcome *)type->tp_alloc(type, 0);
+    PyObject *arrays[4], *rewards;
+    StepScorer *self = (StepScorer *)type->tp_alloc(type, 0);
     if (!self) return NULL;
-    if (!PyArg_ParseTuple(args, "O!OOOOO!dO!O!OOO", &PyTuple_Type, &self->agents, arrays,
-                          arrays + 1, arrays + 2, arrays + 3, &PyTuple_Type, &self->keys,
-                          &self->race_length, &PyTuple_Type, &rewards, &PyTuple_Type, &groups,
-                          &track, &num_paths, &kart_types) ||
-        set_course(&self->course, track, num_paths, kart_types) < 0 ||
-        set_rows(self, arrays) < 0 || set_blank_info(self) < 0 || set_lists(self, rewards, groups) < 0) {
+    if (!PyArg_ParseTuple(args, "O!OOOOO!dO!", &PyTuple_Type, &self->agents, arrays, arrays + 1,
+                          arrays + 2, arrays + 3, &PyTuple_Type, &self->keys, &self->race_length,
+                          &PyTuple_Type, &rewards) ||
+        set_rows(self, arrays) < 0 || set_blank_info(self) < 0 || set_rewards(self, rewards) < 0) {
         Py_DECREF(self);
         return NULL;
     }
@@ -350,14 +305,9 @@ static PyObject *outcome_new(PyTypeObject *type, PyObject *args, PyObject *Py_UN
     return (PyObject *)self;
 }
 
-static void outcome_dealloc(PyObject *object)
+static void scorer_dealloc(PyObject *object)
 {
-    Outcome *self = (Outcome *)object;
-    for (Py_ssize_t i = 0; i < self->num_groups; i++) {
-        PyMem_Free(self->groups[i].karts);
-        PyMem_Free(self->groups[i].seen);
-    }
-    PyMem_Free(self->groups);
+    StepScorer *self = (StepScorer *)object;
     PyMem_Free(self->rewards);
     PyMem_Free(self->is_racing);
     Py_XDECREF(self->blank_info);
@@ -365,18 +315,19 @@ static void outcome_dealloc(PyObject *object)
     Py_TYPE(object)->tp_free(object);
 }
 
-static PyMethodDef outcome_methods[] = {
-    {"step", (PyCFunction)(void (*)(void))outcome_step, METH_FASTCALL, "What one step means."},
+static PyMethodDef scorer_methods[] = {
+    {"score", (PyCFunction)(void (*)(void))scorer_score, METH_FASTCALL, "Rewards and ends."},
+    {"infos", (PyCFunction)(void (*)(void))scorer_infos, METH_FASTCALL, "Infos by agent."},
     {NULL, NULL, 0, NULL},
 };
 
-PyTypeObject OutcomeType = {
+PyTypeObject StepScorerType = {
     PyVarObject_HEAD_INIT(NULL, 0)
-    .tp_name = "stkzoo.kernel._kernel.Outcome",
-    .tp_basicsize = sizeof(Outcome),
+    .tp_name = "stkzoo.kernel._kernel.StepScorer",
+    .tp_basicsize = sizeof(StepScorer),
     .tp_flags = Py_TPFLAGS_DEFAULT,
     .tp_doc = "What a race's steps mean for some agents.",
-    .tp_new = outcome_new,
-    .tp_dealloc = outcome_dealloc,
-    .tp_methods = outcome_methods,
+    .tp_new = scorer_new,
+    .tp_dealloc = scorer_dealloc,
+    .tp_methods = scorer_methods,
 };

@@ -1,21 +1,21 @@
 /* What karts see, from records to the values that an agent gets, in one pass.
 
-   The formulas are those of stkzoo.mdp.observations, stkzoo.wrappers.polar,
-   stkzoo.wrappers.constant_size and stkzoo.wrappers.space_flattener. */
+   Its numpy twin is stkzoo.kernel.reference.kart_observer; the formulas are those of
+   stkzoo.mdp.observations and of the wrappers in stkzoo.wrappers. */
 
 #include "geometry.h"
 
 #include <string.h>
 
 enum { ITEMS, KARTS, PATHS, OWN }; /* what the rows of an entry are */
-enum { NUMBER, CHOICE, NAME };
+enum { NUMBER, CHOICE, NAME, CONTROL };
 
 enum {
     KART_TYPE, AUX_TICKS, PHASE, POWERUP_TYPE, POWERUP_COUNT, ATTACHMENT, SKEED_FACTOR, ENERGY,
     ATTACHMENT_TIME_LEFT, SHIELD_TIME, VELOCITY, MAX_STEER_ANGLE, DISTANCE_DOWN_TRACK,
     CENTER_PATH_DISTANCE, CENTER_PATH, FRONT, JUMPING, ITEMS_POSITION, ITEMS_TYPE,
     KARTS_POSITION, PATHS_DISTANCE, PATHS_WIDTH, PATHS_START, PATHS_END, ITEMS_MASK, KARTS_MASK,
-    PATHS_MASK, NUM_KEYS
+    PATHS_MASK, ACTION, NUM_KEYS
 };
 
 static const struct {
@@ -49,7 +49,17 @@ static const struct {
     [ITEMS_MASK] = {"items_mask", NUMBER, ITEMS, 1},
     [KARTS_MASK] = {"karts_mask", NUMBER, KARTS, 1},
     [PATHS_MASK] = {"paths_mask", NUMBER, PATHS, 1},
+    [ACTION] = {"action", CONTROL, OWN, 1},
 };
+
+typedef struct KartObserver KartObserver;
+
+/* How a race is seen. */
+typedef struct {
+    TrackGraph *track;
+    npy_intp num_paths;   /* segments that are seen */
+    PyObject *kart_types; /* a tuple */
+} Course;
 
 /* stkzoo.mdp.spaces.POWERUP_COUNT_LIMIT */
 enum { POWERUP_COUNT_LIMIT = 9 };
@@ -61,7 +71,7 @@ typedef struct {
     Py_ssize_t size, next;
 } Pool;
 
-struct View {
+struct KartObserver {
     PyObject_HEAD
     Pool pools[NUM_KEYS];
     PyObject *names; /* tuple of the keys, in the order of the space */
@@ -70,13 +80,18 @@ struct View {
     int sizes[3]; /* rows of items, karts, paths; -1 for all there are */
     int is_polar, is_flat;
     int needs[4]; /* which groups the entries look at */
-    npy_intp num_continuous, num_discrete; /* of a flat view */
+    npy_intp num_continuous, num_discrete; /* of a flat observer */
+    PyObject *arrays;                      /* keeps alive what follows */
+    const npy_intp *joined;                /* values of each choice; NULL if they stay choices */
+    npy_intp num_ones;                     /* their sum */
+    const npy_bool *nitro, *fire;          /* actions that need nitro, a powerup; NULL: no mask */
+    npy_intp num_actions;
 };
 
 /* One moment of a race, and what one kart sees of it. */
 typedef struct {
     const Course *course;
-    const Track *track;
+    const TrackGraph *track;
     const Header *header;
     const Kart *karts;
     const Item *items;
@@ -146,17 +161,17 @@ static npy_intp insert(const float *points, float *keys, int *order, npy_intp co
     return count;
 }
 
-static npy_intp shown(const View *view, const Scene *scene, int group)
+static npy_intp shown(const KartObserver *observer, const Scene *scene, int group)
 {
     const npy_intp there = group == ITEMS   ? scene->header->num_items
                            : group == KARTS ? scene->header->num_kart - 1
                                             : scene->course->num_paths;
-    return view->sizes[group] < 0 || there < view->sizes[group] ? there : view->sizes[group];
+    return observer->sizes[group] < 0 || there < observer->sizes[group] ? there : observer->sizes[group];
 }
 
-static void find_items(const View *view, Scene *scene, float *keys)
+static void find_items(const KartObserver *observer, Scene *scene, float *keys)
 {
-    const npy_intp limit = shown(view, scene, ITEMS);
+    const npy_intp limit = shown(observer, scene, ITEMS);
     npy_intp count = 0;
     for (npy_intp i = 0; i < scene->header->num_items; i++) {
         see(scene, scene->items[i].location, scene->seen[ITEMS] + 3 * i);
@@ -165,9 +180,9 @@ static void find_items(const View *view, Scene *scene, float *keys)
     scene->num_nearest[ITEMS] = count;
 }
 
-static void find_karts(const View *view, Scene *scene, float *keys)
+static void find_karts(const KartObserver *observer, Scene *scene, float *keys)
 {
-    const npy_intp limit = shown(view, scene, KARTS);
+    const npy_intp limit = shown(observer, scene, KARTS);
     npy_intp count = 0;
     for (npy_intp i = 0; i < scene->header->num_kart; i++) {
         if (scene->karts + i == scene->me) continue;
@@ -193,18 +208,18 @@ static npy_int64 choice_of(const Scene *scene, int key)
 }
 
 /* The rows of an entry: how many there are to show, and how many of them are real. */
-static npy_intp rows_of(const View *view, const Scene *scene, int key, npy_intp *real)
+static npy_intp rows_of(const KartObserver *observer, const Scene *scene, int key, npy_intp *real)
 {
     const int group = KEYS[key].group;
     if (group == OWN) return *real = 1;
-    *real = shown(view, scene, group);
-    return view->sizes[group] < 0 ? *real : view->sizes[group];
+    *real = shown(observer, scene, group);
+    return observer->sizes[group] < 0 ? *real : observer->sizes[group];
 }
 
-static void write_choices(const View *view, const Scene *scene, int key, npy_int64 *out)
+static void write_choices(const KartObserver *observer, const Scene *scene, int key, npy_int64 *out)
 {
     npy_intp real;
-    const npy_intp rows = rows_of(view, scene, key, &real);
+    const npy_intp rows = rows_of(observer, scene, key, &real);
     if (KEYS[key].group == OWN) {
         *out = choice_of(scene, key);
         return;
@@ -240,11 +255,11 @@ static void write_own(const Scene *scene, int key, float *out)
     }
 }
 
-static void write_numbers(const View *view, const Scene *scene, int key, float *out)
+static void write_numbers(const KartObserver *observer, const Scene *scene, int key, float *out)
 {
-    const Track *track = scene->track;
+    const TrackGraph *track = scene->track;
     npy_intp real;
-    const npy_intp rows = rows_of(view, scene, key, &real);
+    const npy_intp rows = rows_of(observer, scene, key, &real);
     const int width = KEYS[key].width;
     for (npy_intp i = real * width; i < rows * width; i++) out[i] = 0;
     switch (key) {
@@ -274,7 +289,7 @@ static void write_numbers(const View *view, const Scene *scene, int key, float *
     default: write_own(scene, key, out);
     }
     const int is_place = key == CENTER_PATH || (KEYS[key].group != OWN && width == 3);
-    if (view->is_polar && is_place) {
+    if (observer->is_polar && is_place) {
         for (npy_intp i = 0; i < real; i++) make_polar(out + 3 * i);
     }
 }
@@ -345,11 +360,11 @@ static PyObject *new_rows(npy_intp rows, npy_intp width, float **data)
 }
 
 /* A tuple of arrays, one for each row, that nobody else holds. */
-static PyObject *number_rows(View *view, const Scene *scene, int key)
+static PyObject *number_rows(KartObserver *observer, const Scene *scene, int key)
 {
-    Pool *pool = view->pools + key;
+    Pool *pool = observer->pools + key;
     npy_intp real;
-    const npy_intp rows = rows_of(view, scene, key, &real);
+    const npy_intp rows = rows_of(observer, scene, key, &real);
     if (rows == 0) return PyTuple_New(0);
     PyObject **place = pool->tuples + pool->next;
     pool->next = (pool->next + 1) % pool->size;
@@ -359,7 +374,7 @@ static PyObject *number_rows(View *view, const Scene *scene, int key)
         if (!tuple) return NULL;
         Py_XSETREF(*place, tuple);
     }
-    write_numbers(view, scene, key, data);
+    write_numbers(observer, scene, key, data);
     Py_INCREF(*place);
     return *place;
 }
@@ -379,17 +394,41 @@ static PyObject *choice_rows(const Scene *scene)
     return tuple;
 }
 
-static PyObject *mask(const View *view, const Scene *scene, int key)
+static PyObject *mask(const KartObserver *observer, const Scene *scene, int key)
 {
-    npy_intp real, rows = rows_of(view, scene, key, &real);
+    npy_intp real, rows = rows_of(observer, scene, key, &real);
     void *data;
     PyObject *array = new_array(1, &rows, NPY_INT8, &data);
     for (npy_intp i = 0; array && i < rows; i++) ((npy_int8 *)data)[i] = i < real;
     return array;
 }
 
+static int set_entry(PyObject *dict, const char *name, PyObject *value)
+{
+    const int status = value ? PyDict_SetItemString(dict, name, value) : -1;
+    Py_XDECREF(value);
+    return status;
+}
+
+/* What the kart's driver does, as an action. */
+static PyObject *control_of(const Kart *me)
+{
+    static const char *const NAMES[NUM_CONTROLS] = {"acceleration", "steer", "brake", "drift",
+                                                    "fire", "nitro", "rescue"};
+    PyObject *dict = PyDict_New();
+    for (int i = 0; dict && i < NUM_CONTROLS; i++) {
+        npy_intp one = 1;
+        void *data;
+        PyObject *value = i < 2 ? new_array(1, &one, NPY_FLOAT32, &data)
+                                : PyLong_FromLong((long)me->control[i]);
+        if (value && i < 2) memcpy(data, me->control + i, sizeof(float));
+        if (set_entry(dict, NAMES[i], value) < 0) Py_CLEAR(dict);
+    }
+    return dict;
+}
+
 /* The value of one entry in Gymnasium's form. */
-static PyObject *value_of(View *view, const Scene *scene, int key)
+static PyObject *value_of(KartObserver *observer, const Scene *scene, int key)
 {
     const int kind = KEYS[key].kind, group = KEYS[key].group;
     npy_intp real, shape[2];
@@ -401,28 +440,29 @@ static PyObject *value_of(View *view, const Scene *scene, int key)
         return name;
     }
     if (group == OWN && kind == CHOICE) return PyLong_FromLongLong(choice_of(scene, key));
-    if (group != OWN && view->sizes[group] < 0) {
-        return kind == CHOICE ? choice_rows(scene) : number_rows(view, scene, key);
+    if (group != OWN && observer->sizes[group] < 0) {
+        return kind == CHOICE ? choice_rows(scene) : number_rows(observer, scene, key);
     }
-    if (key >= ITEMS_MASK) return mask(view, scene, key);
-    shape[0] = rows_of(view, scene, key, &real);
+    if (kind == CONTROL) return control_of(scene->me);
+    if (key >= ITEMS_MASK) return mask(observer, scene, key);
+    shape[0] = rows_of(observer, scene, key, &real);
     shape[1] = KEYS[key].width;
     if (kind == CHOICE) {
-        if ((array = new_array(1, shape, NPY_INT64, &data))) write_choices(view, scene, key, data);
+        if ((array = new_array(1, shape, NPY_INT64, &data))) write_choices(observer, scene, key, data);
         return array;
     }
     array = group == OWN ? new_array(1, shape + 1, NPY_FLOAT32, &data)
                          : new_array(2, shape, NPY_FLOAT32, &data);
-    if (array) write_numbers(view, scene, key, data);
+    if (array) write_numbers(observer, scene, key, data);
     return array;
 }
 
-static PyObject *as_dict(View *view, const Scene *scene)
+static PyObject *as_dict(KartObserver *observer, const Scene *scene)
 {
     PyObject *dict = PyDict_New();
-    for (int i = 0; dict && i < view->num_entries; i++) {
-        PyObject *value = value_of(view, scene, view->keys[i]);
-        if (!value || PyDict_SetItem(dict, PyTuple_GET_ITEM(view->names, i), value) < 0) {
+    for (int i = 0; dict && i < observer->num_entries; i++) {
+        PyObject *value = value_of(observer, scene, observer->keys[i]);
+        if (!value || PyDict_SetItem(dict, PyTuple_GET_ITEM(observer->names, i), value) < 0) {
             Py_CLEAR(dict);
         }
         Py_XDECREF(value);
@@ -430,44 +470,99 @@ static PyObject *as_dict(View *view, const Scene *scene)
     return dict;
 }
 
-static void write_flat(const View *view, const Scene *scene, float *numbers, npy_int64 *choices)
+static void write_flat(const KartObserver *observer, const Scene *scene, float *numbers, npy_int64 *choices)
 {
-    for (int i = 0; i < view->num_entries; i++) {
-        const int key = view->keys[i];
+    for (int i = 0; i < observer->num_entries; i++) {
+        const int key = observer->keys[i];
         npy_intp real;
-        const npy_intp rows = rows_of(view, scene, key, &real);
+        const npy_intp rows = rows_of(observer, scene, key, &real);
         if (KEYS[key].kind == CHOICE) {
-            write_choices(view, scene, key, choices);
+            write_choices(observer, scene, key, choices);
             choices += rows;
         } else {
-            write_numbers(view, scene, key, numbers);
+            write_numbers(observer, scene, key, numbers);
             numbers += rows * KEYS[key].width;
         }
     }
 }
 
-static PyObject *as_vectors(View *view, const Scene *scene)
+/* 1 for actions that can do something, 0 for those that need nitro or a powerup in vain. */
+static PyObject *action_mask(const KartObserver *observer, const Kart *me)
+{
+    npy_intp count = observer->num_actions;
+    void *data;
+    PyObject *array = new_array(1, &count, NPY_INT8, &data);
+    const int no_nitro = !(me->energy > 0), no_powerup = me->powerup_type == 0;
+    for (npy_intp i = 0; array && i < count; i++) {
+        const int is_vain = (no_nitro && observer->nitro[i]) || (no_powerup && observer->fire[i]);
+        ((npy_int8 *)data)[i] = !is_vain;
+    }
+    return array;
+}
+
+/* Choices as one place for each of their values, 1 where it holds. */
+static int write_ones(const KartObserver *observer, const npy_int64 *choices, float *ones)
+{
+    memset(ones, 0, (size_t)observer->num_ones * sizeof *ones);
+    for (npy_intp i = 0; i < observer->num_discrete; ones += observer->joined[i++]) {
+        if (choices[i] < 0 || choices[i] >= observer->joined[i]) {
+            PyErr_Format(PyExc_IndexError, "choice %zd is out of its range", i);
+            return -1;
+        }
+        ones[choices[i]] = 1;
+    }
+    return 0;
+}
+
+static PyObject *as_one_vector(const KartObserver *observer, const Scene *scene)
+{
+    npy_intp size = observer->num_continuous + observer->num_ones;
+    void *data = NULL;
+    npy_int64 *choices = PyMem_Malloc((size_t)(observer->num_discrete + 1) * sizeof *choices);
+    PyObject *array = choices ? new_array(1, &size, NPY_FLOAT32, &data) : PyErr_NoMemory();
+    if (array) {
+        float *numbers = data;
+        write_flat(observer, scene, numbers, choices);
+        if (write_ones(observer, choices, numbers + observer->num_continuous) < 0) Py_CLEAR(array);
+    }
+    PyMem_Free(choices);
+    return array;
+}
+
+static int set_two_vectors(const KartObserver *observer, const Scene *scene, PyObject *dict)
 {
     void *numbers = NULL, *choices = NULL;
-    PyObject *continuous = new_array(1, &view->num_continuous, NPY_FLOAT32, &numbers);
-    PyObject *discrete = new_array(1, &view->num_discrete, NPY_INT64, &choices);
-    PyObject *dict = continuous && discrete ? PyDict_New() : NULL;
-    if (dict) {
-        write_flat(view, scene, numbers, choices);
-        if (PyDict_SetItemString(dict, "continuous", continuous) < 0 ||
-            PyDict_SetItemString(dict, "discrete", discrete) < 0) {
-            Py_CLEAR(dict);
-        }
+    npy_intp sizes[2] = {observer->num_continuous, observer->num_discrete};
+    PyObject *continuous = new_array(1, sizes, NPY_FLOAT32, &numbers);
+    PyObject *discrete = new_array(1, sizes + 1, NPY_INT64, &choices);
+    if (continuous && discrete) write_flat(observer, scene, numbers, choices);
+    const int failed = set_entry(dict, "continuous", continuous) < 0;
+    return set_entry(dict, "discrete", discrete) < 0 || failed ? -1 : 0;
+}
+
+/* The observation of a flat view; in a dict, if it is more than one vector, in the order of the
+   space's keys. */
+static PyObject *as_vectors(const KartObserver *observer, const Scene *scene)
+{
+    if (observer->joined && !observer->nitro) return as_one_vector(observer, scene);
+    PyObject *dict = PyDict_New();
+    int status = dict ? 0 : -1;
+    if (!status && observer->nitro) {
+        status = set_entry(dict, "action_mask", action_mask(observer, scene->me));
     }
-    Py_XDECREF(continuous);
-    Py_XDECREF(discrete);
+    if (!status && observer->joined) {
+        status = set_entry(dict, "observation", as_one_vector(observer, scene));
+    } else if (!status) {
+        status = set_two_vectors(observer, scene, dict);
+    }
+    if (status) Py_CLEAR(dict);
     return dict;
 }
 
 /* ---------------------------------------------------------------- the type */
 
 /* Takes a kart's place. */
-static int look(const View *view, Scene *scene, npy_intp kart, float *keys)
+static int look(const KartObserver *observer, Scene *scene, npy_intp kart, float *keys)
 {
     if (kart < 0 || kart >= scene->header->num_kart) {
         PyErr_Format(PyExc_IndexError, "kart %zd of %d", kart, scene->header->num_kart);
@@ -476,9 +571,9 @@ static int look(const View *view, Scene *scene, npy_intp kart, float *keys)
     scene->me = scene->karts + kart;
     if (!(scene->ahead = nodes_ahead(scene->course->track, scene->me->node))) return -1;
     rotation_matrix(scene->me, scene->matrix);
-    if (view->needs[OWN]) find_center_path(scene);
-    if (view->needs[ITEMS]) find_items(view, scene, keys);
-    if (view->needs[KARTS]) find_karts(view, scene, keys);
+    if (observer->needs[OWN]) find_center_path(scene);
+    if (observer->needs[ITEMS]) find_items(observer, scene, keys);
+    if (observer->needs[KARTS]) find_karts(observer, scene, keys);
     return 0;
 }
 
@@ -497,13 +592,13 @@ static float *scratch_for(Scene *scene, float **keys)
     return room;
 }
 
-int set_course(Course *course, PyObject *track, PyObject *num_paths, PyObject *kart_types)
+static int set_course(Course *course, PyObject *track, PyObject *num_paths, PyObject *kart_types)
 {
-    if (!PyObject_TypeCheck(track, &TrackType) || !PyTuple_Check(kart_types)) {
-        PyErr_SetString(PyExc_TypeError, "a course is a Track, a number and a tuple");
+    if (!PyObject_TypeCheck(track, &TrackGraphType) || !PyTuple_Check(kart_types)) {
+        PyErr_SetString(PyExc_TypeError, "a course is a TrackGraph, a number and a tuple");
         return -1;
     }
-    course->track = (Track *)track;
+    course->track = (TrackGraph *)track;
     course->num_paths = PyLong_AsSsize_t(num_paths);
     course->kart_types = kart_types;
     if (PyErr_Occurred()) return -1;
@@ -515,19 +610,20 @@ int set_course(Course *course, PyObject *track, PyObject *num_paths, PyObject *k
     return 0;
 }
 
-int observe(View *view, const Course *course, const Moment *moment, const npy_intp *who,
+/* One observation for each of some karts; -1 with an exception set. */
+static int observe(KartObserver *observer, const Course *course, const Moment *moment, const npy_intp *who,
             npy_intp count, PyObject **out)
 {
     Scene scene = {.course = course, .track = course->track, .header = moment->header,
                    .karts = moment->karts, .items = moment->items};
     float *keys = NULL, *room = scratch_for(&scene, &keys);
     int status = room ? 0 : -1;
-    for (int key = 0; !status && !view->is_flat && key < NUM_KEYS; key++) {
-        status = grow(view->pools + key, count);
+    for (int key = 0; !status && !observer->is_flat && key < NUM_KEYS; key++) {
+        status = grow(observer->pools + key, count);
     }
     for (npy_intp i = 0; !status && i < count; i++) {
-        status = look(view, &scene, who[i], keys);
-        out[i] = status ? NULL : view->is_flat ? as_vectors(view, &scene) : as_dict(view, &scene);
+        status = look(observer, &scene, who[i], keys);
+        out[i] = status ? NULL : observer->is_flat ? as_vectors(observer, &scene) : as_dict(observer, &scene);
         if (!out[i]) {
             while (i-- > 0) Py_CLEAR(out[i]);
             status = -1;
@@ -539,7 +635,7 @@ int observe(View *view, const Course *course, const Moment *moment, const npy_in
 
 /* observe(track, num_paths, kart_types, data, who): one observation for each kart of `who`, in a
    list. */
-static PyObject *view_observe(PyObject *self, PyObject *const *args, Py_ssize_t nargs)
+static PyObject *observer_observe(PyObject *self, PyObject *const *args, Py_ssize_t nargs)
 {
     Course course;
     Moment moment;
@@ -550,7 +646,7 @@ static PyObject *view_observe(PyObject *self, PyObject *const *args, Py_ssize_t 
     const npy_intp *who = numbers_of(args[4], "who", NPY_INTP, &count);
     PyObject **seen = who ? PyMem_Calloc((size_t)count + 1, sizeof *seen) : NULL;
     if (!seen) return who ? PyErr_NoMemory() : NULL;
-    PyObject *list = observe((View *)self, &course, &moment, who, count, seen) < 0
+    PyObject *list = observe((KartObserver *)self, &course, &moment, who, count, seen) < 0
                          ? NULL
                          : PyList_New(count);
     for (npy_intp i = 0; list && i < count; i++) PyList_SET_ITEM(list, i, seen[i]);
@@ -558,16 +654,17 @@ static PyObject *view_observe(PyObject *self, PyObject *const *args, Py_ssize_t 
     return list;
 }
 
-static int add_entry(View *view, const char *name)
+static int add_entry(KartObserver *observer, const char *name)
 {
     for (int key = 0; key < NUM_KEYS; key++) {
         if (strcmp(KEYS[key].name, name) == 0) {
             const int group = KEYS[key].group;
-            const npy_intp rows = group == OWN ? 1 : view->sizes[group];
-            view->needs[group] = 1;
-            view->keys[view->num_entries++] = key;
-            if (KEYS[key].kind == CHOICE) view->num_discrete += rows;
-            else view->num_continuous += rows * KEYS[key].width;
+            if (KEYS[key].kind == CONTROL && observer->is_flat) break;
+            const npy_intp rows = group == OWN ? 1 : observer->sizes[group];
+            observer->needs[group] = 1;
+            observer->keys[observer->num_entries++] = key;
+            if (KEYS[key].kind == CHOICE) observer->num_discrete += rows;
+            else observer->num_continuous += rows * KEYS[key].width;
             return 0;
         }
     }
@@ -575,60 +672,91 @@ static int add_entry(View *view, const char *name)
     return -1;
 }
 
-static PyObject *view_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
+/* What a flat view has beside its two vectors. */
+static int set_extras(KartObserver *observer, PyObject *joined, PyObject *nitro, PyObject *fire)
 {
-    static char *words[] = {"names", "items", "karts", "paths", "polar", "flat", NULL};
-    View *view = (View *)type->tp_alloc(type, 0);
-    if (!view) return NULL;
-    int *sizes = view->sizes;
+    npy_intp count = 0, num_fire = 0;
+    if (joined != Py_None) {
+        if (!(observer->joined = numbers_of(joined, "joined", NPY_INTP, &count))) return -1;
+        for (npy_intp i = 0; i < count; i++) observer->num_ones += observer->joined[i];
+        if (!observer->is_flat || count != observer->num_discrete) {
+            PyErr_SetString(PyExc_ValueError, "joined has one count for each choice of a flat view");
+            return -1;
+        }
+    }
+    if (nitro != Py_None) {
+        if (!(observer->nitro = numbers_of(nitro, "nitro", NPY_BOOL, &observer->num_actions)) ||
+            !(observer->fire = numbers_of(fire, "fire", NPY_BOOL, &num_fire))) {
+            return -1;
+        }
+        if (!observer->is_flat || num_fire != observer->num_actions) {
+            PyErr_SetString(PyExc_ValueError, "a mask is part of a flat view, as long as nitro");
+            return -1;
+        }
+    }
+    observer->arrays = PyTuple_Pack(3, joined, nitro, fire);
+    return observer->arrays ? 0 : -1;
+}
+
+static PyObject *observer_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
+{
+    static char *words[] = {"names", "items", "karts",  "paths", "polar",
+                            "flat",  "joined", "nitro", "fire",  NULL};
+    PyObject *joined = Py_None, *nitro = Py_None, *fire = Py_None;
+    KartObserver *observer = (KartObserver *)type->tp_alloc(type, 0);
+    if (!observer) return NULL;
+    int *sizes = observer->sizes;
     sizes[ITEMS] = sizes[KARTS] = sizes[PATHS] = -1;
-    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "O!|iiipp", words, &PyTuple_Type, &view->names,
-                                     sizes + ITEMS, sizes + KARTS, sizes + PATHS,
-                                     &view->is_polar, &view->is_flat)) {
-        view->names = NULL;
-        Py_DECREF(view);
+    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "O!|iiippOOO", words, &PyTuple_Type,
+                                     &observer->names, sizes + ITEMS, sizes + KARTS,
+                                     sizes + PATHS, &observer->is_polar, &observer->is_flat,
+                                     &joined, &nitro, &fire)) {
+        observer->names = NULL;
+        Py_DECREF(observer);
         return NULL;
     }
-    Py_INCREF(view->names);
-    const Py_ssize_t count = PyTuple_GET_SIZE(view->names);
+    Py_INCREF(observer->names);
+    const Py_ssize_t count = PyTuple_GET_SIZE(observer->names);
     if (count > NUM_KEYS) {
         PyErr_SetString(PyExc_ValueError, "too many entries");
-    } else if (view->is_flat && (sizes[0] < 0 || sizes[1] < 0 || sizes[2] < 0)) {
+    } else if (observer->is_flat && (sizes[0] < 0 || sizes[1] < 0 || sizes[2] < 0)) {
         PyErr_SetString(PyExc_ValueError, "a flat view has a fixed size");
     }
     for (Py_ssize_t i = 0; !PyErr_Occurred() && i < count; i++) {
-        const char *name = PyUnicode_AsUTF8(PyTuple_GET_ITEM(view->names, i));
-        if (name) add_entry(view, name);
+        const char *name = PyUnicode_AsUTF8(PyTuple_GET_ITEM(observer->names, i));
+        if (name) add_entry(observer, name);
     }
-    if (PyErr_Occurred()) Py_CLEAR(view);
-    return (PyObject *)view;
+    if (!PyErr_Occurred()) set_extras(observer, joined, nitro, fire);
+    if (PyErr_Occurred()) Py_CLEAR(observer);
+    return (PyObject *)observer;
 }
 
-static void view_dealloc(PyObject *self)
+static void observer_dealloc(PyObject *self)
 {
-    View *view = (View *)self;
+    KartObserver *observer = (KartObserver *)self;
     for (int key = 0; key < NUM_KEYS; key++) {
-        Pool *pool = view->pools + key;
+        Pool *pool = observer->pools + key;
         for (Py_ssize_t i = 0; i < pool->size; i++) Py_XDECREF(pool->tuples[i]);
         PyMem_Free(pool->tuples);
     }
-    Py_XDECREF(view->names);
+    Py_XDECREF(observer->names);
+    Py_XDECREF(observer->arrays);
     Py_TYPE(self)->tp_free(self);
 }
 
-static PyMethodDef view_methods[] = {
-    {"observe", (PyCFunction)(void (*)(void))view_observe, METH_FASTCALL,
+static PyMethodDef observer_methods[] = {
+    {"observe", (PyCFunction)(void (*)(void))observer_observe, METH_FASTCALL,
      "One observation for each kart, in a list."},
     {NULL, NULL, 0, NULL},
 };
 
-PyTypeObject ViewType = {
+PyTypeObject KartObserverType = {
     PyVarObject_HEAD_INIT(NULL, 0)
-    .tp_name = "stkzoo.kernel._kernel.View",
-    .tp_basicsize = sizeof(View),
+    .tp_name = "stkzoo.kernel._kernel.KartObserver",
+    .tp_basicsize = sizeof(KartObserver),
     .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_doc = "What is shown to agents of one view.",
-    .tp_new = view_new,
-    .tp_dealloc = view_dealloc,
-    .tp_methods = view_methods,
+    .tp_doc = "What is shown to agents of one observer.",
+    .tp_new = observer_new,
+    .tp_dealloc = observer_dealloc,
+    .tp_methods = observer_methods,
 };

@@ -26,12 +26,12 @@ typedef struct {
     npy_intp kart_extent, item_extent; /* bytes that the plans reach over */
     int phase, last_phase; /* phases come one after the other; the last one stays */
     float *present;        /* what the actions say */
-} Engine;
+} GameStepper;
 
 /* ---------------------------------------------------------------- to the engine */
 
 /* Brings the engine's actions from what they say to what they should. */
-static int set_actions(Engine *self, const float *controls)
+static int set_actions(GameStepper *self, const float *controls)
 {
     const npy_intp size = PyList_GET_SIZE(self->actions) * NUM_CONTROLS;
     for (npy_intp i = 0; i < size; i++) {
@@ -50,7 +50,7 @@ static int set_actions(Engine *self, const float *controls)
 }
 
 /* Whether the race goes on after a step; -1 if it failed. */
-static int advance(Engine *self)
+static int advance(GameStepper *self)
 {
     PyObject *answer = PyList_GET_SIZE(self->actions) ? PyObject_CallOneArg(self->step, self->actions)
                                                       : PyObject_CallNoArgs(self->step);
@@ -129,7 +129,7 @@ static int copy_attribute(PyObject *object, PyObject *name, const Attribute *pla
     return status;
 }
 
-static int copy_attributes(const Engine *self, Kart *records)
+static int copy_attributes(const GameStepper *self, Kart *records)
 {
     PyObject *karts = PyObject_GetAttrString(self->world, "karts");
     int status = karts ? 0 : -1;
@@ -148,7 +148,7 @@ static int copy_attributes(const Engine *self, Kart *records)
 }
 
 /* What the game's AI does with a kart, into its record. */
-static int copy_report(const Engine *self, PyObject *number, Kart *records)
+static int copy_report(const GameStepper *self, PyObject *number, Kart *records)
 {
     const npy_intp kart = PyLong_AsSsize_t(number);
     PyObject *action = PyObject_CallOneArg(self->report, number);
@@ -162,7 +162,7 @@ static int copy_report(const Engine *self, PyObject *number, Kart *records)
     return status;
 }
 
-static int read_karts(const Engine *self, const char *block, npy_intp size, Kart *karts)
+static int read_karts(const GameStepper *self, const char *block, npy_intp size, Kart *karts)
 {
     memset(karts, 0, (size_t)self->num_kart * sizeof *karts);
     for (npy_intp i = 0; i < self->num_kart; i++) {
@@ -186,7 +186,7 @@ static int number_of(PyObject *object, const char *name, float *number)
     return PyErr_Occurred() ? -1 : 0;
 }
 
-static int read_phase(Engine *self)
+static int read_phase(GameStepper *self)
 {
     if (self->phase == self->last_phase) return 0;
     PyObject *value = PyObject_GetAttrString(self->world, "phase");
@@ -196,7 +196,7 @@ static int read_phase(Engine *self)
     return PyErr_Occurred() ? -1 : 0;
 }
 
-static int read_header(Engine *self, npy_int32 num_items, int is_running, Header *header)
+static int read_header(GameStepper *self, npy_int32 num_items, int is_running, Header *header)
 {
     if (read_phase(self) < 0 || number_of(self->world, "time", &header->time) < 0 ||
         number_of(self->world, "aux_ticks", &header->aux_ticks) < 0) {
@@ -210,7 +210,7 @@ static int read_header(Engine *self, npy_int32 num_items, int is_running, Header
 }
 
 /* The present moment from the engine's own block. */
-static PyObject *moment_from(Engine *self, const char *block, npy_intp size, int is_running)
+static PyObject *moment_from(GameStepper *self, const char *block, npy_intp size, int is_running)
 {
     npy_int32 num_items = -1;
     if (self->items_at + (npy_intp)sizeof num_items <= size) {
@@ -234,7 +234,7 @@ static PyObject *moment_from(Engine *self, const char *block, npy_intp size, int
     return data;
 }
 
-static PyObject *read_now(Engine *self, int is_running)
+static PyObject *read_now(GameStepper *self, int is_running)
 {
     char *block;
     Py_ssize_t size;
@@ -250,16 +250,16 @@ static PyObject *read_now(Engine *self, int is_running)
 }
 
 /* read(is_running): the present moment, as the bytes of a Snapshot. */
-static PyObject *engine_read(PyObject *self, PyObject *is_running)
+static PyObject *stepper_read(PyObject *self, PyObject *is_running)
 {
     const int running = PyObject_IsTrue(is_running);
-    return running < 0 ? NULL : read_now((Engine *)self, running);
+    return running < 0 ? NULL : read_now((GameStepper *)self, running);
 }
 
 /* step(controls): (P, 7) float32, as a buffer; the moment after the step, as bytes. */
-static PyObject *engine_step(PyObject *object, PyObject *controls)
+static PyObject *stepper_step(PyObject *object, PyObject *controls)
 {
-    Engine *self = (Engine *)object;
+    GameStepper *self = (GameStepper *)object;
     const npy_intp size =
         PyList_GET_SIZE(self->actions) * NUM_CONTROLS * (npy_intp)sizeof(float);
     Py_buffer view;
@@ -302,7 +302,7 @@ static PyObject *gone(void)
 
 static PyObject *step_and_send(PyObject *self, int fd, PyObject *controls)
 {
-    PyObject *data = engine_step(self, controls);
+    PyObject *data = stepper_step(self, controls);
     if (!data) return NULL;
     Head head = {'O', 1, (npy_uint32)PyBytes_GET_SIZE(data)};
     struct iovec parts[2] = {{&head, sizeof head},
@@ -318,7 +318,7 @@ static PyObject *step_and_send(PyObject *self, int fd, PyObject *controls)
 
 /* serve(fd): takes the steps that are asked for over a packet socket, until something else is,
    which it returns. */
-static PyObject *engine_serve(PyObject *self, PyObject *file)
+static PyObject *stepper_serve(PyObject *self, PyObject *file)
 {
     static char room[1 << 18]; /* as stkzoo.engine.wire's; no threads here */
     const int fd = (int)PyLong_AsLong(file);
@@ -355,7 +355,7 @@ static npy_intp extent_of(const Field *fields, npy_intp count)
     return extent;
 }
 
-static int check_plans(const Engine *self)
+static int check_plans(const GameStepper *self)
 {
     for (npy_intp i = 0; i < self->num_kart_fields + self->num_item_fields; i++) {
         const int is_kart = i < self->num_kart_fields;
@@ -382,7 +382,7 @@ static int check_plans(const Engine *self)
            PyTuple_GET_SIZE(self->controls) == NUM_CONTROLS;
 }
 
-static int set_up(Engine *self, PyObject *race, PyObject *plans)
+static int set_up(GameStepper *self, PyObject *race, PyObject *plans)
 {
     PyObject *arrays[4];
     npy_intp num_numbers[3], num_attributes;
@@ -416,14 +416,14 @@ static int set_up(Engine *self, PyObject *race, PyObject *plans)
     return PyErr_Occurred() ? -1 : 0;
 }
 
-/* Engine(race, world, actions, controls, attributes, phases, last_phase, reporting, plans): the
+/* GameStepper(race, world, actions, controls, attributes, phases, last_phase, reporting, plans): the
    engine's race, world and a list of its actions, the names of the controls and of the attributes
    to read, the phases' numbers by the engine's own, the karts whose control is reported, and the
    plans of stkzoo.engine.reader.WorldReader. */
-static PyObject *engine_new(PyTypeObject *type, PyObject *args, PyObject *Py_UNUSED(kwargs))
+static PyObject *stepper_new(PyTypeObject *type, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
     PyObject *race, *plans;
-    Engine *self = (Engine *)type->tp_alloc(type, 0);
+    GameStepper *self = (GameStepper *)type->tp_alloc(type, 0);
     if (!self) return NULL;
     if (!PyArg_ParseTuple(args, "OOO!O!O!O!iO!O!", &race, &self->world, &PyList_Type,
                           &self->actions, &PyTuple_Type, &self->controls, &PyTuple_Type,
@@ -439,9 +439,9 @@ static PyObject *engine_new(PyTypeObject *type, PyObject *args, PyObject *Py_UNU
     return (PyObject *)self;
 }
 
-static void engine_dealloc(PyObject *object)
+static void stepper_dealloc(PyObject *object)
 {
-    Engine *self = (Engine *)object;
+    GameStepper *self = (GameStepper *)object;
     Py_XDECREF(self->step);
     Py_XDECREF(self->report);
     Py_XDECREF(self->update);
@@ -451,22 +451,22 @@ static void engine_dealloc(PyObject *object)
     Py_TYPE(object)->tp_free(object);
 }
 
-static PyMethodDef engine_methods[] = {
-    {"step", engine_step, METH_O, "Advances the race; the moment after the step."},
-    {"read", engine_read, METH_O, "The present moment."},
+static PyMethodDef stepper_methods[] = {
+    {"step", stepper_step, METH_O, "Advances the race; the moment after the step."},
+    {"read", stepper_read, METH_O, "The present moment."},
 #ifndef _WIN32
-    {"serve", engine_serve, METH_O, "Takes steps over a socket."},
+    {"serve", stepper_serve, METH_O, "Takes steps over a socket."},
 #endif
     {NULL, NULL, 0, NULL},
 };
 
-PyTypeObject EngineType = {
+PyTypeObject GameStepperType = {
     PyVarObject_HEAD_INIT(NULL, 0)
-    .tp_name = "stkzoo.kernel._kernel.Engine",
-    .tp_basicsize = sizeof(Engine),
+    .tp_name = "stkzoo.kernel._kernel.GameStepper",
+    .tp_basicsize = sizeof(GameStepper),
     .tp_flags = Py_TPFLAGS_DEFAULT,
     .tp_doc = "A race of the engine, stepped and read in one go.",
-    .tp_new = engine_new,
-    .tp_dealloc = engine_dealloc,
-    .tp_methods = engine_methods,
+    .tp_new = stepper_new,
+    .tp_dealloc = stepper_dealloc,
+    .tp_methods = stepper_methods,
 };

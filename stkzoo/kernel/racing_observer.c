@@ -21,7 +21,7 @@ typedef struct {
     int karts, goods, bads;                                /* how many are seen */
     float step, beyond, kart_reach, item_reach, item_ahead, item_level;
     npy_intp size;
-} Racing;
+} RacingObserver;
 
 /* A thing that is near, in the kart's frame. */
 typedef struct {
@@ -32,7 +32,7 @@ typedef struct {
 enum { MOST = 8 }; /* that are seen of one sort */
 
 typedef struct {
-    const Racing *view;
+    const RacingObserver *view;
     const Kart *me;
     float matrix[9];
     float *out;
@@ -57,7 +57,7 @@ static void put_one_of(Pen *pen, npy_intp which, int count)
 
 static void put_own(Pen *pen)
 {
-    const Racing *view = pen->view;
+    const RacingObserver *view = pen->view;
     const Kart *me = pen->me;
     for (int i = 0; i < 3; i++) put(pen, me->velocity_lc[i] / 20.0f);
     put(pen, me->max_steer_angle);
@@ -77,7 +77,7 @@ static void put_own(Pen *pen)
 /* ---------------------------------------------------------------- the road */
 
 /* How far the kart has come on its segment [m]. */
-static float passed(const Racing *view, const Kart *me)
+static float passed(const RacingObserver *view, const Kart *me)
 {
     const float *start = view->starts + 3 * me->node, *along = view->along + 3 * me->node;
     float from[3];
@@ -90,7 +90,7 @@ static float passed(const Racing *view, const Kart *me)
 /* The line's point at a distance along it, in the kart's frame, and its room. */
 static void look_at(const Pen *pen, float distance, float point[LINE])
 {
-    const Racing *view = pen->view;
+    const RacingObserver *view = pen->view;
     const float place = distance / view->step;
     npy_intp before = (npy_intp)place;
     if (before > view->num_points - 2) before = view->num_points - 2;
@@ -104,7 +104,7 @@ static void look_at(const Pen *pen, float distance, float point[LINE])
 
 static void put_road(Pen *pen)
 {
-    const Racing *view = pen->view;
+    const RacingObserver *view = pen->view;
     const npy_intp count = view->num_marks;
     const float here = passed(view, pen->me);
     float point[LINE], beyond[LINE];
@@ -160,7 +160,7 @@ static void put_places(Pen *pen, const Near *nearest, int count, int limit)
 
 static void put_karts(Pen *pen, const Moment *moment)
 {
-    const Racing *view = pen->view;
+    const RacingObserver *view = pen->view;
     Near nearest[MOST];
     int count = 0;
     for (npy_int32 i = 0; i < moment->header->num_kart; i++) {
@@ -174,7 +174,7 @@ static void put_karts(Pen *pen, const Moment *moment)
 
 static void put_items(Pen *pen, const Moment *moment)
 {
-    const Racing *view = pen->view;
+    const RacingObserver *view = pen->view;
     Near goods[MOST], bads[MOST];
     int num_goods = 0, num_bads = 0;
     for (npy_int32 i = 0; i < moment->header->num_items; i++) {
@@ -204,7 +204,7 @@ static void put_items(Pen *pen, const Moment *moment)
 /* observe(data, who, out): the view of each kart of `who`, a row of `out` each. */
 static PyObject *racing_observe(PyObject *self, PyObject *const *args, Py_ssize_t nargs)
 {
-    const Racing *view = (Racing *)self;
+    const RacingObserver *view = (RacingObserver *)self;
     Moment moment;
     npy_intp count, size;
     if (nargs != 3) return PyErr_Format(PyExc_TypeError, "observe() takes 3 arguments");
@@ -233,7 +233,7 @@ static PyObject *racing_observe(PyObject *self, PyObject *const *args, Py_ssize_
     Py_RETURN_NONE;
 }
 
-static int fits_together(const Racing *view, const npy_intp sizes[3])
+static int fits_together(const RacingObserver *view, const npy_intp sizes[3])
 {
     return view->num_nodes > 0 && sizes[1] == 3 * view->num_nodes && sizes[2] == sizes[1] &&
            sizes[0] % (LINE * view->num_nodes) == 0 && view->num_points >= 2 && view->step > 0 &&
@@ -242,12 +242,12 @@ static int fits_together(const Racing *view, const npy_intp sizes[3])
            view->num_kinds >= 0 && view->num_hangs >= 0;
 }
 
-/* Racing((lines, starts, along), (marks, items, attachments), (counts), (lengths)) */
+/* RacingObserver((lines, starts, along), (marks, items, attachments), (counts), (lengths)) */
 static PyObject *racing_new(PyTypeObject *type, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
     PyObject *road[3], *tables[3];
     npy_intp sizes[3];
-    Racing *view = (Racing *)type->tp_alloc(type, 0);
+    RacingObserver *view = (RacingObserver *)type->tp_alloc(type, 0);
     if (!view) return NULL;
     if (!PyArg_ParseTuple(args, "(OOO)(OOO)(iiiiiii)(ffffff)", road, road + 1, road + 2, tables,
                           tables + 1, tables + 2, &view->num_powerups, &view->powerup_limit,
@@ -280,7 +280,7 @@ static PyObject *racing_new(PyTypeObject *type, PyObject *args, PyObject *Py_UNU
 
 static void racing_dealloc(PyObject *self)
 {
-    Py_XDECREF(((Racing *)self)->arrays);
+    Py_XDECREF(((RacingObserver *)self)->arrays);
     Py_TYPE(self)->tp_free(self);
 }
 
@@ -290,10 +290,10 @@ static PyMethodDef racing_methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-PyTypeObject RacingType = {
+PyTypeObject RacingObserverType = {
     PyVarObject_HEAD_INIT(NULL, 0)
-    .tp_name = "stkzoo.kernel._kernel.Racing",
-    .tp_basicsize = sizeof(Racing),
+    .tp_name = "stkzoo.kernel._kernel.RacingObserver",
+    .tp_basicsize = sizeof(RacingObserver),
     .tp_flags = Py_TPFLAGS_DEFAULT,
     .tp_doc = "The view racing on a track.",
     .tp_new = racing_new,

@@ -1,0 +1,111 @@
+"""The twin of ``action_reader.c``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["ActionReader"]
+
+#: (low, high, is whole, column, table or None) of one number.
+Entry = tuple[float, float, bool, int, Any]
+
+#: :data:`stkzoo.views.actions.BOUND_TOLERANCE`
+_TOLERANCE = 1e-6
+_SCALARS = (bool, int, float, np.bool_, np.integer, np.floating)
+
+
+class ActionReader:
+    """How actions of one space become controls.
+
+    Args:
+        names: the keys of an action; empty if it is one array or number.
+        leaves: for each key, what its numbers are: tuples of lowest and highest value, whether
+            it is whole, the column that it goes to, and for choices a table with a row for each
+            value, which is added to the controls from that column on, or ``None``.
+        num_columns: of the controls.
+
+    Raises:
+        ValueError: the leaves do not fit together.
+    """
+
+    def __init__(
+        self, names: tuple[str, ...], leaves: tuple[tuple[Entry, ...], ...], num_columns: int
+    ) -> None:
+        if len(leaves) != (len(names) or 1):
+            raise ValueError("there is one leaf for each name, or one without")
+        self._names = names
+        self._leaves = tuple(
+            tuple(_checked(entry, num_columns) for entry in leaf) for leaf in leaves
+        )
+
+    def read(
+        self,
+        actions: Any,
+        agents: tuple[str, ...],
+        rows: npt.NDArray[np.intp],
+        controls: npt.NDArray[np.float32],
+    ) -> bool:
+        """Reads the action of each agent into its row of the controls.
+
+        Returns:
+            Whether all were there, in their space and in a usual form.
+        """
+        if len(agents) != len(rows):
+            raise ValueError(f"{len(agents)} agents for {len(rows)} rows")
+        return isinstance(actions, dict) and all(
+            self._read_action(actions.get(agent), controls[row])
+            for agent, row in zip(agents, rows.tolist(), strict=True)
+        )
+
+    def _read_action(self, action: Any, row: npt.NDArray[np.float32]) -> bool:
+        row[:] = 0.0
+        if not self._names:
+            return _read_leaf(self._leaves[0], action, row)
+        if not isinstance(action, dict) or len(action) != len(self._names):
+            return False
+        return all(
+            name in action and _read_leaf(leaf, action[name], row)
+            for name, leaf in zip(self._names, self._leaves, strict=True)
+        )
+
+
+def _checked(entry: Entry, num_columns: int) -> Entry:
+    low, high, is_whole, column, table = entry
+    width = 1
+    if table is not None:
+        steps = int(high - low) + 1
+        width = table.size // steps
+        if not is_whole or table.size == 0 or table.size % steps:
+            raise ValueError("a table has a row for each whole number")
+        table = table.reshape(steps, width)
+    if not 0 <= column <= num_columns - width:
+        raise ValueError("an entry leads beyond the last column")
+    return low, high, is_whole, column, table
+
+
+def _read_leaf(leaf: tuple[Entry, ...], value: Any, row: npt.NDArray[np.float32]) -> bool:
+    if isinstance(value, np.ndarray):
+        is_usual = value.dtype.kind in "bif" and (value.ndim == 1 or len(leaf) == 1)
+        if not is_usual or value.size != len(leaf):
+            return False
+        numbers = value.reshape(-1).tolist()
+    elif len(leaf) == 1 and isinstance(value, _SCALARS):
+        numbers = [value]
+    else:
+        return False
+    return all(_put(entry, number, row) for entry, number in zip(leaf, numbers, strict=True))
+
+
+def _put(entry: Entry, value: Any, row: npt.NDArray[np.float32]) -> bool:
+    low, high, is_whole, column, table = entry
+    slack = 0.0 if is_whole else _TOLERANCE
+    if not low - slack <= value <= high + slack or (is_whole and value != int(value)):
+        return False
+    if table is None:
+        row[column] = min(max(value, low), high)
+    else:
+        row[column : column + table.shape[1]] += table[int(value - low)]
+    return True

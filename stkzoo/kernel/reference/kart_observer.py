@@ -1,0 +1,152 @@
+"""The twin of ``kart_observer.c``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.engine.snapshot import Snapshot
+from stkzoo.kernel.reference.track_graph import TrackGraph
+from stkzoo.mdp.geometry import to_polar
+from stkzoo.mdp.observations import ai_actions, observe_karts
+from stkzoo.mdp.spaces import kart_observation_space
+
+__all__ = ["KartObserver"]
+
+IntArray = npt.NDArray[np.intp]
+BoolArray = npt.NDArray[np.bool_]
+Batch = dict[str, Any]
+
+_KNOWN = {*kart_observation_space(use_ai=True), "items_mask", "karts_mask", "paths_mask"}
+_POLAR = ("center_path", "items_position", "karts_position", "paths_start", "paths_end")
+
+
+class KartObserver:
+    """What is shown to agents of one view.
+
+    Args:
+        names: the entries of the observation, in order.
+        items: how many items are shown; all that are there by default.
+        karts: how many other karts.
+        paths: how many track segments.
+        polar: positions as two angles and a distance.
+        flat: all numbers as one vector, all choices as another.
+        joined: how many values each choice has; makes one vector of both.
+        nitro: which actions press the nitro button; adds a mask of the actions that can do
+            something.
+        fire: which actions fire.
+
+    Raises:
+        ValueError: the arguments do not fit together.
+    """
+
+    def __init__(
+        self,
+        names: tuple[str, ...],
+        items: int = -1,
+        karts: int = -1,
+        paths: int = -1,
+        polar: bool = False,
+        flat: bool = False,
+        joined: IntArray | None = None,
+        nitro: BoolArray | None = None,
+        fire: BoolArray | None = None,
+    ) -> None:
+        for name in names:
+            if name not in _KNOWN or (flat and name == "action"):
+                raise ValueError(f"no entry is called {name}")
+        if flat and min(items, karts, paths) < 0:
+            raise ValueError("a flat view has a fixed size")
+        if not flat and (joined is not None or nitro is not None):
+            raise ValueError("only a flat view is joined or has a mask")
+        self._names, self._is_polar, self._is_flat = names, polar, flat
+        self._sizes = {"items": items, "karts": karts, "paths": paths}
+        self._joined, self._nitro, self._fire = joined, nitro, fire
+
+    def observe(
+        self,
+        track: TrackGraph,
+        num_paths: int,
+        kart_types: tuple[str, ...],
+        data: bytes,
+        who: IntArray,
+    ) -> list[Any]:
+        """One observation for each of some karts.
+
+        Args:
+            track: the race's track.
+            num_paths: how many of its segments can be seen.
+            kart_types: model name of each kart.
+            data: the bytes of the moment's snapshot.
+            who: ``(A,)`` indices of the karts.
+        """
+        snapshot = Snapshot(data)
+        if not 0 <= num_paths <= len(track.path_nodes):
+            raise ValueError(f"{num_paths} of {len(track.path_nodes)} segments")
+        for kart in who.tolist():
+            if not 0 <= kart < len(snapshot.karts):
+                raise IndexError(f"kart {kart} of {len(snapshot.karts)}")
+        batch = observe_karts(track, kart_types, snapshot, who, num_paths)
+        if "action" in self._names:
+            batch["action"] = ai_actions(snapshot, who)
+        for group, size in self._sizes.items():
+            if size >= 0:
+                _resize(batch, group, size)
+        if self._is_polar:
+            batch.update({key: to_polar(batch[key]) for key in _POLAR})
+        own = {name: batch[name] for name in self._names}
+        if not self._is_flat:
+            lists = {group for group, size in self._sizes.items() if size < 0}
+            return _singles(own, lists)
+        return _singles(self._vectors(own, batch), set())
+
+    def _vectors(self, own: Batch, batch: Batch) -> Any:
+        parts = [(np.reshape(part, (len(part), -1)), part.dtype) for part in own.values()]
+        choices = np.concatenate([part for part, kind in parts if kind == np.int64], axis=1)
+        numbers = [part for part, kind in parts if kind != np.int64]
+        continuous = np.concatenate(numbers, axis=1, dtype=np.float32)
+        mask = {} if self._nitro is None else {"action_mask": self._mask(batch)}
+        if self._joined is None:
+            return {**mask, "continuous": continuous, "discrete": choices}
+        ones = [
+            np.eye(n, dtype=np.float32)[c] for n, c in zip(self._joined, choices.T, strict=True)
+        ]
+        vector = np.concatenate([continuous, *ones], axis=1)
+        return {**mask, "observation": vector} if mask else vector
+
+    def _mask(self, batch: Batch) -> npt.NDArray[np.int8]:
+        has_nitro = batch["energy"] > 0
+        has_powerup = batch["powerup_type"][:, None] != 0
+        mask = (~np.asarray(self._nitro) | has_nitro) & (~np.asarray(self._fire) | has_powerup)
+        return np.asarray(mask, np.int8)
+
+
+def _resize(batch: Batch, group: str, size: int) -> None:
+    """Makes a group's lists as long as that, and their mask."""
+    for key in [key for key in batch if key.startswith(f"{group}_")]:
+        rows = batch[key]
+        length = min(size, rows.shape[1])
+        batch[key] = np.zeros((len(rows), size, *rows.shape[2:]), rows.dtype)
+        batch[key][:, :length] = rows[:, :length]
+        mask = np.zeros((len(rows), size), np.int8)
+        mask[:, :length] = 1
+        batch[f"{group}_mask"] = mask
+
+
+def _singles(batch: Any, lists: set[str]) -> list[Any]:
+    """The rows of a batch in Gymnasium's form, lists as tuples."""
+    if not isinstance(batch, dict):
+        return list(batch)
+    columns = []
+    for key, part in batch.items():
+        if isinstance(part, dict):
+            columns.append(_singles(part, lists))
+        elif part.ndim == 1:
+            columns.append(part.tolist())
+        elif key.partition("_")[0] in lists:
+            columns.append([tuple(row) for row in np.array(part)])
+        else:
+            columns.append(list(np.array(part)))
+    return [dict(zip(batch, row, strict=True)) for row in zip(*columns, strict=True)]
