@@ -89,7 +89,8 @@ def assert_close(ours, theirs, path=""):
 def assert_owned(observations):
     """What an agent gets is its own, to write into as it likes."""
     for observation in observations.values():
-        for key, value in (observation if isinstance(observation, dict) else {"": observation}).items():
+        parts = observation if isinstance(observation, dict) else {"": observation}
+        for key, value in parts.items():
             rows = value if isinstance(value, tuple) else (value,)
             for row in rows:
                 if isinstance(row, np.ndarray):

@@ -99,21 +99,6 @@ def test_only_who_asks_sees_the_ground():
         assert (ahead.kind[0, :4, MIDDLE] == GROUND).all()
 
 
-def test_it_is_the_same_without_the_compiled_kernel(monkeypatch):
-    def first():
-        with race_v0.parallel_env(num_kart=2, track="lighthouse", view="ground") as env:
-            return env.reset(seed=2)[0], env.observation_spaces
-
-    quick, _ = first()
-    monkeypatch.setattr("stkzoo.views.compile.kernel", None)
-    slow, spaces = first()
-    for agent, seen in slow.items():
-        assert spaces[agent].contains(seen)
-        assert seen.keys() == quick[agent].keys()
-        for key in ("ground_kind", "ground_speed", "velocity", "paths_start"):
-            np.testing.assert_allclose(seen[key], quick[agent][key], atol=1e-4)
-
-
 def test_it_is_a_gymnasium_environment():
     env = gym.make("supertuxkart/ground-v0", track="lighthouse", num_kart=2)
     seen, _ = env.reset(seed=1)
