@@ -413,16 +413,21 @@ static int set_entry(PyObject *dict, const char *name, PyObject *value)
 /* What the kart's driver does, as an action. */
 static PyObject *control_of(const Kart *me)
 {
-    static const char *const NAMES[NUM_CONTROLS] = {"acceleration", "steer", "brake", "drift",
-                                                    "fire", "nitro", "rescue"};
+    /* In the order of the action space's keys; columns as in stkzoo.engine.snapshot.CONTROLS. */
+    static const struct {
+        const char *name;
+        int column;
+    } PARTS[NUM_CONTROLS] = {{"acceleration", 0}, {"brake", 2}, {"drift", 3}, {"fire", 4},
+                             {"nitro", 5},        {"rescue", 6}, {"steer", 1}};
     PyObject *dict = PyDict_New();
     for (int i = 0; dict && i < NUM_CONTROLS; i++) {
         npy_intp one = 1;
-        void *data;
-        PyObject *value = i < 2 ? new_array(1, &one, NPY_FLOAT32, &data)
-                                : PyLong_FromLong((long)me->control[i]);
-        if (value && i < 2) memcpy(data, me->control + i, sizeof(float));
-        if (set_entry(dict, NAMES[i], value) < 0) Py_CLEAR(dict);
+        void *data = NULL;
+        const int column = PARTS[i].column, is_number = column < 2;
+        PyObject *value = is_number ? new_array(1, &one, NPY_FLOAT32, &data)
+                                    : PyLong_FromLong((long)me->control[column]);
+        if (value && is_number) memcpy(data, me->control + column, sizeof(float));
+        if (set_entry(dict, PARTS[i].name, value) < 0) Py_CLEAR(dict);
     }
     return dict;
 }

@@ -90,7 +90,7 @@ class KartObserver:
                 raise IndexError(f"kart {kart} of {len(snapshot.karts)}")
         batch = observe_karts(track, kart_types, snapshot, who, num_paths)
         if "action" in self._names:
-            batch["action"] = ai_actions(snapshot, who)
+            batch["action"] = dict(sorted(ai_actions(snapshot, who).items()))
         for group, size in self._sizes.items():
             if size >= 0:
                 _resize(batch, group, size)
