@@ -31,7 +31,7 @@ from rich.table import Table
 from stkzoo import race_v0
 from stkzoo.agents.planning import ALL_LOOKS, PlanDriver
 from stkzoo.agents.pretrained.driver import read_numbers, read_policy
-from stkzoo.race.drivers import driver_names
+from stkzoo.race import driver_names
 from stkzoo.tracks import SPLITS
 from stkzoo.wrappers.racing import BatchedRacingView, RoadTable
 

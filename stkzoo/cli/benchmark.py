@@ -50,7 +50,7 @@ _DIRECTIONS = {"forward": False, "reversed": True}
 
 def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
     """Adds the command."""
-    from stkzoo.race.settings import RaceSettings
+    from stkzoo.race import RaceSettings
 
     parser = subparsers.add_parser(
         "benchmark",
@@ -190,7 +190,7 @@ def _benchmark(arguments: argparse.Namespace) -> int:
 def _plan(arguments: argparse.Namespace) -> BenchmarkPlan:
     from stkzoo.errors import ConfigError
     from stkzoo.evaluation import plan_benchmark
-    from stkzoo.race.settings import RaceSettings
+    from stkzoo.race import RaceSettings
 
     if not arguments.agent:
         raise ConfigError("no agent; name one, such as heuristic, or see --help")

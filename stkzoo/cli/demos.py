@@ -46,7 +46,7 @@ _DIRECTIONS = {"forward": False, "reversed": True}
 def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
     """Adds the command."""
     from stkzoo.evaluation.demonstrations.plan import DECIDED
-    from stkzoo.race.settings import RaceSettings
+    from stkzoo.race import RaceSettings
 
     parser = subparsers.add_parser(
         "demos",
@@ -170,8 +170,7 @@ def _plan(arguments: argparse.Namespace) -> DemoPlan:
     from stkzoo.errors import ConfigError, check_whole
     from stkzoo.evaluation import plan_demonstrations
     from stkzoo.evaluation.demonstrations.plan import DECIDED
-    from stkzoo.race import find_driver
-    from stkzoo.race.settings import RaceSettings
+    from stkzoo.race import RaceSettings, find_driver
 
     check_whole("seeds", arguments.seeds, 1)
     check_whole("first-seed", arguments.first_seed, 0)

@@ -38,7 +38,7 @@ _DATASET_VIEW, _DATASET_RATE, _RATE = "flattened_discrete", 10, 20
 
 def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
     """Adds the command."""
-    from stkzoo.race.settings import RaceSettings
+    from stkzoo.race import RaceSettings
 
     parser = subparsers.add_parser(
         "play",
@@ -84,8 +84,7 @@ def _add_dataset_flags(group: argparse._ArgumentGroup) -> None:
 def _play(arguments: argparse.Namespace) -> int:
     from stkzoo.cli.race_report import show_race
     from stkzoo.play import play_race
-    from stkzoo.race import RaceInterrupted
-    from stkzoo.race.settings import RaceSettings
+    from stkzoo.race import RaceInterrupted, RaceSettings
 
     try:
         result = play_race(

@@ -86,7 +86,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
 
 def add_race_flags(parser: argparse.ArgumentParser) -> None:
     """Adds all that says how a race is run, whoever drives."""
-    from stkzoo.race.settings import RaceSettings
+    from stkzoo.race import RaceSettings
 
     parser.add_argument(
         "--num-karts", type=int, metavar="N", help="fill the race up with the AI to N karts"
@@ -139,7 +139,7 @@ def _plan(
     arguments: argparse.Namespace, remote: Sequence[Driver]
 ) -> list[tuple[list[str | Driver], dict[str, Any]]]:
     """For each race who drives, and the settings of :func:`stkzoo.race.run_race`."""
-    from stkzoo.race.settings import RaceSettings
+    from stkzoo.race import RaceSettings
 
     if arguments.demo and arguments.drivers:
         raise ConfigError("--demo brings its own drivers; leave out --demo or the drivers")
@@ -197,7 +197,7 @@ def _report(results: Sequence[RaceResult], arguments: argparse.Namespace) -> int
 
 
 def _as_json(results: Sequence[RaceResult], *, is_series: bool) -> str:
-    from stkzoo.race.result import SCHEMA_VERSION
+    from stkzoo.race import SCHEMA_VERSION
 
     if not is_series:
         return results[0].to_json()

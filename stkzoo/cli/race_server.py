@@ -110,9 +110,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _server(arguments: argparse.Namespace) -> RaceServer:
-    from stkzoo.race.drivers import find_driver
+    from stkzoo.race import RaceSettings, find_driver
     from stkzoo.race.remote import RaceServer, ServerKeys, read_publics, read_secret
-    from stkzoo.race.settings import RaceSettings
 
     drivers = [
         find_driver(agent, inline=arguments.inline, adapter=arguments.adapter)

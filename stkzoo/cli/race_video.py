@@ -51,7 +51,7 @@ def listeners(arguments: argparse.Namespace) -> list[RaceListener]:
         return []
     if arguments.races > 1:
         raise ConfigError("--record makes a video of one race; leave out --races")
-    from stkzoo.race.video import RaceVideo
+    from stkzoo.race import RaceVideo
 
     video = RaceVideo(
         arguments.record,

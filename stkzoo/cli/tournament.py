@@ -46,7 +46,7 @@ _FOLDER = "tournament"
 
 def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
     """Adds the command."""
-    from stkzoo.race.settings import RaceSettings
+    from stkzoo.race import RaceSettings
 
     parser = subparsers.add_parser(
         "tournament",
@@ -124,7 +124,7 @@ def _run(arguments: argparse.Namespace) -> int:
 def _result(arguments: argparse.Namespace, folder: Path, bar: BatchBar) -> TournamentResult:
     from stkzoo.errors import ConfigError
     from stkzoo.evaluation import resume_tournament, run_tournament
-    from stkzoo.race.settings import RaceSettings
+    from stkzoo.race import RaceSettings
 
     how: dict[str, Any] = {
         "jobs": arguments.jobs,

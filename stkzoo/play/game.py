@@ -63,11 +63,11 @@ def play_race(
     """
     _check(backend, rate, view)
     actions = keys_to_action(VIEWS[view], repr(view))
-    with ExitStack() as life:
+    with ExitStack() as resources:
         # Report bad paths before the window opens.
         writer = DatasetWriter(dataset, view) if dataset is not None else None
         screen = PlayScreen(checked_size(size))
-        life.callback(screen.close)
+        resources.callback(screen.close)
         person = _Person(screen, actions, writer)
         watchers = [_Game(screen, checked_size(size), backend, rate), *listeners]
         if writer is not None:
@@ -141,7 +141,7 @@ class _Game(RaceListener):
     def _wait(self, race: RaceProgress) -> None:
         self._screen.wait(self._due)
         while self._screen.is_paused and not self._screen.is_left:
-            self._show(race, "paused: P goes on   ")
+            self._show(race, "paused: P continues   ")
             self._screen.wait(time.monotonic() + 0.1)
             self._due = time.monotonic()
         if self._screen.is_left:

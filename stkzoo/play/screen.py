@@ -1,4 +1,4 @@
-"""The window of a person who drives: it shows pictures and knows which keys are down."""
+"""The window for driving: shows pictures and tracks the keys that are down."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class PlayScreen:
         self.is_left = False
 
     def listen(self) -> None:
-        """Takes in what has happened at the keyboard and the window."""
+        """Handles the events of the keyboard and the window."""
         pygame = self._pygame
         for event in pygame.event.get():
             if event.type == pygame.QUIT:
@@ -116,11 +116,11 @@ def _load_pygame() -> Any:
         raise ConfigError(
             "the window needs pygame, which is not installed; run `pip install 'stkzoo[play]'`"
         ) from None
-    # Without a display SDL would draw where nobody sees it.
+    # Without a display SDL would draw into an invisible window.
     if sys.platform == "linux" and not _has_display():
         raise ConfigError(
             "neither DISPLAY nor WAYLAND_DISPLAY names a display for the window; start a desktop "
-            "session, or `xvfb-run` where nobody looks"
+            "session, or use `xvfb-run` for a virtual one"
         )
     return pygame
 

@@ -1,4 +1,4 @@
-"""Running a race of drivers from start to finish.
+"""Runs races of drivers.
 
 >>> from stkzoo.race import run_race
 >>> result = run_race(["heuristic", "ai"], track="lighthouse", seed=1)
@@ -15,12 +15,20 @@ if TYPE_CHECKING:
     from stkzoo.race.drivers import Driver, driver_names, find_driver
     from stkzoo.race.instances import Decision, DriverInstance, DriverLimits, DriverRequest
     from stkzoo.race.listeners import RaceListener, RaceProgress
-    from stkzoo.race.result import ActionTime, AgentFailure, AgentResult, RaceResult
+    from stkzoo.race.result import (
+        SCHEMA_VERSION,
+        ActionTime,
+        AgentFailure,
+        AgentResult,
+        RaceResult,
+    )
     from stkzoo.race.runner import RaceInterrupted, run_race
     from stkzoo.race.settings import ERROR_HANDLING, RaceSettings
+    from stkzoo.race.video import RaceFilm, RaceVideo
 
 __all__ = [
     "ERROR_HANDLING",
+    "SCHEMA_VERSION",
     "ActionTime",
     "AgentFailure",
     "AgentResult",
@@ -29,11 +37,13 @@ __all__ = [
     "DriverInstance",
     "DriverLimits",
     "DriverRequest",
+    "RaceFilm",
     "RaceInterrupted",
     "RaceListener",
     "RaceProgress",
     "RaceResult",
     "RaceSettings",
+    "RaceVideo",
     "driver_names",
     "find_driver",
     "run_race",
@@ -44,9 +54,10 @@ _LAZY = {
     "drivers": ("Driver", "driver_names", "find_driver"),
     "instances": ("Decision", "DriverInstance", "DriverLimits", "DriverRequest"),
     "listeners": ("RaceListener", "RaceProgress"),
-    "result": ("ActionTime", "AgentFailure", "AgentResult", "RaceResult"),
+    "result": ("SCHEMA_VERSION", "ActionTime", "AgentFailure", "AgentResult", "RaceResult"),
     "runner": ("RaceInterrupted", "run_race"),
     "settings": ("ERROR_HANDLING", "RaceSettings"),
+    "video": ("RaceFilm", "RaceVideo"),
 }
 _HOMES = {name: module for module, names in _LAZY.items() for name in names}
 

@@ -281,7 +281,7 @@ class _Decoder:
         if code == _TUPLE:
             items = self.decode(data, self._depth + 1)
             if type(items) is not list:
-                raise ProtocolError("a tuple came that is no list of items")
+                raise ProtocolError("a tuple came without a list of items")
             return tuple(items)
         if code == _ENCODED:
             return self.decode(data, self._depth + 1)

@@ -34,7 +34,7 @@ class RescueCounter:
         self.counts = np.zeros(num_kart, np.intp)
         self._shortest, self._longest = _SLOWEST * step_size, _FASTEST * step_size
         self._before: npt.NDArray[np.void] | None = None
-        self._way = np.zeros((num_kart, 3))
+        self._movement = np.zeros((num_kart, 3))
         self._is_descending = np.zeros(num_kart, bool)
 
     def update(self, karts: npt.NDArray[np.void]) -> None:
@@ -45,13 +45,13 @@ class RescueCounter:
         """
         before, self._before = self._before, karts
         if before is None or karts["speed"].all():
-            self._is_descending[:], self._way[:] = False, 0.0
+            self._is_descending[:], self._movement[:] = False, 0.0
             return
         is_out = (karts["speed"] == 0) & (karts["velocity"] == before["velocity"]).all(axis=1)
-        way = karts["location"].astype(float) - before["location"]
-        length = np.linalg.norm(way, axis=1)
-        is_even = (np.abs(way - self._way) < _SAME).all(axis=1)
+        movement = karts["location"].astype(float) - before["location"]
+        length = np.linalg.norm(movement, axis=1)
+        is_even = (np.abs(movement - self._movement) < _SAME).all(axis=1)
         is_slow = (length > self._shortest) & (length < self._longest)
-        is_descending = is_out & is_even & is_slow & (way[:, 1] < 0)
+        is_descending = is_out & is_even & is_slow & (movement[:, 1] < 0)
         self.counts += is_descending & ~self._is_descending
-        self._is_descending, self._way = is_descending, way
+        self._is_descending, self._movement = is_descending, movement

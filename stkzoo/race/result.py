@@ -74,7 +74,7 @@ class AgentResult:
         source: the driver's source, as the user wrote it.
         status: ``"finished"``, ``"racing"`` (when the race was over) or ``"retired"``.
         start_position: its place on the grid, 1 is in front.
-        rank: its place, 1 is first; those who did not finish follow by distance.
+        rank: its place, 1 is first; agents that did not finish follow by distance.
         finish_time: race time at the finish [s]; ``None`` if it did not finish.
         laps: laps done.
         distance: along the track from the start line [m], at most the length of the race.
@@ -172,8 +172,8 @@ class RaceResult:
             return cls(**{**_known(cls, document), "agents": agents})
         except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
             raise ConfigError(
-                f"the text is no race result ({type(error).__name__}: {error}); expected what "
-                "`stkzoo race --output` wrote"
+                f"the text is not a race result ({type(error).__name__}: {error}); expected a file "
+                "from `stkzoo race --output`"
             ) from error
 
 
@@ -194,7 +194,7 @@ def read_json(text: str) -> Any:
 def _finite(text: str) -> float:
     number = float(text)
     if not math.isfinite(number):
-        raise ValueError(f"{text[:20]} is no number")
+        raise ValueError(f"{text[:20]} is not a finite number")
     return number
 
 

@@ -68,7 +68,7 @@ drive(
 
 _VIDEO = """
 from stkzoo.race import run_race
-from stkzoo.race.video import RaceVideo
+from stkzoo.race import RaceVideo
 video = RaceVideo("out/race.mp4", backend="map", size=(160, 120), card_seconds=0.5)
 try:
     run_race(["heuristic", "ai"], track="olivermath", max_steps=120, listeners=[video])

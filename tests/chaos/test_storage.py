@@ -52,7 +52,7 @@ def test_a_replay_that_does_not_fit_leaves_the_older_one_and_nothing_else(tmp_pa
 @mounts
 def test_a_video_that_does_not_fit_is_told_and_leaves_nothing(tmp_path):
     code = """
-        from stkzoo.race.video import RaceVideo
+        from stkzoo.race import RaceVideo
         fill()
         try:
             race(RaceVideo(PLACE / "race.mp4", backend="map", size=(160, 120), card_seconds=0.2))

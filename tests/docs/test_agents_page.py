@@ -4,8 +4,7 @@ import re
 
 import pytest
 
-from stkzoo.race import RaceSettings, run_race
-from stkzoo.race.settings import ERROR_HANDLING
+from stkzoo.race import ERROR_HANDLING, RaceSettings, run_race
 from tests.support.paths import ROOT
 
 PAGE = (ROOT / "docs" / "agents.md").read_text()

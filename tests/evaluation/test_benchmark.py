@@ -20,8 +20,7 @@ from stkzoo.evaluation import (
     race_seed,
 )
 from stkzoo.evaluation.statistics import estimate_mean
-from stkzoo.race import RaceResult
-from stkzoo.race.result import AgentResult
+from stkzoo.race import AgentResult, RaceResult
 from stkzoo.tracks import TEST_TRACKS
 from tests.support.paths import ROOT
 

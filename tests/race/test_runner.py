@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 
 from stkzoo.errors import AgentError, ConfigError
-from stkzoo.race import Driver, RaceListener, RaceResult, RaceSettings, find_driver, run_race
-from stkzoo.race.result import AgentFailure
+from stkzoo.race import (
+    AgentFailure,
+    Driver,
+    RaceListener,
+    RaceResult,
+    RaceSettings,
+    find_driver,
+    run_race,
+)
 from tests.support.paths import SCHEMAS
 
 SCHEMA = SCHEMAS / "race-result.schema.json"
@@ -255,7 +262,7 @@ def test_the_result_keeps_to_the_published_schema(result):
     ["", "[]", "{}", "null", '{"type": "race-result", "schema_version": 1, "agents": 3}'],
 )
 def test_what_is_no_result_is_refused(text):
-    with pytest.raises(ConfigError, match="no race result"):
+    with pytest.raises(ConfigError, match="not a race result"):
         RaceResult.from_json(text)
 
 

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from stkzoo.errors import ConfigError
-from stkzoo.race import run_race
-from stkzoo.race.video import RaceFilm, RaceVideo
+from stkzoo.race import RaceFilm, RaceVideo, run_race
 from stkzoo.render import encoder
 from stkzoo.render.cards import end_card
 from stkzoo.render.encoder import FORMATS, VideoError, VideoWriter

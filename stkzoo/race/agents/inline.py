@@ -24,7 +24,7 @@ __all__ = ["AgentRunner", "InlineInstance"]
 
 
 class AgentRunner:
-    """An agent with its view, its wrappers and its state; knows nothing of processes.
+    """An agent with its view, its wrappers and its state, in any process.
 
     It takes observations and returns actions of the ``full`` view. The agent's wrappers get its
     observations and actions, but no rewards, infos or ends: these are 0, empty and ``False``.

@@ -168,7 +168,7 @@ def test_what_is_no_agent_is_refused_before_the_race(source, message, tmp_path):
             "env_name = 'supertuxkart/ful-v0'\ndef get_actor(*_): ...",
             "Did you mean 'supertuxkart/full-v0'",
         ),
-        ("env_name = 3\ndef get_actor(*_): ...", "expected a text such as"),
+        ("env_name = 3\ndef get_actor(*_): ...", "expected text such as"),
         ("import no_such_package", "No module named 'no_such_package'"),
         ("def get_actor(*_): return None", "expected a function"),
     ],
