@@ -29,7 +29,7 @@ from typing import Any, NoReturn
 
 from stkzoo.engine import process_clone
 from stkzoo.engine.race import init_engine
-from stkzoo.engine.serve import serve
+from stkzoo.engine.worker import serve
 
 __all__ = ["READY", "main"]
 

@@ -37,7 +37,7 @@ __all__ = [
     "engine_environment",
     "start_fork_server",
     "start_race_process",
-    "start_shadow_process",
+    "start_render_process",
 ]
 
 #: Seconds that a process may take to start, and a race to stand on its grid.
@@ -178,8 +178,8 @@ def start_race_process(root: Path) -> RaceProcess:
             return start_fork_server(root).fork()
 
 
-def start_shadow_process(root: Path, graphics: str, variables: Mapping[str, str]) -> RaceProcess:
-    """Starts a process that draws another race (:mod:`stkzoo.engine.shadow`).
+def start_render_process(root: Path, graphics: str, variables: Mapping[str, str]) -> RaceProcess:
+    """Starts a process that draws another race (:mod:`stkzoo.engine.render_process`).
 
     Args:
         root: the game's full data.
@@ -189,7 +189,7 @@ def start_shadow_process(root: Path, graphics: str, variables: Mapping[str, str]
     Raises: as :func:`start_race_process`.
     """
     with _told_what_is_missing():
-        return _SpawnedRace(root, "shadow", {"STKZOO_GRAPHICS": graphics, **variables})
+        return _SpawnedRace(root, "render_process", {"STKZOO_GRAPHICS": graphics, **variables})
 
 
 @contextlib.contextmanager

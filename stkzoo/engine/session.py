@@ -28,7 +28,7 @@ from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import ApiOrderError, EngineCrashed, EngineError, EngineTimeout
 
-__all__ = ["LocalSession", "Session", "WorkerSession"]
+__all__ = ["LocalSession", "ProcessSession", "Session", "WorkerSession"]
 
 Controls = npt.NDArray[np.float32]
 
@@ -79,31 +79,117 @@ class Session(Protocol):
         """Ends the race; may be called again, and :meth:`start` still works."""
 
 
-class WorkerSession:
-    """Races in processes of their own: a fresh one each, whose results repeat bit for bit.
+class ProcessSession:
+    """Requests to one engine process at a time, in strict order.
 
     Args:
-        root: the game's data.
-        timeout: seconds that one step may take.
+        what: what an error calls the process.
+        remedy: what an error says to do when the process has ended.
+        timeouts: seconds that a request may take, by its kind.
 
     Attributes:
-        what: what an error calls the process.
-        remedy: what an error says to do when it has ended.
+        what: as above.
+        remedy: as above.
     """
 
-    def __init__(self, root: Path, timeout: float = 30.0) -> None:
-        self.what = "the game's process"
-        self.remedy = "call reset() to start a new one"
-        self._root = root
-        self._timeouts = {wire.BEGIN: START_TIMEOUT, wire.ACT: timeout, wire.FORK: timeout}
-        self._asked: bytes | None = None  # the kind of a request whose answer is to come
+    def __init__(self, what: str, remedy: str, timeouts: dict[bytes, float]) -> None:
+        self.what, self.remedy = what, remedy
+        self._timeouts = timeouts
+        self._asked: bytes | None = None  # kind of the request whose reply is outstanding
         self._process: RaceProcess | None = None
         self._owner = os.getpid()
 
     @property
     def pid(self) -> int | None:
-        """Process id of the running race, if any."""
+        """Id of the process, if it runs."""
         return self._process.pid if self._process else None
+
+    def close(self) -> None:
+        """Ends the process. You may call it again, and start another one afterwards."""
+        process, self._process, self._asked = self._process, None, None
+        if process is not None:
+            process.let_go(self._owner)
+
+    def __del__(self) -> None:
+        with contextlib.suppress(Exception):  # the interpreter may be shutting down
+            self.close()
+
+    def _own(self, process: RaceProcess) -> None:
+        self._process, self._owner = process, os.getpid()
+
+    def _require_own(self) -> None:
+        if self._owner != os.getpid():
+            raise ApiOrderError(
+                f"this race belongs to process {self._owner}, from which this process "
+                f"({os.getpid()}) was forked; call reset() to start one here"
+            )
+
+    def _send(self, kind: bytes, *data: bytes) -> None:
+        process = self._idle()
+        try:
+            if process.connection.gettimeout() != self._timeouts[kind]:
+                process.connection.settimeout(self._timeouts[kind])
+            wire.send(process.connection, kind, *data)
+        except BaseException as error:
+            self._end_after(error, process)
+            raise
+        self._asked = kind
+
+    def _receive(self, kind: bytes) -> list[bytes]:
+        process = self._living()
+        if self._asked != kind:
+            raise ApiOrderError("there is no request to wait for")
+        self._asked = None
+        try:
+            return process.reply()
+        except BaseException as error:
+            self._end_after(error, process)
+            raise
+
+    def _idle(self) -> RaceProcess:
+        process = self._living()
+        if self._asked is not None:
+            raise ApiOrderError("the reply to the request before is still outstanding")
+        return process
+
+    def _living(self) -> RaceProcess:
+        if self._process is None:
+            raise ApiOrderError(f"{self.what} has ended or was not started; {self.remedy}")
+        return self._process
+
+    def _end_after(self, error: BaseException, process: RaceProcess) -> None:
+        """Ends the process after a failure, because its replies no longer match requests.
+
+        Raises:
+            EngineCrashed: the failure is that the process is gone.
+            EngineTimeout: the failure is that no reply came in time.
+        """
+        self._process, self._asked = None, None
+        seconds = process.connection.gettimeout()
+        how, log = process.end(), process.log.tail()
+        process.log.close()
+        if isinstance(error, TimeoutError):
+            message = f"{self.what} gave no answer in {seconds:g} s and was ended; {self.remedy}"
+            raise EngineTimeout(message, log) from None
+        if isinstance(error, (EOFError, OSError)):
+            raise EngineCrashed(f"{self.what} {how}; {self.remedy}", log) from None
+
+
+class WorkerSession(ProcessSession):
+    """Races in processes of their own: each race in a new one, so its results repeat bit for bit.
+
+    Args:
+        root: the game's data.
+        timeout: seconds that one step may take.
+    """
+
+    def __init__(self, root: Path, timeout: float = 30.0) -> None:
+        super().__init__(
+            "the game's process",
+            "call reset() to start a new one",
+            {wire.BEGIN: START_TIMEOUT, wire.ACT: timeout, wire.FORK: timeout},
+        )
+        self._root = root
 
     def start(self, setup: RaceSetup) -> RaceStart:
         """See :meth:`Session.start`."""
@@ -116,13 +202,13 @@ class WorkerSession:
         return self.step_wait()
 
     def start_async(self, setup: RaceSetup) -> None:
-        """Asks for a race; :meth:`start_wait` gives it."""
+        """Requests a race; :meth:`start_wait` returns it."""
         self.close()
-        self._process, self._owner = start_race_process(self._root), os.getpid()
+        self._own(start_race_process(self._root))
         self._send(wire.BEGIN, setup.to_json())
 
     def start_wait(self) -> RaceStart:
-        """The race that :meth:`start_async` asked for."""
+        """The race that :meth:`start_async` requested."""
         return RaceStart.from_frames(*self._receive(wire.BEGIN))
 
     def step_async(self, controls: Controls) -> None:
@@ -147,87 +233,20 @@ class WorkerSession:
             raise EngineError(_NO_COPIES)
         process = other._fork()
         self.close()
-        self._process, self._owner = process, os.getpid()
-
-    def close(self) -> None:
-        """See :meth:`Session.close`."""
-        process, self._process, self._asked = self._process, None, None
-        if process is not None:
-            process.let_go(self._owner)
-
-    def __del__(self) -> None:
-        with contextlib.suppress(Exception):  # the interpreter may be half gone
-            self.close()
+        self._own(process)
 
     def _fork(self) -> RaceProcess:
-        """A copy of the race's process."""
+        """A clone of the race's process."""
         self._require_own()
         process = self._idle()
         try:
             process.connection.settimeout(self._timeouts[wire.FORK])
             return process.fork()
-        except EngineError:  # the stream of answers is in order
+        except EngineError:  # requests and replies still match
             raise
         except BaseException as error:
             self._end_after(error, process)
             raise
-
-    def _require_own(self) -> None:
-        if self._owner != os.getpid():
-            raise ApiOrderError(
-                f"this race belongs to process {self._owner}, from which this process "
-                f"({os.getpid()}) was forked; call reset() to start one here"
-            )
-
-    def _send(self, kind: bytes, data: bytes) -> None:
-        process = self._idle()
-        try:
-            if process.connection.gettimeout() != self._timeouts[kind]:
-                process.connection.settimeout(self._timeouts[kind])
-            wire.send(process.connection, kind, data)
-        except BaseException as error:
-            self._end_after(error, process)
-            raise
-        self._asked = kind
-
-    def _receive(self, kind: bytes) -> list[bytes]:
-        process = self._living()
-        if self._asked != kind:
-            raise ApiOrderError("there is no request to wait for")
-        self._asked = None
-        try:
-            return process.reply()
-        except BaseException as error:
-            self._end_after(error, process)
-            raise
-
-    def _idle(self) -> RaceProcess:
-        process = self._living()
-        if self._asked is not None:
-            raise ApiOrderError("the answer to the request before has not been waited for")
-        return process
-
-    def _living(self) -> RaceProcess:
-        if self._process is None:
-            raise ApiOrderError(f"{self.what} has ended or there is none; {self.remedy}")
-        return self._process
-
-    def _end_after(self, error: BaseException, process: RaceProcess) -> None:
-        """Ends the process after a failure, for its stream of answers is in disorder.
-
-        Raises:
-            EngineCrashed: the failure is that the process is gone.
-            EngineTimeout: it is that no answer came in time.
-        """
-        self._process, self._asked = None, None
-        seconds = process.connection.gettimeout()
-        how, log = process.end(), process.log.tail()
-        process.log.close()
-        if isinstance(error, TimeoutError):
-            message = f"{self.what} gave no answer in {seconds:g} s and was ended; {self.remedy}"
-            raise EngineTimeout(message, log) from None
-        if isinstance(error, (EOFError, OSError)):
-            raise EngineCrashed(f"{self.what} {how}; {self.remedy}", log) from None
 
 
 #: Why a race in this process cannot be saved and copied.

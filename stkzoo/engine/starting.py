@@ -16,11 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.config import Start
-from stkzoo.engine.road import Road, rotation_of, turned
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.errors import ConfigError
 
-__all__ = ["put_karts"]
+__all__ = ["CentreLine", "put_karts"]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -62,7 +61,7 @@ def put_karts(
     Raises:
         ConfigError: a place is beside the road, or a kart does not stay there.
     """
-    road = Road(track)
+    road = CentreLine(track)
     _check_speeds(setup)
     count = len(setup.starts)
     places = [_Place(road, start, number, count) for number, start in enumerate(setup.starts)]
@@ -90,7 +89,7 @@ def _check_speeds(setup: RaceSetup) -> None:
 class _Place:
     """Where a kart is to be, in the world."""
 
-    def __init__(self, road: Road, start: Start, kart: int, count: int) -> None:
+    def __init__(self, road: CentreLine, start: Start, kart: int, count: int) -> None:
         self.kart, self.start = kart, start
         self.side = ((kart + 0.5) / count - 0.5) * 3.0
         self.distance = (
@@ -113,7 +112,7 @@ class _Place:
         yaw = math.atan2(along[0], along[2])
         right = np.array([math.cos(yaw), 0.0, -math.sin(yaw)])
         self.point = road.point(self.distance) + start.offset * right
-        self.rotation = rotation_of(
+        self.rotation = _rotation_of(
             yaw + start.heading, math.asin(along[1]) * math.cos(start.heading)
         )
         self.stand = self.point
@@ -155,7 +154,7 @@ class _Mover:
                 return
 
 
-def _lead(mover: _Mover, road: Road, places: list[_Place]) -> None:
+def _lead(mover: _Mover, road: CentreLine, places: list[_Place]) -> None:
     """Leads the karts over the start line and along the road, or only before the line."""
     for height in _LED_HEIGHTS:
         distances = [min(-_BEFORE_LINE, place.distance) for place in places]
@@ -164,7 +163,7 @@ def _lead(mover: _Mover, road: Road, places: list[_Place]) -> None:
             is_there = all(d >= p.distance for d, p in zip(distances, places, strict=True))
             for place, distance in zip(places, distances, strict=True):
                 along = road.direction(distance)
-                rotation = rotation_of(math.atan2(along[0], along[2]), 0.0)
+                rotation = _rotation_of(math.atan2(along[0], along[2]), 0.0)
                 mover.put(place.kart, _led_point(road, place, distance, height), rotation)
             mover.tick()
             items = np.array([item.location for item in mover.world.items], np.float64)
@@ -176,7 +175,9 @@ def _lead(mover: _Mover, road: Road, places: list[_Place]) -> None:
             return
 
 
-def _next(road: Road, place: _Place, distance: float, height: float, items: FloatArray) -> float:
+def _next(
+    road: CentreLine, place: _Place, distance: float, height: float, items: FloatArray
+) -> float:
     """How far along a kart is to be in the next tick: where it touches no item."""
     for stride in _STRIDES:
         ahead = min(distance + stride, place.distance)
@@ -186,7 +187,7 @@ def _next(road: Road, place: _Place, distance: float, height: float, items: Floa
     return min(distance + _STRIDES[0], place.distance)
 
 
-def _led_point(road: Road, place: _Place, distance: float, height: float) -> FloatArray:
+def _led_point(road: CentreLine, place: _Place, distance: float, height: float) -> FloatArray:
     """Above the road, with a little room for each kart so that none stands in another."""
     along = road.direction(distance)
     right = np.array([along[2], 0.0, -along[0]])
@@ -202,7 +203,7 @@ def _set_down(mover: _Mover, places: list[_Place]) -> None:
     for cycle in range(_SETTLE_CYCLES):
         for place in places:
             turn = 0.0 if mover.drives(place.kart) else _SPINS[cycle % len(_SPINS)]
-            mover.put(place.kart, place.stand, turned(place.rotation, turn))
+            mover.put(place.kart, place.stand, _turned(place.rotation, turn))
         for _ in range(_CYCLE_TICKS):
             mover.tick()
         for place in places:
@@ -231,7 +232,7 @@ def _run_up(mover: _Mover, places: list[_Place]) -> None:
             # A bot does as it likes; turned round it slows down as hard.
             turn = 0.0 if is_slow or mover.drives(place.kart) else math.pi
             speed = place.start.speed
-            mover.put(place.kart, place.stand, turned(place.rotation, turn), speed)
+            mover.put(place.kart, place.stand, _turned(place.rotation, turn), speed)
         mover.tick()
     for place in places:
         mover.throttle(place.kart, 0.0)
@@ -271,3 +272,69 @@ def _no_ground(place: _Place) -> ConfigError:
         f"kart {place.kart} cannot start at {place.distance:.1f} m: there is no road to stand on; "
         "choose a place some metres before or after it"
     )
+
+
+class CentreLine:
+    """The track's main line as a curve over the distance from the start line.
+
+    Attributes:
+        length: of a lap [m].
+
+    Args:
+        track: the engine's track.
+    """
+
+    def __init__(self, track: Any) -> None:
+        self.length = float(track.length)
+        nodes = np.asarray(track.path_nodes, np.float64)
+        marks = np.asarray(track.path_distance, np.float64)
+        widths = np.asarray(track.path_width, np.float64).reshape(-1)
+        chain = _main_line(track.successors)
+        self._marks = marks[chain].ravel()
+        self._points = nodes[chain].reshape(-1, 3)
+        self._half_widths = np.repeat(widths[chain] / 2, 2)
+        order = np.argsort(self._marks, kind="stable")
+        self._marks, self._points = self._marks[order], self._points[order]
+        self._half_widths = self._half_widths[order]
+
+    def point(self, distance: float) -> FloatArray:
+        """The centre line ``(3,)`` [m] at a distance [m]."""
+        mark = distance % self.length
+        return np.array([np.interp(mark, self._marks, column) for column in self._points.T])
+
+    def half_width(self, distance: float) -> float:
+        """From the centre line to the road's edge [m]."""
+        return float(np.interp(distance % self.length, self._marks, self._half_widths))
+
+    def direction(self, distance: float) -> FloatArray:
+        """Where the road leads, a unit vector ``(3,)``."""
+        mark = distance % self.length
+        row = int(np.clip(np.searchsorted(self._marks, mark, "right"), 1, len(self._marks) - 1))
+        while row > 1 and np.linalg.norm(self._points[row] - self._points[row - 1]) < 0.05:
+            row -= 1
+        along: FloatArray = self._points[row] - self._points[row - 1]
+        unit: FloatArray = along / max(float(np.linalg.norm(along)), 1e-9)
+        return unit
+
+
+def _main_line(successors: Any) -> list[int]:
+    """The nodes of the main road, from the start line on."""
+    chain, node = [], 0
+    while node not in chain:
+        chain.append(node)
+        node = successors[node][0]
+    return chain
+
+
+def _rotation_of(yaw: float, climb: float) -> list[float]:
+    """A quaternion x, y, z, w: turned to ``yaw``, then the nose up by ``climb``."""
+    sy, cy = math.sin(yaw / 2), math.cos(yaw / 2)
+    sp, cp = math.sin(-climb / 2), math.cos(-climb / 2)
+    return [cy * sp, sy * cp, -sy * sp, cy * cp]
+
+
+def _turned(rotation: list[float], angle: float) -> list[float]:
+    """A rotation after a turn about the kart's own upright axis."""
+    x, y, z, w = rotation
+    s, c = math.sin(angle / 2), math.cos(angle / 2)
+    return [x * c - z * s, y * c + w * s, z * c + x * s, w * c - y * s]

@@ -34,7 +34,7 @@ __all__ = [
 #: copy (:func:`send_files`), and answers with the copy's process id. The copy answers on
 #: its connection, with nothing.
 BEGIN, ACT, QUIT, FORK = b"B", b"A", b"Q", b"F"
-#: Request to a process that draws (:mod:`stkzoo.engine.shadow`): move the karts, then look.
+#: Request to a process that draws (:mod:`stkzoo.engine.render_process`): move the karts, then look.
 DRAW = b"D"
 #: Replies: the asked-for bytes, or a JSON object with ``type``, ``message``, ``traceback``.
 OK, ERROR = b"O", b"E"

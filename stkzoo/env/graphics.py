@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from stkzoo.engine.filming import has_graphics_card
+from stkzoo.engine.render_session import has_graphics_card
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.render.renderer import BACKENDS
 
@@ -47,7 +47,7 @@ def check_render_mode(mode: str | None, backend: str) -> None:
 
 
 def drawing_preset(mode: str | None, choice: Any) -> str | dict[str, Any]:
-    """How finely the game draws, for :class:`stkzoo.engine.filming.ShadowSession`.
+    """How finely the game draws, for :class:`stkzoo.engine.render_session.RenderSession`.
 
     Args:
         mode: the render mode.

@@ -1,4 +1,4 @@
-"""The game's own frames of a race, drawn by its shadow (:mod:`stkzoo.engine.shadow`)."""
+"""The game's own frames of a race, from the render process."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.assets import find_assets
-from stkzoo.engine.filming import TICK, Footage, ShadowSession, check_graphics_libraries
+from stkzoo.engine.render_session import TICK, Footage, RenderSession, check_graphics_libraries
 from stkzoo.engine.setup import KartSetup, RaceSetup
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.names import CameraMode
@@ -45,7 +45,7 @@ class GameView:
     Args:
         karts: whose cameras, as indices in grid order, at most 8.
         size: width and height of a picture [pixels].
-        preset: see :class:`~stkzoo.engine.filming.ShadowSession`.
+        preset: see :class:`~stkzoo.engine.render_session.RenderSession`.
         has_window: shows the game's window.
 
     Raises:
@@ -66,7 +66,7 @@ class GameView:
         self._assets = find_assets(graphics=True)
         self._karts, self._size = sorted(karts), size
         screen = size if has_window else _screen_for(size, len(karts))
-        self._session = ShadowSession(self._assets.root, screen, preset, has_window=has_window)
+        self._session = RenderSession(self._assets.root, screen, preset, has_window=has_window)
         self._last: Snapshot | None = None
         self._pace = TICK  # seconds that a window takes for a pose
 

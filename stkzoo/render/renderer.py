@@ -36,7 +36,7 @@ class RaceRenderer:
     Args:
         backend: one of :data:`BACKENDS`.
         size: width and height of a picture [pixels].
-        preset: how finely the game draws (:class:`~stkzoo.engine.filming.ShadowSession`).
+        preset: how finely the game draws (:class:`~stkzoo.engine.render_session.RenderSession`).
         has_window: the game's window shows the race.
     """
 

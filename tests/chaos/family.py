@@ -12,7 +12,7 @@ __all__ = ["Member", "alive", "family", "marked"]
 _KINDS = (
     ("stkzoo.engine.fork_server", "fork server"),
     ("stkzoo.engine.worker", "race"),
-    ("stkzoo.engine.shadow", "drawing"),
+    ("stkzoo.engine.render_process", "drawing"),
     ("stkzoo.race.agents.process", "agent"),
     ("stkzoo.evaluation.batch.worker", "worker"),
     ("ffmpeg", "encoder"),

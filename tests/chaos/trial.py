@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from stkzoo import race_v0
-from stkzoo.engine import filming, process, session
+from stkzoo.engine import process, render_session, session
 from stkzoo.errors import EngineError, StkzooError
 from tests.chaos.family import family
 from tests.chaos.faults import Fault, Strike
@@ -222,8 +222,8 @@ def _short_timeouts() -> Iterator[None]:
     with (
         _replaced(process, "START_TIMEOUT", START_TIMEOUT),
         _replaced(session, "START_TIMEOUT", START_TIMEOUT),
-        _replaced(filming, "DRAWING_START_TIMEOUT", DRAWING_START_TIMEOUT),
-        _replaced(filming.ShadowSession.__init__, "__kwdefaults__", drawing),
+        _replaced(render_session, "DRAWING_START_TIMEOUT", DRAWING_START_TIMEOUT),
+        _replaced(render_session.RenderSession.__init__, "__kwdefaults__", drawing),
     ):
         yield
 

@@ -17,7 +17,7 @@ from stkzoo import (
     race_v0,
 )
 from stkzoo.agents.heuristic import create_state
-from stkzoo.engine.road import Road
+from stkzoo.engine.starting import CentreLine
 from stkzoo.env.starts import draw_starts
 
 
@@ -181,7 +181,7 @@ def test_a_race_on_the_grid_is_as_if_there_were_no_starts():
 def test_a_place_without_ground_is_refused_and_the_next_race_starts():
     with race() as env:
         env.reset(seed=1)
-        half = Road(env.track_map).half_width(300.0)
+        half = CentreLine(env.track_map).half_width(300.0)
         with pytest.raises(ConfigError, match=r"20\.0 m beside the centre line .* has room for"):
             env.reset(options={"start": Start(distance=300.0, offset=20.0)})
         with pytest.raises(ConfigError, match=r"expected at most 879\.9 m, the length of the lap"):

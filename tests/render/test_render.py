@@ -18,7 +18,7 @@ from PIL import ImageGrab
 
 import stkzoo  # noqa: F401 - registers the ids
 from stkzoo import AgentSpec, race_v0
-from stkzoo.engine import filming
+from stkzoo.engine import render_session
 from stkzoo.errors import AssetError, ConfigError, EngineCrashed
 from stkzoo.names import CameraMode
 from tests.support.rendering import drive, history, small_race, who_draws
@@ -388,8 +388,8 @@ def wait_until(condition, seconds=5.0):
 
 
 def test_missing_libraries_are_named_and_the_map_is_drawn(monkeypatch, caplog):
-    monkeypatch.setattr(filming.ctypes.util, "find_library", lambda _: None)
-    monkeypatch.setattr(filming.sys, "platform", "linux")
+    monkeypatch.setattr(render_session.ctypes.util, "find_library", lambda _: None)
+    monkeypatch.setattr(render_session.sys, "platform", "linux")
     with small_race(render_mode="rgb_array", render_size=SMALL) as env:
         env.reset(seed=1)
         assert is_picture(env.render())

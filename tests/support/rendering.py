@@ -6,7 +6,7 @@ import numpy as np
 
 from stkzoo import race_v0
 from stkzoo.engine.assets import find_assets
-from stkzoo.engine.filming import check_graphics_libraries
+from stkzoo.engine.render_session import check_graphics_libraries
 from stkzoo.errors import AssetError, ConfigError
 
 

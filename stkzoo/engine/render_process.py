@@ -1,9 +1,9 @@
-"""A second race that the game draws, in which karts are put where another race has them.
+"""The render process: a second race with graphics, whose karts follow those of another race.
 
-The game's graphics change its physics a little, so a race that is to be exact runs without
-them. Its pictures come from here: a process with graphics and a race of its own, whose karts
-are moved to the poses of the exact race before each picture. Drawing can therefore never
-change a race, and costs nothing while nobody looks.
+Graphics change the game's physics a little, so the exact race runs without them. Its pictures
+come from this process, which has graphics and a race of its own. Before each picture it moves
+its karts to the poses of the exact race. Drawing can therefore never change a race, and costs
+nothing while no pictures are requested.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shutil
 import socket
 import sys
 import time
@@ -22,15 +21,14 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine import wire
-from stkzoo.engine.race import init_engine
-from stkzoo.engine.serve import describe, set_alarm
 from stkzoo.engine.setup import RaceSetup
+from stkzoo.engine.worker import connected, describe, set_alarm
 
-__all__ = ["ShadowRace", "main"]
+__all__ = ["MirroredRace", "main"]
 
 #: Numbers of a pose: location [m], rotation (w, x, y, z), speed [m/s].
 _POSE_SIZE = 8
-#: Laps that nobody finishes: a finished kart cannot be moved.
+#: So many laps that no kart finishes: a finished kart cannot be moved.
 _MANY_LAPS = 999
 #: The race clock from which karts can be moved [s]; how far a step goes until then [s], for
 #: a window draws every step; and more steps than that takes.
@@ -39,11 +37,11 @@ _FREE_AFTER, _WARMUP_STEP, _MAX_WARMUP_STEPS = 1.01, 0.5, 1000
 Poses = npt.NDArray[np.float32]
 
 
-class ShadowRace:
-    """The drawn race. At most one may live at a time in a process.
+class MirroredRace:
+    """The drawn race. A process can have one at a time.
 
     Args:
-        setup: the race to shadow; the karts whose ``camera_mode`` is on have a camera.
+        setup: the race to mirror; the karts whose ``camera_mode`` is on have a camera.
     """
 
     def __init__(self, setup: RaceSetup) -> None:
@@ -61,7 +59,7 @@ class ShadowRace:
                 break
 
     def follow(self, poses: Poses, seconds: float, *, in_real_time: bool = False) -> None:
-        """Moves the karts through ``(T, K, 8)`` poses, so much game time each [s]."""
+        """Moves the karts through ``(T, K, 8)`` poses, each ``seconds`` of game time apart [s]."""
         self._race.config.step_size = seconds
         move = self._world.set_kart_location
         for moment in poses.tolist():
@@ -73,7 +71,7 @@ class ShadowRace:
         self._world.update()
 
     def _wait(self, seconds: float) -> None:
-        """Waits until so long after the last pose; what is late is not made up for."""
+        """Waits until ``seconds`` after the last pose; delays are not made up for."""
         now = time.monotonic()
         self._due = max(self._due + seconds, now)
         time.sleep(min(self._due - now, seconds))
@@ -91,7 +89,7 @@ class ShadowRace:
         return np.array([kart.location for kart in self._world.karts], np.float32)
 
     def stop(self) -> None:
-        """Ends the race; nothing else may be called afterwards."""
+        """Ends the race. Do not call anything else afterwards."""
         self._race.stop()
 
 
@@ -118,21 +116,13 @@ def _config(pystk2: Any, setup: RaceSetup) -> Any:
 
 
 def main(port: int, self_destruct_after: int) -> None:
-    """Connects back to the program and draws for it until it is gone."""
-    token = bytes.fromhex(os.environ.pop("STKZOO_TOKEN"))
-    try:
-        init_engine(os.environ.pop("STKZOO_GRAPHICS"))
-        with socket.create_connection(("127.0.0.1", port)) as connection:
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            connection.sendall(token)
-            _serve(connection, self_destruct_after)
-    finally:  # the program may have been killed
-        shutil.rmtree(os.environ["HOME"], ignore_errors=True)
-    os._exit(0)
+    """Draws for the program until it is gone."""
+    with connected(port, os.environ.pop("STKZOO_GRAPHICS")) as connection:
+        _serve(connection, self_destruct_after)
 
 
 def _serve(connection: socket.socket, self_destruct_after: int) -> None:
-    race: ShadowRace | None = None
+    race: MirroredRace | None = None
     while True:
         try:
             kind, frames = wire.receive(connection)
@@ -143,7 +133,7 @@ def _serve(connection: socket.socket, self_destruct_after: int) -> None:
                     if race is not None:
                         race.stop()
                         race = None  # the engine counts a race until its object is gone
-                    race = ShadowRace(RaceSetup.from_json(frames[0]))
+                    race = MirroredRace(RaceSetup.from_json(frames[0]))
                 elif kind == wire.DRAW and race is not None:
                     answer = _draw(race, *frames)
                 else:
@@ -156,8 +146,8 @@ def _serve(connection: socket.socket, self_destruct_after: int) -> None:
         set_alarm(0)
 
 
-def _draw(race: ShadowRace, request: bytes, poses: bytes) -> list[bytes]:
-    """Answers a :data:`~stkzoo.engine.wire.DRAW`: what is wanted, as JSON, and poses."""
+def _draw(race: MirroredRace, request: bytes, poses: bytes) -> list[bytes]:
+    """Answers a :data:`~stkzoo.engine.wire.DRAW`: the request as JSON, and poses."""
     wishes = json.loads(request)
     moments = np.frombuffer(poses, np.float32).reshape(-1, len(race.locations()), _POSE_SIZE)
     race.follow(moments, wishes["seconds"], in_real_time=wishes["in_real_time"])
@@ -175,7 +165,7 @@ def _draw(race: ShadowRace, request: bytes, poses: bytes) -> list[bytes]:
 
 @contextlib.contextmanager
 def _ending_with(connection: socket.socket) -> Iterator[None]:
-    """Ends this process if the program ends meanwhile, for drawing can take minutes."""
+    """Ends this process if the program ends meanwhile, because drawing can take minutes."""
     if sys.platform != "linux":
         yield
         return

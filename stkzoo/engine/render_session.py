@@ -1,13 +1,11 @@
-"""The game's pictures of a race that runs elsewhere, seen from the program that wants them."""
+"""The program's side of the render process, which draws a race that runs elsewhere."""
 
 from __future__ import annotations
 
-import contextlib
 import ctypes.util
 import json
 import os
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,11 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine import wire
-from stkzoo.engine.process import DRAWING_START_TIMEOUT, RaceProcess, start_shadow_process
+from stkzoo.engine.process import DRAWING_START_TIMEOUT, RaceProcess, start_render_process
+from stkzoo.engine.session import ProcessSession
 from stkzoo.engine.setup import RaceSetup
-from stkzoo.errors import ApiOrderError, ConfigError, EngineCrashed, EngineTimeout
+from stkzoo.errors import ConfigError, EngineCrashed
 
-__all__ = ["TICK", "Footage", "ShadowSession", "check_graphics_libraries", "has_graphics_card"]
+__all__ = ["TICK", "Footage", "RenderSession", "check_graphics_libraries", "has_graphics_card"]
 
 #: Game time of one move of the drawn karts [s].
 TICK = 1 / 60
@@ -35,12 +34,12 @@ _NO_ANISOTROPY = "-GL_EXT_texture_filter_anisotropic -GL_ARB_texture_filter_anis
 
 @dataclass(frozen=True, slots=True)
 class Footage:
-    """What the cameras saw.
+    """What the cameras see at one moment.
 
     Attributes:
-        images: ``(C, H, W, 3)`` uint8, one picture a camera; ``C`` is 0 if none was wanted.
+        images: ``(C, H, W, 3)`` uint8, one picture per camera; ``C`` is 0 if none was requested.
         depths: ``(C, H, W)`` float32, the depth buffer as the graphics library keeps it: 0 is
-            near and 1 far; ``C`` is 0 if none was wanted.
+            near and 1 far; ``C`` is 0 if none was requested.
         locations: ``(K, 3)`` float32: where the drawn karts stand [m].
     """
 
@@ -50,7 +49,7 @@ class Footage:
 
 
 def check_graphics_libraries() -> None:
-    """Checks that the game can draw without a screen, as far as a look tells.
+    """Checks that the game can draw without a screen, as far as a look at the libraries tells.
 
     Raises:
         ConfigError: libraries are missing; it names the packages.
@@ -74,7 +73,7 @@ def has_graphics_card() -> bool:
     return any(True for name in names for _ in Path("/dev").glob(name))
 
 
-class ShadowSession:
+class RenderSession(ProcessSession):
     """Draws races in a process of its own, one at a time.
 
     Args:
@@ -99,17 +98,14 @@ class ShadowSession:
         fields: dict[str, Any] = {"preset": preset} if isinstance(preset, str) else dict(preset)
         fields |= {"render": True, "display": has_window}
         fields |= {"screen_width": size[0], "screen_height": size[1]}
+        super().__init__(
+            "the process that draws",
+            "`stkzoo doctor` looks for the cause",
+            {wire.BEGIN: DRAWING_START_TIMEOUT},
+        )
         self._root, self._graphics = root, json.dumps(fields)
         self._has_window = has_window
-        self._timeouts = {wire.BEGIN: DRAWING_START_TIMEOUT, wire.DRAW: timeout}
-        self._process: RaceProcess | None = None
-        self._has_drawn = False
-        self._owner = os.getpid()
-
-    @property
-    def pid(self) -> int | None:
-        """Process id of the game that draws, if any."""
-        return self._process.pid if self._process else None
+        self._timeout = timeout
 
     def start(self, setup: RaceSetup) -> None:
         """Starts the drawn race; its karts stand on the grid.
@@ -120,10 +116,10 @@ class ShadowSession:
         if self._owner != os.getpid():
             self.close()
         if self._process is None:
-            self._process = self._start_process()
-            self._has_drawn = False
-            self._owner = os.getpid()
-        self._ask(wire.BEGIN, setup.to_json())
+            self._own(self._start_process())
+            self._timeouts[wire.DRAW] = 10 * self._timeout
+        self._send(wire.BEGIN, setup.to_json())
+        self._receive(wire.BEGIN)
 
     def draw(
         self,
@@ -155,7 +151,10 @@ class ShadowSession:
             "in_real_time": in_real_time,
         }
         moments = np.ascontiguousarray(poses, np.float32).tobytes()
-        facts, image, depth, places = self._ask(wire.DRAW, json.dumps(wishes).encode(), moments)
+        self._require_own()
+        self._send(wire.DRAW, json.dumps(wishes).encode(), moments)
+        facts, image, depth, places = self._receive(wire.DRAW)
+        self._timeouts[wire.DRAW] = self._timeout
         shape: dict[str, int] = json.loads(facts)
         height, width = shape["height"], shape["width"]
         return Footage(
@@ -164,24 +163,14 @@ class ShadowSession:
             np.frombuffer(places, np.float32).reshape(-1, 3),
         )
 
-    def close(self) -> None:
-        """Ends the process; :meth:`start` still works."""
-        process, self._process = self._process, None
-        if process is not None:
-            process.let_go(self._owner)
-
-    def __del__(self) -> None:
-        with contextlib.suppress(Exception):  # the interpreter may be half gone
-            self.close()
-
     def _start_process(self) -> RaceProcess:
         try:
-            return start_shadow_process(self._root, self._graphics, self._variables())
+            return start_render_process(self._root, self._graphics, self._variables())
         except EngineCrashed as error:
             if not self._has_window:
                 raise
             raise EngineCrashed(
-                "the game could not open its window; look whether the display is there that "
+                "the game could not open its window; check that the display exists that "
                 "DISPLAY or WAYLAND_DISPLAY names, start one with `xvfb-run`, or use "
                 'render_mode="rgb_array"',
                 error.log,
@@ -195,46 +184,9 @@ class ShadowSession:
             return {"SDL_VIDEODRIVER": "offscreen", **mesa}
         return {**mesa, **_window_variables()}
 
-    def _ask(self, kind: bytes, *data: bytes) -> list[bytes]:
-        if self._process is None or self._owner != os.getpid():
-            raise ApiOrderError("nothing is being drawn; start a race first")
-        process = self._process
-        with self._ending_what_fails(process):
-            patience = 1 if self._has_drawn or kind != wire.DRAW else 10
-            process.connection.settimeout(self._timeouts[kind] * patience)
-            wire.send(process.connection, kind, *data)
-            answers = process.reply()
-        self._has_drawn = self._has_drawn or kind == wire.DRAW
-        return answers
-
-    @contextlib.contextmanager
-    def _ending_what_fails(self, process: RaceProcess) -> Iterator[None]:
-        try:
-            yield
-        except TimeoutError:
-            seconds = process.connection.gettimeout()
-            _, log = self._end(process)
-            raise EngineTimeout(
-                f"the process that draws gave no answer in {seconds:g} s and was ended", log
-            ) from None
-        except (EOFError, OSError):
-            how, log = self._end(process)
-            raise EngineCrashed(
-                f"the process that draws {how}; `stkzoo doctor` looks for the cause", log
-            ) from None
-        except BaseException:
-            self._end(process)
-            raise
-
-    def _end(self, process: RaceProcess) -> tuple[str, str]:
-        self._process = None
-        how, log = process.end(), process.log.tail()
-        process.log.close()
-        return how, log
-
 
 def _window_variables() -> dict[str, str]:
-    """What brings the window to the user's display, and nowhere else."""
+    """Environment variables that open the window on the user's display."""
     systems = {"DISPLAY": "x11", "WAYLAND_DISPLAY": "wayland"}
     named = ",".join(system for name, system in systems.items() if os.environ.get(name))
     variables = {"SDL_VIDEODRIVER": os.environ.get("SDL_VIDEODRIVER") or named}
