@@ -176,7 +176,7 @@ def _draw(names: Sequence[str], file: Path) -> int:
     from stkzoo import race_v0
     from stkzoo._os import atomic_write
     from stkzoo.render.map import MapView
-    from stkzoo.render.pillow import pillow
+    from stkzoo.render.pictures import pillow
 
     with race_v0.parallel_env(num_kart=1, track=names[0]) as env:
         env.reset(seed=0)

@@ -25,10 +25,9 @@ from stkzoo.render.cards import ResultRow, end_card, with_labels
 from stkzoo.render.encoder import VideoWriter, check_video_path
 from stkzoo.render.map import MapView
 from stkzoo.render.motion import snapshots_between
+from stkzoo.render.pictures import grid_of, tiled
 from stkzoo.render.renderer import RaceRenderer, camera_karts
-from stkzoo.render.scene import Scene
-from stkzoo.render.standings import clock, standings
-from stkzoo.render.tiles import grid_of, tiled
+from stkzoo.render.scene import Scene, clock, standings
 
 __all__ = ["RaceFilm", "RaceVideo"]
 

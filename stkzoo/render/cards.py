@@ -10,10 +10,8 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.render.palette import readable_on, rgb
-from stkzoo.render.pillow import font_of, pillow
-from stkzoo.render.scene import Scene
-from stkzoo.render.standings import Standing, clock, standings
-from stkzoo.render.tiles import grid_of
+from stkzoo.render.pictures import font_of, grid_of, pillow
+from stkzoo.render.scene import RaceStanding, Scene, clock, standings
 
 __all__ = ["ResultRow", "end_card", "with_labels"]
 
@@ -32,7 +30,7 @@ def with_labels(
     """A picture of camera tiles with rank, name, lap and speed of each, and the race's time.
 
     Args:
-        picture: tiles as :func:`stkzoo.render.tiles.tiled` makes them.
+        picture: tiles as :func:`stkzoo.render.pictures.tiled` makes them.
         scene: the race.
         snapshot: its moment.
         karts: whose camera each tile is.
@@ -56,7 +54,7 @@ def with_labels(
 
 def _draw_label(
     draw: Any,
-    line: Standing,
+    line: RaceStanding,
     speed: float,
     place: tuple[int, int],
     tile: tuple[int, int],

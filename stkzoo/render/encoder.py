@@ -1,4 +1,4 @@
-"""Video files, encoded while the pictures come."""
+"""Video files, encoded picture by picture."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _H264 = ("-c:v", "libx264", "-preset", "veryfast", "-crf", "21", "-pix_fmt", "yu
 _VP9 = ("-c:v", "libvpx-vp9", "-deadline", "realtime", "-cpu-used", "6")
 _GIF = "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=bayer"
 
-#: What ffmpeg is told, by the ending of the file's name.
+#: Arguments of ffmpeg by the file's suffix.
 FORMATS: dict[str, tuple[str, ...]] = {
     ".mp4": (*_H264, "-movflags", "+faststart"),
     ".mov": (*_H264, "-movflags", "+faststart"),
@@ -45,10 +45,10 @@ class VideoError(StkzooError):
 
 
 def check_video_path(path: str | os.PathLike[str]) -> Path:
-    """The path of a video that is to be.
+    """Checks the path of a video to write.
 
     Raises:
-        ConfigError: its ending is unknown, its folder missing or closed, or there is no ffmpeg.
+        ConfigError: its ending is unknown, its folder is not writable, or there is no ffmpeg.
     """
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
@@ -81,7 +81,7 @@ def _ffmpeg() -> str:
 
 
 class VideoWriter:
-    """Writes one video: a whole file, or none.
+    """Writes one video; a failure leaves no file.
 
     Pictures go to ffmpeg as they come, so that memory does not grow. The file appears under
     its name when :meth:`close` has succeeded.
@@ -110,7 +110,7 @@ class VideoWriter:
 
         Raises:
             ConfigError: the picture is of another size or kind.
-            VideoError: ffmpeg failed, for want of room perhaps.
+            VideoError: ffmpeg failed, for example because the disk is full.
         """
         if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
             raise ConfigError(
@@ -153,7 +153,7 @@ class VideoWriter:
         self._free()
 
     def abort(self) -> None:
-        """Gives the video up; nothing of it remains. May be called again, or after close."""
+        """Discards the video. You may call it again, or after close."""
         process = self._process
         if process is not None and process.poll() is None:
             process.kill()

@@ -16,8 +16,8 @@ from stkzoo.engine.setup import KartSetup, RaceSetup
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.names import CameraMode
 from stkzoo.render.motion import game_time, poses_between
+from stkzoo.render.pictures import resized
 from stkzoo.render.scene import Scene
-from stkzoo.render.tiles import resized
 
 __all__ = ["GameView"]
 
@@ -32,7 +32,7 @@ _MENDS = {2: 2.0, 5: 1.5, 6: 1.5}
 #: The largest screen that the game finds where there is none [pixels]; for a larger one it
 #: takes this instead, of another shape.
 _LARGEST_SCREEN = 1024, 768
-#: Models that are easy to tell apart, for karts whose model nobody has chosen.
+#: Models that are easy to tell apart, for karts without a chosen model.
 _MODELS = (
     *("tux", "gnu", "nolok", "kiki", "konqi", "suzanne", "wilber", "puffy"),
     *("sara_the_racer", "pidgin", "adiumy", "amanda", "emule", "gavroche", "hexley", "beastie"),
@@ -128,7 +128,7 @@ class GameView:
             yield self._frames(self._session.draw(poses[begin : begin + ticks]).images)
 
     def close(self) -> None:
-        """Ends the process that draws."""
+        """Ends the render process."""
         self._session.close()
 
     def _go(self, snapshot: Snapshot, *, images: bool, depths: bool = False) -> Footage:

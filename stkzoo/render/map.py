@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from collections import deque
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
+from stkzoo.engine.track import TrackMap
 from stkzoo.render.palette import readable_on, rgb
 from stkzoo.render.panel import draw_panel, panel_width
-from stkzoo.render.pillow import font_of, pillow
-from stkzoo.render.road import road_of
+from stkzoo.render.pictures import font_of, pillow
 from stkzoo.render.scene import Scene
+
+__all__ = ["MapView", "RoadOutline", "road_outline"]
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-__all__ = ["MapView"]
 
 #: Everything is drawn this many times larger, then made small: smooth edges everywhere.
 _FINE = 2
@@ -61,7 +63,7 @@ class MapView:
     ) -> None:
         self._pil = pillow()
         self._scene, self._follow = scene, follow
-        self._road = road_of(scene.track_map)
+        self._road = road_outline(scene.track_map)
         self._size = size
         self._panel = panel_width(size) if panel else 0
         self._width, self._height = size[0] - self._panel, size[1]
@@ -73,7 +75,7 @@ class MapView:
         self._label = font_of(max(9, min(size) // 40) * _FINE)
 
     def remember(self, snapshot: Snapshot) -> None:
-        """Takes in a moment for the trails, also if it is not drawn."""
+        """Records a moment for the trails, even if it is not drawn."""
         self._trail.append(snapshot.karts["location"][:, ::2].copy())
 
     def draw(self, snapshot: Snapshot) -> npt.NDArray[np.uint8]:
@@ -213,3 +215,90 @@ def _outline(draw: Any, quad: Any, kerb: float) -> None:
     draw.polygon(points, fill=_KERB)
     for start, end in ((0, 3), (1, 2)):
         draw.line([points[start], points[end]], fill=_KERB, width=max(1, round(2 * kerb)))
+
+
+FloatArray = npt.NDArray[np.float32]
+
+#: Ends of segments that lie nearer than this are drawn as one place [m].
+_JOINT = 16.0
+#: No road is drawn narrower or wider than this [m].
+_WIDTHS = 3.0, 60.0
+
+
+class RoadOutline:
+    """The driving line's segments as four-sided pieces. Points are ``(x, z)`` [m].
+
+    Attributes:
+        quads: ``(N, 4, 2)``: left and right edge at a piece's start, right and left at its end.
+        joints: ``(N, 2)``: the centre at each piece's start.
+        widths: ``(N,)`` [m].
+        heights: ``(N,)`` [m], at each piece's middle.
+        order: ``(N,)``: the pieces from the lowest to the highest.
+        low, high: ``(2,)``: the corners of the box that holds all pieces.
+        line: ``(2, 2)``: the start line, from left to right.
+        forward: ``(2,)``: the direction of driving there.
+    """
+
+    def __init__(self, track: TrackMap) -> None:
+        starts, ends = track.path_nodes[:, 0, ::2], track.path_nodes[:, 1, ::2]
+        self.widths = np.clip(track.path_width[:, 0], *_WIDTHS)
+        self.heights = track.path_nodes[:, :, 1].mean(1)
+        self.joints = starts
+        ways = _unit(ends - starts)
+        at_start = _mean_ways(ways, track)
+        side = _right_of(at_start) * self.widths[:, None] / 2
+        left, right = starts - side, starts + side
+        far = _right_of(ways) * self.widths[:, None] / 2
+        far_left, far_right = ends - far, ends + far
+        for node, followers in enumerate(track.successors):
+            if followers:
+                gaps = np.linalg.norm(starts[list(followers)] - ends[node], axis=1)
+                nearest = followers[int(np.argmin(gaps))]
+                if gaps.min() < _JOINT:
+                    far_left[node], far_right[node] = left[nearest], right[nearest]
+        self.quads = np.stack([left, right, far_right, far_left], axis=1)
+        self.order = np.argsort(self.heights, kind="stable")
+        corners = self.quads.reshape(-1, 2)
+        self.low, self.high = corners.min(0), corners.max(0)
+        first = int(np.argmin(track.path_distance[:, 0]))
+        self.line = np.stack([left[first], right[first]])
+        self.forward = at_start[first]
+
+    def shades(self) -> FloatArray:
+        """``(N,)``: 0 for the lowest, 1 for the highest piece; flat tracks are all 0.5."""
+        low, high = float(self.heights.min()), float(self.heights.max())
+        if high - low < 2.0:
+            return np.full(len(self.heights), 0.5, np.float32)
+        return np.asarray((self.heights - low) / (high - low), np.float32)
+
+    def near(self, centre: FloatArray, reach: float) -> npt.NDArray[np.bool_]:
+        """``(N,)``: which pieces come within so many metres of a place, in ``x`` or ``z``."""
+        low, high = self.quads.min(1), self.quads.max(1)
+        near: npt.NDArray[np.bool_] = ((low < centre + reach) & (high > centre - reach)).all(1)
+        return near
+
+
+@lru_cache(maxsize=32)
+def road_outline(track: TrackMap) -> RoadOutline:
+    """The outline of a track's road, cached."""
+    return RoadOutline(track)
+
+
+def _mean_ways(ways: FloatArray, track: TrackMap) -> FloatArray:
+    """Directions where segments meet: the mean of a segment's and its forerunners'."""
+    sums = ways.copy()
+    for node, followers in enumerate(track.successors):
+        for follower in followers:
+            if float(ways[node] @ ways[follower]) > 0:
+                sums[follower] += ways[node]
+    return _unit(sums)
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.maximum(lengths, 1e-6), np.float32)
+
+
+def _right_of(ways: FloatArray) -> FloatArray:
+    """Driving along z, x is on the right."""
+    return np.stack([ways[:, 1], -ways[:, 0]], axis=1)

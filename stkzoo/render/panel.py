@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.render.palette import readable_on, rgb
-from stkzoo.render.pillow import font_of, pillow
-from stkzoo.render.scene import Scene
-from stkzoo.render.standings import Standing, clock, standings
+from stkzoo.render.pictures import font_of, pillow
+from stkzoo.render.scene import RaceStanding, Scene, clock, standings
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -63,7 +62,9 @@ def _subtitle(scene: Scene, snapshot: Snapshot) -> str:
     return f"{time}   {lap} of {laps}" if lap else time
 
 
-def _draw_line(draw: Any, line: Standing, left: float, right: float, top: float, unit: int) -> None:
+def _draw_line(
+    draw: Any, line: RaceStanding, left: float, right: float, top: float, unit: int
+) -> None:
     """A badge with the rank, the name, the lap or time, and a bar of progress."""
     colour, ink = rgb(line.colour), readable_on(line.colour)
     badge = unit * 1.5

@@ -1,4 +1,4 @@
-"""Pictures of whatever race an environment runs, by the game or as a map."""
+"""Pictures of the race that an environment runs, by the game or as a map."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from stkzoo.errors import AssetError, ConfigError, EngineError
 from stkzoo.names import CameraMode
 from stkzoo.render.game import GameView
 from stkzoo.render.map import MapView
+from stkzoo.render.pictures import tiled
 from stkzoo.render.scene import Scene
-from stkzoo.render.tiles import tiled
 
 __all__ = ["BACKENDS", "RaceRenderer", "camera_karts"]
 
@@ -24,14 +24,14 @@ logger = logging.getLogger(__name__)
 
 Picture = npt.NDArray[np.uint8]
 
-#: Who draws: the game, the map, or the game where it can and else the map.
+#: What draws: the game, the map, or the game if it can and else the map.
 BACKENDS = ("auto", "engine", "map")
 
 
 class RaceRenderer:
     """Draws the moments of one race after another.
 
-    The game that draws is started when the first picture is asked for.
+    The render process starts with the first picture.
 
     Args:
         backend: one of :data:`BACKENDS`.
@@ -59,16 +59,16 @@ class RaceRenderer:
 
     @property
     def backend(self) -> str:
-        """Who draws: ``"engine"`` or ``"map"``; ``"auto"`` until that has shown itself."""
+        """What draws: ``"engine"`` or ``"map"``; ``"auto"`` until the first picture."""
         return self._backend
 
     def begin(self, scene: Scene) -> None:
-        """From now on it is this race."""
+        """Starts another race."""
         self._scene, self._is_game_ready = scene, False
         self._map, self._maps = None, {}
 
     def remember(self, snapshot: Snapshot) -> None:
-        """Takes in a moment that may not be drawn, for the trails of the map."""
+        """Records a moment for the trails of the map, even if it is not drawn."""
         if self._backend == "map":
             for view in (self._whole_map(), *self._maps.values()):
                 view.remember(snapshot)
@@ -83,7 +83,7 @@ class RaceRenderer:
         """
         game = self._ready_game()
         if game is not None:
-            with self._giving_up_what_fails():
+            with self._closing_after_failure():
                 frames = self._in_order(game.frames(snapshot))
             return tiled(frames, self.size) if len(frames) > 1 else frames[0]
         return self._whole_map().draw(snapshot)
@@ -98,12 +98,12 @@ class RaceRenderer:
         """
         game = self._ready_game()
         if game is not None:
-            with self._giving_up_what_fails():
+            with self._closing_after_failure():
                 return game.frames(snapshot)
-        karts = camera_karts(self._present())
+        karts = camera_karts(self._current())
         for kart in karts:
             if kart not in self._maps:
-                view = MapView(self._present(), self.size, follow=kart, panel=False)
+                view = MapView(self._current(), self.size, follow=kart, panel=False)
                 view.remember(snapshot)
                 self._maps[kart] = view
         return {kart: self._maps[kart].draw(snapshot) for kart in karts}
@@ -120,7 +120,7 @@ class RaceRenderer:
         game = self._ready_game()
         if game is None:
             raise ConfigError('the map has no depth; draw with the game, render_backend="engine"')
-        with self._giving_up_what_fails():
+        with self._closing_after_failure():
             return game.frames_and_depths(snapshot)
 
     def pictures_between(self, snapshot: Snapshot, number: int) -> Iterator[dict[int, Picture]]:
@@ -130,45 +130,45 @@ class RaceRenderer:
         """
         game = self._ready_game()
         if game is not None:
-            with self._giving_up_what_fails():
+            with self._closing_after_failure():
                 yield from game.frames_between(snapshot, number)
 
     def show(self, snapshot: Snapshot) -> None:
         """Brings the window to this moment."""
         game = self._ready_game()
         if game is not None:
-            with self._giving_up_what_fails():
+            with self._closing_after_failure():
                 game.show(snapshot)
 
     def close(self) -> None:
-        """Ends the process that draws, if there is one."""
+        """Ends the render process, if there is one."""
         game, self._game, self._is_game_ready = self._game, None, False
         if game is not None:
             game.close()
 
     @contextlib.contextmanager
-    def _giving_up_what_fails(self) -> Iterator[None]:
-        """After a failure the next picture starts the game anew."""
+    def _closing_after_failure(self) -> Iterator[None]:
+        """Closes the game after a failure; the next picture starts it again."""
         try:
             yield
         except EngineError:
             self.close()
             raise
 
-    def _present(self) -> Scene:
+    def _current(self) -> Scene:
         assert self._scene is not None  # noqa: S101 - callers begin first
         return self._scene
 
     def _in_order(self, by_kart: dict[int, Picture]) -> list[Picture]:
-        return [by_kart[kart] for kart in camera_karts(self._present())]
+        return [by_kart[kart] for kart in camera_karts(self._current())]
 
     def _whole_map(self) -> MapView:
         if self._map is None:
-            self._map = MapView(self._present(), self.size)
+            self._map = MapView(self._current(), self.size)
         return self._map
 
     def _ready_game(self) -> GameView | None:
-        """The game, drawing the present race; ``None`` if the map does."""
+        """The game, drawing the current race; ``None`` if the map draws."""
         if self._backend == "map":
             return None
         try:
@@ -184,21 +184,21 @@ class RaceRenderer:
         return self._game
 
     def _start_game(self) -> None:
-        karts = camera_karts(self._present())
+        karts = camera_karts(self._current())
         if self._game is None or self._game_karts != tuple(sorted(karts)):
             self.close()
             self._game = GameView(karts, self.size, self._preset, has_window=self._has_window)
             self._game_karts = tuple(sorted(karts))
         if not self._is_game_ready:
-            self._game.start(self._present())
+            self._game.start(self._current())
             self._is_game_ready = True
 
 
 def camera_karts(scene: Scene) -> list[int]:
     """The karts with a camera, in the order of their agents.
 
-    These are the agents that ask for one; then, as far as ``num_cameras`` goes, the others
-    but those that want none; and the first agent if there is nobody else.
+    These are the agents that request one; then, up to ``num_cameras``, the others except
+    those that refuse one; and the first agent if there is no other.
     """
     modes = {kart: scene.setup.karts[kart].camera_mode for kart in scene.kart_indices}
     chosen = [kart for kart, mode in modes.items() if mode == CameraMode.ON]

@@ -1,14 +1,15 @@
-"""What a picture needs to know of a race beside its moments."""
+"""What pictures show of a race: its facts, and the standings at a moment."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
 from stkzoo.engine.setup import RaceSetup
+from stkzoo.engine.snapshot import Snapshot
 from stkzoo.engine.track import TrackMap
 from stkzoo.render.palette import race_palette
 
-__all__ = ["Scene"]
+__all__ = ["RaceStanding", "Scene", "clock", "standings"]
 
 
 @dataclass(frozen=True)
@@ -16,11 +17,11 @@ class Scene:
     """A race as its pictures show it.
 
     Attributes:
-        setup: what the engine was told.
+        setup: the engine's options.
         track_map: the track.
         kart_types: model name of each kart, in grid order.
         kart_indices: each agent's kart; the other karts are the game's own.
-        names: what to call each kart, in grid order; made up if left out.
+        names: of each kart, in grid order; generated if left out.
         colours: of each kart, in grid order: agents first in :func:`race_palette`.
     """
 
@@ -63,3 +64,54 @@ def _name(scene: Scene, kart: int, agent: int | None) -> str:
     if agent is None:
         return given or "the game"
     return given or f"kart_{agent}"
+
+
+@dataclass(frozen=True, slots=True)
+class RaceStanding:
+    """One line of the standings.
+
+    Attributes:
+        rank: its place, 1 is first.
+        kart: index in grid order.
+        name: what it is called.
+        colour: as ``"#rrggbb"``.
+        progress: part of the race that is done, 0 to 1.
+        detail: its time at the finish, or its lap.
+        has_finished: whether it has finished.
+    """
+
+    rank: int
+    kart: int
+    name: str
+    colour: str
+    progress: float
+    detail: str
+    has_finished: bool
+
+
+def standings(scene: Scene, snapshot: Snapshot) -> list[RaceStanding]:
+    """All karts, best rank first."""
+    length = scene.track_map.length * scene.setup.laps
+    lines = []
+    for kart, record in enumerate(snapshot.karts):
+        finished = bool(record["has_finished_race"])
+        distance = max(0.0, float(record["overall_distance"]))
+        lap = min(max(int(record["finished_laps"]) + 1, 1), scene.setup.laps)
+        lines.append(
+            RaceStanding(
+                rank=int(record["position"]),
+                kart=kart,
+                name=scene.names[kart],
+                colour=scene.colours[kart],
+                progress=1.0 if finished else min(distance / length, 1.0),
+                detail=clock(float(record["finish_time"])) if finished else f"lap {lap}",
+                has_finished=finished,
+            )
+        )
+    return sorted(lines, key=lambda line: (line.rank, line.kart))
+
+
+def clock(seconds: float) -> str:
+    """A race time for people: minutes, seconds, tenths."""
+    tenths = round(max(0.0, seconds) * 10)
+    return f"{tenths // 600}:{tenths // 10 % 60:02d}.{tenths % 10}"

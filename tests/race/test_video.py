@@ -17,7 +17,7 @@ from stkzoo.render import encoder
 from stkzoo.render.cards import end_card
 from stkzoo.render.encoder import FORMATS, VideoError, VideoWriter
 from stkzoo.render.motion import game_time, poses_between, snapshots_between
-from stkzoo.render.tiles import grid_of, tiled
+from stkzoo.render.pictures import grid_of, tiled
 from tests.support.rendering import drive, small_race, who_draws
 
 FFMPEG = imageio_ffmpeg.get_ffmpeg_exe()

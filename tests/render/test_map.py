@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stkzoo.render.map import MapView
+from stkzoo.render.map import MapView, road_outline
 from stkzoo.render.palette import race_palette, readable_on, rgb
-from stkzoo.render.road import road_of
-from stkzoo.render.standings import clock, standings
+from stkzoo.render.scene import clock, standings
 from tests.support.rendering import drive, small_race
 
 
@@ -90,10 +89,10 @@ def test_trails_are_left(race):
 
 def test_the_road_is_as_wide_as_the_track_says(race):
     scene, _ = race
-    road = road_of(scene.track_map)
+    road = road_outline(scene.track_map)
     across = np.linalg.norm(road.quads[:, 0] - road.quads[:, 1], axis=1)
     np.testing.assert_allclose(across, road.widths, rtol=1e-4)
-    assert road_of(scene.track_map) is road
+    assert road_outline(scene.track_map) is road
 
 
 def test_standings_are_in_the_games_order(race):

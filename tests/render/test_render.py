@@ -415,7 +415,7 @@ def test_missing_pictures_are_named(monkeypatch):
 
 def test_drawing_without_pillow_names_the_extra():
     code = (
-        "import sys; sys.modules['PIL'] = None\nfrom stkzoo.render.pillow import pillow\npillow()"
+        "import sys; sys.modules['PIL'] = None\nfrom stkzoo.render.pictures import pillow\npillow()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert "ConfigError: drawing needs Pillow" in done.stderr

@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.names import AttachmentType, ItemType, Phase, PowerupType
+from stkzoo.render.map import road_outline
 from stkzoo.render.palette import readable_on
-from stkzoo.render.road import road_of
 from stkzoo.render.scene import Scene
 
 __all__ = ["control_rows", "encoded", "moment_message", "plain", "race_message", "trace_row"]
@@ -63,7 +63,7 @@ def race_message(scene: Scene, sources: Mapping[str, str], seed: int | None) -> 
         }
         for kart in range(scene.num_kart)
     ]
-    road, setup = road_of(scene.track_map), scene.setup
+    road, setup = road_outline(scene.track_map), scene.setup
     return {
         "type": "race",
         "title": scene.title,

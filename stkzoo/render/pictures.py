@@ -1,16 +1,46 @@
-"""Several pictures as one."""
+"""Pillow, loaded when first needed, and several pictures as one."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.render.pillow import pillow
+from stkzoo.errors import ConfigError
 
-__all__ = ["grid_of", "resized", "tiled"]
+__all__ = ["font_of", "grid_of", "pillow", "resized", "tiled"]
+
+if TYPE_CHECKING:
+    from PIL import ImageFont
+
+
+@lru_cache(maxsize=1)
+def pillow() -> Any:
+    """The modules ``Image``, ``ImageDraw`` and ``ImageFont`` of Pillow, as attributes.
+
+    Raises:
+        ConfigError: Pillow is not installed.
+    """
+    try:
+        import PIL
+        from PIL import Image, ImageDraw, ImageFont  # noqa: F401 - read as attributes
+    except ImportError:
+        raise ConfigError(
+            "drawing needs Pillow, which is not installed; run `pip install 'stkzoo[record]'`"
+        ) from None
+    return PIL
+
+
+@lru_cache(maxsize=64)
+def font_of(size: int) -> ImageFont.FreeTypeFont:
+    """Pillow's own font in a size [pixels]."""
+    font: ImageFont.FreeTypeFont = pillow().ImageFont.load_default(max(6, size))
+    return font
+
 
 Picture = npt.NDArray[np.uint8]
 
