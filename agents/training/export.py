@@ -3,20 +3,19 @@ r"""Makes an agent of learned weights: a folder to race, to ship and to send aro
     python -m stkzoo.agents.training.export runs/first/policy-002000000.safetensors \
         --name swift --output agents/pretrained/swift
 
-The run is of ``ppo_selfplay``, ``sb3_selfplay`` or ``distil``. With ``--ensemble-weight 1`` one or
-several networks of the latter two form an ensemble with the plans: a plan is chosen by its worth
-and, with this weight, by how likely the networks are to do the same.
+The run is one of ``ppo``, ``sb3``, ``rllib``, ``imitation`` or ``league``. With ``--ensemble-weight
+1`` one or several networks that answer at once form an ensemble with the plans: a plan is chosen by
+its worth and, with this weight, by how likely the networks are to do the same.
 
 The folder has the weights, ``card.json`` with their digest, how they were learned (from the runs'
-``arguments.json`` beside them, if it is there) and, if they choose among plans, the numbers that
-these go by, ``CARD.md`` for people, whose gaps are to be filled by hand, and the words of an agent.
-``stkzoo race agents/pretrained/swift`` races it from wherever it is, and ``pretrained:swift`` if it
-is among stkzoo's own.
+``arguments.json`` beside them, if it is there) and, if they choose among plans, the parameters of
+these; ``CARD.md`` for people, whose gaps you fill in by hand; and the module of an agent. ``stkzoo
+race agents/pretrained/swift`` races it from any place, and ``pretrained:swift`` if it is among
+stkzoo's own.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
@@ -37,7 +36,8 @@ from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weigh
 from stkzoo.errors import ConfigError
 
 from .common.arguments import ARGUMENTS
-from .common.plan_parameters import numbers_of_run
+from .common.command import command_parser, run_command
+from .common.plan_parameters import run_parameters
 
 __all__ = ["export_policy", "main"]
 
@@ -98,7 +98,7 @@ def export_policy(
     folder: str | Path,
     ensemble_weight: float | None = None,
 ) -> Path:
-    """Makes the folder of an agent; one that is there must be an agent's, and is made anew.
+    """Makes the folder of an agent; an existing one must be an agent's, and is replaced.
 
     Args:
         weights: a policy of a run; with ``ensemble_weight`` one or more networks of an ensemble.
@@ -110,15 +110,16 @@ def export_policy(
         The folder.
 
     Raises:
-        ConfigError: the weights are no policy's, the name cannot be, or the folder is another's.
+        ConfigError: the weights are no policy's, the name is invalid, or the folder is not that of
+            an agent.
     """
     if not name.isidentifier():
-        raise ConfigError(f"the name {name!r} cannot be; expected letters, digits and _")
+        raise ConfigError(f"the name {name!r} is invalid; expected letters, digits and _")
     sources = [Path(weights)] if isinstance(weights, (str, Path)) else [Path(w) for w in weights]
     target = Path(folder)
     arrays, gaps, rules = _agent_of(sources, ensemble_weight)
     if target.exists() and any(target.iterdir()) and not (target / CARD).exists():
-        raise ConfigError(f"{str(target)!r} is no agent's folder; give another --output")
+        raise ConfigError(f"{str(target)!r} is not the folder of an agent; give another --output")
     target.mkdir(parents=True, exist_ok=True)
     save_weights(target / WEIGHTS, arrays)
     facts = {
@@ -159,7 +160,7 @@ def _agent_of(
     if is_network(arrays):
         return _network(sources[0]), _OF_NETWORKS, {}
     check_shapes(arrays, str(sources[0]))
-    return arrays, _OF_PLANS, {"rules": asdict(numbers_of_run(sources[0].parent))}
+    return arrays, _OF_PLANS, {"rules": asdict(run_parameters(sources[0].parent))}
 
 
 def _network(source: Path) -> Arrays:
@@ -206,29 +207,24 @@ def _write(path: Path, text: str) -> None:
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m stkzoo.agents.training.export",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("export", __doc__)
     parser.add_argument("weights", nargs="+", help="policy-STEPS.safetensors of a run")
-    parser.add_argument("--name", required=True, help="what the agent is called")
-    parser.add_argument("--output", required=True, help="its folder")
+    parser.add_argument("--name", required=True, help="name of the agent")
+    parser.add_argument("--output", required=True, help="folder of the agent")
     parser.add_argument(
         "--ensemble-weight",
         type=float,
         help="let networks choose among plans with this weight; 1 is usual",
     )
     options = parser.parse_args(words)
-    try:
+
+    def export() -> None:
         folder = export_policy(
             options.weights, options.name, options.output, options.ensemble_weight
         )
-    except ConfigError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    print(f"{folder} is an agent; try: stkzoo race {folder} ai ai ai ai --difficulty 3")
-    return 0
+        print(f"{folder} is an agent; try: stkzoo race {folder} ai ai ai ai --difficulty 3")
+
+    return run_command(export)
 
 
 if __name__ == "__main__":

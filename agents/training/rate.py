@@ -1,105 +1,95 @@
-"""Rates the kept policies of runs against one another: does self-play get better and better?
+"""Rates the kept policies of runs in races against one another: does self-play improve?
 
     python -m stkzoo.agents.training.rate runs/first runs/second --output ratings
+    python -m stkzoo.agents.training.rate runs/first --policy policy-000200000
 
-The runs are of ``ppo_selfplay`` or of ``sb3_selfplay``. Races of four policies and one kart of the
-game's AI at its hardest, on training tracks; who meets whom and where is drawn evenly. Each race
-is a line of ``matches.jsonl``: the same command with a higher ``--matches`` goes on, and so does it
-after a kill. From all orders together come ratings with intervals (``ratings.json``) and the
-picture of them over kart-steps (``ratings.png``); and of any two that met, how often the one with
-more kart-steps was ahead. ``start`` is what runs start from: the plans alone, or the first run's
-policy that has learned nothing.
+The first command plays races of four policies and one kart of the game's AI at its hardest, on
+training tracks; policies and places are drawn evenly. Each race is a line of ``matches.jsonl``: the
+same command with more ``--matches`` continues, and so does the same command after a kill. All
+orders of finish together give ratings with intervals (``ratings.json``), the plot of them over
+kart-steps (``ratings.png``), and how often, of two policies, the one with more kart-steps was
+ahead. ``start`` is the policy that the first run started from.
+
+The second command rates one policy of a run: against ``start``, one of its past selves, random
+choices and one of the game's bots, easy and hard in turn. The results are in the run's folder:
+``evaluations``, and ``ratings.json`` of all of them. ``sb3.selfplay`` runs it beside the training.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
+import os
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 
-from stkzoo._os import atomic_write
-from stkzoo.agents.planning import DriverParameters
-from stkzoo.agents.pretrained.mlp import KartPolicy, MlpDriver, load_driver
+from stkzoo.agents.pretrained.mlp import is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.plotting import new_figure, save_figure
 from stkzoo.evaluation.ratings import Rating
 from stkzoo.evaluation.statistics import percentile_interval
-from stkzoo.tracks import TRAIN_TRACKS
 
-from .common.arguments import changes, keep_to_one_thread
-from .common.plan_parameters import numbers_of_run
-from .league.matches import AI, SEATS, Match, Pairing, play, ratings_of
-from .sb3.matches import Heat, bots_of, drive
+from .common.arguments import QUICK_TRACKS, track_names, write_json
+from .common.command import command_parser, limit_threads, run_command
+from .common.matches import (
+    Match,
+    MatchDriver,
+    MatchRecord,
+    match_driver,
+    plan_match_driver,
+    play_matches,
+    random_driver,
+    rate_orders,
+)
+from .common.plan_parameters import run_parameters
+from .common.training_log import read_json_lines
+from .league.matches import AI, SEATS, play_records
+from .plot import draw_ratings
 
-__all__ = ["START", "Progress", "draw_pairing", "kept_policies", "main", "progress_of"]
+__all__ = [
+    "EVALUATIONS",
+    "RATINGS",
+    "START",
+    "LearningProgress",
+    "PolicyEvaluation",
+    "draw_match",
+    "evaluate_policy",
+    "kept_policies",
+    "learning_progress",
+    "main",
+    "read_evaluations",
+    "run_drivers",
+    "write_ratings",
+]
 
-#: What all runs start from.
-START = "start"
-_MATCHES, _RATINGS, _PICTURE = "matches.jsonl", "ratings.json", "ratings.png"
+#: The policy that runs start from, and one that chooses at random.
+START, RANDOM = "start", "random"
+#: A run's ratings, and the folder of the races that they come from.
+RATINGS, EVALUATIONS = "ratings.json", "evaluations"
+_MATCHES, _PLOT = "matches.jsonl", "ratings.png"
 _KEPT = "policy-*.safetensors"
-#: So many are raced before they are written down.
+#: Races between two writes.
 _AT_ONCE = 16
-#: Sets of races drawn for an interval.
+#: Bootstrap samples of an interval.
 _DRAWS = 2000
-#: Plays matches.
-Player = Callable[[Sequence[Pairing]], list[Match]]
-_TRACKS = tuple(track for track in TRAIN_TRACKS if track != "black_forest")
 
 
-@dataclass(frozen=True, slots=True)
-class Progress:
-    """How much there is in having learned for longer.
-
-    Attributes:
-        duels: pairs of policies with unlike kart-steps, of all races.
-        ahead: the share of these in which the one with more kart-steps came in before the other.
-        low: lower end of its interval: a bootstrap over races.
-        high: upper end.
-    """
-
-    duels: int
-    ahead: float
-    low: float
-    high: float
-
-
-def progress_of(matches: Sequence[Match]) -> Progress:
-    """What matches of kept policies tell about learning."""
-    counts = np.array([_duels(match.order) for match in matches])
-    rows = np.random.default_rng(0).integers(len(counts), size=(_DRAWS, len(counts)))
-    ahead, duels = counts[rows].sum(axis=1).T
-    low, high = percentile_interval(ahead / duels)
-    won, total = counts.sum(axis=0)
-    return Progress(int(total), float(won / total), float(low), float(high))
-
-
-def _duels(order: Sequence[str]) -> tuple[int, int]:
-    """Of two policies in a race, how often the one that learned for longer is ahead; how many."""
-    steps = [_millions(name) for name in order if name != AI]
-    unlike = [(first, second) for first, second in combinations(steps, 2) if first != second]
-    return sum(first > second for first, second in unlike), len(unlike)
-
-
-def _millions(name: str) -> float:
-    """A policy's kart-steps, of its name."""
-    return 0.0 if name == START else float(name.rpartition(" ")[2])
+# ---------------------------------------------------------------------- policies of runs
 
 
 def kept_policies(runs: Sequence[Path], every: int) -> dict[str, Path]:
-    """The policies that runs have kept, by name: the run's, and millions of kart-steps.
+    """The policies that runs have kept, named by run and millions of kart-steps.
 
     Args:
         runs: their folders.
-        every: leave out those that come sooner after the one before [kart-steps].
+        every: least kart-steps between two policies.
 
     Raises:
         ConfigError: a folder has none, or two runs have the same name.
@@ -111,7 +101,7 @@ def kept_policies(runs: Sequence[Path], every: int) -> dict[str, Path]:
             raise ConfigError(f"{str(run)!r} has no {_KEPT}; is it a run's folder?")
         last = 0
         for file in files:
-            steps = _steps_of(file.name)
+            steps = _steps_of(file.stem)
             if steps - last < every and file != files[-1]:
                 continue
             name, last = f"{run.name} {steps / 1e6:.2f}", steps
@@ -121,182 +111,264 @@ def kept_policies(runs: Sequence[Path], every: int) -> dict[str, Path]:
     return found
 
 
-def players_of(runs: Sequence[Path], files: Mapping[str, Path]) -> tuple[list[str], Player]:
-    """Who races, and what plays their matches.
+def run_drivers(runs: Sequence[Path], files: Mapping[str, Path]) -> dict[str, MatchDriver]:
+    """The drivers of kept policies by name, ``start`` among them.
 
     Args:
-        runs: the runs' folders, all of one script.
-        files: their kept policies by name.
+        runs: the runs' folders.
+        files: the policies' files by name.
 
     Raises:
-        ConfigError: the runs are of both scripts, or a file is no policy's.
+        ConfigError: a file is no policy.
     """
-    weights = {name: load_weights(file) for name, file in files.items()}
-    kinds = {"action_net.weight" in own for own in weights.values()}
-    if len(kinds) > 1:
-        raise ConfigError(
-            "these are runs of ppo_selfplay and of sb3_selfplay, expected runs of one of them"
-        )
-    if kinds == {False}:
-        rules = common_numbers(runs)
-        policies = {START: RacingPolicy.of_plans_alone()}
-        policies |= {name: RacingPolicy(own) for name, own in weights.items()}
-        return sorted(policies), lambda pairings: play(pairings, policies, 0, rules)
-    drivers = {name: MlpDriver(own, str(files[name])).new_race for name, own in weights.items()}
-    drivers[START] = load_driver(min(runs[0].glob(_KEPT))).new_race
-    return sorted(drivers), lambda pairings: play_heats(pairings, drivers)
-
-
-def play_heats(
-    pairings: Sequence[Pairing], drivers: Mapping[str, Callable[[], KartPolicy]]
-) -> list[Match]:
-    """Plays matches of drivers on the view ``racing``, the game's AI at the end of the grid."""
-    ends = drive([Heat(p.members, p.track, p.number, p.reverse) for p in pairings], drivers)
-    ai = bots_of(3)
-    return [
-        Match(0, p.track, p.reverse, [AI if name == ai else name for name in end.order])
-        for p, end in zip(pairings, ends, strict=True)
-    ]
+    drivers = {name: match_driver(file) for name, file in files.items()}
+    first = min(runs[0].glob(_KEPT))
+    if is_network(load_weights(first)):
+        return drivers | {START: match_driver(first)}
+    plans = plan_match_driver(RacingPolicy.of_plans_alone(), run_parameters(runs[0]))
+    return drivers | {START: plans}
 
 
 def _steps_of(name: str) -> int:
+    """The kart-steps in the name of a kept policy."""
     return int(re.findall(r"\d+", name)[-1])
 
 
-def draw_pairing(names: Sequence[str], number: int) -> Pairing:
-    """The match of a number: the same names and number, the same match.
+# ---------------------------------------------------------------------- all against all
 
-    Everybody comes equally often: the names are shuffled, dealt out, and shuffled anew.
+
+def draw_match(names: Sequence[str], number: int) -> Match:
+    """The match of a number; the same arguments give the same match.
+
+    All names come equally often: they are shuffled, dealt, and shuffled again.
     """
     seats = [number * SEATS + seat for seat in range(SEATS)]
     rounds = {seat // len(names) for seat in seats}
     order = {turn: np.random.default_rng([turn, len(names)]).permutation(names) for turn in rounds}
     chosen = [str(order[seat // len(names)][seat % len(names)]) for seat in seats]
-    places = [(track, reverse) for track in _TRACKS for reverse in (False, True)]
+    places = list(itertools.product(QUICK_TRACKS, (False, True)))
     lap, at = divmod(number, len(places))
     track, reverse = places[int(np.random.default_rng([lap, 1]).permutation(len(places))[at])]
-    return Pairing(tuple(chosen), track, reverse, 3000 + lap)
+    return Match(tuple(chosen), track, reverse, 3000 + lap)
 
 
-def _read(file: Path) -> list[Match]:
-    if not file.exists():
-        return []
-    return [Match(**json.loads(line)) for line in file.read_text().splitlines()]
+@dataclass(frozen=True, slots=True)
+class LearningProgress:
+    """How often a policy that has learned for longer is ahead.
 
-
-def _write(
-    ratings: Mapping[str, Rating], progress: Progress, matches: Sequence[Match], folder: Path
-) -> None:
-    rows = [
-        {"name": name, **asdict(rating), "matches": sum(name in m.order for m in matches)}
-        for name, rating in sorted(ratings.items())
-    ]
-    report = {"matches": len(matches), "learned_longer": asdict(progress), "ratings": rows}
-    with atomic_write(folder / _RATINGS) as part:
-        part.write_text(json.dumps(report, indent=1) + "\n")
-    _draw(ratings, len(matches), folder / _PICTURE)
-
-
-def _draw(ratings: Mapping[str, Rating], count: int, file: Path) -> None:
-    figure = new_figure(8, 4.5)
-    axis = figure.subplots()
-    runs = sorted({name.rsplit(" ", 1)[0] for name in ratings if " " in name})
-    for run in runs:
-        own = sorted(
-            (_millions(name), rating)
-            for name, rating in ratings.items()
-            if name.startswith(f"{run} ")
-        )
-        if START in ratings:
-            own.insert(0, (0.0, ratings[START]))
-        steps = [at for at, _ in own]
-        (line,) = axis.plot(steps, [r.value for _, r in own], marker="o", ms=3, label=run)
-        lows, highs = [r.low for _, r in own], [r.high for _, r in own]
-        axis.fill_between(steps, lows, highs, alpha=0.15, color=line.get_color(), lw=0)
-    if AI in ratings:
-        ai = ratings[AI]
-        axis.axhline(ai.value, color="0.4", ls="--", label="the game's AI at its hardest")
-        axis.axhspan(ai.low, ai.high, color="0.4", alpha=0.1, lw=0)
-    axis.set_xlabel("million kart-steps")
-    axis.set_ylabel("rating (Plackett-Luce; bands: 95 %)")
-    axis.set_title(f"Kept policies in {count} races against one another", fontsize=10)
-    axis.grid(alpha=0.3)
-    axis.legend(fontsize=8)
-    save_figure(figure, file)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m stkzoo.agents.training.rate",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("runs", nargs="+", type=Path, help="folders of runs, all of one script")
-    parser.add_argument("--output", required=True, type=Path, help="folder for races and ratings")
-    parser.add_argument(
-        "--matches", type=int, default=200, help="races there shall be in all (default: 200)"
-    )
-    parser.add_argument(
-        "--every",
-        type=int,
-        default=1_000_000,
-        help="kart-steps between policies that race (default: 1000000); the last one always does",
-    )
-    return parser
-
-
-def main(words: list[str] | None = None) -> int:
-    """Runs the command; returns its exit code."""
-    options = _parser().parse_args(words)
-    try:
-        keep_to_one_thread()
-        files = kept_policies(options.runs, options.every)
-        names, player = players_of(options.runs, files)
-        _race(names, player, options.output, options.matches)
-    except ConfigError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    return 0
-
-
-def common_numbers(runs: Sequence[Path]) -> DriverParameters:
-    """The numbers that the plans of all runs go by.
-
-    Raises:
-        ConfigError: they go by different ones.
+    Attributes:
+        duels: pairs of policies with different kart-steps, in all races.
+        ahead: the share of these in which the one with more kart-steps finished first.
+        low: lower end of its interval: a bootstrap over races.
+        high: upper end.
     """
-    numbers = {run: numbers_of_run(run) for run in runs}
-    first = runs[0]
-    for run, own in numbers.items():
-        if told := changes(asdict(numbers[first]), asdict(own)):
-            raise ConfigError(
-                f"the plans of {str(first)!r} and {str(run)!r} go by different numbers, expected "
-                f"the same: {told}; rate these runs apart, or race agents made of them"
-            )
-    return numbers[first]
+
+    duels: int
+    ahead: float
+    low: float
+    high: float
 
 
-def _race(names: Sequence[str], player: Player, folder: Path, wanted: int) -> None:
+def learning_progress(records: Sequence[MatchRecord]) -> LearningProgress:
+    """Compares policies with more and fewer kart-steps in matches of kept policies."""
+    counts = np.array([_duels(record.order) for record in records])
+    rows = np.random.default_rng(0).integers(len(counts), size=(_DRAWS, len(counts)))
+    ahead, duels = counts[rows].sum(axis=1).T
+    low, high = percentile_interval(ahead / duels)
+    won, total = counts.sum(axis=0)
+    return LearningProgress(int(total), float(won / total), float(low), float(high))
+
+
+def _duels(order: Sequence[str]) -> tuple[int, int]:
+    """In how many pairs of a race the policy with more kart-steps is ahead, and in how many not."""
+    steps = [_millions(name) for name in order if name != AI]
+    unlike = [(a, b) for a, b in itertools.combinations(steps, 2) if a != b]
+    return sum(a > b for a, b in unlike), len(unlike)
+
+
+def _millions(name: str) -> float:
+    """A policy's kart-steps [millions], from its name."""
+    return 0.0 if name == START else float(name.rpartition(" ")[2])
+
+
+def _rate_runs(runs: Sequence[Path], folder: Path, wanted: int, every: int) -> None:
+    drivers = run_drivers(runs, kept_policies(runs, every))
+    names = sorted(drivers)
     if len(names) < SEATS:
         raise ConfigError(f"there are {len(names)} policies, expected {SEATS} or more; see --every")
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / _MATCHES
-    matches = _read(file)
-    while len(matches) < wanted:
-        numbers = range(len(matches), min(wanted, len(matches) + _AT_ONCE))
-        played = player([draw_pairing(names, number) for number in numbers])
+    records = [MatchRecord(**line) for line in read_json_lines(file)]
+    while len(records) < wanted:
+        numbers = range(len(records), min(wanted, len(records) + _AT_ONCE))
+        played = play_records([draw_match(names, number) for number in numbers], drivers)
         with file.open("a") as out:
-            out.writelines(json.dumps(asdict(match)) + "\n" for match in played)
-        matches += played
-        print(f"{len(matches)} of {wanted} races", flush=True)
-    ratings, progress = ratings_of(matches), progress_of(matches)
-    _write(ratings, progress, matches, folder)
+            out.writelines(json.dumps(asdict(record)) + "\n" for record in played)
+        records += played
+        print(f"{len(records)} of {wanted} races", flush=True)
+    ratings = rate_orders([record.order for record in records])
+    progress = learning_progress(records)
+    rows = [
+        {"name": name, **asdict(rating), "matches": sum(name in r.order for r in records)}
+        for name, rating in sorted(ratings.items())
+    ]
+    report = {"matches": len(records), "learned_longer": asdict(progress), "ratings": rows}
+    write_json(folder / RATINGS, report)
+    curves = {
+        name.rpartition(" ")[0]: [(0.0, ratings[START])] if START in ratings else []
+        for name in ratings
+        if " " in name
+    }
+    for name in sorted(ratings, key=lambda name: _millions(name) if " " in name else 0.0):
+        if " " in name:
+            curves[name.rpartition(" ")[0]].append((_millions(name), ratings[name]))
+    draw_ratings(curves, ratings.get(AI), len(records), folder / _PLOT)
     for name, rating in sorted(ratings.items(), key=lambda item: -item[1].value):
         print(f"{rating.value:6.2f} ({rating.low:.2f}..{rating.high:.2f})  {name}")
     print(
-        f"who has learned for longer is ahead in {progress.ahead:.1%} "
+        f"the policy that has learned for longer is ahead in {progress.ahead:.1%} "
         f"({progress.low:.1%}..{progress.high:.1%}) of {progress.duels} duels"
     )
+
+
+# ---------------------------------------------------------------------- one policy of a run
+
+
+@dataclass(frozen=True, slots=True)
+class PolicyEvaluation:
+    """The races of one policy of a run.
+
+    Attributes:
+        name: the policy's; ``start`` for the run's first.
+        kart_steps: that it has learned from.
+        orders: the order of finish of each race.
+        ratios: by name, for each race: time over the AI's median time in such a race; estimated
+            from the pace for a kart that did not finish.
+    """
+
+    name: str
+    kart_steps: int
+    orders: list[list[str]]
+    ratios: dict[str, list[float]]
+
+
+def evaluate_policy(run: Path, name: str, tracks: Sequence[str], races: int) -> PolicyEvaluation:
+    """Drives a policy's races and writes the results.
+
+    Args:
+        run: the run's folder.
+        name: the name of a kept policy.
+        tracks: driven in turn.
+        races: how many.
+
+    Raises:
+        ConfigError: there is no such policy.
+    """
+    older = sorted(path.stem for path in run.glob(_KEPT) if path.stem < name)
+    own = name if older else START
+    files = {own: name}
+    if older:
+        files[START] = older[0]
+    if len(older) > 1:
+        files[older[len(older) // 2]] = older[len(older) // 2]
+    drivers = {key: match_driver(run / f"{file}.safetensors") for key, file in files.items()}
+    drivers[RANDOM] = random_driver(_steps_of(name))
+    evaluation = PolicyEvaluation(own, _steps_of(name), [], {driver: [] for driver in drivers})
+    parent = os.getppid()
+    for number in range(races):
+        if os.getppid() != parent:
+            raise ConfigError("the training that started this is gone")
+        track = tracks[number % len(tracks)]
+        match = Match(tuple(drivers), track, number=1000 + number, difficulty=number % 4)
+        (finishes,) = play_matches([match], drivers)
+        evaluation.orders.append(match.order(finishes))
+        for driver, finish in zip(match.drivers, finishes, strict=True):
+            evaluation.ratios[driver].append(round(finish.estimate, 4))
+    (run / EVALUATIONS).mkdir(exist_ok=True)
+    write_json(run / EVALUATIONS / f"{name}.json", asdict(evaluation))
+    return evaluation
+
+
+def read_evaluations(run: Path) -> list[PolicyEvaluation]:
+    """All evaluations of a run, by kart-steps."""
+    files = sorted((run / EVALUATIONS).glob("policy-*.json"))
+    return [PolicyEvaluation(**json.loads(file.read_text())) for file in files]
+
+
+def write_ratings(run: Path) -> list[str]:
+    """Writes ``ratings.json`` of all evaluations of a run.
+
+    Returns:
+        A table as text, line by line.
+    """
+    evaluations = read_evaluations(run)
+    ratings = rate_orders([order for each in evaluations for order in each.orders])
+    policies = [
+        {
+            "name": each.name,
+            "kart_steps": each.kart_steps,
+            "time_ratio": float(np.mean(each.ratios[each.name])),
+            "rating": ratings[each.name].value,
+            "rating_low": ratings[each.name].low,
+            "rating_high": ratings[each.name].high,
+        }
+        for each in evaluations
+    ]
+    known = {each.name for each in evaluations}
+    others = {name: asdict(rating) for name, rating in ratings.items() if name not in known}
+    table = _table(evaluations, ratings)
+    write_json(run / RATINGS, {"policies": policies, "others": others, "table": table})
+    return table
+
+
+def _table(evaluations: Sequence[PolicyEvaluation], ratings: Mapping[str, Rating]) -> list[str]:
+    lines = [f"{'':>18}  rating (95 % interval)  time ratio"]
+    for name in sorted(ratings, key=lambda name: -ratings[name].value):
+        rating = ratings[name]
+        found = [ratio for each in evaluations for ratio in each.ratios.get(name, [])]
+        ratio = f"{np.mean(found):10.2f}" if found else f"{'':>10}"
+        interval = f"({rating.low:5.1f} to {rating.high:5.1f})"
+        lines.append(f"{name:>18}  {rating.value:5.1f} {interval}  {ratio}")
+    return lines
+
+
+# ---------------------------------------------------------------------- the command
+
+
+def main(words: list[str] | None = None) -> int:
+    """Runs the command; returns its exit code."""
+    parser = command_parser("rate", __doc__)
+    parser.add_argument("runs", nargs="+", type=Path, help="folders of runs of any script")
+    parser.add_argument("--output", type=Path, help="folder for races and ratings")
+    parser.add_argument("--matches", type=int, help="total races (200; 6 with --policy)")
+    parser.add_argument(
+        "--every",
+        type=int,
+        default=1_000_000,
+        help="kart-steps between two policies (1000000); the last one is always rated",
+    )
+    parser.add_argument("--policy", help="rate only this policy of one run, in the run's folder")
+    parser.add_argument(
+        "--tracks", nargs="+", default=["lighthouse"], help="with --policy: tracks (lighthouse)"
+    )
+    options = parser.parse_args(words)
+    if bool(options.policy) == bool(options.output):
+        parser.error("expected either --output FOLDER or --policy NAME")
+    if options.policy and len(options.runs) > 1:
+        parser.error(f"--policy is of one run, and there are {len(options.runs)} runs")
+    return run_command(lambda: _run(options), "the same command continues")
+
+
+def _run(options: argparse.Namespace) -> None:
+    limit_threads()
+    if not options.policy:
+        _rate_runs(options.runs, options.output, options.matches or 200, options.every)
+        return
+    if hasattr(os, "nice"):
+        os.nice(5)  # the training beside it goes first
+    run = options.runs[0]
+    evaluate_policy(run, options.policy, track_names(options.tracks), options.matches or 6)
+    print("\n".join(write_ratings(run)))
 
 
 if __name__ == "__main__":

@@ -10,9 +10,9 @@ __all__ = ["add_parser"]
 
 _EXAMPLES = """\
 examples:
-  stkzoo league --output leagues/first --until 2000000
-  stkzoo league --output leagues/first --until 4000000     go on
-  stkzoo league --help                                     all options
+  stkzoo league --output leagues/first --total-timesteps 2000000
+  stkzoo league --output leagues/first --total-timesteps 4000000     continue
+  stkzoo league --help                                               all options
 """
 
 #: By name, as drivers are found: the package stands above none of its agents.

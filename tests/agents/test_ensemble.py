@@ -13,8 +13,9 @@ from stkzoo.agents.pretrained.ensemble import EnsemblePolicy, join_networks, net
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
-from stkzoo.agents.training.common.fleet import Fleet, RaceForm
-from stkzoo.agents.training.evaluate import Entrant, evaluate
+from stkzoo.agents.training.common.fleet import Fleet, Lineup
+from stkzoo.agents.training.common.matches import match_driver
+from stkzoo.agents.training.evaluate import evaluate
 from stkzoo.agents.training.export import export_policy, main
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
@@ -32,7 +33,7 @@ def ensemble(weight, *networks):
 @pytest.fixture(scope="module")
 def views():
     """What four karts see in a race that the plans drive, 50 moments of it."""
-    fleet = Fleet([RaceForm(4, 0)], ["snowmountain"], 0, goes_on=False, mirrors=False)
+    fleet = Fleet([Lineup(4, 0)], ["snowmountain"], 0, goes_on=False, mirrors=False)
     plans, seen = RacingPolicy.of_plans_alone(), []
     try:
         view = fleet.begin_at([("snowmountain", False, 0)])
@@ -158,8 +159,8 @@ def test_networks_become_an_agent(files, tmp_path, capsys):
 def test_agents_are_compared_with_policies(files, tmp_path):
     one = export_policy(files[:1], "one", tmp_path / "one", ensemble_weight=0.0)
     quick = export_policy(files[0], "quick", tmp_path / "quick")
-    entrants = [Entrant.of(source) for source in ("prior", str(one), files[0], str(quick))]
-    prior, own, network, agent = evaluate(entrants, ["olivermath"], RaceForm(1, 0), 1)
+    drivers = [match_driver(source) for source in ("prior", one, files[0], quick)]
+    prior, own, network, agent = evaluate(drivers, ["olivermath"], 1, bots=0)
     assert prior == own
     assert network == agent
     assert prior[0].ratio < 1

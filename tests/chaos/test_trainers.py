@@ -10,12 +10,12 @@ import pytest
 from tests.chaos.family import family, marked
 from tests.support.processes import wait_until
 
-SMALL = ["--tracks=olivermath", "--epochs=1", "--hidden", "16", "16"]
+SMALL = ["--tracks=olivermath", "--n-epochs=1", "--hidden", "16", "16"]
 TRAINERS = {
     "imitation.imitate": ["--teacher=pursuit", "--karts=1", "--jobs=2", *SMALL],
-    "ppo.selfplay": ["--until=99999", "--forms=2x1", "--steps=16", *SMALL],
-    "sb3.selfplay": ["--until=99999", "--races=2x1", "--evaluation-races=0", *SMALL],
-    "league.league": ["--until=99999", "--forms=2x1", "--steps=16", *SMALL],
+    "ppo.selfplay": ["--total-timesteps=99999", "--races=2x1", "--n-steps=16", *SMALL],
+    "sb3.selfplay": ["--total-timesteps=99999", "--races=2x1", "--evaluation-races=0", *SMALL],
+    "league.league": ["--total-timesteps=99999", "--races=2x1", "--n-steps=16", *SMALL],
 }
 
 

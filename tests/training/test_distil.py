@@ -9,22 +9,28 @@ from stkzoo.agents.pretrained.action_filter import INPUT_SIZE
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
-from stkzoo.agents.training import evaluate
-from stkzoo.agents.training.common.fleet import Fleet, RaceForm
-from stkzoo.agents.training.evaluate import Entrant
+from stkzoo.agents.training.common.fleet import Fleet, Lineup
+from stkzoo.agents.training.common.matches import match_driver
+from stkzoo.agents.training.evaluate import evaluate
 from stkzoo.agents.training.imitation import distill
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import CHOICES
 
-SMALL = distill.Arguments(
-    rounds=2, steps=300, tracks=("olivermath",), hidden=(16, 16), epochs=1, last_epochs=1, batch=64
+SMALL = distill.DistillationArguments(
+    rounds=2,
+    steps=300,
+    tracks=("olivermath",),
+    hidden=(16, 16),
+    n_epochs=1,
+    n_epochs_last=1,
+    batch_size=64,
 )
 
 
 @pytest.fixture
 def fleet():
-    fleet = Fleet([RaceForm(1, 0)], ["lighthouse"], 0, goes_on=False, mirrors=False)
+    fleet = Fleet([Lineup(1, 0)], ["lighthouse"], 0, mirrors=False)
     yield fleet
     fleet.close()
 
@@ -41,10 +47,10 @@ def test_the_plans_answers_drive_as_the_plans_do(fleet):
         fleet.send(plans.best(view))
         view, _ = fleet.receive()
     there = way_of(fleet)
-    lesson = distill.Class(fleet, fleet.begin_at([start]))
+    lesson = distill.LabelledRaces(fleet, fleet.begin_at([start]))
     drifted = 0
     for _ in range(120):
-        answers = lesson.answers()
+        answers = lesson.labels()
         assert answers.shape == (1, len(CHOICES))
         assert lesson.seen.shape == (1, INPUT_SIZE)
         drifted += int(answers[0, 2])
@@ -75,11 +81,11 @@ def test_a_run_drives_by_plans_then_by_the_network(run):
     assert (driver.inputs, driver.hold) == (INPUT_SIZE, 1)
 
 
-def test_its_network_is_compared_with_the_plans_in_the_same_races(run, monkeypatch):
+def test_its_network_is_compared_with_the_plans_in_the_same_races(run):
     folder, log = run
-    monkeypatch.setattr(evaluate, "_FIRST_NUMBER", 0)  # the races of the log's last figures
-    entrants = [Entrant.of(str(folder / "policy.safetensors")), Entrant.of("prior")]
-    network, plans = evaluate.evaluate(entrants, SMALL.tracks, RaceForm(1, 0), 1)
+    drivers = [match_driver(folder / "policy.safetensors"), match_driver("prior")]
+    # The races of the log's last figures:
+    network, plans = evaluate(drivers, SMALL.tracks, 1, bots=0, first_number=0)
     ratios = [min(outcome.ratio, distill._UNFINISHED) for outcome in network]
     assert np.mean(ratios) == pytest.approx(log[-1]["time_ratio_alone"], abs=1e-4)
     assert sum(outcome.unfinished for outcome in network) == log[-1]["unfinished"]
@@ -106,7 +112,7 @@ def test_a_killed_run_goes_on_with_its_round(run, tmp_path, monkeypatch):
 def test_another_run_is_refused_in_its_folder(run, capsys):
     folder, _ = run
     with pytest.raises(ConfigError, match="steps was 300, now 400"):
-        distill.run(distill.Arguments(steps=400), folder)
+        distill.run(distill.DistillationArguments(steps=400), folder)
     assert distill.main(["--output", str(folder), "--steps", "0"]) == 1
     assert "steps" in capsys.readouterr().err
 

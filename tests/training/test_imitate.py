@@ -6,21 +6,22 @@ import numpy as np
 import pytest
 
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
-from stkzoo.agents.training.imitation.imitate import Arguments, main, parse, plot_log, run
+from stkzoo.agents.training.imitation.imitate import ImitationArguments, main, parse, run
 from stkzoo.agents.training.imitation.network import fit, make_network, mirrored
+from stkzoo.agents.training.plot import plot_imitation
 from stkzoo.evaluation import record_demonstrations
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
 torch = pytest.importorskip("torch")
 
-SMALL = Arguments(
+SMALL = ImitationArguments(
     teacher="pursuit",
     rounds=1,
     tracks=("olivermath",),
     karts=1,
     hidden=(32,),
-    epochs=2,
+    n_epochs=2,
     jobs=1,
 )
 
@@ -43,9 +44,9 @@ def examples(count=4000):
 def test_a_network_learns_what_follows_from_what_it_sees():
     observations, actions = examples()
     network = make_network((64,), seed=0)
-    how = {"learning_rate": 3e-3, "batch": 256, "seed": 0}
-    first = fit(network, observations, actions, epochs=1, **how)
-    last = fit(network, observations, actions, epochs=10, **how)
+    how = {"learning_rate": 3e-3, "batch_size": 256, "seed": 0}
+    first = fit(network, observations, actions, n_epochs=1, **how)
+    last = fit(network, observations, actions, n_epochs=10, **how)
     assert last.loss < 0.8 * first.loss
     assert last.accuracy[2] > 0.7
 
@@ -55,7 +56,7 @@ def test_the_same_seed_learns_the_same():
     trained = []
     for _ in range(2):
         network = make_network((16,), seed=3)
-        fit(network, observations, actions, epochs=1, learning_rate=1e-3, batch=64, seed=3)
+        fit(network, observations, actions, n_epochs=1, learning_rate=1e-3, batch_size=64, seed=3)
         trained.append(weights_of(network))
     for name, array in trained[0].items():
         np.testing.assert_array_equal(trained[1][name], array)
@@ -114,12 +115,12 @@ def test_its_policy_races_and_starts_self_play(imitated):
     assert driver.best(np.zeros((3, SIZE), np.float32)).shape == (3, 5)
     result = run_race([str(folder / "agent")], track="olivermath", max_steps=30, inline=True)
     assert not result.has_errors
-    assert result.agents[0].driver == "pursuit's pupil"
+    assert result.agents[0].driver == "pursuit's student"
 
 
 @pytest.mark.slow
 def test_its_picture_is_drawn(imitated, tmp_path):
-    plot_log(imitated[1], tmp_path / "curve.png")
+    plot_imitation(imitated[1], tmp_path / "curve.png")
     assert (tmp_path / "curve.png").stat().st_size > 5000
 
 

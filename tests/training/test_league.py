@@ -10,12 +10,13 @@ import pytest
 
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
-from stkzoo.agents.training.league.league import Arguments, League, main
+from stkzoo.agents.training.league.league import League, LeagueArguments, main
 from stkzoo.agents.training.league.learner import LeagueLearner
-from stkzoo.agents.training.league.matches import AI, Match, draw_pairings, payoff, play, ratings_of
+from stkzoo.agents.training.common.matches import MatchRecord, plan_match_driver, rate_orders
+from stkzoo.agents.training.league.matches import AI, draw_matches, payoff, play_records
 from stkzoo.agents.training.league.page import page
 from stkzoo.agents.training.league.players import Player, PlayerMatchmaker, new_players
-from stkzoo.agents.training.ppo.selfplay import Arguments as LearnerArguments
+from stkzoo.agents.training.ppo.selfplay import SelfPlayArguments
 from stkzoo.cli.main import main as command_line
 from stkzoo.errors import ConfigError
 from tests.support.browser import Reader, open_browser
@@ -27,11 +28,11 @@ SMALL = {
     "turn": 64,
     "matches": 1,
     "tracks": ("olivermath",),
-    "forms": ("2x1", "1+1x1"),
+    "races": ("2x1", "1+1x1"),
     "groups": 2,
-    "steps": 16,
-    "epochs": 1,
-    "minibatch": 32,
+    "n_steps": 16,
+    "n_epochs": 1,
+    "batch_size": 32,
     "warm_up": 1,
     "hidden": (16, 16),
 }
@@ -42,14 +43,14 @@ MEMBERS = [
     {"name": "main-002", "player": "main", "kart_steps": 20, "league_steps": 30},
 ]
 MATCHES = [
-    Match(1, "olivermath", False, ["main-001", "ai", "start"]),
-    Match(2, "olivermath", False, ["exploiter-001", "main-001", "ai"]),
-    Match(3, "olivermath", True, ["main-002", "main-001", "start", "exploiter-001", "ai"]),
+    MatchRecord(1, "olivermath", False, ["main-001", "ai", "start"]),
+    MatchRecord(2, "olivermath", False, ["exploiter-001", "main-001", "ai"]),
+    MatchRecord(3, "olivermath", True, ["main-002", "main-001", "start", "exploiter-001", "ai"]),
 ]
 
 
 def words(folder, until):
-    return words_of(folder, SMALL, until=until)
+    return words_of(folder, SMALL, total_timesteps=until)
 
 
 def plans_alone(_):
@@ -99,7 +100,7 @@ def test_who_has_won_or_tried_for_long_begins_anew():
     exploiter.turns = 2
     assert exploiter.is_done(0.5, patience=2)
     assert not Player("main", "main", turns=9).is_done(1.0, patience=2)
-    exploiter.begin_anew()
+    exploiter.start_over()
     assert (exploiter.folder, exploiter.total_turns) == ("exploiter-g1", 2)
     assert (exploiter.kart_steps, exploiter.pool) == (0, [])
 
@@ -111,13 +112,13 @@ def test_the_newest_member_meets_those_it_has_met_least():
     names = [member["name"] for member in MEMBERS]
     tracks = ["olivermath", "lighthouse"]
     random = np.random.default_rng(0)
-    pairings = draw_pairings("main-002", [*names, "other"], MATCHES, tracks, 3, random)
-    assert all(pairing.members[0] == "main-002" for pairing in pairings)
-    assert "other" in pairings[0].members  # has met all others once
-    assert [p.track for p in pairings] == ["olivermath", "lighthouse", "olivermath"]
-    assert [p.reverse for p in pairings] == [False, False, True]
-    alone = draw_pairings("new", ["start", "new"], [], tracks, 1, random)
-    assert alone[0].members == ("new", "start", "new", "new")
+    matches = draw_matches("main-002", [*names, "other"], MATCHES, tracks, 3, random)
+    assert all(match.drivers[0] == "main-002" for match in matches)
+    assert "other" in matches[0].drivers  # has met all others once
+    assert [match.track for match in matches] == ["olivermath", "lighthouse", "olivermath"]
+    assert [match.reverse for match in matches] == [False, False, True]
+    alone = draw_matches("new", ["start", "new"], [], tracks, 1, random)
+    assert alone[0].drivers == ("new", "start", "new", "new")
 
 
 def test_payoffs_are_shares_of_common_matches():
@@ -132,22 +133,25 @@ def test_a_match_is_driven_to_its_end():
     leaning = {**plans.weights, "b2": plans.weights["b2"].copy()}
     leaning["b2"][1] = 100.0
     policies = {"plans": plans, "brakes": RacingPolicy(leaning)}
-    pairings = draw_pairings(
+    drivers = {name: plan_match_driver(policy) for name, policy in policies.items()}
+    matches = draw_matches(
         "brakes", ["brakes", "plans"], [], ["olivermath"], 1, np.random.default_rng(0)
     )
-    (match,) = play(pairings, policies, 3)
+    (match,) = play_records(matches, drivers, 3)
     assert sorted(match.order) == [AI, "brakes", "plans"]
     assert match.order.index("plans") < match.order.index("brakes")
-    assert ratings_of([match])["plans"].value > ratings_of([match])["brakes"].value
-    assert play(pairings, policies, 3) == [match]
+    ratings = rate_orders([match.order])
+    assert ratings["plans"].value > ratings["brakes"].value
+    assert play_records(matches, drivers, 3) == [match]
 
 
 # ---------------------------------------------------------------------- learning
 
 
 def test_rivals_drive_without_teaching(tmp_path):
-    shared = {name: SMALL[name] for name in ("tracks", "steps", "minibatch", "hidden", "epochs")}
-    arguments = LearnerArguments(**shared, forms=("4x1", "1+1x1"), groups=2, warm_up=0)
+    names = ("tracks", "n_steps", "batch_size", "hidden", "n_epochs")
+    shared = {name: SMALL[name] for name in names}
+    arguments = SelfPlayArguments(**shared, races=("4x1", "1+1x1"), groups=2, warm_up=0)
     matchmaker = PlayerMatchmaker(Player("me", "league-exploiter"), MEMBERS, plans_alone)
     learner = LeagueLearner(tmp_path, arguments, matchmaker, [1])
     try:
@@ -157,28 +161,28 @@ def test_rivals_drive_without_teaching(tmp_path):
         assert (among.active.sum(axis=0) > 0).sum() == 2
         assert not among.rewards[:, ~among.active[0]].any()
         assert alone.active.all()
-        table = learner._tables[0][0]
-        table.is_whole, table.ranks = True, np.where(table.is_rival, [1, 2, 3, 4], [4, 3, 2, 1])
-        table.racing[:] = False
-        expected, rival = table.beaten, table.rival
-        learner._take_in(table, {})
-        found = {r.name: r for r in matchmaker.pool.rivals}[rival]
+        race = learner._races[0][0]
+        race.is_whole, race.ranks = True, np.where(race.is_rival, [1, 2, 3, 4], [4, 3, 2, 1])
+        race.racing[:] = False
+        expected, rival = race.beaten, race.rival
+        learner._update_race(race, {})
+        found = {r.name: r for r in matchmaker.pool.opponents}[rival]
         assert found.races == 1
         assert found.beaten == pytest.approx(0.5 + (expected - 0.5) / 2)
-        assert table.racing.all()
+        assert race.racing.all()
     finally:
         learner.close()
 
 
 def test_other_arguments_are_refused(tmp_path):
-    League(tmp_path, Arguments(**SMALL))
+    League(tmp_path, LeagueArguments(**SMALL))
     with pytest.raises(ConfigError, match="seed was 0, now 1"):
-        League(tmp_path, Arguments(**SMALL, seed=1))
+        League(tmp_path, LeagueArguments(**SMALL, seed=1))
 
 
 def test_weights_of_another_network_are_refused(tmp_path):
     save_weights(tmp_path / "plans", RacingPolicy.of_plans_alone().weights)
-    arguments = Arguments(**SMALL, init=str(tmp_path / "plans"))
+    arguments = LeagueArguments(**SMALL, init=str(tmp_path / "plans"))
     with pytest.raises(ConfigError, match="give --hidden 1 1"):
         League(tmp_path / "league", arguments)
 
@@ -215,7 +219,7 @@ def test_the_page_needs_nothing_from_elsewhere():
     assert "<script" not in text
     odd = [{**MEMBERS[1], "name": "<b>"}]
     assert "<b>" not in page(
-        odd, [Match(1, "olivermath", False, ["<b>", "ai"])], {"<b>": [1, 0, 2]}
+        odd, [MatchRecord(1, "olivermath", False, ["<b>", "ai"])], {"<b>": [1, 0, 2]}
     )
 
 

@@ -12,23 +12,25 @@ import torch
 
 from stkzoo.agents.planning import CHOICES, HEADS, INPUT_SIZE, DriverParameters
 from stkzoo.agents.pretrained.weights import load_weights
-from stkzoo.agents.training.common.fleet import Fleet, RaceForm
-from stkzoo.agents.training.common.plan_parameters import NUMBERS, numbers_of_run
-from stkzoo.agents.training.evaluate import Entrant, evaluate
+from stkzoo.agents.training.common.arguments import RaceGroup
+from stkzoo.agents.training.common.matches import match_driver
+from stkzoo.agents.training.common.fleet import Fleet, Lineup, lineups_of
+from stkzoo.agents.training.common.plan_parameters import PLAN_PARAMETERS, run_parameters
+from stkzoo.agents.training.evaluate import evaluate, newest_policy
 from stkzoo.agents.training.evaluate import main as evaluate_main
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.plot import main as plot_main
-from stkzoo.agents.training.ppo.selfplay import Arguments, Learner, main, race_forms
+from stkzoo.agents.training.ppo.selfplay import PPOLearner, SelfPlayArguments, main
 from stkzoo.errors import ConfigError
 from tests.support.training import run_and_kill, words_of
 
 SMALL = {
     "tracks": ("lighthouse",),
-    "forms": ("2", "1+1"),
+    "races": ("2", "1+1"),
     "groups": 2,
-    "steps": 16,
-    "epochs": 2,
-    "minibatch": 32,
+    "n_steps": 16,
+    "n_epochs": 2,
+    "batch_size": 32,
     "hidden": (16, 16),
     "warm_up": 1,
     "checkpoint_every": 2,
@@ -37,7 +39,7 @@ TIMES = ("drive_s", "learn_s", "kart_steps_per_s")
 
 
 def words(folder, until, **changes):
-    return words_of(folder, SMALL, until=until, **changes)
+    return words_of(folder, SMALL, total_timesteps=until, **changes)
 
 
 def learn(folder, until, **changes):
@@ -101,7 +103,8 @@ def test_a_run_keeps_to_the_numbers_of_its_plans(tmp_path, capsys):
 
 def test_choices_that_are_not_learned_stay_those_of_the_plans(tmp_path):
     begin, turn, *_ = HEADS
-    learner = Learner(tmp_path, Arguments(**SMALL | {"warm_up": 0, "learns": ("begin", "fire")}))
+    changes = {"warm_up": 0, "learns": ("begin", "fire")}
+    learner = PPOLearner(tmp_path, SelfPlayArguments(**SMALL | changes))
     before = learner._network.actor().weights
     learner.iterate()
     drawn = np.concatenate([rollout.choices[..., 1].ravel() for rollout in learner._rollouts])
@@ -115,18 +118,17 @@ def test_choices_that_are_not_learned_stay_those_of_the_plans(tmp_path):
 @pytest.mark.parametrize("names", [("steer",), ()])
 def test_unknown_choices_are_refused(tmp_path, names):
     with pytest.raises(ConfigError, match="begin, turn, nitro, fire"):
-        Learner(tmp_path, Arguments(**SMALL | {"learns": names}))
+        PPOLearner(tmp_path, SelfPlayArguments(**SMALL | {"learns": names}))
 
 
-def test_race_forms_are_read():
-    assert race_forms(["8x2", "4+2"]) == [RaceForm(8, 0), RaceForm(8, 0), RaceForm(4, 2)]
-    with pytest.raises(ConfigError, match="unknown"):
-        race_forms(["many"])
+def test_groups_of_races_have_lineups():
+    groups = [RaceGroup(8, 0, 2), RaceGroup(4, 2, 1)]
+    assert lineups_of(groups) == [Lineup(8, 0), Lineup(8, 0), Lineup(4, 2)]
 
 
 def test_a_fleet_comes_back_exactly():
     chance = np.random.default_rng(0)
-    forms = [RaceForm(2, 1), RaceForm(1, 0)]
+    forms = [Lineup(2, 1), Lineup(1, 0)]
     one, other = (Fleet(forms, ["lighthouse"], seed) for seed in (0, 9))
     try:
         one.begin()
@@ -148,7 +150,7 @@ def test_a_fleet_comes_back_exactly():
 
 def test_the_way_is_paid_and_a_race_ends_at_the_finish():
     """The likeliest of what the plans alone would choose."""
-    fleet = Fleet([RaceForm(1, 0)], ["olivermath"], 3)
+    fleet = Fleet([Lineup(1, 0)], ["olivermath"], 3)
     try:
         view = fleet.begin()
         total, finishes = 0.0, []
@@ -172,7 +174,7 @@ def test_the_way_is_paid_and_a_race_ends_at_the_finish():
 
 
 def test_advantages_end_where_races_end(tmp_path):
-    learner = Learner(tmp_path, Arguments(**SMALL))
+    learner = PPOLearner(tmp_path, SelfPlayArguments(**SMALL))
     try:
         rollout = learner._rollouts[0]
         rollout.rewards[:] = 1.0
@@ -190,8 +192,8 @@ def test_advantages_end_where_races_end(tmp_path):
 
 
 def test_policies_are_compared_in_the_same_races():
-    prior = Entrant.of("prior")
-    once, again = evaluate([prior, prior], ["olivermath"], RaceForm(1, 1), 1)
+    prior = match_driver("prior")
+    once, again = evaluate([prior, prior], ["olivermath"], 1, bots=1)
     assert once == again
     assert len(once) == 2  # both ways
     assert all(0.5 < outcome.ratio < 2.0 for outcome in once)
@@ -199,27 +201,26 @@ def test_policies_are_compared_in_the_same_races():
 
 
 def test_plans_go_by_the_numbers_of_their_run(tmp_path):
-    arguments = Arguments(**SMALL | {"plans": "by-hand"})
-    learner = Learner(tmp_path, arguments)
+    arguments = SelfPlayArguments(**SMALL | {"plans": "by-hand"})
+    learner = PPOLearner(tmp_path, arguments)
     file = learner.save_policy()
     learner.close()
-    assert Entrant.of("prior").rules == DriverParameters() != NUMBERS["by-hand"]
-    assert Entrant.of("prior:by-hand").rules == NUMBERS["by-hand"]
-    assert Entrant.of(str(file)).rules == NUMBERS["by-hand"]
+    assert run_parameters(tmp_path) == PLAN_PARAMETERS["by-hand"] != DriverParameters()
     card = json.loads((export_policy(file, "swift", tmp_path / "swift") / "card.json").read_text())
-    assert card["rules"] == asdict(NUMBERS["by-hand"])
-    by_hand, found = (Entrant.of(name) for name in ("prior:by-hand", "prior"))
-    outcomes = evaluate([by_hand, found, by_hand], ["olivermath"], RaceForm(1, 0), 1)
-    assert outcomes[0] == outcomes[2] != outcomes[1]
+    assert card["rules"] == asdict(PLAN_PARAMETERS["by-hand"])
+    assert newest_policy(str(tmp_path)) == str(file)
+    drivers = [match_driver(name) for name in ("prior:by-hand", "prior", file)]
+    results = evaluate(drivers, ["olivermath"], 1, bots=0)
+    assert results[0] == results[2] != results[1]
 
 
 def test_unknown_numbers_and_those_of_another_version_are_refused(tmp_path):
     with pytest.raises(ConfigError, match="'best' are unknown; expected one of found, by-hand"):
-        Entrant.of("prior:best")
+        match_driver("prior:best")
     rules = asdict(DriverParameters()) | {"courage": 1.0}
     (tmp_path / "arguments.json").write_text(json.dumps([{"rules": rules}]))
     with pytest.raises(ConfigError, match="courage"):
-        numbers_of_run(tmp_path)
+        run_parameters(tmp_path)
 
 
 def test_what_is_no_policy_is_refused(tmp_path, capsys):

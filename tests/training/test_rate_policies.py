@@ -2,28 +2,30 @@
 
 import json
 from collections import Counter
-from dataclasses import asdict
 
 import numpy as np
 import pytest
 
-from stkzoo.agents.planning import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
-from stkzoo.agents.training.common.plan_parameters import NUMBERS
-from stkzoo.agents.training.league.matches import Match
+from stkzoo.agents.training.common.matches import (
+    Match,
+    MatchRecord,
+    finishing_order,
+    network_driver,
+    play_matches,
+)
 from stkzoo.agents.training.rate import (
     START,
-    common_numbers,
-    draw_pairing,
+    draw_match,
     kept_policies,
+    learning_progress,
     main,
-    players_of,
-    progress_of,
+    run_drivers,
 )
-from stkzoo.agents.training.sb3.matches import WORST, Heat, drive
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import CHOICES, SIZE
+from tests.support.networks import small_network
 
 
 @pytest.fixture
@@ -49,22 +51,12 @@ def test_policies_are_named_by_run_and_steps(run):
         kept_policies([run.parent], 0)
 
 
-def test_runs_of_other_numbers_are_not_rated_together(run, tmp_path):
-    other = tmp_path / "second"
-    other.mkdir()
-    (other / "arguments.json").write_text(json.dumps([{"rules": asdict(NUMBERS["by-hand"])}]))
-    assert common_numbers([other]) == NUMBERS["by-hand"]
-    assert common_numbers([run]) == DriverParameters()
-    with pytest.raises(ConfigError, match=r"different numbers.*margin was 1\.13, now 1\.0"):
-        common_numbers([run, other])
-
-
 def test_everybody_races_equally_often_and_everywhere():
     names = [f"p{n}" for n in range(7)]
-    pairings = [draw_pairing(names, number) for number in range(28)]
-    assert Counter(name for p in pairings for name in p.members) == dict.fromkeys(names, 16)
-    assert len({(p.track, p.reverse) for p in pairings}) == 28
-    assert draw_pairing(names, 5) == pairings[5]
+    matches = [draw_match(names, number) for number in range(28)]
+    assert Counter(name for match in matches for name in match.drivers) == dict.fromkeys(names, 16)
+    assert len({(match.track, match.reverse) for match in matches}) == 28
+    assert draw_match(names, 5) == matches[5]
 
 
 def test_the_better_ones_are_rated_higher_and_more_races_are_added(run, tmp_path, capsys):
@@ -87,15 +79,15 @@ def test_the_better_ones_are_rated_higher_and_more_races_are_added(run, tmp_path
 
 def test_how_often_who_learned_for_longer_is_ahead():
     def races(*orders):
-        return [Match(0, "mines", False, list(order)) for order in orders]
+        return [MatchRecord(0, "mines", False, list(order)) for order in orders]
 
     best_first = ("b 2.00", "ai", "a 1.00", "start")
-    always = progress_of(races(*[best_first] * 10))
+    always = learning_progress(races(*[best_first] * 10))
     assert (always.duels, always.ahead, always.low, always.high) == (30, 1.0, 1.0, 1.0)
-    mixed = progress_of(races(*[best_first] * 10, *[best_first[::-1]] * 30))
+    mixed = learning_progress(races(*[best_first] * 10, *[best_first[::-1]] * 30))
     assert (mixed.duels, mixed.ahead) == (120, 0.25)
     assert 0.05 < mixed.low < 0.2 < 0.3 < mixed.high < 0.45
-    assert progress_of(races(("a 1.00", "b 1.00", "start"))).duels == 2
+    assert learning_progress(races(("a 1.00", "b 1.00", "start"))).duels == 2
 
 
 def test_too_few_policies_are_refused(run, tmp_path, capsys):
@@ -123,21 +115,29 @@ def test_policies_of_stable_baselines_are_rated_too(tmp_path):
     assert value["ai"] > value["from_nothing 3.00"] > max(value[START], value["from_nothing 2.00"])
 
 
+def test_runs_of_all_scripts_are_rated_together(run):
+    plans = run / "policy-000000100.safetensors"
+    network = run.parent / "network.safetensors"
+    save_weights(network, small_network())
+    drivers = run_drivers([run], {"plans": plans, "network": network})
+    assert {*drivers} == {"plans", "network", START}
+    match = Match(("plans", "network", START), "olivermath", bots=0)
+    (finishes,) = play_matches([match], drivers)
+    assert sorted(finish.rank for finish in finishes) == [1, 2, 3]
+    assert match.order(finishes)[-1] == "network"  # it does not know where to drive
+
+
 def test_a_driver_with_two_karts_counts_by_the_better_one():
-    def go(seen):
-        return np.tile([10, 0, 0, 0, 0], (len(seen), 1))
+    def choose(pedal):
+        return network_driver(lambda seen: np.tile([10, pedal, 0, 0, 0], (len(seen), 1)))
 
-    def stand(seen):
-        return np.tile([10, 1, 0, 0, 0], (len(seen), 1))
+    match = Match(("stand", "go", "go"), "snowmountain", number=1)
+    (finishes,) = play_matches([match], {"go": choose(0), "stand": choose(1)})
+    assert match.order(finishes) == ["bot:3", "go", "stand"]
+    assert all(finish.ratio is None for finish in finishes)
+    stand, *go = (finish.estimate for finish in finishes)
+    assert 1 < min(go) < stand
 
-    heat = Heat(("stand", "go", "go"), "snowmountain", 1)
-    (end,) = drive([heat], {"go": lambda: go, "stand": lambda: stand})
-    assert end.order == ["bot:3", "go", "stand"]
-    assert 1 < end.ratios["go"] < end.ratios["stand"] == WORST
 
-
-def test_runs_of_two_scripts_are_not_rated_together(run):
-    ours = {"one": run / "policy-000000100.safetensors", "two": run / "policy-0.safetensors"}
-    save_weights(ours["two"], {"action_net.weight": np.zeros((1, 1), np.float32)})
-    with pytest.raises(ConfigError, match="expected runs of one of them"):
-        players_of([run], ours)
+def test_the_places_that_no_driver_has_are_those_of_the_ai():
+    assert finishing_order({1: "a", 3: "b", 4: "a"}, 2, "ai") == ["a", "ai", "b"]

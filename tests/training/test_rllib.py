@@ -10,46 +10,46 @@ import numpy as np
 import pytest
 
 from stkzoo.agents.pretrained.mlp import MlpDriver
-from stkzoo.agents.training.rllib.races import MAIN, Pool, ensure_assets, make_race, win_share
-from stkzoo.agents.training.rllib.selfplay import Arguments, main, parse, sb3_names
+from stkzoo.agents.training.rllib.races import MAIN, PolicyMap, ensure_assets, make_race, win_share
+from stkzoo.agents.training.rllib.selfplay import RLlibArguments, main, parse, sb3_names
 from stkzoo.engine.assets import find_assets
 from stkzoo.errors import AssetError, ConfigError
 from stkzoo.wrappers.racing import CHOICES, SIZE
 from tests.support.paths import ROOT
 
-POOL = Pool(learners=2, frozen=2, slots=3)
+POLICIES = PolicyMap(learners=2, frozen=2, slots=3)
 
 
 def test_the_first_karts_learn_and_past_selves_drive_the_others():
-    assert POOL.modules == [MAIN, "past_0", "past_1", "past_2"]
-    drawn = {POOL.module_of("kart_2", f"{number:x}") for number in range(50)}
+    assert POLICIES.modules == [MAIN, "past_0", "past_1", "past_2"]
+    drawn = {POLICIES.module_of("kart_2", f"{number:x}") for number in range(50)}
     assert drawn == {"past_0", "past_1", "past_2"}
-    assert {POOL.module_of("kart_1", f"{number:x}") for number in range(50)} == {MAIN}
+    assert {POLICIES.module_of("kart_1", f"{number:x}") for number in range(50)} == {MAIN}
 
 
 def test_an_episodes_drivers_are_the_same_on_every_node():
-    assert POOL.module_of("kart_3", "abc") == Pool(2, 2, 3).module_of("kart_3", "abc")
+    assert POLICIES.module_of("kart_3", "abc") == PolicyMap(2, 2, 3).module_of("kart_3", "abc")
 
 
 def test_a_new_snapshot_takes_the_oldest_ones_place():
-    assert [POOL.slot(number) for number in range(5)] == [
+    assert [POLICIES.slot(number) for number in range(5)] == [
         *("past_0", "past_1", "past_2"),
         *("past_0", "past_1"),
     ]
 
 
 def test_without_past_selves_there_is_one_module():
-    assert Pool(4, 0, 5).modules == [MAIN]
+    assert PolicyMap(4, 0, 5).modules == [MAIN]
 
 
 def test_the_share_of_pairs_won_counts_all_pairs():
-    assert win_share({"kart_0": 1, "kart_1": 4, "kart_2": 2, "kart_3": 3}, POOL) == 0.5
-    assert win_share({"kart_0": 1, "kart_2": 2}, POOL) == 1.0
-    assert win_share({"kart_0": 1, "kart_1": 2}, POOL) is None
+    assert win_share({"kart_0": 1, "kart_1": 4, "kart_2": 2, "kart_3": 3}, POLICIES) == 0.5
+    assert win_share({"kart_0": 1, "kart_2": 2}, POLICIES) == 1.0
+    assert win_share({"kart_0": 1, "kart_1": 2}, POLICIES) is None
 
 
 def test_races_are_made_as_asked():
-    arguments = Arguments(tracks=("lighthouse",), learners=2, frozen=1, bots=2, max_cycles=7)
+    arguments = RLlibArguments(tracks=("lighthouse",), learners=2, frozen=1, bots=2, max_cycles=7)
     with make_race(arguments.env_config()) as env:
         observations, _ = env.reset(seed=1)
         assert list(observations) == ["kart_0", "kart_1", "kart_2"]
@@ -133,7 +133,7 @@ def test_without_ray_it_says_what_to_install(tmp_path, capsys):
 
 def test_past_selves_need_a_slot():
     with pytest.raises(ConfigError, match="frozen is -1"):
-        Pool(1, -1, 1)
+        PolicyMap(1, -1, 1)
 
 
 def test_the_trial_on_a_cluster_was_passed():

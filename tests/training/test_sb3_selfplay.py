@@ -13,14 +13,16 @@ from stkzoo import Start
 from stkzoo.agents.pretrained.action_filter import INPUT_MIRROR, INPUT_SIZE, ActionFilter
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
-from stkzoo.agents.training.common.opponents import Pool
+from stkzoo.agents.training.common.opponents import OpponentPool, bot_name
 from stkzoo.agents.training.sb3 import races as sb3_races
 from stkzoo.agents.training.sb3.curriculum import EASY_TO_HARD, Curriculum
-from stkzoo.agents.training.sb3.evaluation import judge, ratings_of, read_judgements
-from stkzoo.agents.training.sb3.plot import main as plot_main
-from stkzoo.agents.training.sb3.policy import save_driver, start_weights, write_agent
-from stkzoo.agents.training.sb3.races import RaceGroup, SelfPlayVecEnv, race_groups
-from stkzoo.agents.training.sb3.selfplay import Arguments, Run, main
+from stkzoo.agents.training.common.arguments import RaceGroup, race_groups
+from stkzoo.agents.training.common.matches import rate_orders
+from stkzoo.agents.training.common.network_policy import initial_weights, save_driver, write_agent
+from stkzoo.agents.training.plot import main as plot_main
+from stkzoo.agents.training.rate import evaluate_policy, read_evaluations
+from stkzoo.agents.training.sb3.races import SelfPlayVecEnv
+from stkzoo.agents.training.sb3.selfplay import SB3Arguments, SB3Run, main
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceSettings, run_race
 from stkzoo.sb3 import ActiveRolloutBuffer, RaceVecEnv
@@ -32,19 +34,19 @@ SMALL = {
     "races": ("2x1", "1+1x1"),
     "tracks": ("lighthouse",),
     "updates": 2,
-    "steps": 16,
-    "minibatch": 32,
-    "epochs": 2,
+    "n_steps": 16,
+    "batch_size": 32,
+    "n_epochs": 2,
     "hidden": (16, 16),
     "keep_every": 60,
-    "fade": 100,
-    "share": 1.0,
+    "decay_timesteps": 100,
+    "snapshot_share": 1.0,
     "evaluation_races": 0,
 }
 
 
 def words(folder, until, **changes):
-    return words_of(folder, SMALL | changes, until=until)
+    return words_of(folder, SMALL | changes, total_timesteps=until)
 
 
 def learn(folder, until, **changes):
@@ -73,12 +75,12 @@ def policy():
 
 
 def test_hard_rivals_come_more_often():
-    pool = Pool(3)
+    pool = OpponentPool(3)
     for name in ("hard", "even", "easy"):
         pool.add(name)
     for _ in range(60):
-        pool.take_in("hard", 0.0)
-        pool.take_in("easy", 1.0)
+        pool.update("hard", 0.0)
+        pool.update("easy", 1.0)
     random = np.random.default_rng(0)
     drawn = [pool.draw(random) for _ in range(600)]
     counts = [drawn.count(name) for name in ("hard", "even", "easy")]
@@ -89,40 +91,40 @@ def test_hard_rivals_come_more_often():
 
 
 def test_the_most_beaten_rival_goes_when_the_pool_is_full():
-    pool = Pool(2)
+    pool = OpponentPool(2)
     assert pool.add("first") is None
     assert pool.add("second") is None
-    pool.take_in("second", 1.0)
+    pool.update("second", 1.0)
     assert pool.add("third").name == "second"
-    assert [rival.name for rival in pool.rivals] == ["first", "third"]
-    pool.take_in("second", 1.0)  # a race that was still under way
+    assert [rival.name for rival in pool.opponents] == ["first", "third"]
+    pool.update("second", 1.0)  # a race that was still under way
 
 
 def test_a_pool_comes_back():
-    pool, other = Pool(2), Pool(2)
+    pool, other = OpponentPool(2), OpponentPool(2)
     pool.add("first")
-    pool.take_in("first", 1.0)
+    pool.update("first", 1.0)
     other.restore(json.loads(json.dumps(pool.state())))
-    assert other.rivals == pool.rivals
-    assert other.rivals[0].races == 1
+    assert other.opponents == pool.opponents
+    assert other.opponents[0].races == 1
 
 
 def test_stages_open_tracks_then_directions():
     curriculum = Curriculum(("one", "two"), pass_at=0.5, window=2)
     assert curriculum.open_tracks == ("one",)
     assert curriculum.difficulties == (0, 1)
-    assert not curriculum.take_in(0.9)
-    assert curriculum.take_in(0.2)  # 0.55 on average
+    assert not curriculum.update(0.9)
+    assert curriculum.update(0.2)  # 0.55 on average
     assert curriculum.open_tracks == ("one", "two")
-    assert not curriculum.take_in(0.9)
+    assert not curriculum.update(0.9)
     assert not curriculum.is_reversible
     again = Curriculum(("one", "two"), pass_at=0.5, window=2)
     again.restore(json.loads(json.dumps(curriculum.state())))
-    assert again.take_in(0.9)
+    assert again.update(0.9)
     assert again.is_reversible
     drawn = {again.draw(np.random.default_rng(seed)) for seed in range(40)}
     assert drawn == {(track, way) for track in ("one", "two") for way in (False, True)}
-    assert not [again.take_in(1.0) for _ in range(9)].count(True)  # there is no more
+    assert not [again.update(1.0) for _ in range(9)].count(True)  # there is no more
 
 
 def test_all_training_tracks_are_in_the_curriculum():
@@ -140,10 +142,7 @@ def test_race_groups_are_read():
 
 
 def pools():
-    bots, snapshots = Pool(4), Pool(4)
-    for difficulty in range(4):
-        bots.add(f"bot:{difficulty}")
-    return bots, snapshots
+    return OpponentPool(4, [bot_name(difficulty) for difficulty in range(4)]), OpponentPool(4)
 
 
 def test_rivals_drive_without_teaching(monkeypatch, policy):
@@ -151,7 +150,9 @@ def test_rivals_drive_without_teaching(monkeypatch, policy):
     bots, snapshots = pools()
     snapshots.add("past")
     groups = [RaceGroup(4, 0, 1), RaceGroup(1, 2, 1)]
-    envs = SelfPlayVecEnv(groups, Curriculum(["olivermath"]), bots, snapshots, share=1.0, grid=0.0)
+    envs = SelfPlayVecEnv(
+        groups, Curriculum(["olivermath"]), bots, snapshots, snapshot_share=1.0, grid_share=0.0
+    )
     weights = {name: value.numpy() for name, value in policy.state_dict().items()}
     envs.add_driver("past", MlpDriver(weights))
     try:
@@ -170,8 +171,8 @@ def test_rivals_drive_without_teaching(monkeypatch, policy):
         assert [end.rival[:3] for end in envs.ends] == ["pas", "pas", "bot"]
         assert {end.beaten for end in envs.ends} <= {0.0, 0.5, 1.0}
         assert all(end.steps == 12 for end in envs.ends)
-        assert snapshots.rivals[0].races == 1
-        assert sum(rival.races for rival in bots.rivals) == 1
+        assert snapshots.opponents[0].races == 1
+        assert sum(rival.races for rival in bots.opponents) == 1
     finally:
         envs.close()
 
@@ -180,7 +181,7 @@ def test_the_same_seed_gives_the_same_races(policy):
     bots, snapshots = pools()
     snapshots.add("past")
     groups = [RaceGroup(2, 1, 1), RaceGroup(2, 0, 1)]
-    envs = SelfPlayVecEnv(groups, Curriculum(["olivermath"]), bots, snapshots, share=0.5)
+    envs = SelfPlayVecEnv(groups, Curriculum(["olivermath"]), bots, snapshots, snapshot_share=0.5)
     weights = {name: value.numpy() for name, value in policy.state_dict().items()}
     envs.add_driver("past", MlpDriver(weights))
     try:
@@ -199,7 +200,8 @@ def test_the_same_seed_gives_the_same_races(policy):
 def test_pace_and_places_of_a_whole_race():
     """Full throttle from the grid, straight on; the AI leaves it behind."""
     bots, snapshots = pools()
-    envs = SelfPlayVecEnv([RaceGroup(1, 1, 1)], Curriculum(["olivermath"]), bots, snapshots, grid=1)
+    groups = [RaceGroup(1, 1, 1)]
+    envs = SelfPlayVecEnv(groups, Curriculum(["olivermath"]), bots, snapshots, grid_share=1)
     try:
         envs.seed(1)
         envs.reset()
@@ -220,7 +222,7 @@ def test_the_way_goes_on_behind_the_finish(monkeypatch):
     monkeypatch.setattr(sb3_races, "RandomStart", lambda: near_finish)
     bots, snapshots = pools()
     envs = SelfPlayVecEnv(
-        [RaceGroup(1, 0, 1)], Curriculum(["lighthouse"]), bots, snapshots, grid=0.0
+        [RaceGroup(1, 0, 1)], Curriculum(["lighthouse"]), bots, snapshots, grid_share=0.0
     )
     try:
         envs.seed(1)
@@ -394,7 +396,7 @@ def test_weights_to_start_from_may_lack_the_value(tmp_path, policy):
     weights = load_weights(tmp_path / "whole")
     own = {name: array + 1 for name, array in weights.items() if "value" not in name}
     save_weights(tmp_path / "part", own)
-    started = start_weights(tmp_path / "part", policy)
+    started = initial_weights(tmp_path / "part", policy)
     assert {*started} == {*policy.state_dict()}
     for name, array in started.items():
         assert (array == own.get(name, weights[name])).all()
@@ -403,7 +405,7 @@ def test_weights_to_start_from_may_lack_the_value(tmp_path, policy):
 def test_other_weights_are_refused(tmp_path, policy):
     save_weights(tmp_path / "other", {"w0": np.zeros((3, 4), np.float32)})
     with pytest.raises(ConfigError, match="MlpPolicy from the 165 numbers"):
-        start_weights(tmp_path / "other", policy)
+        initial_weights(tmp_path / "other", policy)
     save_driver(tmp_path / "deep", policy)
     weights = load_weights(tmp_path / "deep")
     wide = {name: np.repeat(array, 2, axis=0) for name, array in weights.items()}
@@ -414,7 +416,7 @@ def test_other_weights_are_refused(tmp_path, policy):
     wide["action_net.bias"] = weights["action_net.bias"]
     save_weights(tmp_path / "wide", wide)
     with pytest.raises(ConfigError, match="--hidden"):
-        start_weights(tmp_path / "wide", policy)
+        initial_weights(tmp_path / "wide", policy)
 
 
 def test_a_policy_becomes_an_agent(tmp_path, policy):
@@ -449,7 +451,7 @@ def test_it_learns_evaluates_and_ends(tmp_path):
     assert all(np.isfinite(list(line.values())).all() for line in log)
     seen = np.array([0, *(line["kart_steps"] for line in log[:-1])])
     rates = [line["learning_rate"] for line in log]
-    assert np.allclose(rates, Arguments().learning_rate / np.sqrt(1 + seen / 100), atol=1e-6)
+    assert np.allclose(rates, SB3Arguments().learning_rate / np.sqrt(1 + seen / 100), atol=1e-6)
     first = load_weights(tmp_path / "policy-000000000.safetensors")
     assert any((last_policy(tmp_path)[name] != first[name]).any() for name in first)
     ratings = json.loads((tmp_path / "ratings.json").read_text())
@@ -474,42 +476,42 @@ def test_after_a_kill_it_goes_on_as_if_nothing_had_been(tmp_path):
 
 def test_other_arguments_are_refused(tmp_path):
     arguments = {**SMALL, "seed": 1}
-    Run(tmp_path, Arguments(**arguments)).close()
+    SB3Run(tmp_path, SB3Arguments(**arguments)).close()
     with pytest.raises(ConfigError, match="seed was 1, now 2"):
-        Run(tmp_path, Arguments(**{**arguments, "seed": 2}))
+        SB3Run(tmp_path, SB3Arguments(**{**arguments, "seed": 2}))
 
 
 def test_a_run_begins_with_given_weights(tmp_path):
-    Run(tmp_path / "one", Arguments(**SMALL)).close()
+    SB3Run(tmp_path / "one", SB3Arguments(**SMALL)).close()
     file = tmp_path / "one" / "policy-000000000.safetensors"
-    started = Run(tmp_path / "two", Arguments(**SMALL, seed=7, start=str(file)))
+    started = SB3Run(tmp_path / "two", SB3Arguments(**SMALL, seed=7, init=str(file)))
     started.close()
     ours, theirs = last_policy(tmp_path / "two"), load_weights(file)
     assert all((ours[name] == theirs[name]).all() for name in theirs)
 
 
 def test_supersuit_gives_the_same_learner_plain_races(tmp_path):
-    assert learn(tmp_path, 60, supersuit=True, races="2x2", share=0.5) == 0
+    assert learn(tmp_path, 60, supersuit=True, races="2x2", snapshot_share=0.5) == 0
     assert log_of(tmp_path)[-1]["kart_steps"] >= 60
 
 
 def test_a_policy_is_judged_against_what_it_was(tmp_path, policy):
     for steps in (0, 10, 20):
         save_driver(tmp_path / f"policy-{steps:09d}.safetensors", policy)
-    judgement = judge(tmp_path, "policy-000000020", ["olivermath"], 1)
+    evaluation = evaluate_policy(tmp_path, "policy-000000020", ["olivermath"], 1)
     names = {"policy-000000020", "policy-000000010", "start", "random"}
-    assert set(judgement.ratios) == names
-    assert [set(order) for order in judgement.orders] == [names | {"bot:0"}]
-    assert judgement.orders[0][0] == "bot:0"  # who else
-    assert read_judgements(tmp_path) == [judgement]
-    assert max(ratings_of([judgement]).items(), key=lambda item: item[1].value)[0] == "bot:0"
+    assert set(evaluation.ratios) == names
+    assert [set(order) for order in evaluation.orders] == [names | {"bot:0"}]
+    assert evaluation.orders[0][0] == "bot:0"  # who else
+    assert read_evaluations(tmp_path) == [evaluation]
+    assert max(rate_orders(evaluation.orders).items(), key=lambda item: item[1].value)[0] == "bot:0"
 
 
 def test_buffers_leave_rivals_out():
     """The rows of :class:`ActiveRolloutBuffer` are those that ``kart_steps`` counts."""
     bots, snapshots = pools()
     envs = SelfPlayVecEnv(
-        [RaceGroup(4, 0, 1)], Curriculum(["olivermath"]), bots, snapshots, share=1
+        [RaceGroup(4, 0, 1)], Curriculum(["olivermath"]), bots, snapshots, snapshot_share=1
     )
     snapshots.add("past")
     model = PPO(

@@ -11,7 +11,6 @@ import pytest
 
 from stkzoo.agents.planning import DriverParameters
 from stkzoo.agents.training import tune_plans
-from stkzoo.agents.training.common.fleet import RaceForm
 from stkzoo.agents.training.tune_plans import BOUNDS, drive_all, from_unit, to_unit
 from tests.support.processes import children_of, process_exists, wait_until
 
@@ -41,11 +40,11 @@ def test_a_point_outside_is_moved_inside():
 
 def test_bad_numbers_drive_badly_and_each_set_as_if_it_were_alone():
     good, bad = DriverParameters(), replace(DriverParameters(), aim_time=0.1, greatest_room=2.5)
-    beginnings = [("lighthouse", False, 1), ("olivermath", False, 1)]
-    told = drive_all([good, bad, good], RaceForm(1, 0), beginnings)
+    places = [("lighthouse", False, 1), ("olivermath", False, 1)]
+    told = drive_all([good, bad, good], 0, places)
     assert told[0] == told[2]
     assert told[0] < told[1]
-    assert drive_all([bad], RaceForm(1, 0), beginnings) == [told[1]]
+    assert drive_all([bad], 0, places) == [told[1]]
 
 
 def test_test_tracks_are_refused(tmp_path, capsys):
@@ -58,8 +57,8 @@ def test_tuning_goes_on_where_it_was(tmp_path, monkeypatch):
     """The races stand aside: how well a set drives is how near its numbers are to the present."""
     present = np.array(to_unit(DriverParameters()))
 
-    def drive_all(sets, _, beginnings):
-        assert [beginning[:2] for beginning in beginnings] == [
+    def drive_all(sets, _, places):
+        assert [place[:2] for place in places] == [
             ("lighthouse", False),
             ("lighthouse", True),
         ]

@@ -1,164 +1,219 @@
-"""What the commands of this package share: options of dataclasses, libraries, and a bar."""
+"""Arguments of the training scripts: what several share, their options, and a run's own file."""
 
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
-from collections.abc import Collection, Mapping
-from dataclasses import MISSING, asdict, fields
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from stkzoo._os import atomic_write
 from stkzoo.errors import ConfigError
+from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
 __all__ = [
     "ARGUMENTS",
-    "RunBar",
+    "QUICK_TRACKS",
+    "NetworkArguments",
+    "PPOArguments",
+    "RaceGroup",
     "add_arguments",
-    "changes",
+    "check_resumed",
+    "differences",
     "keep_arguments",
-    "keep_to_one_thread",
-    "training_library",
-    "training_torch",
+    "race_groups",
+    "track_names",
     "values_of",
+    "write_json",
 ]
 
-#: The file in a run's folder that says what the run is made of.
+#: The file in a run's folder with the run's arguments.
 ARGUMENTS = "arguments.json"
+#: The training tracks but for one, on which a race takes three times as long.
+QUICK_TRACKS = tuple(track for track in TRAIN_TRACKS if track != "black_forest")
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkArguments:
+    """Arguments of every script that trains a network.
+
+    Attributes:
+        seed: seed of everything.
+        hidden: units of the hidden layers.
+        learning_rate: learning rate of Adam at the start.
+        batch_size: samples of one gradient step.
+        n_epochs: passes over the collected data per update.
+    """
+
+    seed: int = 0
+    hidden: tuple[int, ...] = (256, 128)
+    learning_rate: float = 3e-4
+    batch_size: int = 512
+    n_epochs: int = 4
+
+
+@dataclass(frozen=True, slots=True)
+class PPOArguments(NetworkArguments):
+    """Arguments of every script that trains with PPO, named as in Stable-Baselines3.
+
+    Attributes:
+        gamma: discount per step.
+        gae_lambda: lambda of the generalised advantage estimate.
+        clip_range: clipping range of the probability ratio.
+        ent_coef: entropy coefficient at the start.
+    """
+
+    gamma: float = 0.98
+    gae_lambda: float = 0.95
+    clip_range: float = 0.2
+    ent_coef: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class RaceGroup:
+    """Races with the same number of agents and of the game's AI karts.
+
+    Attributes:
+        agents: karts that learn.
+        bots: karts of the game's AI.
+        races: how many such races run side by side.
+    """
+
+    agents: int
+    bots: int
+    races: int
+
+
+def race_groups(texts: Sequence[str]) -> list[RaceGroup]:
+    """Parses ``4x3`` (three races of four agents) or ``2+2x1`` (two agents and two AI karts).
+
+    Raises:
+        ConfigError: a text has another form.
+    """
+    groups = []
+    for text in texts:
+        who, _, races = text.partition("x")
+        agents, _, bots = who.partition("+")
+        try:
+            group = RaceGroup(int(agents), int(bots or 0), int(races or 1))
+        except ValueError:
+            group = RaceGroup(0, 0, 0)
+        if min(group.agents, group.races) < 1 or group.bots < 0:
+            raise ConfigError(
+                f"races {text!r} are invalid; expected for example 4x3 (three races of four "
+                "agents) or 2+2x1 (one race of two agents and two karts of the game's AI)"
+            )
+        groups.append(group)
+    return groups
+
+
+def track_names(names: Sequence[str]) -> list[str]:
+    """Replaces the names of splits, such as ``train``, with their tracks."""
+    return [track for name in names for track in SPLITS.get(name, (name,))]
+
+
+# ---------------------------------------------------------------------- options
 
 
 def add_arguments(parser: argparse.ArgumentParser, kind: Any) -> None:
-    """Adds an option for each field of a dataclass; its docstring's lines are their help.
+    """Adds one option per field of a dataclass; the lines of its docstrings are the help.
 
     Args:
-        parser: gets them.
-        kind: a dataclass whose fields all have defaults: numbers, words, truths, or tuples of the
-            first two.
+        parser: gets the options.
+        kind: a dataclass whose fields all have defaults: numbers, strings, booleans, or tuples of
+            numbers or strings.
     """
-    lines = [line.strip().partition(": ") for line in (kind.__doc__ or "").splitlines()]
-    about = {name: text.rstrip(".").replace("%", "%%") for name, _, text in lines}
+    help_texts: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        name = ""
+        for line in (base.__doc__ or "").splitlines():
+            before, colon, text = line.strip().partition(": ")
+            if colon and before.isidentifier():
+                name, help_texts[before] = before, text
+            elif name and line.startswith(" " * 12):
+                help_texts[name] += " " + line.strip()
     for entry in fields(kind):
         default = entry.default
         assert default is not MISSING  # noqa: S101 - see above
         shown = " ".join(map(str, default)) if isinstance(default, tuple) else default
         has_default = not isinstance(default, bool) and shown != ""
-        told = f"{about[entry.name]} ({shown})" if has_default else about[entry.name]
+        text = help_texts[entry.name].rstrip(".").replace("%", "%%")
+        text += f" ({shown})" if has_default else ""
         flag = "--" + entry.name.replace("_", "-")
         if isinstance(default, bool):
-            parser.add_argument(flag, action="store_true", help=told)
+            parser.add_argument(flag, action="store_true", help=text)
         elif isinstance(default, tuple):
             one = type(default[0])
-            parser.add_argument(flag, type=one, nargs="+", default=default, help=told)
+            parser.add_argument(flag, type=one, nargs="+", default=default, help=text)
         else:
-            parser.add_argument(flag, type=type(default), default=default, help=told)
+            parser.add_argument(flag, type=type(default), default=default, help=text)
 
 
 def values_of(options: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields' values of options that were read; lists become tuples."""
+    """The values of parsed options as fields; lists become tuples."""
     return {name: tuple(v) if isinstance(v, list) else v for name, v in options.items()}
 
 
-def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """Says which fields are other now than in a file of JSON; empty if none is."""
+# ---------------------------------------------------------------------- a run's arguments
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Writes a JSON file atomically."""
+    with atomic_write(path) as part:
+        part.write_text(json.dumps(content, indent=1) + "\n")
+
+
+def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """Lists the fields that differ from those in a JSON file; empty if none does."""
     now = json.loads(json.dumps(now))
-    others = [name for name in now if before.get(name) != now[name]]
-    return ", ".join(f"{n} was {before.get(n)!r}, now {now[n]!r}" for n in others)
+    changed = [name for name in now if before.get(name) != now[name]]
+    return ", ".join(f"{n} was {before.get(n)!r}, now {now[n]!r}" for n in changed)
+
+
+def check_resumed(
+    folder: Path, before: Mapping[str, Any], now: Mapping[str, Any], remedy: str = ""
+) -> None:
+    """Checks that a run continues with the arguments that it has.
+
+    Args:
+        folder: the run's.
+        before: the arguments in its files.
+        now: the arguments given.
+        remedy: what else the user can do than give the same arguments or another folder.
+
+    Raises:
+        ConfigError: the arguments differ, or another version of stkzoo wrote the files.
+    """
+    if unknown := sorted(set(before) ^ set(now)):
+        raise ConfigError(
+            f"the run in {str(folder)!r} is of another version of stkzoo (its arguments differ in "
+            f"{', '.join(unknown)}); give another --output, and its newest policy as --init where "
+            "there is that option"
+        )
+    if changed := differences(before, now):
+        raise ConfigError(
+            f"the run in {str(folder)!r} has other arguments: {changed}; give the same, or "
+            f"another --output{remedy}"
+        )
 
 
 def keep_arguments(folder: Path, arguments: Any, free: Collection[str] = ()) -> None:
-    """Notes what a new run is made of, or checks that the one that is there is made of the same.
+    """Writes the arguments of a new run, or checks those of a run that continues.
 
     Args:
-        folder: the run's; it is made.
+        folder: the run's; it is created.
         arguments: a dataclass.
-        free: names of its fields that may be others when a run goes on, and are not noted.
+        free: names of fields that may change when a run continues, and are not written.
 
     Raises:
-        ConfigError: the folder has another run.
+        ConfigError: see :func:`check_resumed`.
     """
     now = {name: value for name, value in asdict(arguments).items() if name not in free}
     file = folder / ARGUMENTS
     if file.exists():
-        if told := changes(json.loads(file.read_text()), now):
-            raise ConfigError(
-                f"the run in {str(folder)!r} has other arguments: {told}; give the same, or "
-                "another --output"
-            )
+        check_resumed(folder, json.loads(file.read_text()), now)
         return
     folder.mkdir(parents=True, exist_ok=True)
-    with atomic_write(file) as part:
-        part.write_text(json.dumps(now, indent=1) + "\n")
-
-
-def training_library(name: str) -> Any:
-    """Imports a library of ``stkzoo[train]``.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise ConfigError(f"learning needs {error.name}; pip install 'stkzoo[train]'") from error
-
-
-def keep_to_one_thread() -> None:
-    """Keeps the numerical libraries that are loaded to one thread.
-
-    The networks are small: a second thread only takes the core that the games need.
-
-    Raises:
-        ConfigError: the library for it is not installed.
-    """
-    training_library("threadpoolctl").threadpool_limits(1)
-
-
-def training_torch() -> Any:
-    """Imports torch, which keeps to one thread.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
-    torch = training_library("torch")
-    torch.set_num_threads(1)
-    keep_to_one_thread()
-    return torch
-
-
-class RunBar:
-    """How many kart-steps a run has done, on a terminal's stderr.
-
-    Args:
-        until: how many there shall be.
-        done: how many there are.
-
-    Attributes:
-        is_shown: whether there is a terminal.
-    """
-
-    def __init__(self, until: int, done: int = 0) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-        console = Console(stderr=True)
-        self.is_shown = console.is_terminal
-        self._bar = Progress(
-            TextColumn("{task.completed:,.0f} kart-steps"),
-            BarColumn(),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[last]}"),
-            console=console,
-            disable=not self.is_shown,
-        )
-        self._task = self._bar.add_task("", total=until, completed=done, last="")
-        self._bar.start()
-
-    def show(self, done: float, text: str) -> None:
-        """Moves the bar."""
-        self._bar.update(self._task, completed=done, last=text)
-
-    def stop(self) -> None:
-        """Takes the bar away."""
-        self._bar.stop()
+    write_json(file, now)

@@ -1,8 +1,8 @@
-"""Rivals for self-play: frozen snapshots and the game's bots, the hard ones more often.
+"""The opponent pool of self-play: frozen snapshots and the game's bots, the hard ones more often.
 
 Prioritised fictitious self-play (Vinyals et al., "Grandmaster level in StarCraft II using
-multi-agent reinforcement learning", 2019): a rival that is beaten with probability p comes with
-weight (1 - p)^2, so that nothing is forgotten and little time goes to what is won anyway.
+multi-agent reinforcement learning", 2019): an opponent that is beaten with probability p is drawn
+with weight (1 - p)^2, so that nothing is forgotten and little time goes to what is won anyway.
 """
 
 from __future__ import annotations
@@ -13,22 +13,27 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["Pool", "Rival"]
+__all__ = ["Opponent", "OpponentPool", "bot_name"]
 
-#: How much one race counts in a rival's share of wins.
-_MEMORY = 0.1
-#: No rival is forgotten altogether.
+#: Weight of one race in an opponent's share of wins.
+_RATE = 0.1
+#: Keeps every opponent in the draw.
 _LEAST_WEIGHT = 0.02
 
 
+def bot_name(difficulty: int) -> str:
+    """The name of the game's bots of a difficulty, 0 to 3, as opponents."""
+    return f"bot:{difficulty}"
+
+
 @dataclass(slots=True)
-class Rival:
-    """One who was raced against.
+class Opponent:
+    """An opponent in the pool.
 
     Attributes:
         name: a snapshot's file name, or ``bot:0`` to ``bot:3``.
-        beaten: how often the learner is before it, from 0 to 1; recent races count most.
-        races: how many there were.
+        beaten: the learner's share of duels won, 0 to 1; recent races count most.
+        races: how many races there were.
     """
 
     name: str
@@ -37,67 +42,67 @@ class Rival:
 
     @property
     def weight(self) -> float:
-        """How often it shall come, beside the others."""
+        """Weight in the draw."""
         return (1.0 - self.beaten) ** 2 + _LEAST_WEIGHT
 
-    def take_in(self, beaten: float) -> None:
-        """Takes in a race: which share of the duels with it was won."""
+    def update(self, beaten: float) -> None:
+        """Updates with the share of the duels that the learner won in a race."""
         # The first races are a plain mean, with one half at the start.
-        share = max(_MEMORY, 1.0 / (self.races + 2))
+        share = max(_RATE, 1.0 / (self.races + 2))
         self.beaten += share * (beaten - self.beaten)
         self.races += 1
 
 
-class Pool:
-    """The rivals.
+class OpponentPool:
+    """The opponents.
 
     Args:
-        size: how many are kept; beyond it the most beaten goes.
-        rivals: those that there are.
+        size: capacity; a full pool drops the most beaten opponent for a new one.
+        names: the first opponents.
     """
 
-    def __init__(self, size: int, rivals: Sequence[Rival] = ()) -> None:
+    def __init__(self, size: int, names: Sequence[str] = ()) -> None:
         self.size = size
-        self._rivals = {rival.name: rival for rival in rivals}
+        self._opponents = {name: Opponent(name) for name in names}
 
     @property
-    def rivals(self) -> list[Rival]:
+    def opponents(self) -> list[Opponent]:
         """All of them, the oldest first."""
-        return list(self._rivals.values())
+        return list(self._opponents.values())
 
-    def add(self, name: str) -> Rival | None:
-        """Takes in a new rival.
+    def add(self, name: str) -> Opponent | None:
+        """Adds an opponent.
 
         Returns:
-            The one that had to go for it: the most beaten of those before.
+            The one that was dropped for it, if any.
         """
-        gone = None
-        if name not in self._rivals and len(self._rivals) >= self.size:
-            gone = max(self.rivals, key=lambda rival: rival.beaten)
-            del self._rivals[gone.name]
-        self._rivals.setdefault(name, Rival(name))
-        return gone
+        dropped = None
+        if name not in self._opponents and len(self._opponents) >= self.size:
+            dropped = max(self.opponents, key=lambda opponent: opponent.beaten)
+            del self._opponents[dropped.name]
+        self._opponents.setdefault(name, Opponent(name))
+        return dropped
 
     def draw(self, random: np.random.Generator, among: Sequence[str] | None = None) -> str:
-        """A rival's name, by its weight.
+        """Draws an opponent's name by weight.
 
         Args:
             random: draws it.
-            among: only these, which must be here; all by default.
+            among: only these, which must be in the pool; all by default.
         """
-        names = list(self._rivals) if among is None else list(among)
-        weights = np.array([self._rivals[name].weight for name in names])
+        names = list(self._opponents) if among is None else list(among)
+        weights = np.array([self._opponents[name].weight for name in names])
         return names[int(random.choice(len(names), p=weights / weights.sum()))]
 
-    def take_in(self, name: str, beaten: float) -> None:
-        """Takes in a race against a rival; one that has gone is left alone."""
-        if name in self._rivals:
-            self._rivals[name].take_in(beaten)
+    def update(self, name: str, beaten: float) -> None:
+        """Updates an opponent after a race; one that was dropped is ignored."""
+        if name in self._opponents:
+            self._opponents[name].update(beaten)
 
     def state(self) -> list[dict[str, Any]]:
-        """All of it, as JSON has it."""
-        return [asdict(rival) for rival in self.rivals]
+        """All of it as JSON values."""
+        return [asdict(opponent) for opponent in self.opponents]
 
     def restore(self, state: Sequence[Mapping[str, Any]]) -> None:
-        """Makes it what :meth:`state` was."""
-        self._rivals = {kept["name"]: Rival(**kept) for kept in state}
+        """Restores a :meth:`state`."""
+        self._opponents = {kept["name"]: Opponent(**kept) for kept in state}

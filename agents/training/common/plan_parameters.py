@@ -1,4 +1,4 @@
-"""Which numbers the plans of a run go by."""
+"""The parameters of a run's plans."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from stkzoo.errors import ConfigError
 
 from .arguments import ARGUMENTS
 
-__all__ = ["NUMBERS", "numbers_of_run", "plan_numbers"]
+__all__ = ["PLAN_PARAMETERS", "plan_parameters", "run_parameters"]
 
-#: Sets of numbers by name: those of the search on training tracks, and those from before it.
-NUMBERS = {
+#: By name: those that a search on training tracks found, and those before it.
+PLAN_PARAMETERS = {
     "found": DriverParameters(),
     "by-hand": DriverParameters(
         lane_changes=0,
@@ -43,19 +43,20 @@ NUMBERS = {
 }
 
 
-def plan_numbers(name: str) -> DriverParameters:
-    """The numbers of a name.
+def plan_parameters(name: str) -> DriverParameters:
+    """The parameters of a name.
 
     Raises:
-        ConfigError: there are none.
+        ConfigError: the name is unknown.
     """
-    if name not in NUMBERS:
-        raise ConfigError(f"plans {name!r} are unknown; expected one of {', '.join(NUMBERS)}")
-    return NUMBERS[name]
+    if name not in PLAN_PARAMETERS:
+        expected = ", ".join(PLAN_PARAMETERS)
+        raise ConfigError(f"plans {name!r} are unknown; expected one of {expected}")
+    return PLAN_PARAMETERS[name]
 
 
-def numbers_of_run(folder: Path) -> DriverParameters:
-    """The numbers that a run learns with; today's, if the folder is none of a run.
+def run_parameters(folder: Path) -> DriverParameters:
+    """The parameters of a run's plans; the default ones if the folder has no run.
 
     Raises:
         ConfigError: the run is of another version.
@@ -67,6 +68,6 @@ def numbers_of_run(folder: Path) -> DriverParameters:
         return DriverParameters(**json.loads(file.read_text())[-1]["rules"])
     except (KeyError, TypeError) as error:
         raise ConfigError(
-            f"{str(file)!r} is of another version of stkzoo: the numbers of its plans are not "
-            f"those of today ({error}); use that version, or learn anew"
+            f"{str(file)!r} is of another version of stkzoo: the parameters of its plans have "
+            f"changed ({error}); use that version, or start a new run"
         ) from None

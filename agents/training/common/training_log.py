@@ -1,4 +1,4 @@
-"""The log of a run: a line an iteration as JSON, and TensorBoard's files if that is installed."""
+"""The log of a run: one JSON line per iteration, and TensorBoard files if that is installed."""
 
 from __future__ import annotations
 
@@ -11,41 +11,41 @@ from typing import Any
 from stkzoo._os import atomic_write
 from stkzoo.errors import ConfigError
 
-__all__ = ["LOG", "Journal", "log_of_run", "read_log", "write_log"]
+__all__ = ["LOG", "TrainingLog", "read_json_lines", "require_log", "write_log"]
 
 #: The log's file in a run's folder.
 LOG = "log.jsonl"
 
 
-def read_log(folder: Path) -> list[dict[str, Any]]:
-    """The lines of a run's log; none if there is no log yet."""
-    file = folder / LOG
+def read_json_lines(file: Path) -> list[dict[str, Any]]:
+    """The lines of a file of JSON lines; none if there is no such file."""
     return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
 
 
-def log_of_run(folder: str | Path) -> list[dict[str, Any]]:
-    """The lines of the log of a run that there must be.
+def require_log(folder: str | Path) -> list[dict[str, Any]]:
+    """The lines of a run's log.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: the folder has none.
     """
-    if not (Path(folder) / LOG).is_file():
-        raise ConfigError(f"{str(folder)!r} is no run's folder: it has no {LOG}")
-    return read_log(Path(folder))
+    file = Path(folder) / LOG
+    if not file.is_file():
+        raise ConfigError(f"{str(folder)!r} is not the folder of a run: it has no {LOG}")
+    return read_json_lines(file)
 
 
 def write_log(folder: Path, log: Sequence[Mapping[str, Any]]) -> None:
-    """Writes all of a run's log, whole or not at all."""
+    """Writes the whole log of a run atomically."""
     with atomic_write(folder / LOG) as part:
         part.write_text("".join(json.dumps(dict(line)) + "\n" for line in log))
 
 
-class Journal:
-    """The log of a run that may go on from a checkpoint: what came after that is taken out.
+class TrainingLog:
+    """The log of a run that may continue from a checkpoint; later lines are removed.
 
     Args:
         folder: the run's.
-        iteration: the last one that counts.
+        iteration: that of the checkpoint.
 
     Attributes:
         last: the last line; empty at the beginning.
@@ -53,7 +53,7 @@ class Journal:
 
     def __init__(self, folder: Path, iteration: int) -> None:
         self._file = folder / LOG
-        kept = [line for line in read_log(folder) if line["iteration"] <= iteration]
+        kept = [line for line in read_json_lines(self._file) if line["iteration"] <= iteration]
         write_log(folder, kept)
         self.last: dict[str, Any] = kept[-1] if kept else {}
         self._writer: Any = None
@@ -63,10 +63,17 @@ class Journal:
             return
         self._writer = board.SummaryWriter(folder, purge_step=self.last.get("kart_steps", 0) + 1)
 
-    def write(self, line: Mapping[str, Any]) -> None:
-        """Adds an iteration's figures, ``iteration`` and ``kart_steps`` among them.
+    def __enter__(self) -> TrainingLog:
+        return self
 
-        One that is None is not known: TensorBoard's files lack it.
+    def __exit__(self, *exception: object) -> None:
+        if self._writer is not None:
+            self._writer.close()
+
+    def write(self, line: Mapping[str, Any]) -> None:
+        """Adds an iteration's figures, with ``iteration`` and ``kart_steps`` among them.
+
+        TensorBoard gets all figures but those that are ``None``.
         """
         with self._file.open("a") as log:
             log.write(json.dumps(dict(line)) + "\n")
@@ -75,11 +82,6 @@ class Journal:
                 self.add(name, value, int(line["kart_steps"]))
 
     def add(self, name: str, value: float, kart_steps: int) -> None:
-        """Adds a figure to TensorBoard's files alone."""
+        """Adds a figure to the TensorBoard files alone."""
         if self._writer is not None:
             self._writer.add_scalar(name, value, kart_steps)
-
-    def close(self) -> None:
-        """Writes what is left."""
-        if self._writer is not None:
-            self._writer.close()

@@ -1,22 +1,21 @@
-r"""Teaches one network what the plans of the learned drivers would do, by DAgger.
+r"""Distills the plans of the learned drivers into one network, by DAgger.
 
-    python -m stkzoo.agents.training.imitation.distill --output runs/distil
+    python -m stkzoo.agents.training.imitation.distill --output runs/distill
     python -m stkzoo.agents.training.sb3.selfplay --output runs/play --hold 1 \
-        --start runs/distil/policy.safetensors
+        --init runs/distill/policy.safetensors
 
-The plans weigh what may come in the next two seconds; the network sees the view ``racing`` and what
-its action filter remembers, and answers at once. In the first round the plans drive, then the
-network does, while the plans say what they would do where it got to (DAgger: Ross, Gordon and
-Bagnell, 2011). Each round it learns from all that was seen so far, and drives every track once
-alone.
+The plans weigh the next two seconds; the network sees the view ``racing`` and what its action
+filter remembers, and answers at once. In the first round the plans drive, then the network does,
+and the plans label what it should have done where it got to (DAgger: Ross, Gordon and Bagnell,
+2011). Each round it learns from all labels so far, and drives every track once alone.
 
-In the folder: ``policy.safetensors``, ``agent`` (`stkzoo race runs/distil/agent ai`), ``log.jsonl``
-and the rounds' lessons. A killed run goes on with its round when the same command is given again.
+In the folder: ``policy.safetensors``, ``agent`` (`stkzoo race runs/distill/agent ai`),
+``log.jsonl`` and the rounds' lessons. The same command continues a run that was killed with the
+round that was under way.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,72 +28,70 @@ import numpy.typing as npt
 from stkzoo._os import atomic_write
 from stkzoo.agents.planning import BRAKE as BRAKE_PLAN
 from stkzoo.agents.planning import PolicyInput
-from stkzoo.agents.pretrained.action_filter import INPUT_SIZE, steering
+from stkzoo.agents.pretrained.action_filter import INPUT_SIZE, ActionFilter, steering
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.policy import RacingPolicy
-from stkzoo.errors import StkzooError, check_whole
-from stkzoo.tracks import TRAIN_TRACKS
-from stkzoo.wrappers.racing import BRAKE
+from stkzoo.errors import check_whole
+from stkzoo.wrappers.racing import BRAKE, SIZE, controls_of_choices
 
-from ..common.arguments import RunBar, add_arguments, keep_arguments, training_torch, values_of
-from ..common.fleet import Finish, Fleet, RaceForm
-from ..common.network_karts import NetworkKarts, seen_by_networks
-from ..common.training_log import read_log, write_log
-from ..sb3.policy import save_driver, write_agent
-from .network import fit, make_network, take_over
+from ..common.arguments import (
+    QUICK_TRACKS,
+    NetworkArguments,
+    add_arguments,
+    keep_arguments,
+    values_of,
+)
+from ..common.command import ProgressBar, command_parser, run_command, training_torch
+from ..common.fleet import Finish, Fleet, Lineup
+from ..common.matches import Match, network_driver, play_matches
+from ..common.network_policy import save_driver, write_agent
+from ..common.training_log import LOG, read_json_lines, write_log
+from .network import fit, load_weights_into, make_network
 
-__all__ = ["Arguments", "Class", "main", "run"]
+__all__ = ["DistillationArguments", "LabelledRaces", "main", "run"]
 
 IntArray = npt.NDArray[np.int64]
 Numbers = npt.NDArray[Any]
 
 _POLICY = "policy.safetensors"
 #: Alone, against others, and against the game's AI.
-_FORMS = [
-    *[RaceForm(1, 0)] * 8,
-    *[RaceForm(5, 0)] * 4,
-    *[RaceForm(2, 3)] * 4,
-    *[RaceForm(1, 4)] * 4,
+_LINEUPS = [
+    *[Lineup(1, 0)] * 8,
+    *[Lineup(5, 0)] * 4,
+    *[Lineup(2, 3)] * 4,
+    *[Lineup(1, 4)] * 4,
 ]
 #: Drifts end when the plans say so.
 _HOLD = 1
-#: Who does not finish counts as being so much slower than the game's AI.
+#: The time ratio of a kart that does not finish.
 _UNFINISHED = 1.6
 
 
 @dataclass(frozen=True, slots=True)
-class Arguments:
-    """What a run is made of.
+class DistillationArguments(NetworkArguments):
+    """Arguments of a run.
 
     Attributes:
         rounds: how many.
-        steps: kart-steps of each.
-        tracks: both ways.
-        hidden: units of the layers.
-        epochs: how often a round goes over all lessons.
-        last_epochs: how often the last round does.
-        batch: lessons of a gradient.
-        learning_rate: of Adam, at a round's start.
-        seed: of everything.
+        steps: kart-steps of each round.
+        tracks: driven in both directions.
+        n_epochs_last: passes over all lessons in the last round.
     """
 
+    batch_size: int = 1024
+    learning_rate: float = 1.5e-3
     rounds: int = 8
     steps: int = 60_000
-    tracks: tuple[str, ...] = tuple(track for track in TRAIN_TRACKS if track != "black_forest")
-    hidden: tuple[int, ...] = (256, 128)
-    epochs: int = 4
-    last_epochs: int = 12
-    batch: int = 1024
-    learning_rate: float = 1.5e-3
-    seed: int = 0
+    tracks: tuple[str, ...] = QUICK_TRACKS
+    n_epochs_last: int = 12
 
     def __post_init__(self) -> None:
-        for name in ("rounds", "steps", "epochs", "last_epochs", "batch"):
+        for name in ("rounds", "steps", "n_epochs", "n_epochs_last", "batch_size"):
             check_whole(name, getattr(self, name), 1)
 
 
-class Class:
-    """Races in which pupils drive while the plans say what they would do.
+class LabelledRaces:
+    """Races in which students drive while the plans label what they should do.
 
     Args:
         fleet: the races, none of them mirrored.
@@ -104,15 +101,15 @@ class Class:
     def __init__(self, fleet: Fleet, view: PolicyInput) -> None:
         self.fleet, self.view = fleet, view
         self._plans = RacingPolicy.of_plans_alone()
-        self._karts = NetworkKarts(fleet, _HOLD)
+        self._action_filter = ActionFilter(fleet.num_slots, _HOLD, fleet.drivers.memory)
 
     @property
     def seen(self) -> Numbers:
-        """What the pupils see, ``(S, 177)``."""
-        return seen_by_networks(self.view)
+        """What the students see, ``(S, 177)``."""
+        return self.view.inputs[:, :INPUT_SIZE]
 
-    def answers(self) -> IntArray:
-        """What the plans would do, as the pupils' choices ``(S, 5)``."""
+    def labels(self) -> IntArray:
+        """What the plans would do, as the students' choices ``(S, 5)``."""
         drivers, choices = self.fleet.drivers, self._plans.best(self.view)
         side, turn = drivers.moves(choices)
         begins = (side != 0) & (drivers.memory.situation().drift_side == 0)
@@ -125,47 +122,54 @@ class Class:
         return np.stack(columns, axis=1).astype(np.int64)
 
     def step(self, choices: IntArray) -> list[Finish]:
-        """Drives on by choices ``(S, 5)``; whose race ended."""
-        self._karts.send(self.view, choices)
+        """Makes a step by choices ``(S, 5)``; the finishes of those whose race ended."""
+        self._action_filter.see(self.view.inputs[:, :SIZE])
+        self.fleet.send_controls(controls_of_choices(self._action_filter.apply(choices)))
         self.view, outcome = self.fleet.receive()
         return outcome.finishes
 
 
-def run(arguments: Arguments, folder: Path, bar: RunBar | None = None) -> list[dict[str, Any]]:
-    """Teaches, or goes on with that.
+def run(
+    arguments: DistillationArguments, folder: Path, bar: ProgressBar | None = None
+) -> list[dict[str, Any]]:
+    """Distills, or continues a run.
 
     Args:
         arguments: of the run.
         folder: the run's.
-        bar: shows how far it is.
+        bar: shows the progress.
 
     Returns:
-        The log, a line a round: who drove, the loss [nats], the share of right choices, and the
-        time ratio of the network's likeliest choices, alone on each track.
+        The log, one line per round: the driver, the loss [nats], the share of right choices, and
+        the time ratio of the network's most likely choices, alone on each track.
 
     Raises:
-        ConfigError: torch is missing, or the folder has another run.
+        ConfigError: torch is not installed, or the folder has another run.
     """
     training_torch()
     keep_arguments(folder, arguments)
-    log = read_log(folder)
+    log = read_json_lines(folder / LOG)
     network = make_network(arguments.hidden, arguments.seed, INPUT_SIZE)
     if log:
-        take_over(network, folder / _POLICY)
+        load_weights_into(network, folder / _POLICY)
     for number in range(len(log), arguments.rounds):
         log.append(_round(arguments, folder, network, number, bar))
         save_driver(folder / _POLICY, network, _HOLD)
         write_log(folder, log)
-    write_agent(folder / "agent", network, "pupil of the plans", _HOLD)
+    write_agent(folder / "agent", network, "student of the plans", _HOLD)
     return log
 
 
 def _round(
-    arguments: Arguments, folder: Path, network: Any, number: int, bar: RunBar | None
+    arguments: DistillationArguments,
+    folder: Path,
+    network: Any,
+    number: int,
+    bar: ProgressBar | None,
 ) -> dict[str, Any]:
-    """Drives, learns and looks what came of it: its line of the log."""
-    pupil = _driver(network) if number else None
-    driven = _drive(arguments, pupil, number, folder, bar)
+    """Drives, learns and evaluates; the round's line of the log."""
+    student = _driver(network) if number else None
+    driven = _drive(arguments, student, number, folder, bar)
     lessons = [np.load(_lessons(folder, n)) for n in range(number + 1)]
     seen, answers = (np.concatenate([one[key] for one in lessons]) for key in ("seen", "answers"))
     is_last = number == arguments.rounds - 1
@@ -173,9 +177,9 @@ def _round(
         network,
         seen,
         answers,
-        epochs=arguments.last_epochs if is_last else arguments.epochs,
+        n_epochs=arguments.n_epochs_last if is_last else arguments.n_epochs,
         learning_rate=arguments.learning_rate,
-        batch=arguments.batch,
+        batch_size=arguments.batch_size,
         seed=arguments.seed + number,
     )
     alone = _alone(arguments, _driver(network))
@@ -190,28 +194,32 @@ def _round(
         "unfinished": sum(finish.ratio is None for finish in alone),
     }
     if bar:
-        bar.show((number + 1) * arguments.steps, _shown(line))
+        bar.show((number + 1) * arguments.steps, _summary(line))
     return line
 
 
 def _drive(
-    arguments: Arguments, pupil: MlpDriver | None, number: int, folder: Path, bar: RunBar | None
+    arguments: DistillationArguments,
+    student: MlpDriver | None,
+    number: int,
+    folder: Path,
+    bar: ProgressBar | None,
 ) -> list[Finish]:
-    """Collects a round's lessons; how the races went."""
-    fleet = Fleet(_FORMS, arguments.tracks, arguments.seed + 1000 * number, mirrors=False)
+    """Collects a round's lessons; the finishes of its races."""
+    fleet = Fleet(_LINEUPS, arguments.tracks, arguments.seed + 1000 * number, mirrors=False)
     random = np.random.default_rng([arguments.seed, number])
     finishes: list[Finish] = []
     seen, answers, count = [], [], 0
     try:
-        lesson = Class(fleet, fleet.begin())
+        lesson = LabelledRaces(fleet, fleet.begin())
         while count < arguments.steps:
-            right, sees, active = lesson.answers(), lesson.seen, fleet.active
+            right, sees, active = lesson.labels(), lesson.seen, fleet.active
             seen.append(sees[active])
             answers.append(right[active])
             count += int(active.sum())
             choices = right
-            if pupil:
-                choices = pupil.best(sees) if number % 2 else pupil.sample(sees, random)
+            if student:
+                choices = student.best(sees) if number % 2 else student.sample(sees, random)
             finishes += lesson.step(choices)
             if bar:
                 bar.show(number * arguments.steps + count, f"round {number} drives")
@@ -224,18 +232,15 @@ def _drive(
     return finishes
 
 
-def _alone(arguments: Arguments, pupil: MlpDriver) -> list[Finish]:
-    """How the likeliest choices drive each track both ways, alone."""
-    places = [(track, reverse, 0) for track in arguments.tracks for reverse in (False, True)]
-    fleet = Fleet([RaceForm(1, 0)] * len(places), arguments.tracks, 0, goes_on=False, mirrors=False)
-    finishes: list[Finish] = []
-    try:
-        lesson = Class(fleet, fleet.begin_at(places))
-        while fleet.active.any():
-            finishes += lesson.step(pupil.best(lesson.seen))
-    finally:
-        fleet.close()
-    return finishes
+def _alone(arguments: DistillationArguments, student: MlpDriver) -> list[Finish]:
+    """How the most likely choices drive each track in both directions, alone."""
+    matches = [
+        Match(("student",), track, reverse, bots=0)
+        for track in arguments.tracks
+        for reverse in (False, True)
+    ]
+    drivers = {"student": network_driver(student.best, _HOLD)}
+    return [finish for (finish,) in play_matches(matches, drivers)]
 
 
 def _mean_ratio(finishes: Sequence[Finish]) -> float:
@@ -251,46 +256,30 @@ def _lessons(folder: Path, number: int) -> Path:
     return folder / f"lessons-{number:02d}.npz"
 
 
-def _shown(line: dict[str, Any]) -> str:
+def _summary(line: dict[str, Any]) -> str:
     return (
         f"round {line['round']}: {line['lessons']:,} lessons, loss {line['loss']:.2f}, "
         f"alone {line['time_ratio_alone']:.3f} of the AI's time, {line['unfinished']} unfinished"
     )
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m stkzoo.agents.training.imitation.distill",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--output", type=Path, required=True, help="the run's folder")
-    add_arguments(parser, Arguments)
-    return parser
-
-
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    options = vars(_parser().parse_args(words))
+    parser = command_parser("imitation.distill", __doc__)
+    parser.add_argument("--output", type=Path, required=True, help="the run's folder")
+    add_arguments(parser, DistillationArguments)
+    options = vars(parser.parse_args(words))
     folder = options.pop("output")
-    bar = None
-    try:
-        arguments = Arguments(**values_of(options))
-        bar = RunBar(arguments.rounds * arguments.steps)
-        log = run(arguments, folder, bar)
-    except StkzooError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("interrupted; the same command goes on with its round", file=sys.stderr)
-        return 130
-    finally:
-        if bar:
-            bar.stop()
-    for line in log:
-        print(_shown(line))
-    print(f"stkzoo race {folder / 'agent'} ai ai --track lighthouse")
-    return 0
+
+    def distill() -> None:
+        arguments = DistillationArguments(**values_of(options))
+        with ProgressBar(arguments.rounds * arguments.steps) as bar:
+            log = run(arguments, folder, bar)
+        for line in log:
+            print(_summary(line))
+        print(f"stkzoo race {folder / 'agent'} ai ai --track lighthouse")
+
+    return run_command(distill, "the same command continues with its round")
 
 
 if __name__ == "__main__":

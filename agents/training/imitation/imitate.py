@@ -3,23 +3,22 @@ r"""Learns to drive like a teacher: behaviour cloning, then DAgger.
     python -m stkzoo.agents.training.imitation.imitate --output runs/imitate
     python -m stkzoo.agents.training.imitation.imitate --output runs/ai --demos ai.npz --rounds 0
     python -m stkzoo.agents.training.sb3.selfplay --output runs/play \
-        --start runs/imitate/policy.safetensors
+        --init runs/imitate/policy.safetensors
 
-First a network learns from demonstrations (those of `stkzoo demos`, or ones that are recorded now)
-what the teacher did where the teacher came: behaviour cloning. But a copy that errs comes where the
-teacher never was. So in each round of DAgger (Ross, Gordon and Bagnell, 2011) the learner drives,
-the teacher says what it would have done there, and the network learns from all of it together. A
-last round only drives, to see how good the result is.
+First a network learns from demonstrations (those of `stkzoo demos`, or new ones) what the teacher
+did where the teacher came: behaviour cloning. But a copy that errs gets where the teacher never
+was. So in each round of DAgger (Ross, Gordon and Bagnell, 2011) the learner drives, the teacher
+labels what it would have done there, and the network learns from all of it. A last round only
+drives, to evaluate the result.
 
 The learner sees the view ``racing`` and is a ``MlpPolicy`` of Stable-Baselines3, two tanh layers.
 In the folder: ``policy.safetensors`` (its state dict), ``agent`` (to race: `stkzoo race
-runs/imitate/agent ai`), ``log.jsonl``, ``imitation.png``, and the lessons. A killed run goes on
-when the same command is given again.
+runs/imitate/agent ai`), ``log.jsonl``, ``imitation.png``, and the lessons. The same command
+continues a run that was killed.
 """
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import json
 import multiprocessing
@@ -33,16 +32,24 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo._os import atomic_write, cpu_count
+from stkzoo._os import cpu_count
 from stkzoo.errors import ConfigError, StkzooError, check_whole
 from stkzoo.evaluation import Demonstrations, load_demonstrations, record_demonstrations
 from stkzoo.race import find_driver
-from stkzoo.tracks import SPLITS
 
-from ..common.arguments import add_arguments, keep_arguments, values_of
+from ..common.arguments import (
+    NetworkArguments,
+    add_arguments,
+    keep_arguments,
+    track_names,
+    values_of,
+    write_json,
+)
+from ..common.command import ProgressBar, command_parser, run_command
+from ..common.network_policy import save_driver, write_agent
 from ..common.training_log import write_log
-from ..sb3.policy import save_driver, write_agent
-from .network import Fit, fit, make_network, take_over
+from ..plot import plot_imitation
+from .network import Fit, fit, load_weights_into, make_network
 from .races import (
     Lesson,
     LessonOrder,
@@ -53,34 +60,31 @@ from .races import (
     time_ratio,
 )
 
-__all__ = ["Arguments", "main", "parse", "plot_log", "run"]
+__all__ = ["ImitationArguments", "main", "parse", "run"]
 
-_POLICY, _PICTURE = "policy.safetensors", "imitation.png"
-#: What may be other when a run goes on.
+_POLICY, _PLOT = "policy.safetensors", "imitation.png"
+#: What may change when a run continues.
 _FREE = ("rounds", "jobs")
 
 
 @dataclass(frozen=True, slots=True)
-class Arguments:
-    """What a run is made of.
+class ImitationArguments(NetworkArguments):
+    """Arguments of a run.
 
     Attributes:
-        teacher: who is imitated: a driver that comes with stkzoo, a path.
-        demos: learn first from this file of stkzoo demos; empty records one.
-        rounds: of DAgger; 0 is behaviour cloning alone.
+        teacher: the driver to imitate: a driver of stkzoo, or a path.
+        demos: file of stkzoo demos to learn from first; empty records one.
+        rounds: rounds of DAgger; 0 is behaviour cloning alone.
         tracks: names of tracks, or train.
         leave_out: but not these; none for all of them.
-        races: of each track in a round.
-        karts: of the learner in each race.
+        races: races on each track in a round.
+        karts: karts of the learner in each race.
         difficulty: of the game's AI, whose times are compared with.
-        hidden: units of the layers.
-        epochs: how often a round goes over all examples.
-        batch: examples of a gradient.
-        learning_rate: of Adam, at a round's start.
-        seed: of everything.
-        jobs: races at a time; 0 is as many as processors.
+        jobs: races at a time; 0 is the number of processors.
     """
 
+    n_epochs: int = 20
+    learning_rate: float = 1e-3
     teacher: str = "heuristic"
     demos: str = ""
     rounds: int = 5
@@ -89,16 +93,12 @@ class Arguments:
     races: int = 1
     karts: int = 3
     difficulty: int = 3
-    hidden: tuple[int, ...] = (256, 128)
-    epochs: int = 20
-    batch: int = 512
-    learning_rate: float = 1e-3
-    seed: int = 0
     jobs: int = 0
 
     def __post_init__(self) -> None:
-        for name, least in (("rounds", 0), ("races", 1), ("karts", 1), ("epochs", 1), ("batch", 1)):
+        for name, least in (("rounds", 0), ("races", 1), ("karts", 1), ("n_epochs", 1)):
             check_whole(name, getattr(self, name), least)
+        check_whole("batch_size", self.batch_size, 1)
         check_whole("jobs", self.jobs, 0)
         if find_driver(self.teacher, inline=True).is_game_ai and self.rounds:
             raise ConfigError(
@@ -109,57 +109,58 @@ class Arguments:
     @property
     def all_tracks(self) -> list[str]:
         """The tracks by name."""
-        names = [t for name in self.tracks for t in SPLITS.get(name, (name,))]
-        return [name for name in names if name not in self.leave_out]
+        return [name for name in track_names(self.tracks) if name not in self.leave_out]
 
 
 @dataclass(frozen=True, slots=True)
 class _Examples:
-    """What is learned from in a round: observations ``(N, 165)`` and actions ``(N, 5)``."""
+    """The lessons of a round: observations ``(N, 165)`` and actions ``(N, 5)``."""
 
     observations: Numbers
     actions: Numbers
 
 
-Tell = Callable[[str, int, int], None]
+Report = Callable[[str, int, int], None]
 
 
-def run(arguments: Arguments, folder: Path, tell: Tell = lambda *_: None) -> list[dict[str, Any]]:
-    """Imitates, or goes on with that.
+def run(
+    arguments: ImitationArguments, folder: Path, report: Report = lambda *_: None
+) -> list[dict[str, Any]]:
+    """Imitates, or continues a run.
 
     Args:
         arguments: of the run.
         folder: the run's.
-        tell: is told what is being done, how much of it is, and how much there is.
+        report: called with what is being done, how much of it is done, and how much there is.
 
     Returns:
         The log: for each round who drove, how well, and how well the network fitted then.
 
     Raises:
-        ConfigError: an argument cannot be, torch is missing, or the folder has another run.
+        ConfigError: an argument is invalid, torch is not installed, or the folder has another run.
         AssetError: the game's data is missing.
     """
     keep_arguments(folder, arguments, _FREE)
-    demos = _demonstrations(arguments, folder, tell)
+    demos = _demonstrations(arguments, folder, report)
     observations, actions = demos.pairs()
     lessons = [_Examples(observations, actions)]
     log = [_line(0, arguments.teacher, *_of_demos(demos, arguments.difficulty))]
     for number in range(arguments.rounds + 2):
         if number:
-            driven = _drive(arguments, folder, number, tell)
+            driven = _drive(arguments, folder, number, report)
             lessons += [_Examples(lesson.observations, lesson.actions) for lesson in driven]
             ratios = [ratio for lesson in driven for ratio in lesson.ratios]
             finished = sum(lesson.finished for lesson in driven)
             who = "behaviour cloning" if number == 1 else f"DAgger, round {number - 1}"
             log.append(_line(number, who, ratios, finished))
         if number <= arguments.rounds:
-            log[-1] |= _learn(arguments, folder, number, lessons, tell)
+            log[-1] |= _learn(arguments, folder, number, lessons, report)
         write_log(folder, log)
     _finish(arguments, folder)
     return log
 
 
-def _demonstrations(arguments: Arguments, folder: Path, tell: Tell) -> Demonstrations:
+def _demonstrations(arguments: ImitationArguments, folder: Path, report: Report) -> Demonstrations:
     if arguments.demos:
         demos = load_demonstrations(arguments.demos)
         if demos.view != "racing":
@@ -177,7 +178,7 @@ def _demonstrations(arguments: Arguments, folder: Path, tell: Tell) -> Demonstra
         karts=arguments.karts,
         difficulty=arguments.difficulty,
         jobs=arguments.jobs or None,
-        on_race=lambda progress: tell("the teacher drives", progress.done, progress.total),
+        on_race=lambda progress: report("the teacher drives", progress.done, progress.total),
     )
 
 
@@ -201,7 +202,9 @@ def _line(number: int, driver: str, ratios: Sequence[float], finished: int) -> d
 # ------------------------------------------------------------------ a round
 
 
-def _drive(arguments: Arguments, folder: Path, number: int, tell: Tell) -> list[Lesson]:
+def _drive(
+    arguments: ImitationArguments, folder: Path, number: int, report: Report
+) -> list[Lesson]:
     """The races of a round; those that are there are not driven again."""
     home = folder / f"round_{number:02d}"
     home.mkdir(exist_ok=True)
@@ -222,9 +225,9 @@ def _drive(arguments: Arguments, folder: Path, number: int, tell: Tell) -> list[
     ]
     left = [order for order in orders if not Path(order.file).exists()]
     what = f"round {number}: the learner drives"
-    tell(what, len(orders) - len(left), len(orders))
+    report(what, len(orders) - len(left), len(orders))
     for done, _ in enumerate(_in_parallel(left, arguments.jobs), start=1):
-        tell(what, len(orders) - len(left) + done, len(orders))
+        report(what, len(orders) - len(left) + done, len(orders))
     return [read_lesson(order.file) for order in orders]
 
 
@@ -247,7 +250,11 @@ def _in_parallel(orders: Sequence[LessonOrder], jobs: int) -> Iterator[str]:
 
 
 def _learn(
-    arguments: Arguments, folder: Path, number: int, lessons: Sequence[_Examples], tell: Tell
+    arguments: ImitationArguments,
+    folder: Path,
+    number: int,
+    lessons: Sequence[_Examples],
+    report: Report,
 ) -> dict[str, Any]:
     """Trains the round's network, or reads what it came to; what the log says of it."""
     file, facts = _policy_file(folder, number), folder / f"fit_{number:02d}.json"
@@ -256,23 +263,22 @@ def _learn(
         return found
     observations = np.concatenate([lesson.observations for lesson in lessons])
     actions = np.concatenate([lesson.actions for lesson in lessons])
-    tell(f"round {number}: learning from {len(actions):,} examples", 0, 1)
+    report(f"round {number}: learning from {len(actions):,} examples", 0, 1)
     network = make_network(arguments.hidden, arguments.seed)
     if number:
-        take_over(network, _policy_file(folder, number - 1))
+        load_weights_into(network, _policy_file(folder, number - 1))
     result: Fit = fit(
         network,
         observations,
         actions,
-        epochs=arguments.epochs,
+        n_epochs=arguments.n_epochs,
         learning_rate=arguments.learning_rate,
-        batch=arguments.batch,
+        batch_size=arguments.batch_size,
         seed=arguments.seed + number,
     )
     save_driver(file, network)
     line = {"examples": len(actions), "loss": result.loss, "accuracy": list(result.accuracy)}
-    with atomic_write(facts) as part:
-        part.write_text(json.dumps(line) + "\n")
+    write_json(facts, line)
     return line
 
 
@@ -280,62 +286,15 @@ def _policy_file(folder: Path, number: int) -> Path:
     return folder / f"policy-{number:02d}.safetensors"
 
 
-def _finish(arguments: Arguments, folder: Path) -> None:
+def _finish(arguments: ImitationArguments, folder: Path) -> None:
     """The last round's policy as the run's, and as an agent."""
     network = make_network(arguments.hidden, arguments.seed)
-    take_over(network, _policy_file(folder, arguments.rounds))
+    load_weights_into(network, _policy_file(folder, arguments.rounds))
     save_driver(folder / _POLICY, network)
-    write_agent(folder / "agent", network, f"{arguments.teacher}'s pupil")
+    write_agent(folder / "agent", network, f"{arguments.teacher}'s student")
 
 
-# ------------------------------------------------------------------ what is shown
-
-
-def plot_log(log: Sequence[dict[str, Any]], output: Path) -> None:
-    """Draws the time ratio and the share that finished, round by round.
-
-    Raises:
-        ConfigError: matplotlib is missing.
-    """
-    from stkzoo.evaluation.plotting import (
-        BLUE,
-        GREY,
-        INK,
-        new_figure,
-        save_figure,
-        style_axes,
-    )
-
-    figure = new_figure(8, 3.6)
-    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
-    teacher, *rounds = log
-    places = list(range(len(rounds)))
-    names = ["cloning", *(f"DAgger {n}" for n in places[1:])]
-    left.errorbar(
-        places,
-        [line["time_ratio"] for line in rounds],
-        yerr=[1.96 * line["error"] for line in rounds],
-        color=BLUE,
-        marker="o",
-        capsize=3,
-    )
-    left.axhline(teacher["time_ratio"], color=GREY, linestyle="--", linewidth=1)
-    left.text(
-        places[-1], teacher["time_ratio"], teacher["driver"], color=GREY, ha="right", va="bottom"
-    )
-    left.set_title("time over the AI's median time", fontsize=10, color=INK, loc="left")
-    right.bar(places, [100 * line["finished"] for line in rounds], color=BLUE, width=0.6)
-    right.set_ylim(0, 100)
-    right.set_title("karts that finished [%]", fontsize=10, color=INK, loc="left")
-    for axis in (left, right):
-        axis.set_xticks(places, names, rotation=30, ha="right")
-        style_axes(axis)
-        axis.grid(axis="y", color=GREY, alpha=0.25, linewidth=0.6)
-        axis.set_axisbelow(True)
-    save_figure(figure, output)
-
-
-def _shown(line: dict[str, Any]) -> str:
+def _summary(line: dict[str, Any]) -> str:
     text = (
         f"{line['driver']}: time ratio {line['time_ratio']:.3f} +- {1.96 * line['error']:.3f}, "
         f"{line['finished']:.0%} of {line['karts']} karts finished"
@@ -346,75 +305,41 @@ def _shown(line: dict[str, Any]) -> str:
     return text
 
 
-class _Bar:
-    """How far a stage is: a bar on a terminal, a line a stage elsewhere."""
-
-    def __init__(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-
-        console = Console(stderr=True)
-        self._bars = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        )
-        self._task = self._bars.add_task("", total=1)
-        self._is_quiet, self._what = not console.is_terminal, ""
-
-    def __enter__(self) -> _Bar:
-        self._bars.start()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._bars.stop()
-
-    def tell(self, what: str, done: int, total: int) -> None:
-        """Moves the bar."""
-        if self._is_quiet and what != self._what:
-            print(what, file=sys.stderr, flush=True)
-        self._what = what
-        self._bars.update(self._task, description=what, completed=done, total=total)
-
-
-def parse(words: list[str] | None = None) -> tuple[Arguments, Path]:
-    """Reads the command line.
+def parse(words: list[str] | None = None) -> tuple[ImitationArguments, Path]:
+    """Parses the command line.
 
     Raises:
-        ConfigError: an argument cannot be.
+        ConfigError: an argument is invalid.
     """
-    parser = argparse.ArgumentParser(
-        prog="python -m stkzoo.agents.training.imitation.imitate",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("imitation.imitate", __doc__)
     parser.add_argument("--output", type=Path, required=True, help="the run's folder")
-    add_arguments(parser, Arguments)
-    found = vars(parser.parse_args(words))
-    folder = found.pop("output")
-    return Arguments(**values_of(found)), folder
+    add_arguments(parser, ImitationArguments)
+    options = vars(parser.parse_args(words))
+    folder = options.pop("output")
+    return ImitationArguments(**values_of(options)), folder
 
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    try:
-        arguments, folder = parse(words)
-        with _Bar() as bar:
-            log = run(arguments, folder, bar.tell)
-        for line in log:
-            print(_shown(line))
-        plot_log(log, folder / _PICTURE)
-    except StkzooError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("interrupted; the same command goes on", file=sys.stderr)
-        return 130
-    print(f"more in {folder}: {_POLICY}, {_PICTURE}, agent; try: stkzoo race {folder / 'agent'} ai")
-    return 0
+    return run_command(lambda: _imitate(words), "the same command continues")
+
+
+def _imitate(words: list[str] | None) -> None:
+    arguments, folder = parse(words)
+    stages: list[str] = []
+    with ProgressBar(1, unit="done") as bar:
+
+        def report(stage: str, done: int, total: int) -> None:
+            if not bar.is_shown and stage not in stages:
+                print(stage, file=sys.stderr, flush=True)
+            stages.append(stage)
+            bar.show(done, stage, total)
+
+        log = run(arguments, folder, report)
+    for line in log:
+        print(_summary(line))
+    plot_imitation(log, folder / _PLOT)
+    print(f"more in {folder}: {_POLICY}, {_PLOT}, agent; try: stkzoo race {folder / 'agent'} ai")
 
 
 if __name__ == "__main__":

@@ -15,9 +15,9 @@ from stkzoo.agents.pretrained.action_filter import INPUT_MIRROR
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
-from ..common.arguments import training_torch
+from ..common.command import training_torch
 
-__all__ = ["Fit", "fit", "make_network", "mirrored", "take_over"]
+__all__ = ["Fit", "fit", "load_weights_into", "make_network", "mirrored"]
 
 Numbers = npt.NDArray[Any]
 
@@ -54,8 +54,8 @@ def make_network(hidden: Sequence[int], seed: int, inputs: int = SIZE) -> Any:
     return network
 
 
-def take_over(network: Any, path: str | Path) -> None:
-    """Gives a network the weights of a file, which may hold more than those.
+def load_weights_into(network: Any, path: str | Path) -> None:
+    """Loads weights from a file, which may hold more than the network's.
 
     Raises:
         ConfigError: it cannot be read.
@@ -77,9 +77,9 @@ def fit(
     observations: Numbers,
     actions: Numbers,
     *,
-    epochs: int,
+    n_epochs: int,
     learning_rate: float,
-    batch: int,
+    batch_size: int,
     seed: int,
 ) -> Fit:
     """Trains a network on examples; a twentieth of them, in blocks, is left out and judged.
@@ -88,9 +88,9 @@ def fit(
         network: of :func:`make_network`; it goes on from what it is.
         observations: ``(N, inputs)``.
         actions: ``(N, 5)``.
-        epochs: how often all are gone over.
+        n_epochs: passes over all of them.
         learning_rate: of Adam at the start; it falls to nothing.
-        batch: examples of a gradient.
+        batch_size: examples of a gradient step.
         seed: of their order.
     """
     torch = training_torch()
@@ -110,11 +110,11 @@ def fit(
     targets = torch.from_numpy(both[1].astype(np.int64))
     bells = torch.from_numpy(_bells())
     optimiser = torch.optim.Adam(network.parameters(), lr=learning_rate)
-    total = max(epochs * -(-len(targets) // batch), 1)
+    total = max(n_epochs * -(-len(targets) // batch_size), 1)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, total)
-    for _ in range(epochs):
+    for _ in range(n_epochs):
         order = torch.from_numpy(random.permutation(len(targets)))
-        for rows in order.split(batch):
+        for rows in order.split(batch_size):
             loss = _loss(torch, _logits(network, inputs[rows]), targets[rows], bells)
             optimiser.zero_grad()
             loss.backward()

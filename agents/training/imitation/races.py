@@ -103,7 +103,7 @@ def run_order(order: LessonOrder) -> str:
     """Drives a race and keeps its lesson in a file; the track's name."""
     driver, view = load_driver(order.policy), DemoView("racing")
     seen: list[Numbers] = []
-    told: list[Numbers] = []
+    labels: list[Numbers] = []
 
     def make_actor(
         _: spaces.Space[Any], __: spaces.Space[Any], seed: int
@@ -113,9 +113,9 @@ def run_order(order: LessonOrder) -> str:
         def act(observation: Any) -> dict[str, Any]:
             own = view.observe(observation)
             teacher.ask(observation)
-            advice = np.array(controls_of(teacher.answer().action), np.float32)
+            answer = np.array(controls_of(teacher.answer().action), np.float32)
             seen.append(own)
-            told.append(view.action(observation, advice))
+            labels.append(view.action(observation, answer))
             choices = driver.best(own[None])
             return action_of(controls_of_choices(choices)[0])
 
@@ -142,7 +142,7 @@ def run_order(order: LessonOrder) -> str:
         np.savez_compressed(
             file,
             observations=np.array(seen, np.float32),
-            actions=np.array(told, np.int8),
+            actions=np.array(labels, np.int8),
             about=np.array(json.dumps(facts)),
         )
     return order.track
@@ -166,7 +166,7 @@ def read_lesson(path: str | os.PathLike[str]) -> Lesson:
             )
     except (OSError, ValueError, KeyError, TypeError, EOFError) as error:
         raise ConfigError(
-            f"{path} cannot be read ({error}); delete it to drive it again"
+            f"{path} is unreadable ({error}); delete it to drive the race again"
         ) from error
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -13,48 +12,37 @@ import numpy.typing as npt
 from stkzoo.agents.planning import PolicyInput
 from stkzoo.agents.pretrained.policy import RacingPolicy
 
-from ..common.fleet import Finish, RaceForm, StepOutcome
-from ..ppo.selfplay import Arguments, Learner, race_forms
+from ..common.arguments import race_groups
+from ..common.fleet import Finish, FleetStep, Lineup, lineups_of
+from ..ppo.selfplay import PPOLearner, SelfPlayArguments
+from .players import PlayerMatchmaker
 
-__all__ = ["LeagueLearner", "Matchmaker", "rows_of"]
+__all__ = ["LeagueLearner", "rows_of"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 
 
-class Matchmaker(Protocol):
-    """Says whom a player meets, and is told how it went."""
+class _RivalRace:
+    """The drivers and the state of one race."""
 
-    def draw(self, random: np.random.Generator) -> str | None:
-        """The rival's name of a race; ``None`` for oneself."""
-
-    def policy(self, name: str) -> RacingPolicy:
-        """A rival's policy."""
-
-    def take_in(self, name: str, beaten: float) -> None:
-        """Takes in which share of a race's duels with a rival was won."""
-
-
-class _Table:
-    """Who drives what in a race, and how it goes."""
-
-    def __init__(self, form: RaceForm, slots: IntArray, racing: npt.NDArray[np.bool_]) -> None:
-        self.form, self.slots = form, slots
+    def __init__(self, lineup: Lineup, slots: IntArray, racing: npt.NDArray[np.bool_]) -> None:
+        self.lineup, self.slots = lineup, slots
         self.rival: str | None = None
         self.is_rival = np.zeros(len(slots), bool)
         self.racing = racing
         self.ranks = np.zeros(len(slots), int)
-        #: A race that was under way when a turn began says nothing about who drives since.
+        #: A race that was under way when a turn began does not count: others drove it before.
         self.is_whole = False
 
-    def deal(self, rival: str | None, random: np.random.Generator) -> None:
-        """Gives half of the karts to a rival; for the present race."""
+    def assign(self, rival: str | None, random: np.random.Generator) -> None:
+        """Gives half of the karts to a rival for the present race."""
         self.rival = rival
         order = random.permutation(len(self.slots))
         self.is_rival = order < len(self.slots) // 2 if rival else np.zeros(len(self.slots), bool)
 
     def begin(self) -> None:
-        """The next race begins."""
+        """Begins the next race."""
         self.racing[:] = self.is_whole = True
 
     @property
@@ -64,64 +52,68 @@ class _Table:
         return float((own[:, None] < rivals).mean())
 
 
-class LeagueLearner(Learner):
+class LeagueLearner(PPOLearner):
     """A run of :mod:`~stkzoo.agents.training.ppo.selfplay` with rivals in some races.
 
-    Half of the karts of a race are the rival's; what they see and do is learned from by nobody.
+    A rival drives half of the karts of such a race; nothing is learned from those.
 
     Args:
-        folder: where it is kept.
-        arguments: what it is made of.
-        matchmaker: says whom it meets.
-        seed: of who meets whom, from now on.
+        folder: the run's.
+        arguments: of the run.
+        matchmaker: decides whom the learner meets.
+        seed: seed of the matchmaking from now on.
 
     Raises:
-        ConfigError: as for the run.
+        ConfigError: see :class:`~stkzoo.agents.training.ppo.selfplay.PPOLearner`.
     """
 
     def __init__(
-        self, folder: Path, arguments: Arguments, matchmaker: Matchmaker, seed: Sequence[int]
+        self,
+        folder: Path,
+        arguments: SelfPlayArguments,
+        matchmaker: PlayerMatchmaker,
+        seed: Sequence[int],
     ) -> None:
         super().__init__(folder, arguments)
         self._matchmaker = matchmaker
-        self._chance = np.random.default_rng(seed)
-        forms = race_forms(arguments.forms)
-        self._tables: list[list[_Table]] = []
+        self._matchmaking = np.random.default_rng(seed)
+        lineups = lineups_of(race_groups(arguments.races))
+        self._races: list[list[_RivalRace]] = []
         for group, fleet in enumerate(self._fleets):
-            tables, first, active = [], 0, fleet.active
-            for form in forms[group :: arguments.groups]:
-                slots = np.arange(first, first + form.learners)
-                tables.append(_Table(form, slots, active[slots].copy()))
-                first += form.learners
-            self._tables.append(tables)
-            for table in tables:
-                self._deal(table)
+            races, first, active = [], 0, fleet.active
+            for lineup in lineups[group :: arguments.groups]:
+                slots = np.arange(first, first + lineup.learners)
+                races.append(_RivalRace(lineup, slots, active[slots].copy()))
+                first += lineup.learners
+            self._races.append(races)
+            for race in races:
+                self._assign(race)
 
     def weights(self) -> dict[str, FloatArray]:
-        """The policy's as they are now."""
+        """The present weights of the policy."""
         return dict(self._network.actor().weights)
 
-    def _deal(self, table: _Table) -> None:
-        can_meet = table.form.learners > 1 and not table.form.rivals
-        rival = self._matchmaker.draw(self._chance) if can_meet else None
-        table.deal(rival, self._chance)
+    def _assign(self, race: _RivalRace) -> None:
+        can_meet = race.lineup.learners > 1 and not race.lineup.bots
+        rival = self._matchmaker.draw(self._matchmaking) if can_meet else None
+        race.assign(rival, self._matchmaking)
 
     def _choose(
         self, group: int, view: PolicyInput, actor: RacingPolicy
     ) -> tuple[IntArray, FloatArray]:
         choices, log_probability = super()._choose(group, view, actor)
-        for table in self._tables[group]:
-            if table.rival is not None:
-                rows = table.slots[table.is_rival]
-                policy = self._matchmaker.policy(table.rival)
-                choices[rows], _ = policy.sample(rows_of(view, rows), self._chance)
+        for race in self._races[group]:
+            if race.rival is not None:
+                rows = race.slots[race.is_rival]
+                policy = self._matchmaker.policy(race.rival)
+                choices[rows], _ = policy.sample(rows_of(view, rows), self._matchmaking)
         return choices, log_probability
 
-    def _judged(self, group: int, outcome: StepOutcome) -> StepOutcome:
-        is_own = np.concatenate([~table.is_rival for table in self._tables[group]])
+    def _own_outcome(self, group: int, outcome: FleetStep) -> FleetStep:
+        is_own = np.concatenate([~race.is_rival for race in self._races[group]])
         ends = dict(zip(np.flatnonzero(outcome.ended).tolist(), outcome.finishes, strict=True))
-        for table in self._tables[group]:
-            self._take_in(table, ends)
+        for race in self._races[group]:
+            self._update_race(race, ends)
         return replace(
             outcome,
             rewards=np.where(is_own, outcome.rewards, 0).astype(np.float32),
@@ -129,18 +121,18 @@ class LeagueLearner(Learner):
             finishes=[finish for slot, finish in ends.items() if is_own[slot]],
         )
 
-    def _take_in(self, table: _Table, ends: dict[int, Finish]) -> None:
-        for row, slot in enumerate(table.slots.tolist()):
+    def _update_race(self, race: _RivalRace, ends: dict[int, Finish]) -> None:
+        for row, slot in enumerate(race.slots.tolist()):
             if slot in ends:
-                table.ranks[row], table.racing[row] = ends[slot].rank, False
-        if table.racing.any():
+                race.ranks[row], race.racing[row] = ends[slot].rank, False
+        if race.racing.any():
             return
-        if table.rival is not None and table.is_whole:
-            self._matchmaker.take_in(table.rival, table.beaten)
-        table.begin()
-        self._deal(table)
+        if race.rival is not None and race.is_whole:
+            self._matchmaker.update(race.rival, race.beaten)
+        race.begin()
+        self._assign(race)
 
 
 def rows_of(view: PolicyInput, rows: IntArray) -> PolicyInput:
-    """What some of the karts see."""
+    """The inputs of some of the karts."""
     return PolicyInput(view.inputs[rows], view.prior[rows])

@@ -7,7 +7,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .matches import AI, Match, payoff
+from ..common.matches import MatchRecord
+from .matches import AI, payoff
 
 __all__ = ["page"]
 
@@ -48,7 +49,7 @@ td{padding:.25rem .5rem;text-align:right;white-space:nowrap}
 
 def page(
     members: Sequence[Mapping[str, Any]],
-    matches: Sequence[Match],
+    matches: Sequence[MatchRecord],
     ratings: Mapping[str, Sequence[float]],
 ) -> str:
     """The page, with nothing from elsewhere.
@@ -213,7 +214,7 @@ def _interval(rating: Sequence[float]) -> str:
 # ---------------------------------------------------------------------- tables
 
 
-def _matrix(names: Sequence[str], matches: Sequence[Match]) -> str:
+def _matrix(names: Sequence[str], matches: Sequence[MatchRecord]) -> str:
     head = "".join(f'<th scope="col">{html.escape(name)}</th>' for name in names)
     rows = []
     for one in names:
@@ -225,7 +226,7 @@ def _matrix(names: Sequence[str], matches: Sequence[Match]) -> str:
     )
 
 
-def _cell(one: str, other: str, matches: Sequence[Match]) -> str:
+def _cell(one: str, other: str, matches: Sequence[MatchRecord]) -> str:
     if one == other:
         return "<td></td>"
     share, count = payoff(one, other, matches)

@@ -11,7 +11,7 @@ import numpy as np
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.errors import ConfigError
 
-from ..common.opponents import Pool
+from ..common.opponents import OpponentPool
 
 __all__ = [
     "EXPLOITER",
@@ -43,11 +43,11 @@ class Player:
     Attributes:
         name: of the player.
         kind: main, exploiter or league exploiter.
-        generation: how often it has begun anew.
+        generation: how often it has started over.
         turns: played since then.
         past_turns: played before.
         kart_steps: learned from since it began.
-        pool: how its duels went, of :class:`~stkzoo.agents.training.common.opponents.Pool`.
+        pool: how its duels went, of :class:`~stkzoo.agents.training.common.opponents.OpponentPool`.
     """
 
     name: str
@@ -69,7 +69,7 @@ class Player:
         return f"{self.name}-g{self.generation}"
 
     def is_done(self, beaten: float, patience: int) -> bool:
-        """Whether it shall begin anew: a main player never does.
+        """Whether it starts over; a main player never does.
 
         Args:
             beaten: the share of duels won in the last turn.
@@ -77,7 +77,7 @@ class Player:
         """
         return self.kind != MAIN and (beaten >= _WON or self.turns >= patience)
 
-    def begin_anew(self) -> None:
+    def start_over(self) -> None:
         """Forgets all that it has learned; its past selves stay in the league."""
         self.generation += 1
         self.past_turns += self.turns
@@ -94,7 +94,7 @@ def new_players(mains: int, exploiters: int, league_exploiters: int) -> list[Pla
     if mains < 1 or min(exploiters, league_exploiters) < 0:
         raise ConfigError(
             f"a league of {mains} main players, {exploiters} exploiters and {league_exploiters} "
-            "league exploiters cannot be; expected one main player or more"
+            "league exploiters is invalid; expected one main player or more"
         )
     players = []
     counts = ((MAIN, mains), (EXPLOITER, exploiters), (LEAGUE_EXPLOITER, league_exploiters))
@@ -129,13 +129,13 @@ class PlayerMatchmaker:
         policy: Callable[[str], RacingPolicy],
     ) -> None:
         self._player, self._policy = player, policy
-        self.pool = Pool(_ENDLESS)
+        self.pool = OpponentPool(_ENDLESS)
         self.pool.restore(player.pool)
         for member in members:
             self.pool.add(member["name"])
         self._all = [str(member["name"]) for member in members]
         self._mains = [str(m["name"]) for m in members if m["player"].partition("-")[0] == MAIN]
-        self._told: list[float] = []
+        self._reported: list[float] = []
 
     def draw(self, random: np.random.Generator) -> str | None:
         """The rival's name of a race; ``None`` for oneself."""
@@ -145,7 +145,7 @@ class PlayerMatchmaker:
         if kind != EXPLOITER or not self._mains:
             return self.pool.draw(random, self._all)
         newest: str = self._mains[-1]
-        beaten = {rival.name: rival.beaten for rival in self.pool.rivals}[newest]
+        beaten = {opponent.name: opponent.beaten for opponent in self.pool.opponents}[newest]
         if beaten < _TOO_STRONG and random.random() < 0.5:
             return self.pool.draw(random, self._mains)
         return newest
@@ -154,20 +154,20 @@ class PlayerMatchmaker:
         """A member's policy."""
         return self._policy(name)
 
-    def take_in(self, name: str, beaten: float) -> None:
-        """Takes in which share of a race's duels with a rival was won."""
-        self.pool.take_in(name, beaten)
-        self._told.append(beaten)
+    def update(self, name: str, beaten: float) -> None:
+        """Updates with the share of the duels with a rival that were won in a race."""
+        self.pool.update(name, beaten)
+        self._reported.append(beaten)
 
     def beaten(self) -> float:
         """The share of duels won since this was made; 0 of none."""
-        return float(np.mean(self._told)) if self._told else 0.0
+        return float(np.mean(self._reported)) if self._reported else 0.0
 
     def state(self) -> dict[str, Any]:
         """How the duels went, as JSON has it."""
-        return {"pool": self.pool.state(), "told": self._told}
+        return {"pool": self.pool.state(), "reported": self._reported}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Makes it what :meth:`state` was."""
         self.pool.restore(state["pool"])
-        self._told = list(state["told"])
+        self._reported = list(state["reported"])

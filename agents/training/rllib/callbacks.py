@@ -1,4 +1,4 @@
-"""What RLlib calls while ``rllib_selfplay`` trains. Needs Ray."""
+"""What RLlib calls while ``rllib.selfplay`` trains. Needs Ray."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from ray.rllib.callbacks.callbacks import RLlibCallback
 from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS
 
-from .races import MAIN, Pool, win_share
+from .races import MAIN, PolicyMap, win_share
 
 __all__ = ["RACES", "RESTARTED", "WIN_SHARE", "SelfPlay", "copy_main"]
 
@@ -21,26 +21,26 @@ class SelfPlay(RLlibCallback):
     """Tells who won, and makes a frozen snapshot of the learner when it wins often.
 
     Args:
-        pool: who drives what.
+        policies: which policy drives which kart.
         promote_at: the learner's share of pairs won from which on it is promoted.
         least_races: but not before so many races since the last time.
     """
 
-    def __init__(self, pool: Pool, promote_at: float, least_races: int) -> None:
+    def __init__(self, policies: PolicyMap, promote_at: float, least_races: int) -> None:
         super().__init__()
-        self._pool, self._promote_at, self._least = pool, promote_at, least_races
+        self._policies, self._promote_at, self._least = policies, promote_at, least_races
         self.promotions = 0
         self.restarts = 0
         self._races_then = 0.0
 
     def remember(self, promotions: int, races: float) -> None:
-        """Goes on with a pool, of a run that goes on: how many snapshots, after how many races."""
+        """Continues a run: how many snapshots there are, and after how many races."""
         self.promotions, self._races_then = promotions, races
 
     def on_algorithm_init(self, *, algorithm: Any, **_: Any) -> None:
         """All past selves begin as the learner does."""
-        for number in range(self._pool.slots if self._pool.frozen else 0):
-            copy_main(algorithm, self._pool.slot(number))
+        for number in range(self._policies.slots if self._policies.frozen else 0):
+            copy_main(algorithm, self._policies.slot(number))
 
     def on_episode_end(self, *, episode: Any, metrics_logger: Any, **_: Any) -> None:
         """Logs how the race ended; runs where the race ran."""
@@ -48,7 +48,7 @@ class SelfPlay(RLlibCallback):
             agent: int(single.get_infos(-1)["position"])
             for agent, single in episode.agent_episodes.items()
         }
-        share = win_share(positions, self._pool)
+        share = win_share(positions, self._policies)
         if share is not None:
             metrics_logger.log_value(WIN_SHARE, share, reduce="mean", window=_WINDOW)
         metrics_logger.log_value(RACES, 1, reduce="lifetime_sum")
@@ -60,9 +60,13 @@ class SelfPlay(RLlibCallback):
         result["promotions"] = self.promotions
         result[RESTARTED] = self.restarts
         is_due = races - self._races_then >= self._least
-        if not self._pool.frozen or not is_due or figures.get(WIN_SHARE, 0.0) < self._promote_at:
+        if (
+            not self._policies.frozen
+            or not is_due
+            or figures.get(WIN_SHARE, 0.0) < self._promote_at
+        ):
             return
-        copy_main(algorithm, self._pool.slot(self.promotions))
+        copy_main(algorithm, self._policies.slot(self.promotions))
         self.promotions += 1
         self._races_then = races
         result["promotions"] = self.promotions

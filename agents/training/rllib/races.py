@@ -17,7 +17,7 @@ from stkzoo.engine.assets import cache_folder, find_assets, install, pack
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import AssetError, ConfigError
 
-__all__ = ["MAIN", "PackSender", "Pool", "ensure_assets", "make_race", "win_share"]
+__all__ = ["MAIN", "PackSender", "PolicyMap", "ensure_assets", "make_race", "win_share"]
 
 #: The module that learns.
 MAIN = "main"
@@ -27,8 +27,8 @@ _PATIENCE = 1800.0
 
 
 @dataclass(frozen=True, slots=True)
-class Pool:
-    """Who drives what: the first karts are the learner's, the others frozen snapshots'.
+class PolicyMap:
+    """Which policy drives which kart: the learner's come first, those of frozen snapshots follow.
 
     Attributes:
         learners: karts of the policy that learns.
@@ -67,18 +67,20 @@ class Pool:
         return self.slot(sum(episode.encode()) + number)
 
 
-def win_share(positions: Mapping[str, int], pool: Pool) -> float | None:
+def win_share(positions: Mapping[str, int], policies: PolicyMap) -> float | None:
     """Of all pairs of a learner and a past self, the share in which the learner is ahead.
 
     Args:
         positions: of all agents at the end, 1 is first.
-        pool: who drove what.
+        policies: which policy drove which kart.
 
     Returns:
         0 to 1; ``None`` if there is no such pair.
     """
-    own = [position for agent, position in positions.items() if pool.module_of(agent, "") == MAIN]
-    others = [p for agent, p in positions.items() if pool.module_of(agent, "") != MAIN]
+    own = [
+        position for agent, position in positions.items() if policies.module_of(agent, "") == MAIN
+    ]
+    others = [p for agent, p in positions.items() if policies.module_of(agent, "") != MAIN]
     if not own or not others:
         return None
     return sum(a < b for a in own for b in others) / (len(own) * len(others))
@@ -127,7 +129,7 @@ def ensure_assets(archive: str = "") -> bool:
         Whether it had to be installed.
 
     Raises:
-        AssetError: it cannot be had.
+        AssetError: it is not available.
     """
     if _have_assets():
         return False

@@ -14,13 +14,13 @@ before its first race. Env runners and nodes may die: they are started again els
 learning goes on with those that are left.
 
 In the folder are ``log.jsonl`` (a line an iteration), ``checkpoint`` (RLlib's, replaced every few
-iterations in one step) and ``policy.safetensors``, which ``sb3_selfplay --start`` takes too. The
-same command with more ``--iterations`` goes on, and so does the same command after a kill.
+iterations in one step) and ``policy.safetensors``, which ``sb3.selfplay --init`` takes too. The
+same command with more ``--iterations`` continues, and so does the same command after a kill.
 """
 
 from __future__ import annotations
 
-import argparse
+import functools
 import shutil
 import sys
 import time
@@ -33,17 +33,23 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.pretrained.weights import save_weights
-from stkzoo.errors import ConfigError, StkzooError, check_whole
-from stkzoo.tracks import SPLITS
+from stkzoo.errors import ConfigError, check_whole
 
-from ..common.arguments import add_arguments, keep_arguments, values_of
-from ..common.training_log import Journal
-from .races import MAIN, PackSender, Pool, ensure_assets, make_race
+from ..common.arguments import (
+    PPOArguments,
+    add_arguments,
+    keep_arguments,
+    track_names,
+    values_of,
+)
+from ..common.command import command_parser, run_command
+from ..common.training_log import TrainingLog
+from .races import MAIN, PackSender, PolicyMap, ensure_assets, make_race
 
-__all__ = ["Arguments", "build_config", "main", "parse", "sb3_names", "train"]
+__all__ = ["RLlibArguments", "build_config", "main", "parse", "sb3_names", "train"]
 
 _CHECKPOINT, _POLICY = "checkpoint", "policy.safetensors"
-#: What may be other when a run goes on.
+#: What may change when a run continues.
 _FREE = ("iterations", "address", "env_runners", "checkpoint_every", "pack", "cpus_per_runner")
 #: Layers in RLlib's module and in a policy of Stable-Baselines3.
 _LAYERS = (
@@ -54,37 +60,33 @@ _HEADS = (("pi.net.mlp.0", "action_net"), ("vf.net.mlp.0", "value_net"))
 
 
 @dataclass(frozen=True, slots=True)
-class Arguments:
-    """What a run is made of.
+class RLlibArguments(PPOArguments):
+    """Arguments of a run.
 
     Attributes:
-        iterations: iterations in all.
+        iterations: total iterations.
         env_runners: processes that race; 0 races in this one.
         envs_per_runner: races at a time in each of them.
-        cpus_per_runner: processors that Ray keeps for each of them.
+        cpus_per_runner: processors that Ray reserves for each of them.
         address: of a Ray cluster, or auto; empty starts Ray on this machine.
-        pack: headless pack for nodes without the game's data; else one is made.
+        pack: headless pack for nodes without the game's data; empty makes one.
         tracks: names of tracks, or train, test or all.
         difficulty: of the game's AI, 0 to 3.
         learners: karts of the policy that learns.
         frozen: karts of its past selves.
         bots: karts of the game's AI.
-        slots: how many past selves there are.
+        slots: past selves that are kept.
         promote_at: share of pairs won from which on a snapshot is made.
         least_races: races between two snapshots.
         max_cycles: steps after which a race is cut short.
-        batch: steps of races for an iteration, of all learners together.
-        minibatch: kart-steps of a gradient.
-        epochs: how often an iteration goes over them.
-        learning_rate: of Adam.
-        gamma: discount of a step.
-        entropy: bonus for choices that are not settled.
-        hidden: units of the layers.
-        seed: of everything.
+        train_batch_size: steps of races for an iteration, of all learners together.
         checkpoint_every: iterations between two checkpoints.
         sample_timeout: seconds that an iteration waits for env runners.
     """
 
+    n_epochs: int = 6
+    gae_lambda: float = 0.9
+    ent_coef: float = 0.003
     iterations: int = 200
     env_runners: int = 2
     envs_per_runner: int = 1
@@ -100,22 +102,16 @@ class Arguments:
     promote_at: float = 0.6
     least_races: int = 20
     max_cycles: int = 1500
-    batch: int = 4000
-    minibatch: int = 512
-    epochs: int = 6
-    learning_rate: float = 3e-4
-    gamma: float = 0.98
-    entropy: float = 0.003
-    hidden: tuple[int, ...] = (256, 128)
-    seed: int = 0
+    train_batch_size: int = 4000
     checkpoint_every: int = 5
     sample_timeout: float = 600.0
 
     def __post_init__(self) -> None:
         for name, least in (("iterations", 1), ("env_runners", 0), ("envs_per_runner", 1)):
             check_whole(name, getattr(self, name), least)
-        for name, least in (("bots", 0), ("batch", 1), ("minibatch", 1), ("checkpoint_every", 1)):
+        for name, least in (("bots", 0), ("train_batch_size", 1), ("batch_size", 1)):
             check_whole(name, getattr(self, name), least)
+        check_whole("checkpoint_every", self.checkpoint_every, 1)
         if self.pack and not Path(self.pack).is_file():
             raise ConfigError(
                 f"there is no pack {self.pack!r}; stkzoo assets pack --output writes one"
@@ -124,16 +120,17 @@ class Arguments:
             raise ConfigError(f"promote_at is {self.promote_at}, expected 0 to 1")
         if self.learners + self.frozen + self.bots > 20:
             raise ConfigError("more than 20 karts in a race; give fewer learners, frozen or bots")
+        self.policies  # noqa: B018 - checks its arguments
 
     @property
-    def pool(self) -> Pool:
-        """Who drives what."""
-        return Pool(self.learners, self.frozen, self.slots)
+    def policies(self) -> PolicyMap:
+        """Which policy drives which kart."""
+        return PolicyMap(self.learners, self.frozen, self.slots)
 
     @property
     def all_tracks(self) -> tuple[str, ...]:
         """The tracks by name."""
-        return tuple(t for name in self.tracks for t in SPLITS.get(name, (name,)))
+        return tuple(track_names(self.tracks))
 
     def env_config(self) -> dict[str, Any]:
         """What :func:`~.rllib_races.make_race` is given."""
@@ -141,10 +138,8 @@ class Arguments:
         return {**{name: getattr(self, name) for name in names}, "tracks": self.all_tracks}
 
 
-def build_config(arguments: Arguments) -> Any:
+def build_config(arguments: RLlibArguments) -> Any:
     """RLlib's configuration of a run."""
-    import functools
-
     from ray.rllib.algorithms.ppo import PPOConfig
     from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
     from ray.rllib.core.rl_module.multi_rl_module import MultiRLModuleSpec
@@ -155,7 +150,7 @@ def build_config(arguments: Arguments) -> Any:
     from .callbacks import SelfPlay
 
     register_env("stkzoo_races", lambda config: ParallelPettingZooEnv(make_race(config)))
-    pool = arguments.pool
+    policies = arguments.policies
     model = DefaultModelConfig(
         fcnet_hiddens=list(arguments.hidden), fcnet_activation="tanh", vf_share_layers=False
     )
@@ -176,46 +171,50 @@ def build_config(arguments: Arguments) -> Any:
             env_runner_restore_timeout_s=300.0,
         )
         .multi_agent(
-            policies=set(pool.modules),
-            policy_mapping_fn=lambda agent, episode, **_: pool.module_of(agent, episode.id_),
+            policies=set(policies.modules),
+            policy_mapping_fn=lambda agent, episode, **_: policies.module_of(agent, episode.id_),
             policies_to_train=[MAIN],
         )
         .rl_module(
             rl_module_spec=MultiRLModuleSpec(
-                rl_module_specs={name: RLModuleSpec(model_config=model) for name in pool.modules}
+                rl_module_specs={
+                    name: RLModuleSpec(model_config=model) for name in policies.modules
+                }
             )
         )
         .training(
-            train_batch_size_per_learner=arguments.batch,
-            minibatch_size=arguments.minibatch,
-            num_epochs=arguments.epochs,
+            train_batch_size_per_learner=arguments.train_batch_size,
+            minibatch_size=arguments.batch_size,
+            num_epochs=arguments.n_epochs,
             lr=arguments.learning_rate,
             gamma=arguments.gamma,
-            lambda_=0.9,
-            entropy_coeff=arguments.entropy,
+            lambda_=arguments.gae_lambda,
+            entropy_coeff=arguments.ent_coef,
             use_kl_loss=False,
-            clip_param=0.2,
+            clip_param=arguments.clip_range,
             vf_clip_param=1e3,
             grad_clip=0.5,
         )
-        .callbacks(functools.partial(SelfPlay, pool, arguments.promote_at, arguments.least_races))
+        .callbacks(
+            functools.partial(SelfPlay, policies, arguments.promote_at, arguments.least_races)
+        )
         .debugging(seed=arguments.seed, log_level="ERROR")
     )
 
 
-def train(arguments: Arguments, folder: Path, on_line: Any = print) -> dict[str, Any]:
-    """Trains, or goes on with a run.
+def train(arguments: RLlibArguments, folder: Path, on_line: Any = print) -> dict[str, Any]:
+    """Trains, or continues a run.
 
     Args:
         arguments: of the run.
         folder: the run's.
-        on_line: is told each iteration's figures in words.
+        on_line: called with each iteration's figures in words.
 
     Returns:
         The last iteration's figures.
 
     Raises:
-        ConfigError: Ray is missing, or the folder has another run.
+        ConfigError: Ray is not installed, or the folder has another run.
         AssetError: the game's data is missing here.
     """
     ray = _ray()
@@ -246,12 +245,12 @@ def _ray() -> Any:
     except ImportError as error:
         raise ConfigError(
             f"this needs Ray RLlib ({error}); pip install 'stkzoo[rllib]' in an environment of its "
-            "own, for it wants an older Gymnasium than others"
+            "own, because it needs an older Gymnasium"
         ) from error
     return ray
 
 
-def _algorithm(arguments: Arguments, folder: Path) -> Any:
+def _algorithm(arguments: RLlibArguments, folder: Path) -> Any:
     algorithm = build_config(arguments).build_algo()
     checkpoint = folder / _CHECKPOINT
     if checkpoint.exists():
@@ -263,29 +262,28 @@ def _algorithm(arguments: Arguments, folder: Path) -> Any:
 
 
 def _remind(algorithm: Any, last: Mapping[str, Any]) -> None:
-    """Tells the callbacks how far the pool was, which is not in the checkpoint."""
+    """Restores the progress of self-play, which is not in the checkpoint."""
     found = algorithm.callbacks
     for callback in found if isinstance(found, list) else [found]:
         callback.remember(last["promotions"], last["races"])
 
 
-def _iterations(algorithm: Any, arguments: Arguments, folder: Path, on_line: Any) -> dict[str, Any]:
-    journal = Journal(folder, algorithm.iteration)
-    line = journal.last
-    if line:
-        _remind(algorithm, line)
-    try:
+def _iterations(
+    algorithm: Any, arguments: RLlibArguments, folder: Path, on_line: Any
+) -> dict[str, Any]:
+    with TrainingLog(folder, algorithm.iteration) as log:
+        line = log.last
+        if line:
+            _remind(algorithm, line)
         while algorithm.iteration < arguments.iterations:
             begun = time.monotonic()
             result = algorithm.train()
             line = _figures(algorithm, result, time.monotonic() - begun)
-            journal.write(line)
+            log.write(line)
             on_line(_in_words(line, arguments.iterations))
             done = algorithm.iteration
             if done % arguments.checkpoint_every == 0 or done == arguments.iterations:
                 _save(algorithm, folder)
-    finally:
-        journal.close()
     return line
 
 
@@ -358,39 +356,31 @@ def sb3_names(state: Mapping[str, npt.NDArray[np.float32]]) -> dict[str, npt.NDA
     return weights
 
 
-def parse(words: list[str] | None = None) -> tuple[Arguments, Path]:
-    """Reads the command line.
+def parse(words: list[str] | None = None) -> tuple[RLlibArguments, Path]:
+    """Parses the command line.
 
     Raises:
-        ConfigError: an argument cannot be.
+        ConfigError: an argument is invalid.
     """
-    parser = argparse.ArgumentParser(
-        prog="python -m stkzoo.agents.training.rllib.selfplay",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("rllib.selfplay", __doc__)
     parser.add_argument("--output", type=Path, required=True, help="the run's folder")
-    add_arguments(parser, Arguments)
-    found = vars(parser.parse_args(words))
-    folder = found.pop("output")
-    arguments = Arguments(**values_of(found))
-    arguments.pool  # noqa: B018 - checks it
-    return arguments, folder
+    add_arguments(parser, RLlibArguments)
+    options = vars(parser.parse_args(words))
+    folder = options.pop("output")
+    return RLlibArguments(**values_of(options)), folder
 
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    try:
+
+    def run() -> None:
         arguments, folder = parse(words)
-        train(arguments, folder, lambda text: print(text, flush=True))
-    except StkzooError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("interrupted; the same command goes on from the last checkpoint", file=sys.stderr)
-        return 130
-    print(f"{folder / _POLICY} is the policy; the same command with more --iterations goes on")
-    return 0
+        train(arguments, folder, functools.partial(print, flush=True))
+        print(
+            f"{folder / _POLICY} is the policy; the same command with more --iterations continues"
+        )
+
+    return run_command(run, "the same command continues from the last checkpoint")
 
 
 if __name__ == "__main__":

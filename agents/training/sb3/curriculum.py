@@ -76,8 +76,8 @@ class Curriculum:
         track = opened[-1] if newest else opened[int(random.integers(len(opened)))]
         return track, self.is_reversible and bool(random.random() < 0.5)
 
-    def take_in(self, pace: float) -> bool:
-        """Takes in how fast a kart drove its race; whether the next stage begins.
+    def update(self, pace: float) -> bool:
+        """Updates with the pace of a kart in its race; whether the next stage begins.
 
         Args:
             pace: its metres a second over those of the game's AI.
@@ -91,11 +91,11 @@ class Curriculum:
         return True
 
     def state(self) -> dict[str, Any]:
-        """All of it, as JSON has it."""
+        """All of it as JSON values."""
         return {"stage": self.stage, "paces": list(self._paces)}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Makes it what :meth:`state` was."""
+        """Restores a :meth:`state`."""
         self.stage = int(state["stage"])
         self._paces.clear()
         self._paces.extend(state["paces"])

@@ -1,4 +1,4 @@
-"""Races for self-play as one ``VecEnv``: learners, frozen rivals and bots, race by race anew.
+"""Races for self-play as one ``VecEnv``: learners, frozen rivals and bots, drawn race by race.
 
 In some races the learner drives all agents; in the others a frozen rival drives half of them.
 Towards Stable-Baselines3 a rival's slot idles: each of its steps is an episode by itself, without
@@ -12,6 +12,7 @@ fall to nothing, by far more than what driving well or badly makes, and unforese
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -26,36 +27,36 @@ from stkzoo import RandomStart, Reward
 from stkzoo.agents.pretrained.action_filter import INPUT_SIZE, ActionFilter
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.errors import ConfigError
+from stkzoo.evaluation.benchmark import load_ai_times
 from stkzoo.sb3 import RaceVecEnv
 
-from ..common.opponents import Pool
+from ..common.arguments import RaceGroup
+from ..common.opponents import OpponentPool, bot_name
 from .curriculum import Curriculum
-from .matches import COUNTDOWN, PATIENCE, STEP, ai_time, bots_of
 
 __all__ = [
     "SHORT_RACE",
     "RaceEnd",
-    "RaceGroup",
     "SelfPlayVecEnv",
-    "race_groups",
     "way_and_places",
 ]
 
 Indices = None | int | Iterable[int]
 
+#: The length of a step, and how long karts wait on the grid for GO [s].
+STEP, COUNTDOWN = 0.1, 2.0
+#: A race is cut short after this multiple of the AI's median time.
+PATIENCE = 2.0
 #: A race that begins elsewhere than on the grid is cut short after so many steps.
 SHORT_RACE = 250
 #: What is driven faster than this was a leap of the game's count, off the road [m a step].
 _LONGEST_STEP = 5.0
 
 
-@dataclass(frozen=True, slots=True)
-class RaceGroup:
-    """So many races alike: agents, bots of the game, and how many races."""
-
-    agents: int
-    bots: int
-    races: int
+@functools.cache
+def ai_time(track: str, reverse: bool, difficulty: int) -> float:
+    """The median time of the game's AI [s]; the difficulty makes all karts faster."""
+    return load_ai_times().of(track, reverse, difficulty).median
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,29 +80,6 @@ class RaceEnd:
     steps: int
 
 
-def race_groups(texts: Sequence[str]) -> list[RaceGroup]:
-    """The groups that ``4x3`` (three races of four agents) or ``2+2x1`` (and two bots) mean.
-
-    Raises:
-        ConfigError: a text means nothing.
-    """
-    groups = []
-    for text in texts:
-        who, _, races = text.partition("x")
-        agents, _, bots = who.partition("+")
-        try:
-            group = RaceGroup(int(agents), int(bots or 0), int(races or 1))
-        except ValueError:
-            group = RaceGroup(0, 0, 0)
-        if min(group.agents, group.races) < 1 or group.bots < 0:
-            raise ConfigError(
-                f"races {text!r} mean nothing; expected such as 4x3, three races of four agents, "
-                "or 2+2x1, one of two agents and two of the game's bots"
-            )
-        groups.append(group)
-    return groups
-
-
 def way_and_places() -> Reward:
     """A tenth of the metres driven, and a little for each place won or lost."""
 
@@ -115,7 +93,7 @@ def way_and_places() -> Reward:
     return Reward({"metres": metres, "places": places})
 
 
-class _Race:
+class _SelfPlayRace:
     """One race after another; who drives what in the present one, and what the next one is."""
 
     def __init__(self, env: Any, group: RaceGroup, first: int) -> None:
@@ -134,7 +112,7 @@ class _Race:
         self.begin_at = np.array([info["distance"] for info in infos])
         self.rival, self.is_learner = "", np.ones(self.group.agents, bool)
         if self.group.bots:
-            self.rival = bots_of(self.env.race.difficulty)
+            self.rival = bot_name(self.env.race.difficulty)
         race = self.env.race
         self._ai_speed = self.env.track_map.length / ai_time(
             race.track, race.reverse, race.difficulty
@@ -183,8 +161,8 @@ class SelfPlayVecEnv(VecEnv):
         curriculum: what they may be like; it is told how karts do.
         bots: the game's bots as rivals, told likewise.
         snapshots: the frozen rivals, told likewise.
-        share: of races without bots in which a snapshot drives half of the karts.
-        grid: share of races that begin on the grid; the others begin anywhere on the track.
+        snapshot_share: share of races without bots in which a snapshot drives half of the karts.
+        grid_share: share of races that begin on the grid; the others begin anywhere on the track.
         hold: for how many steps all hold a drift.
 
     Attributes:
@@ -200,18 +178,18 @@ class SelfPlayVecEnv(VecEnv):
         self,
         groups: Sequence[RaceGroup],
         curriculum: Curriculum,
-        bots: Pool,
-        snapshots: Pool,
+        bots: OpponentPool,
+        snapshots: OpponentPool,
         *,
-        share: float = 0.5,
-        grid: float = 0.3,
+        snapshot_share: float = 0.5,
+        grid_share: float = 0.3,
         hold: int = 0,
     ) -> None:
         self._curriculum, self._bots, self._snapshots = curriculum, bots, snapshots
-        self._share, self._grid = share, grid
+        self._snapshot_share, self._grid_share = snapshot_share, grid_share
         self._drivers: dict[str, MlpDriver] = {}
         self._envs: list[RaceVecEnv] = []
-        self._races: list[_Race] = []
+        self._races: list[_SelfPlayRace] = []
         first = 0
         reward = way_and_places()
         for group in groups:
@@ -226,7 +204,7 @@ class SelfPlayVecEnv(VecEnv):
             )
             self._envs.append(env)
             for race in env.races.races:
-                self._races.append(_Race(race, group, first))
+                self._races.append(_SelfPlayRace(race, group, first))
                 first += group.agents
         self._cuts = np.cumsum([env.num_envs for env in self._envs])[:-1].tolist()
         self._random = np.random.default_rng()
@@ -294,7 +272,7 @@ class SelfPlayVecEnv(VecEnv):
         self._look(views, dones, infos)
         first_infos = [info for env in self._envs for info in env.reset_infos]
         for race in self._races:
-            self._take_in(race, dones, rewards, infos)
+            self._update_race(race, dones, rewards, infos)
             if race.ended.all():
                 self._report(race)
                 self._begin(race, first_infos[race.slots])
@@ -312,8 +290,10 @@ class SelfPlayVecEnv(VecEnv):
         return [getattr(by_slot[slot], attr_name) for slot in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Not to be had: the races' options are the curriculum's."""
-        raise ConfigError(f"{attr_name} cannot be {value!r} for {indices}: the curriculum decides")
+        """Not possible: the curriculum sets the options of the races."""
+        raise ConfigError(
+            f"{attr_name} of {indices} is set by the curriculum, and not to {value!r}"
+        )
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
@@ -337,7 +317,7 @@ class SelfPlayVecEnv(VecEnv):
         for slot in np.flatnonzero(dones):
             infos[slot]["terminal_observation"] = seen[slot]
 
-    def _take_in(self, race: _Race, dones: Any, rewards: Any, infos: list[Any]) -> None:
+    def _update_race(self, race: _SelfPlayRace, dones: Any, rewards: Any, infos: list[Any]) -> None:
         for row in range(race.group.agents):
             slot = race.slots.start + row
             info = infos[slot]
@@ -352,29 +332,29 @@ class SelfPlayVecEnv(VecEnv):
             else:
                 infos[slot], rewards[slot], dones[slot] = {}, 0.0, True
 
-    def _report(self, race: _Race) -> None:
+    def _report(self, race: _SelfPlayRace) -> None:
         ends = race.ends()
         for end in ends:
-            self._curriculum.take_in(end.pace)
-        told = [end.beaten for end in ends if end.rival]
-        if told:
+            self._curriculum.update(end.pace)
+        beaten = [end.beaten for end in ends if end.rival]
+        if beaten:
             pool = self._bots if race.group.bots else self._snapshots
-            pool.take_in(race.rival, float(np.mean(told)))
+            pool.update(race.rival, float(np.mean(beaten)))
         self.ends += ends
 
-    def _begin(self, race: _Race, infos: Sequence[dict[str, Any]]) -> None:
+    def _begin(self, race: _SelfPlayRace, infos: Sequence[dict[str, Any]]) -> None:
         race.begin(infos)
         self._action_filter.forget(race.slots)
-        is_faced = not race.group.bots and race.group.agents > 1 and self._snapshots.rivals
-        if is_faced and self._random.random() < self._share:
+        is_faced = not race.group.bots and race.group.agents > 1 and self._snapshots.opponents
+        if is_faced and self._random.random() < self._snapshot_share:
             race.face(self._snapshots.draw(self._random), self._random)
         self._plan(race)
 
-    def _plan(self, race: _Race) -> None:
+    def _plan(self, race: _SelfPlayRace) -> None:
         """Draws what the race after this one is: it begins by itself when this one is over."""
         track, reverse = self._curriculum.draw(self._random)
-        race.next_from_grid = bool(self._random.random() < self._grid)
-        known = [bots_of(difficulty) for difficulty in self._curriculum.difficulties]
+        race.next_from_grid = bool(self._random.random() < self._grid_share)
+        known = [bot_name(difficulty) for difficulty in self._curriculum.difficulties]
         bot = self._bots.draw(self._random, known)
         difficulty = int(bot.removeprefix("bot:"))
         limit = PATIENCE * ai_time(track, reverse, difficulty) + COUNTDOWN

@@ -11,7 +11,8 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from stkzoo import race_v0
 
-from .races import SHORT_RACE, RaceEnd, RaceGroup, way_and_places
+from ..common.arguments import RaceGroup
+from .races import SHORT_RACE, RaceEnd, way_and_places
 
 __all__ = ["SuperSuitRaces"]
 

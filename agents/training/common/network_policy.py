@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._os import atomic_write
-from stkzoo.agents.planning.memory import MEMORY_SIZE
+from stkzoo.agents.planning import MEMORY_SIZE
 from stkzoo.agents.pretrained.mlp import HOLD, MlpDriver
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import SIZE
 
-__all__ = ["save_driver", "start_weights", "write_agent"]
+__all__ = ["initial_weights", "save_driver", "write_agent"]
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -40,28 +40,28 @@ def get_actor(module_dir, observation_space, action_space):
 
 
 def save_driver(path: str | Path, policy: Any, hold: int = 0) -> None:
-    """Writes a Stable-Baselines3 policy to a file, whole or not at all.
+    """Writes a Stable-Baselines3 policy to a file atomically.
 
     Args:
         path: of the file.
         policy: its state dict is kept.
-        hold: for how many steps it holds a drift.
+        hold: steps for which it holds a drift.
     """
     state = {name: value.detach().cpu().numpy() for name, value in policy.state_dict().items()}
     save_weights(path, state | ({HOLD: np.array([hold], np.float32)} if hold else {}))
 
 
-def start_weights(path: str | Path, policy: Any) -> dict[str, FloatArray]:
-    """A state dict for a policy from a file, which may lack the value's part.
+def initial_weights(path: str | Path, policy: Any) -> dict[str, FloatArray]:
+    """A state dict for a policy from a file, which may lack the weights of the value.
 
-    If its layers see the view alone, the action filter's memory has no effect on them at first.
+    If its layers see the view alone, what the action filter remembers has no effect at first.
 
     Args:
-        path: of the file; ``imitate`` and ``sb3_selfplay`` write such.
-        policy: the Stable-Baselines3 policy that shall start from it.
+        path: a file that ``sb3``, ``imitation`` or ``rllib`` wrote.
+        policy: the Stable-Baselines3 policy that starts from it.
 
     Raises:
-        ConfigError: it cannot be read, or is of another policy.
+        ConfigError: the file cannot be read, or is of another network.
     """
     weights = load_weights(path)
     MlpDriver(weights, f"the weights {str(path)!r}")
@@ -74,8 +74,8 @@ def start_weights(path: str | Path, policy: Any) -> dict[str, FloatArray]:
     others = [n for n, array in weights.items() if n not in own or own[n].shape != array.shape]
     if others:
         raise ConfigError(
-            f"the weights {str(path)!r} are of another network: {', '.join(others)} have no place "
-            "in this one; give the --hidden that they were made with"
+            f"the weights {str(path)!r} are of another network: {', '.join(others)} do not fit "
+            "this one; give the --hidden that they were made with"
         )
     return {**own, **weights}
 
@@ -84,10 +84,10 @@ def write_agent(folder: str | Path, policy: Any, name: str, hold: int = 0) -> Pa
     """Makes an agent of a policy: a folder that ``stkzoo race`` takes.
 
     Args:
-        folder: which is made.
+        folder: the agent's; it is created.
         policy: of Stable-Baselines3.
         name: of the agent.
-        hold: for how many steps it holds a drift.
+        hold: steps for which it holds a drift.
 
     Returns:
         The folder.

@@ -1,0 +1,144 @@
+"""What the commands of this package share: parsers, errors, a progress bar, libraries."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from stkzoo.errors import ConfigError, StkzooError
+
+__all__ = [
+    "ProgressBar",
+    "command_parser",
+    "limit_threads",
+    "run_command",
+    "training_library",
+    "training_torch",
+]
+
+
+def command_parser(module: str, description: str | None) -> argparse.ArgumentParser:
+    """A parser for ``python -m stkzoo.agents.training.MODULE``.
+
+    Args:
+        module: the module's name below this package.
+        description: the module's docstring.
+    """
+    return argparse.ArgumentParser(
+        prog=f"python -m stkzoo.agents.training.{module}",
+        description=description,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+
+
+def run_command(run: Callable[[], object], if_interrupted: str = "") -> int:
+    """Runs a command and reports errors and Ctrl-C on stderr.
+
+    Args:
+        run: what the command does.
+        if_interrupted: what the user can do after Ctrl-C.
+
+    Returns:
+        The exit code.
+    """
+    try:
+        run()
+    except StkzooError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("interrupted" + (if_interrupted and f"; {if_interrupted}"), file=sys.stderr)
+        return 130
+    return 0
+
+
+class ProgressBar:
+    """Progress of a run, on stderr if that is a terminal.
+
+    Args:
+        total: how much there is to do.
+        done: how much is done.
+        unit: of what.
+
+    Attributes:
+        is_shown: whether there is a terminal.
+    """
+
+    def __init__(self, total: int, done: int = 0, unit: str = "kart-steps") -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+        console = Console(stderr=True)
+        self.is_shown = console.is_terminal
+        self._progress = Progress(
+            TextColumn("{task.completed:,.0f} " + unit),
+            BarColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.description}"),
+            console=console,
+            disable=not self.is_shown,
+        )
+        self._task = self._progress.add_task("", total=total, completed=done)
+
+    def __enter__(self) -> ProgressBar:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._progress.stop()
+
+    def show(self, done: float, text: str, total: int | None = None) -> None:
+        """Updates the bar.
+
+        Args:
+            done: how much is done.
+            text: what is being done, or what came of it.
+            total: how much there is to do, if that has changed.
+        """
+        self._progress.update(self._task, completed=done, description=text, total=total)
+
+    def report(self, done: float, text: str) -> None:
+        """Updates the bar; without a terminal, prints a line."""
+        self.show(done, text)
+        if not self.is_shown:
+            print(f"{done:>10,.0f}  {text}", flush=True)
+
+
+def training_library(name: str, extra: str = "train") -> Any:
+    """Imports a library of an extra.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise ConfigError(
+            f"learning needs {error.name or name}; pip install 'stkzoo[{extra}]'"
+        ) from error
+
+
+def limit_threads() -> None:
+    """Limits the numerical libraries that are loaded to one thread.
+
+    The networks are small: a second thread would only take the core that the games need.
+
+    Raises:
+        ConfigError: the library for it is not installed.
+    """
+    training_library("threadpoolctl").threadpool_limits(1)
+
+
+def training_torch() -> Any:
+    """Imports torch and limits it to one thread.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    torch = training_library("torch")
+    torch.set_num_threads(1)
+    limit_threads()
+    return torch

@@ -1,0 +1,318 @@
+"""Matches: races in which policies of any kind meet, many at a time.
+
+A *match driver* drives some karts of a match. It is made of what scripts leave behind: a policy
+that chooses among plans (``ppo``, ``league``), a network that answers at once (``sb3``,
+``imitation``, ``rllib``), or the folder of an agent (:mod:`~stkzoo.agents.training.export`).
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.agents.planning import DriverParameters, PlanDriver
+from stkzoo.agents.pretrained.action_filter import ActionFilter
+from stkzoo.agents.pretrained.driver import (
+    WEIGHTS,
+    Policy,
+    check_shapes,
+    read_network,
+    read_numbers,
+    read_policy,
+)
+from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
+from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo.agents.pretrained.weights import load_weights
+from stkzoo.evaluation.ratings import Rating, rate
+from stkzoo.wrappers.racing import CHOICES, Surroundings, controls_of_choices, racing_features
+
+from .fleet import Finish, Lineup, RaceFleet, RaceStarts, StartingPoint
+from .opponents import bot_name
+from .plan_parameters import plan_parameters, run_parameters
+
+__all__ = [
+    "KartController",
+    "Match",
+    "MatchDriver",
+    "MatchRecord",
+    "finishing_order",
+    "match_driver",
+    "network_driver",
+    "plan_match_driver",
+    "play_matches",
+    "random_driver",
+    "rate_orders",
+]
+
+FloatArray = npt.NDArray[np.float32]
+
+#: The plans with nothing learned.
+PRIOR = "prior"
+#: Matches that one process drives side by side.
+_SIDE_BY_SIDE = 28
+#: So many sets of matches are driven at a time: one is computed while the others' games run.
+_LANES = 2
+
+#: Drives some karts through one match: controls ``(karts, 7)`` by what they know of themselves and
+#: what is around them.
+KartController = Callable[[Mapping[str, Any], Surroundings], FloatArray]
+#: Makes the controller of a number of karts that stand at GO.
+MatchDriver = Callable[[int], KartController]
+
+
+# ---------------------------------------------------------------------- drivers
+
+
+def plan_match_driver(policy: Policy, parameters: DriverParameters | None = None) -> MatchDriver:
+    """Chooses among plans, the most likely choice each time.
+
+    Args:
+        policy: chooses.
+        parameters: of the plans.
+    """
+
+    def take_karts(count: int) -> KartController:
+        karts = PlanDriver(count, parameters)
+        look = karts.view  # at GO no step has passed
+
+        def control(own: Mapping[str, Any], around: Surroundings) -> FloatArray:
+            nonlocal look
+            view, look = look(own, around), karts.look
+            return karts.act(policy.best(view))[0]
+
+        return control
+
+    return take_karts
+
+
+def network_driver(choose: Callable[[FloatArray], npt.NDArray[Any]], hold: int = 0) -> MatchDriver:
+    """Drives by a network's choices on the view ``racing``.
+
+    Args:
+        choose: choices ``(karts, 5)`` by what karts see and remember, such as
+            :meth:`~stkzoo.agents.pretrained.mlp.MlpDriver.best`.
+        hold: steps for which a drift is held at least.
+    """
+
+    def take_karts(count: int) -> KartController:
+        action_filter = ActionFilter(count, hold)
+        look = action_filter.see  # at GO no step has passed
+
+        def control(own: Mapping[str, Any], around: Surroundings) -> FloatArray:
+            nonlocal look
+            seen, look = look(racing_features(own, around)), action_filter.look
+            return controls_of_choices(action_filter.apply(choose(seen)))
+
+        return control
+
+    return take_karts
+
+
+def random_driver(seed: int) -> MatchDriver:
+    """Drives by random choices on the view ``racing``."""
+    random = np.random.default_rng(seed)
+    return network_driver(lambda seen: random.integers(0, CHOICES, (len(seen), len(CHOICES))))
+
+
+def match_driver(source: str | Path) -> MatchDriver:
+    """The driver of a policy.
+
+    Args:
+        source: a policy file of a run, the folder of an exported agent, ``"prior"`` (the plans with
+            nothing learned) or ``"prior:NAME"`` (by the plan parameters of that name).
+
+    Raises:
+        ConfigError: the source is no policy, or the name is unknown.
+    """
+    prior, _, name = str(source).partition(":")
+    if prior == PRIOR:
+        parameters = plan_parameters(name) if name else DriverParameters()
+        return plan_match_driver(RacingPolicy.of_plans_alone(), parameters)
+    path = Path(source)
+    if path.is_dir():
+        if not is_network(load_weights(path / WEIGHTS)):
+            return plan_match_driver(read_policy(path), read_numbers(path))
+        network = read_network(path)
+    else:
+        weights = load_weights(path)
+        if not is_network(weights):
+            check_shapes(weights, str(path))
+            return plan_match_driver(RacingPolicy(weights), run_parameters(path.parent))
+        network = MlpDriver(weights, repr(str(path)))
+    return network_driver(network.best, network.hold)
+
+
+# ---------------------------------------------------------------------- playing
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """A match to play.
+
+    Attributes:
+        drivers: names of the drivers, one per kart; a name may occur more than once.
+        track: the track's name.
+        reverse: whether to drive it in reverse.
+        number: of the starting point.
+        bots: karts of the game's AI.
+        difficulty: of the game's AI, 0 to 3.
+    """
+
+    drivers: tuple[str, ...]
+    track: str
+    reverse: bool = False
+    number: int = 0
+    bots: int = 1
+    difficulty: int = 3
+
+    @property
+    def start(self) -> StartingPoint:
+        """How it begins."""
+        lineup = Lineup(len(self.drivers), self.bots, self.difficulty)
+        return StartingPoint(self.track, self.reverse, self.number, lineup)
+
+    def order(self, finishes: Sequence[Finish], ai: str | None = None) -> list[str]:
+        """Names in the order of finish, each once, at its best place.
+
+        Args:
+            finishes: of the drivers' karts.
+            ai: the name of the game's AI; ``bot:3`` or such by default.
+        """
+        ranks = {finish.rank: name for finish, name in zip(finishes, self.drivers, strict=True)}
+        return finishing_order(ranks, self.bots, ai or bot_name(self.difficulty))
+
+
+def finishing_order(ranks: Mapping[int, str], bots: int, ai: str) -> list[str]:
+    """Names in the order of finish, each once, at its best place.
+
+    Args:
+        ranks: who finished at which place.
+        bots: how many other places there are.
+        ai: who finished there.
+    """
+    everyone = [ranks.get(place, ai) for place in range(1, len(ranks) + bots + 1)]
+    return list(dict.fromkeys(everyone))
+
+
+@dataclass(frozen=True, slots=True)
+class MatchRecord:
+    """A match that was played, as files keep it.
+
+    Attributes:
+        turn: the turn of the league after which it was played.
+        track: the track's name.
+        reverse: whether it was driven in reverse.
+        order: names in the order of finish.
+    """
+
+    turn: int
+    track: str
+    reverse: bool
+    order: list[str]
+
+
+class _Lane:
+    """Some matches side by side."""
+
+    def __init__(
+        self, matches: Sequence[Match], drivers: Mapping[str, MatchDriver], starts: RaceStarts
+    ) -> None:
+        self._fleet = RaceFleet([match.start.lineup for match in matches], starts)
+        self._fleet.start_at([(match.track, match.reverse, match.number) for match in matches])
+        names = np.array([name for match in matches for name in match.drivers])
+        self._controllers: list[tuple[npt.NDArray[np.intp], KartController]] = []
+        for name in dict.fromkeys(names.tolist()):
+            rows = np.flatnonzero(names == name)
+            self._controllers.append((rows, drivers[name](len(rows))))
+        self._finishes: dict[int, Finish] = {}
+        self._cuts = np.cumsum([len(match.drivers) for match in matches])[:-1]
+        self._drive()
+
+    def step(self) -> list[list[Finish]] | None:
+        """Makes a step; the finishes of each match, once all are over."""
+        outcome = self._fleet.receive_step()
+        self._finishes |= zip(np.flatnonzero(outcome.ended).tolist(), outcome.finishes, strict=True)
+        if self._fleet.active.any():
+            self._drive()
+            return None
+        self.close()
+        slots = np.split(np.arange(self._fleet.num_slots), self._cuts)
+        return [[self._finishes[slot] for slot in part.tolist()] for part in slots]
+
+    def close(self) -> None:
+        self._fleet.close(with_starts=False)
+
+    def _drive(self) -> None:
+        own, around = self._fleet.surroundings()
+        controls = np.zeros((self._fleet.num_slots, 7), np.float32)
+        for rows, control in self._controllers:
+            controls[rows] = control(*_rows_of(own, around, rows))
+        self._fleet.send_controls(controls)
+
+
+def _rows_of(
+    own: Mapping[str, Any], around: Surroundings, rows: npt.NDArray[np.intp]
+) -> tuple[dict[str, Any], Surroundings]:
+    """What some of the karts know of themselves, and what is around them."""
+    parts = [getattr(around, part.name)[rows] for part in fields(around)]
+    return {name: array[rows] for name, array in own.items()}, Surroundings(*parts)
+
+
+def play_matches(
+    matches: Sequence[Match],
+    drivers: Mapping[str, MatchDriver],
+    side_by_side: int = _SIDE_BY_SIDE,
+) -> list[list[Finish]]:
+    """Plays matches.
+
+    Args:
+        matches: matches in a row that begin alike share the start of the game.
+        drivers: by name.
+        side_by_side: so many are one batch of observations.
+
+    Returns:
+        For each match the finishes of its drivers' karts.
+    """
+    cuts = range(0, len(matches), side_by_side)
+    waiting = deque(matches[first : first + side_by_side] for first in cuts)
+    uses = Counter(match.start for match in matches)
+    results: dict[int, list[list[Finish]]] = {}
+    lanes: dict[int, tuple[_Lane, Sequence[Match]]] = {}
+    starts = RaceStarts()
+    try:
+        while waiting or lanes:
+            while waiting and len(lanes) < _LANES:
+                part = waiting.popleft()
+                lanes[len(results) + len(lanes)] = _Lane(part, drivers, starts), part
+            for number, (lane, part) in list(lanes.items()):
+                if (finishes := lane.step()) is not None:
+                    results[number] = finishes
+                    del lanes[number]
+                    uses -= Counter(match.start for match in part)
+                    starts.close(keep=uses)
+    finally:
+        for lane, _ in lanes.values():
+            lane.close()
+        starts.close()
+    return [finishes for number in sorted(results) for finishes in results[number]]
+
+
+# ---------------------------------------------------------------------- rating
+
+
+def rate_orders(orders: Sequence[Sequence[str]]) -> dict[str, Rating]:
+    """Ratings by name from the orders of finish of matches; 25 is the mean.
+
+    Raises:
+        ConfigError: the library of the ratings is not installed.
+    """
+    names = sorted({name for order in orders for name in order})
+    numbers = {name: number for number, name in enumerate(names)}
+    races = [[numbers[name] for name in order] for order in orders]
+    return dict(zip(names, rate(races, len(names)), strict=True))
