@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stkzoo.evaluation.benchmark import RaceForm
+from stkzoo.evaluation import BenchmarkForm
 from stkzoo.tracks import TRAIN_TRACKS
 
 from .common.arguments import track_names
@@ -136,7 +136,7 @@ def main(words: list[str] | None = None) -> int:
 
 
 def _evaluate(options: argparse.Namespace) -> None:
-    form = RaceForm.of(options.form)
+    form = BenchmarkForm.of(options.form)
     limit_threads()
     sources = [newest_policy(source) for source in options.policies]
     drivers = [match_driver(source) for source in sources]

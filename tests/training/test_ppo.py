@@ -12,9 +12,9 @@ import torch
 
 from stkzoo.agents.planning import CHOICES, HEADS, INPUT_SIZE, DriverParameters
 from stkzoo.agents.pretrained.weights import load_weights
-from stkzoo.agents.training.common.arguments import RaceGroup
-from stkzoo.agents.training.common.matches import match_driver
+from stkzoo.agents.training.common.arguments import TrainingRaces
 from stkzoo.agents.training.common.fleet import Fleet, Lineup, lineups_of
+from stkzoo.agents.training.common.matches import match_driver
 from stkzoo.agents.training.common.plan_parameters import PLAN_PARAMETERS, run_parameters
 from stkzoo.agents.training.evaluate import evaluate, newest_policy
 from stkzoo.agents.training.evaluate import main as evaluate_main
@@ -122,7 +122,7 @@ def test_unknown_choices_are_refused(tmp_path, names):
 
 
 def test_groups_of_races_have_lineups():
-    groups = [RaceGroup(8, 0, 2), RaceGroup(4, 2, 1)]
+    groups = [TrainingRaces(8, 0, 2), TrainingRaces(4, 2, 1)]
     assert lineups_of(groups) == [Lineup(8, 0), Lineup(8, 0), Lineup(4, 2)]
 
 

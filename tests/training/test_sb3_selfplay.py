@@ -13,14 +13,14 @@ from stkzoo import Start
 from stkzoo.agents.pretrained.action_filter import INPUT_MIRROR, INPUT_SIZE, ActionFilter
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
-from stkzoo.agents.training.common.opponents import OpponentPool, bot_name
-from stkzoo.agents.training.sb3 import races as sb3_races
-from stkzoo.agents.training.sb3.curriculum import EASY_TO_HARD, Curriculum
-from stkzoo.agents.training.common.arguments import RaceGroup, race_groups
+from stkzoo.agents.training.common.arguments import TrainingRaces, parse_races
 from stkzoo.agents.training.common.matches import rate_orders
 from stkzoo.agents.training.common.network_policy import initial_weights, save_driver, write_agent
+from stkzoo.agents.training.common.opponents import OpponentPool, bot_name
 from stkzoo.agents.training.plot import main as plot_main
 from stkzoo.agents.training.rate import evaluate_policy, read_evaluations
+from stkzoo.agents.training.sb3 import races as sb3_races
+from stkzoo.agents.training.sb3.curriculum import EASY_TO_HARD, Curriculum
 from stkzoo.agents.training.sb3.races import SelfPlayVecEnv
 from stkzoo.agents.training.sb3.selfplay import SB3Arguments, SB3Run, main
 from stkzoo.errors import ConfigError
@@ -135,10 +135,10 @@ def test_all_training_tracks_are_in_the_curriculum():
 
 
 def test_race_groups_are_read():
-    assert race_groups(["4x3", "2+1"]) == [RaceGroup(4, 0, 3), RaceGroup(2, 1, 1)]
+    assert parse_races(["4x3", "2+1"]) == [TrainingRaces(4, 0, 3), TrainingRaces(2, 1, 1)]
     for text in ("many", "0x2", "2+-1"):
         with pytest.raises(ConfigError, match="expected such as 4x3"):
-            race_groups([text])
+            parse_races([text])
 
 
 def pools():
@@ -149,7 +149,7 @@ def test_rivals_drive_without_teaching(monkeypatch, policy):
     monkeypatch.setattr(sb3_races, "SHORT_RACE", 12)
     bots, snapshots = pools()
     snapshots.add("past")
-    groups = [RaceGroup(4, 0, 1), RaceGroup(1, 2, 1)]
+    groups = [TrainingRaces(4, 0, 1), TrainingRaces(1, 2, 1)]
     envs = SelfPlayVecEnv(
         groups, Curriculum(["olivermath"]), bots, snapshots, snapshot_share=1.0, grid_share=0.0
     )
@@ -180,7 +180,7 @@ def test_rivals_drive_without_teaching(monkeypatch, policy):
 def test_the_same_seed_gives_the_same_races(policy):
     bots, snapshots = pools()
     snapshots.add("past")
-    groups = [RaceGroup(2, 1, 1), RaceGroup(2, 0, 1)]
+    groups = [TrainingRaces(2, 1, 1), TrainingRaces(2, 0, 1)]
     envs = SelfPlayVecEnv(groups, Curriculum(["olivermath"]), bots, snapshots, snapshot_share=0.5)
     weights = {name: value.numpy() for name, value in policy.state_dict().items()}
     envs.add_driver("past", MlpDriver(weights))
@@ -200,7 +200,7 @@ def test_the_same_seed_gives_the_same_races(policy):
 def test_pace_and_places_of_a_whole_race():
     """Full throttle from the grid, straight on; the AI leaves it behind."""
     bots, snapshots = pools()
-    groups = [RaceGroup(1, 1, 1)]
+    groups = [TrainingRaces(1, 1, 1)]
     envs = SelfPlayVecEnv(groups, Curriculum(["olivermath"]), bots, snapshots, grid_share=1)
     try:
         envs.seed(1)
@@ -222,7 +222,7 @@ def test_the_way_goes_on_behind_the_finish(monkeypatch):
     monkeypatch.setattr(sb3_races, "RandomStart", lambda: near_finish)
     bots, snapshots = pools()
     envs = SelfPlayVecEnv(
-        [RaceGroup(1, 0, 1)], Curriculum(["lighthouse"]), bots, snapshots, grid_share=0.0
+        [TrainingRaces(1, 0, 1)], Curriculum(["lighthouse"]), bots, snapshots, grid_share=0.0
     )
     try:
         envs.seed(1)
@@ -511,7 +511,7 @@ def test_buffers_leave_rivals_out():
     """The rows of :class:`ActiveRolloutBuffer` are those that ``kart_steps`` counts."""
     bots, snapshots = pools()
     envs = SelfPlayVecEnv(
-        [RaceGroup(4, 0, 1)], Curriculum(["olivermath"]), bots, snapshots, snapshot_share=1
+        [TrainingRaces(4, 0, 1)], Curriculum(["olivermath"]), bots, snapshots, snapshot_share=1
     )
     snapshots.add("past")
     model = PPO(

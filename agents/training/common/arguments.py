@@ -18,12 +18,12 @@ __all__ = [
     "QUICK_TRACKS",
     "NetworkArguments",
     "PPOArguments",
-    "RaceGroup",
+    "TrainingRaces",
     "add_arguments",
     "check_resumed",
     "differences",
     "keep_arguments",
-    "race_groups",
+    "parse_races",
     "track_names",
     "values_of",
     "write_json",
@@ -72,7 +72,7 @@ class PPOArguments(NetworkArguments):
 
 
 @dataclass(frozen=True, slots=True)
-class RaceGroup:
+class TrainingRaces:
     """Races with the same number of agents and of the game's AI karts.
 
     Attributes:
@@ -86,7 +86,7 @@ class RaceGroup:
     races: int
 
 
-def race_groups(texts: Sequence[str]) -> list[RaceGroup]:
+def parse_races(texts: Sequence[str]) -> list[TrainingRaces]:
     """Parses ``4x3`` (three races of four agents) or ``2+2x1`` (two agents and two AI karts).
 
     Raises:
@@ -97,9 +97,9 @@ def race_groups(texts: Sequence[str]) -> list[RaceGroup]:
         who, _, races = text.partition("x")
         agents, _, bots = who.partition("+")
         try:
-            group = RaceGroup(int(agents), int(bots or 0), int(races or 1))
+            group = TrainingRaces(int(agents), int(bots or 0), int(races or 1))
         except ValueError:
-            group = RaceGroup(0, 0, 0)
+            group = TrainingRaces(0, 0, 0)
         if min(group.agents, group.races) < 1 or group.bots < 0:
             raise ConfigError(
                 f"races {text!r} are invalid; expected for example 4x3 (three races of four "

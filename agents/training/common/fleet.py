@@ -34,7 +34,7 @@ from stkzoo.evaluation import load_ai_times
 from stkzoo.names import Phase
 from stkzoo.wrappers.racing import BatchedRacingView, RoadTable, Surroundings
 
-from .arguments import RaceGroup
+from .arguments import TrainingRaces
 
 __all__ = [
     "Finish",
@@ -72,7 +72,7 @@ class Lineup:
     difficulty: int = 3
 
 
-def lineups_of(groups: Sequence[RaceGroup]) -> list[Lineup]:
+def lineups_of(groups: Sequence[TrainingRaces]) -> list[Lineup]:
     """The lineups of groups of races, one per race."""
     return [Lineup(group.agents, group.bots) for group in groups for _ in range(group.races)]
 

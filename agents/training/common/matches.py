@@ -29,7 +29,7 @@ from stkzoo.agents.pretrained.driver import (
 from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
-from stkzoo.evaluation.ratings import Rating, rate
+from stkzoo.evaluation import Rating, rate
 from stkzoo.wrappers.racing import CHOICES, Surroundings, controls_of_choices, racing_features
 
 from .fleet import Finish, Lineup, RaceFleet, RaceStarts, StartingPoint

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from stkzoo.agents.planning import PolicyInput
 from stkzoo.agents.pretrained.policy import RacingPolicy
 
-from ..common.arguments import race_groups
+from ..common.arguments import parse_races
 from ..common.fleet import Finish, FleetStep, Lineup, lineups_of
 from ..ppo.selfplay import PPOLearner, SelfPlayArguments
 from .players import PlayerMatchmaker
@@ -77,7 +77,7 @@ class LeagueLearner(PPOLearner):
         super().__init__(folder, arguments)
         self._matchmaker = matchmaker
         self._matchmaking = np.random.default_rng(seed)
-        lineups = lineups_of(race_groups(arguments.races))
+        lineups = lineups_of(parse_races(arguments.races))
         self._races: list[list[_RivalRace]] = []
         for group, fleet in enumerate(self._fleets):
             races, first, active = [], 0, fleet.active

@@ -42,7 +42,7 @@ from ..common.arguments import (
     PPOArguments,
     add_arguments,
     differences,
-    race_groups,
+    parse_races,
     values_of,
     write_json,
 )
@@ -187,7 +187,7 @@ class PPOLearner:
         )
         self._random = np.random.default_rng([arguments.seed, 1])
         self._rules = plan_parameters(arguments.plans)
-        lineups = lineups_of(race_groups(arguments.races))
+        lineups = lineups_of(parse_races(arguments.races))
         self._fleets: list[Fleet] = []
         for group in range(arguments.groups):
             seed = int(np.random.SeedSequence([arguments.seed, group]).generate_state(1)[0])

@@ -27,10 +27,10 @@ from stkzoo import RandomStart, Reward
 from stkzoo.agents.pretrained.action_filter import INPUT_SIZE, ActionFilter
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.benchmark import load_ai_times
+from stkzoo.evaluation import load_ai_times
 from stkzoo.sb3 import RaceVecEnv
 
-from ..common.arguments import RaceGroup
+from ..common.arguments import TrainingRaces
 from ..common.opponents import OpponentPool, bot_name
 from .curriculum import Curriculum
 
@@ -96,7 +96,7 @@ def way_and_places() -> Reward:
 class _SelfPlayRace:
     """One race after another; who drives what in the present one, and what the next one is."""
 
-    def __init__(self, env: Any, group: RaceGroup, first: int) -> None:
+    def __init__(self, env: Any, group: TrainingRaces, first: int) -> None:
         self.env, self.group = env, group
         self.slots = slice(first, first + group.agents)
         self.rival = ""
@@ -176,7 +176,7 @@ class SelfPlayVecEnv(VecEnv):
 
     def __init__(
         self,
-        groups: Sequence[RaceGroup],
+        groups: Sequence[TrainingRaces],
         curriculum: Curriculum,
         bots: OpponentPool,
         snapshots: OpponentPool,

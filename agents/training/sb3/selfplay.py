@@ -50,7 +50,7 @@ from ..common.arguments import (
     PPOArguments,
     add_arguments,
     check_resumed,
-    race_groups,
+    parse_races,
     values_of,
     write_json,
 )
@@ -222,7 +222,7 @@ class SB3Run:
 
     def _make_races(self) -> Any:
         races = importlib.import_module("stkzoo.agents.training.sb3.races")
-        groups = race_groups(self.arguments.races)
+        groups = parse_races(self.arguments.races)
         if self.arguments.supersuit:
             training_library("supersuit", _EXTRAS)
             other = importlib.import_module("stkzoo.agents.training.sb3.supersuit")

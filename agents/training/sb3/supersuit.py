@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from stkzoo import race_v0
 
-from ..common.arguments import RaceGroup
+from ..common.arguments import TrainingRaces
 from .races import SHORT_RACE, RaceEnd, way_and_places
 
 __all__ = ["SuperSuitRaces"]
@@ -30,7 +30,7 @@ class SuperSuitRaces(VecEnvWrapper):
         ends: nothing; SuperSuit does not tell how a kart's race ended.
     """
 
-    def __init__(self, group: RaceGroup, tracks: tuple[str, ...]) -> None:
+    def __init__(self, group: TrainingRaces, tracks: tuple[str, ...]) -> None:
         race = race_v0.parallel_env(
             agents=group.agents,
             num_kart=group.agents + group.bots,
