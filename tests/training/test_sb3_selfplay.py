@@ -134,10 +134,10 @@ def test_all_training_tracks_are_in_the_curriculum():
 # ---------------------------------------------------------------------- races
 
 
-def test_race_groups_are_read():
+def test_groups_of_races_are_read():
     assert parse_races(["4x3", "2+1"]) == [TrainingRaces(4, 0, 3), TrainingRaces(2, 1, 1)]
     for text in ("many", "0x2", "2+-1"):
-        with pytest.raises(ConfigError, match="expected such as 4x3"):
+        with pytest.raises(ConfigError, match="expected for example 4x3"):
             parse_races([text])
 
 
