@@ -8,6 +8,7 @@ from setuptools import Extension, setup
 _PARTS = (
     "module",
     "action_reader",
+    "car_controller",
     "game_stepper",
     "kart_observer",
     "racing_observer",

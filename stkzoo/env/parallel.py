@@ -268,7 +268,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         if self._asked is episode:
             raise ApiOrderError("step_async() twice without step_wait(); call step_wait() first")
         rows = episode.player_rows(self.agents)
-        return self._chains.decode(actions, self.agents, rows, episode.num_players)
+        return self._chains.decode(actions, self.agents, rows, episode.num_players, episode)
 
     def send(self, controls: npt.NDArray[np.float32]) -> None:
         """The second half of :meth:`step_async`: asks the game for the step."""

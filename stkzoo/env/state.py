@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -14,7 +14,7 @@ from stkzoo.engine.snapshot import Snapshot
 from stkzoo.env.episode import Episode
 from stkzoo.env.grid import RaceInfo
 from stkzoo.errors import ApiOrderError, ConfigError, check_whole
-from stkzoo.views.memory import Memory
+from stkzoo.views.chains import ChainsMemory
 
 __all__ = ["Moment", "RaceState", "check_max_snapshots"]
 
@@ -35,7 +35,7 @@ class Moment:
     agents: tuple[str, ...]
     ai_agents: frozenset[str]
     random: np.random.Generator
-    memory: Mapping[str, Memory | None]
+    memory: ChainsMemory
 
     def check_karts(self, num_kart: int, agents: Sequence[str], ai_agents: Set[str]) -> None:
         """Checks that an environment can go on from here.

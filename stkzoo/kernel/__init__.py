@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from stkzoo.kernel._kernel import (
         ActionReader,
+        CarController,
         GameStepper,
         KartObserver,
         RacingObserver,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 __all__ = [
     "IS_COMPILED",
     "ActionReader",
+    "CarController",
     "GameStepper",
     "KartObserver",
     "RacingObserver",
@@ -44,6 +46,7 @@ __all__ = [
 #: needed: some are made of formulas from packages that use the kernel themselves.
 _TWINS = {
     "ActionReader": "action_reader",
+    "CarController": "car_controller",
     "GameStepper": "game_stepper",
     "KartObserver": "kart_observer",
     "RacingObserver": "racing_observer",

@@ -1,3 +1,4 @@
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -77,6 +78,26 @@ class ActionReader:
         rows: npt.NDArray[np.intp],
         controls: npt.NDArray[np.float32],
     ) -> bool: ...
+
+class CarController:
+    def __new__(
+        cls,
+        act: Callable[..., Any],
+        kinds: tuple[bool, bool, bool],
+        limits: tuple[float, ...],
+        pedals: npt.NDArray[np.float64],
+        columns: tuple[int, int, int],
+        num_columns: int,
+    ) -> CarController: ...
+    def drive(
+        self,
+        controls: npt.NDArray[np.float32],
+        rows: npt.NDArray[np.intp],
+        data: bytes,
+        karts: npt.NDArray[np.intp],
+        states: npt.NDArray[np.float64],
+        places: npt.NDArray[np.intp],
+    ) -> None: ...
 
 class StepScorer:
     def __new__(

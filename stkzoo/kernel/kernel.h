@@ -68,6 +68,6 @@ void *numbers_of(PyObject *object, const char *name, int type, npy_intp *count);
 
 PyObject *join_rows(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
 
-extern PyTypeObject GameStepperType, TrackGraphType, KartObserverType, RacingObserverType, ActionReaderType, StepScorerType;
+extern PyTypeObject CarControllerType, GameStepperType, TrackGraphType, KartObserverType, RacingObserverType, ActionReaderType, StepScorerType;
 
 #endif

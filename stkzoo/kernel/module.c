@@ -113,8 +113,10 @@ static struct PyModuleDef module = {
 
 PyMODINIT_FUNC PyInit__kernel(void)
 {
-    static PyTypeObject *const TYPES[] = {&GameStepperType, &TrackGraphType,    &KartObserverType,
-                                          &RacingObserverType, &ActionReaderType, &StepScorerType};
+    static PyTypeObject *const TYPES[] = {
+        &ActionReaderType,   &CarControllerType, &GameStepperType, &KartObserverType,
+        &RacingObserverType, &StepScorerType,    &TrackGraphType,
+    };
     const size_t count = sizeof TYPES / sizeof *TYPES;
     import_array();
     PyObject *kernel = PyModule_Create(&module);

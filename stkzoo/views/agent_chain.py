@@ -13,7 +13,7 @@ from stkzoo.errors import ActionError, AgentError, AgentException
 from stkzoo.views.actions import read_actions
 from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
 from stkzoo.views.batch import split
-from stkzoo.views.memory import Memory
+from stkzoo.views.memory import WrapperMemory
 from stkzoo.views.plan import ViewPlan
 from stkzoo.views.split_step import AgentStep, CompiledPart, MonoAgentEnv, SplitStep
 
@@ -85,6 +85,7 @@ class AgentChain:
         self._owners = (*self._wrappers, self._mono)
         self._is_plain = all(map(_has_plain_step, self._wrappers))
         self.is_pure = all(_is_compiled(w) and not w.has_memory for w in self._wrappers)
+        self._remembers = not self.is_pure
 
     def compile(self, columns: Sequence[str]) -> ViewPlan:
         """Leaves the wrappers that the kernel can do, the innermost ones, to the kernel.
@@ -111,6 +112,7 @@ class AgentChain:
             walked[-1].env = self._door = CompiledPart(compiled)
             self._owners = (*self._owners, self._door)
         self._wrappers = tuple(walked)
+        self._remembers = not all(_is_compiled(w) and not w.has_memory for w in walked)
         self._is_plain = all(map(_has_plain_step, walked))
         return plan
 
@@ -224,31 +226,31 @@ class AgentChain:
             self._split_step.abandon()
             self._split_step = None
 
-    def memory(self) -> Memory | None:
+    def memory(self) -> WrapperMemory | None:
         """What the wrappers remember between steps; ``None`` if they are pure functions.
 
         Raises:
             AgentException: they hold something that cannot be copied.
         """
-        if self.is_pure:
+        if not self._remembers:
             return None
         self.abandon()
         with agent_failures(self.agent, "have their state copied"):
-            return Memory.of(self._owners)
+            return WrapperMemory.of(self._owners)
 
-    def check_memory(self, memory: Memory | None) -> None:
+    def check_memory(self, memory: WrapperMemory | None) -> None:
         """Checks that :meth:`recall` can take a memory.
 
         Raises:
             AgentException: it is one of other wrappers.
         """
         with agent_failures(self.agent, "take over a saved state"):
-            if self.is_pure != (memory is None):
+            if self._remembers == (memory is None):
                 raise TypeError("they are of another kind than the state's")
             if memory is not None:
                 memory.check(self._owners)
 
-    def recall(self, memory: Memory | None) -> None:
+    def recall(self, memory: WrapperMemory | None) -> None:
         """Makes the wrappers remember what :meth:`memory` gave, here or in an equal chain.
 
         Raises:

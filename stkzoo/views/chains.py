@@ -11,16 +11,16 @@ import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.wrappers.utils import create_zero_array
 
-from stkzoo.errors import ActionError, ConfigError
-from stkzoo.kernel import ActionReader
+from stkzoo.errors import ActionError, AgentException, ConfigError
+from stkzoo.kernel import ActionReader, CarController
 from stkzoo.views.actions import read_actions
 from stkzoo.views.agent_chain import AgentChain, WrapperFactory
 from stkzoo.views.batch import split
-from stkzoo.views.memory import Memory
+from stkzoo.views.memory import WrapperMemory
 from stkzoo.views.plan import ObservationSource, Observer
 from stkzoo.views.split_step import AgentStep
 
-__all__ = ["AgentChains", "StepParts"]
+__all__ = ["AgentChains", "ChainsMemory", "StepParts"]
 
 IntArray = npt.NDArray[np.intp]
 FloatArray = npt.NDArray[np.float32]
@@ -49,6 +49,8 @@ class _Group:
         reader: reads what they do.
         acting: those whose action it reads as it comes.
         acting_rows: their places.
+        car: turns actions in physical units into controls, if they are in such units.
+        numbers: of all agents of the group, among all agents of the race.
     """
 
     agents: tuple[str, ...]
@@ -57,6 +59,8 @@ class _Group:
     reader: ActionReader
     acting: tuple[str, ...]
     acting_rows: IntArray
+    car: CarController | None
+    numbers: IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +80,19 @@ class _Roster:
     agents: tuple[str, ...]
     groups: tuple[_Group, ...]
     walked: tuple[_Walked, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ChainsMemory:
+    """What the wrappers of all agents remember at one moment.
+
+    Attributes:
+        wrappers: of each agent those that run by themselves; ``None`` if they are pure functions.
+        cars: of each agent what the kernel remembers for those that act in physical units.
+    """
+
+    wrappers: Mapping[str, WrapperMemory | None]
+    cars: npt.NDArray[np.float64]
 
 
 class AgentChains:
@@ -128,7 +145,10 @@ class AgentChains:
         self._identities = {agent: plan.identity() for agent, plan in self._plans.items()}
         self._numbers = {agent: number for number, agent in enumerate(self._chains)}
         self._ignored = frozenset(ignored)
-        self._made: dict[Hashable, tuple[Observer, ActionReader]] = {}
+        self._made: dict[Hashable, tuple[Observer, ActionReader, CarController | None]] = {}
+        #: Wheel angle [rad], speed still owed [m/s] and length of a step [s] of each agent that
+        #: acts in physical units (:class:`~stkzoo.kernel.reference.car_controller.CarController`).
+        self._cars = np.zeros((len(self._chains), 3))
         self._present: _Roster | None = None
         self.observation_spaces = {a: chain.observation_space for a, chain in self._chains.items()}
         self.action_spaces = {a: chain.action_space for a, chain in self._chains.items()}
@@ -139,6 +159,7 @@ class AgentChains:
         agents: Sequence[str],
         rows: IntArray | None = None,
         num_rows: int | None = None,
+        source: ObservationSource | None = None,
     ) -> FloatArray:
         """The base actions for the agents' actions.
 
@@ -152,6 +173,7 @@ class AgentChains:
                 the agents' order. Those of agents that are ignored go nowhere.
             num_rows: how many rows there are, by default as many as agents; those of nobody
                 are zeros.
+            source: the race at this moment, for agents that act in physical units.
 
         Returns:
             ``(num_rows, n)`` float32, with the columns that the constructor was given.
@@ -175,6 +197,11 @@ class AgentChains:
                 usual = self._in_usual_form(group, actions)
                 group.reader.read(usual, group.acting, rows[group.acting_rows], controls)
             self._walk_actions(roster.walked, actions, rows, controls)
+        for group in roster.groups:
+            if group.car is not None and source is not None:
+                karts, data = source.karts(agents)[group.rows], source.snapshot.data
+                own = rows[group.rows]
+                group.car.drive(controls, own, data, karts, self._cars, group.numbers)
         return controls
 
     def observe(self, agents: Sequence[str], source: ObservationSource) -> dict[str, Any]:
@@ -219,6 +246,7 @@ class AgentChains:
             AgentException: a wrapper failed.
         """
         self._abandon()
+        self._reset_cars(options or {})
         observations = self.observe(agents, source)
         new_infos = {agent: dict(infos[agent]) for agent in agents}
         for walked in self._roster(agents).walked:
@@ -254,36 +282,51 @@ class AgentChains:
             raise
         return parts
 
-    def memory(self) -> dict[str, Memory | None]:
-        """What each agent's wrappers remember between steps, as a value.
+    def memory(self) -> ChainsMemory:
+        """What the agents' wrappers remember between steps, as a value.
 
         Raises:
             AgentException: a wrapper holds something that cannot be copied.
         """
-        return {agent: chain.memory() for agent, chain in self._chains.items()}
+        wrappers = {agent: chain.memory() for agent, chain in self._chains.items()}
+        return ChainsMemory(wrappers, self._cars.copy())
 
-    def check_memory(self, memory: Mapping[str, Memory | None]) -> None:
+    def check_memory(self, memory: ChainsMemory) -> None:
         """Checks that :meth:`recall` can take a memory.
 
         Raises:
             AgentException: an agent's wrappers are others.
         """
-        for agent, chain in self._chains.items():
-            chain.check_memory(memory[agent])
+        for number, (agent, chain) in enumerate(self._chains.items()):
+            chain.check_memory(memory.wrappers[agent])
+            has_car = self._plans[agent].car is not None
+            if has_car != (memory.cars[number, 2] > 0):
+                raise AgentException(
+                    f"the wrappers of agent {agent!r} failed to take over a saved state: "
+                    f"they act {'' if has_car else 'not '}in physical units, unlike the state's",
+                    agent,
+                )
 
-    def recall(self, memory: Mapping[str, Memory | None]) -> None:
+    def recall(self, memory: ChainsMemory) -> None:
         """Makes the wrappers remember what :meth:`memory` gave, here or in equal chains.
 
         Raises:
             AgentException: an agent's wrappers are others.
         """
         for agent, chain in self._chains.items():
-            chain.recall(memory[agent])
+            chain.recall(memory.wrappers[agent])
+        self._cars[:] = memory.cars
 
     def close(self) -> None:
         """Closes all wrappers."""
         for chain in self._chains.values():
             chain.close()
+
+    def _reset_cars(self, options: Mapping[str, Any]) -> None:
+        self._cars[:] = 0.0
+        for number, plan in enumerate(self._plans.values()):
+            if plan.car is not None:
+                self._cars[number, 2] = options.get("step_size", plan.car.step_size)
 
     def _roster(self, agents: Sequence[str]) -> _Roster:
         key = tuple(agents)
@@ -310,13 +353,18 @@ class AgentChains:
         acting = [a for a in own if self._chains[a].is_empty and a not in self._ignored]
         identity, plan = self._identities[own[0]], self._plans[own[0]]
         if identity not in self._made:
-            self._made[identity] = plan.new_observer(), plan.new_reader()
+            made = plan.new_observer(), plan.new_reader(), plan.new_controller()
+            self._made[identity] = made
+        observer, reader, car = self._made[identity]
         return _Group(
-            own,
-            np.array(rows, np.intp),
-            *self._made[identity],
-            tuple(acting),
-            np.array([agents.index(agent) for agent in acting], np.intp),
+            agents=own,
+            rows=np.array(rows, np.intp),
+            observer=observer,
+            reader=reader,
+            acting=tuple(acting),
+            acting_rows=np.array([agents.index(agent) for agent in acting], np.intp),
+            car=car,
+            numbers=np.array([self._numbers[agent] for agent in own], np.intp),
         )
 
     def __getstate__(self) -> dict[str, Any]:

@@ -9,11 +9,11 @@ from typing import Any
 
 from gymnasium import spaces
 
-__all__ = ["Memory"]
+__all__ = ["WrapperMemory"]
 
 
 @dataclass(frozen=True, slots=True)
-class Memory:
+class WrapperMemory:
     """The attributes of some objects at one moment, as copies.
 
     Attributes:
@@ -26,7 +26,7 @@ class Memory:
     attributes: list[dict[str, Any]]
 
     @classmethod
-    def of(cls, owners: Sequence[Any]) -> Memory:
+    def of(cls, owners: Sequence[Any]) -> WrapperMemory:
         """What some objects remember now.
 
         Raises:

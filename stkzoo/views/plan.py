@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo.kernel import ActionReader, KartObserver
+from stkzoo.kernel import ActionReader, CarController, KartObserver
 from stkzoo.mdp.spaces import shows_ground
 
-__all__ = ["Entry", "Leaf", "ObservationSource", "Observer", "ViewPlan"]
+__all__ = ["CarPlan", "Entry", "Leaf", "ObservationSource", "Observer", "ViewPlan"]
 
 IntArray = npt.NDArray[np.intp]
 
@@ -58,6 +58,18 @@ class Observer(Protocol):
         """The observations, in Gymnasium's form."""
 
 
+class CarPlan(Protocol):
+    """An action in physical units (:class:`~stkzoo.wrappers.control.ControlWrapper`)."""
+
+    step_size: float
+
+    def identity(self) -> Hashable:
+        """Equal for those that do the same."""
+
+    def new_controller(self, columns: Sequence[str]) -> CarController:
+        """What turns it into controls."""
+
+
 class ViewPlan:
     """What the compiled wrappers of one agent do.
 
@@ -73,6 +85,7 @@ class ViewPlan:
         columns: of the controls.
         leaves: what the numbers of an action are, by key; under ``""`` for an action that is
             one array or number.
+        car: an action in physical units, if the controls are made of one.
         has_action: whether observations carry the ``action`` of the game's AI.
         sees_ground: whether observations tell of the ground.
 
@@ -99,6 +112,7 @@ class ViewPlan:
         self.leaves: dict[str, Leaf] = {
             key: (_entry(action_space[key], column),) for column, key in enumerate(columns)
         }
+        self.car: CarPlan | None = None
         self.has_action = "action" in observation_space.spaces
         self.sees_ground = shows_ground(observation_space)
 
@@ -136,12 +150,17 @@ class ViewPlan:
         )
         seen = self.names, tuple(sorted(self.sizes.items())), self.is_polar, self.is_flat
         leaves = tuple((key, tuple(map(_hashable, leaf))) for key, leaf in self.leaves.items())
-        return (*seen, self.joined, mask, type(self.observer), leaves, self.sees_ground)
+        car = None if self.car is None else self.car.identity()
+        return (*seen, self.joined, mask, type(self.observer), leaves, self.sees_ground, car)
 
     def new_reader(self) -> ActionReader:
         """What turns actions into controls."""
         names = () if set(self.leaves) == {""} else tuple(self.leaves)
         return ActionReader(names, tuple(self.leaves.values()), len(self.columns))
+
+    def new_controller(self) -> CarController | None:
+        """What turns an action in physical units into controls."""
+        return None if self.car is None else self.car.new_controller(self.columns)
 
     def new_observer(self) -> Observer:
         """What makes observations."""

@@ -11,10 +11,11 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 
 from stkzoo.errors import ConfigError
+from stkzoo.kernel import CarController
 from stkzoo.wrappers.control.longitudinal import LongitudinalAction, LongitudinalActionEnum
 from stkzoo.wrappers.control.parameters import CarParameters
-from stkzoo.wrappers.control.pedals import Pedals
-from stkzoo.wrappers.control.steering import SteerAction, SteerActionEnum
+from stkzoo.wrappers.control.pedals import PEDALS, Pedals
+from stkzoo.wrappers.control.steering import SteerAction, SteerActionEnum, SteeringAngleAction
 
 __all__ = ["CarAction", "from_single_to_multi_action_space"]
 
@@ -73,6 +74,29 @@ class CarAction:
             else spaces.Box(self._low, self._high, dtype=np.float32)
         )
         self._pedals = Pedals()
+
+    def new_controller(self, columns: Sequence[str]) -> CarController:
+        """What does the same for many karts at once, in the kernel.
+
+        Args:
+            columns: of the game's controls.
+        """
+        own, limits = self.parameters, (self._low, self._high)
+        return CarController(
+            self.act,
+            (
+                self.longitudinal.is_fed_back,
+                isinstance(self.steering, SteeringAngleAction),
+                self.normalize_act,
+            ),
+            (
+                *(float(limit[number]) for number in (0, 1) for limit in limits),
+                *(own.v_min, own.v_max, own.sv_max, own.speed_gain),
+            ),
+            PEDALS,
+            (columns.index("acceleration"), columns.index("steer"), columns.index("brake")),
+            len(columns),
+        )
 
     def memory(self, shape: tuple[int, ...] = ()) -> FloatArray:
         """What :meth:`act` is given at the start of a race, ``(*shape, 2)``: all zero.

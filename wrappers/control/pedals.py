@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Pedals"]
+__all__ = ["PEDALS", "Pedals"]
 
 FloatArray = npt.NDArray[np.floating[Any]]
 BoolArray = npt.NDArray[np.bool_]
@@ -33,6 +33,15 @@ _SELF_STOP_SPEED = 5.0
 _STOP_SPEED = 3.5
 #: This little throttle keeps it from doing so.
 _ROLLING = 0.005
+
+
+#: The same numbers as the kernel takes them.
+PEDALS = np.array(
+    [
+        *(*_GEARS, *_THRUST, *_BRAKE, _REVERSE, _REVERSE_SPEED),
+        *(_ROLL_DRAG, _AIR_DRAG, _SELF_STOP_SPEED, _STOP_SPEED, _ROLLING),
+    ]
+)
 
 
 class Pedals:

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Hashable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError, unknown_name
-from stkzoo.views.bases import ActionObservationWrapper
+from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
 from stkzoo.wrappers.arguments import dict_space, observed_action, with_observed_action
 from stkzoo.wrappers.control.car_action import CarAction
 from stkzoo.wrappers.control.parameters import CarParameters
+
+if TYPE_CHECKING:
+    from stkzoo.kernel import CarController
+    from stkzoo.views.plan import ViewPlan
 
 __all__ = ["BUTTONS", "ControlWrapper"]
 
@@ -25,7 +29,7 @@ BUTTONS = ("drift", "fire", "nitro", "rescue")
 _PEDALS = ("acceleration", "steer", "brake")
 
 
-class ControlWrapper(ActionObservationWrapper, gym.utils.RecordConstructorArgs):
+class ControlWrapper(ActionObservationWrapper, CompiledWrapper):
     """Steers by ``control`` (2,), as :class:`CarAction` says, and buttons beside it.
 
     The action is a dict of ``control`` and the chosen buttons (0 or 1); buttons that were
@@ -45,6 +49,8 @@ class ControlWrapper(ActionObservationWrapper, gym.utils.RecordConstructorArgs):
     Raises:
         ConfigError: an argument cannot be, or the environment is of another kind.
     """
+
+    has_memory = True
 
     def __init__(
         self,
@@ -77,6 +83,29 @@ class ControlWrapper(ActionObservationWrapper, gym.utils.RecordConstructorArgs):
         self._has_action = observed_action(env.observation_space) is not None
         self.observation_space = with_observed_action(env.observation_space, self.action_space)
         self._start(self.step_size)
+
+    def compile_into(self, plan: ViewPlan) -> bool:
+        """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
+        if plan.has_action or plan.car or plan.leaves.keys() != {*_PEDALS, *BUTTONS}:
+            return False
+        columns = [plan.leaves[key][0][3] for key in ("steer", "acceleration")]
+        space = self.car_action.space
+        control = tuple(
+            (float(low), float(high), False, column, None)
+            for low, high, column in zip(space.low, space.high, columns, strict=True)
+        )
+        plan.leaves = {"control": control, **{key: plan.leaves[key] for key in self.buttons}}
+        plan.car = self
+        return True
+
+    def identity(self) -> Hashable:
+        """Equal for wrappers that do the same."""
+        car = self.car_action
+        return car.type, car.normalize_act, car.parameters, self.step_size
+
+    def new_controller(self, columns: Sequence[str]) -> CarController:
+        """See :meth:`stkzoo.views.plan.CarPlan.new_controller`."""
+        return self.car_action.new_controller(columns)
 
     def _start(self, step_size: float) -> None:
         self._step_size = step_size
