@@ -29,7 +29,7 @@ from stkzoo.kernel import (
     TrackGraph,
     join_rows,
 )
-from stkzoo.kernel.reference import action_reader, game_stepper, rows, track_graph
+from stkzoo.kernel.reference import action_reader, car_controller, game_stepper, rows, track_graph
 from stkzoo.kernel.reference.kart_observer import KartObserver as KartObserverTwin
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.names import AttachmentType, ItemType, PowerupType
@@ -37,6 +37,7 @@ from stkzoo.tracks import SPLITS
 from stkzoo.views import VIEWS as ALL_VIEWS
 from stkzoo.views import AgentChain
 from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarObservations
+from stkzoo.wrappers.control import CarAction
 from stkzoo.wrappers.racing import SIZE, BatchedRacingView, RoadTable, racing_features
 from stkzoo.wrappers.racing.batched_view import racing_view_of
 from stkzoo.wrappers.racing.features import KERNEL_TABLES
@@ -121,6 +122,7 @@ USERS = {
     "env.episode": ["StepScorer"],
     "race.codec": ["join_rows"],
     "views.plan": ["ActionReader", "KartObserver"],
+    "wrappers.control.car_action": ["CarController"],
     "wrappers.racing.batched_view": ["RacingObserver"],
 }
 
@@ -160,7 +162,7 @@ def test_a_race_is_the_same_with_and_without_the_kernel(view, track, numpy_only)
     for _ in range(12):
         actions.append({a: with_kernel.action_space(a).sample() for a in with_kernel.agents})
         steps.append(with_kernel.step(actions[-1]))
-    assert "control" in str(view) or with_kernel._chains._present.walked == ()
+    assert with_kernel._chains._present.walked == ()
     with_kernel.close()
 
     numpy_only()
@@ -172,6 +174,49 @@ def test_a_race_is_the_same_with_and_without_the_kernel(view, track, numpy_only)
         assert_close(step[0], observations)
         assert list(step[1:]) == rest
     without.close()
+
+
+@pytest.mark.parametrize("normalize_act", [False, True])
+@pytest.mark.parametrize("steering", ["steering_angle", "steering_speed"])
+@pytest.mark.parametrize("longitudinal", ["speed", "accl"])
+def test_a_car_is_driven_as_in_numpy(longitudinal, steering, normalize_act):
+    car = CarAction((longitudinal, steering), normalize_act=normalize_act)
+    controller = car.new_controller(CONTROLS)
+    twin = car_controller.CarController(car.act, (), (), None, (0, 1, 2), 7)
+    random, count = np.random.default_rng(0), 40
+    ours, theirs = (np.zeros((count, 3)) for _ in range(2))
+    ours[:, 2] = theirs[:, 2] = random.choice([0.05, 0.1, 0.2], count)
+    karts, where = np.zeros(count, KART_DTYPE), np.arange(count)
+    for _ in range(30):
+        karts["velocity_lc"][:, 2] = random.choice([0, 0.2, 3, 5.2, 12, 26, -1, -4], count)
+        karts["velocity_lc"][:, 2] += random.choice([0, 0.3], count) * random.normal(size=count)
+        karts["max_steer_angle"] = random.choice([0, 0.1, 0.4], count)
+        data = Snapshot.of(np.zeros((), HEADER_DTYPE), karts, np.zeros(0, ITEM_DTYPE)).data
+        rows = np.zeros((count, 7), np.float32)
+        asked = random.uniform(car.space.low, car.space.high, (count, 2))
+        rows[:, 1], rows[:, 0] = asked.astype(np.float32).T
+        told = rows.copy()
+        controller.drive(rows, where, data, where, ours, where)
+        twin.drive(told, where, data, where, theirs, where)
+        assert rows.tolist() == told.tolist()
+        assert ours.tolist() == theirs.tolist()
+
+
+def test_a_controller_checks_what_it_is_given():
+    controller = CarAction().new_controller(CONTROLS)
+    snapshot = Snapshot.of(
+        np.zeros((), HEADER_DTYPE), np.zeros(1, KART_DTYPE), np.zeros(0, ITEM_DTYPE)
+    )
+    one, two = np.zeros(1, np.intp), np.zeros(2, np.intp)
+    rows, states = np.zeros((1, 7), np.float32), np.ones((1, 3))
+    controller.drive(rows, one, snapshot.data, one, states, one)
+    for wrong in (0, 2, 4):
+        arguments = [one, snapshot.data, one, states, one]
+        arguments[wrong] = one + 1
+        with pytest.raises(IndexError, match="no row, kart or state"):
+            controller.drive(rows, *arguments)
+    with pytest.raises(ValueError, match="1 rows, 2 karts"):
+        controller.drive(rows, one, snapshot.data, two, states, one)
 
 
 @pytest.mark.parametrize("view", VIEWS)
