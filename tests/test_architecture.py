@@ -25,7 +25,14 @@ LAYERS = [
             "stkzoo.agent_names",
         ],
     ),
-    ("engine", ["stkzoo.engine", "stkzoo.kernel.reference.game_stepper"]),
+    (
+        "engine",
+        [
+            "stkzoo.engine",
+            "stkzoo.kernel.reference.car_controller",
+            "stkzoo.kernel.reference.game_stepper",
+        ],
+    ),
     (
         "mdp",
         [
