@@ -64,16 +64,13 @@ class Rivals:
         Args:
             offset: ``(A,)`` how far the kart itself is to the right of the road's middle [m].
         """
-        beside = np.where(self.is_there, self.across - offset[:, None], 0)
-        parts = [
-            self.is_there,
-            self.along / 10.0,
-            beside / 3.0,
-            self.gain / 5.0,
-            self.drift / 3.0,
-        ]
-        numbers = np.stack(np.broadcast_arrays(*parts), axis=2)
-        return numbers.reshape(len(offset), -1).astype(np.float32)
+        numbers = np.empty((*self.is_there.shape, 5), np.float32)
+        numbers[..., 0] = self.is_there
+        numbers[..., 1] = self.along / 10.0
+        numbers[..., 2] = np.where(self.is_there, self.across - offset[:, None], 0) / 3.0
+        numbers[..., 3] = self.gain / 5.0
+        numbers[..., 4] = self.drift / 3.0
+        return numbers.reshape(len(offset), -1)
 
 
 #: What of :meth:`Rivals.numbers` changes its sign in a mirrored race.
@@ -137,10 +134,10 @@ class RivalTracker:
         own = velocity[:, ::2].astype(np.float32)
         self._now = _Moment(flat, own, road.headings)
         moved = self._moved(road)
-        speed = np.linalg.norm(moved, axis=2)
+        speed = _length(moved)
         is_known = is_there & (speed < _FASTEST)
         sines, cosines = np.sin(at.headings), np.cos(at.headings)
-        pace = np.linalg.norm(own, axis=1)[:, None]
+        pace = _length(own)[:, None]
         gain = moved[..., 0] * sines + moved[..., 1] * cosines - pace
         drift = moved[..., 0] * cosines - moved[..., 1] * sines
         return Rivals(
@@ -155,14 +152,14 @@ class RivalTracker:
         """The velocities of the karts nearby, right and forward, ``(A, RIVALS, 2)`` [m/s]."""
         now, before = self._now, self._before
         way = (now.velocity + before.velocity) * np.float32(STEP / 2)
-        half = road.turned_since(before.headings, np.linalg.norm(way, axis=1)) * np.float32(0.5)
+        half = road.turned_since(before.headings, _length(way)) * np.float32(0.5)
         # where they would be now had they stayed: this kart has turned on its way
         stayed = _turned(_turned(before.spots, half) - way[:, None], half)
         moved = (now.spots[:, :, None] - stayed[:, None]) / np.float32(STEP)
         # of those that were there, the one that has kept its distance best
         strangeness = np.abs(moved - now.velocity[:, None, None]).sum(-1)
-        same = strangeness.argmin(axis=2)[..., None, None]
-        found: FloatArray = np.take_along_axis(moved, same, axis=2)[:, :, 0]
+        same = strangeness.argmin(axis=2)
+        found: FloatArray = moved[np.arange(len(same))[:, None], np.arange(RIVALS), same]
         return found
 
     def forget(self, rows: IntArray) -> None:
@@ -181,6 +178,13 @@ class RivalTracker:
         self._before = _Moment(*kept)
 
 
+def _length(vectors: FloatArray) -> FloatArray:
+    """The lengths ``(...)`` of ``(..., 2)``, quicker than ``np.linalg.norm``."""
+    right, ahead = vectors[..., 0], vectors[..., 1]
+    lengths: FloatArray = np.sqrt(right * right + ahead * ahead)
+    return lengths
+
+
 def _turned(spots: FloatArray, angles: FloatArray) -> FloatArray:
     """Spots ``(A, I, 2)``, to the right and ahead, as karts see them that have turned right."""
     sines, cosines = np.sin(angles)[:, None], np.cos(angles)[:, None]
@@ -190,10 +194,12 @@ def _turned(spots: FloatArray, angles: FloatArray) -> FloatArray:
 
 def _nearest(karts: FloatArray) -> tuple[FloatArray, BoolArray]:
     """The nearest karts ``(A, RIVALS, 3)``, and which of them there are."""
-    missing = max(RIVALS - karts.shape[1], 0)
-    karts = np.pad(karts, ((0, 0), (0, missing), (0, 0)), constant_values=np.inf)
+    if (missing := RIVALS - karts.shape[1]) > 0:
+        nobody = np.full((len(karts), missing, 3), np.inf, np.float32)
+        karts = np.concatenate([karts, nobody], axis=1)
     squares = squared(karts)
     order = np.argsort(squares, axis=1, kind="stable")[:, :RIVALS]
-    spots = np.take_along_axis(karts, order[..., None], axis=1)
-    is_there: BoolArray = np.take_along_axis(squares, order, axis=1) < _REACH**2
+    rows = np.arange(len(karts))[:, None]
+    spots = karts[rows, order]
+    is_there: BoolArray = squares[rows, order] < _REACH**2
     return np.where(is_there[..., None], spots, 0).astype(np.float32), is_there

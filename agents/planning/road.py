@@ -81,7 +81,8 @@ class RoadAhead:
         """Mean curvature ``(A, 36)`` [1/m] over lengths ``(A,)`` [m] from each mark on."""
         ahead = np.clip((lengths / MARK_SPACING).astype(np.intp), 1, MARK_COUNT - 1)[:, None]
         marks = np.arange(MARK_COUNT) + ahead
-        there = np.take_along_axis(self.headings, np.minimum(marks, MARK_COUNT - 1), axis=1)
+        rows = np.arange(len(marks))[:, None]
+        there = self.headings[rows, np.minimum(marks, MARK_COUNT - 1)]
         return np.where(marks < MARK_COUNT, (there - self.headings) / (ahead * MARK_SPACING), 0)
 
     def straightness(self, lengths: FloatArray) -> FloatArray:
@@ -103,9 +104,10 @@ class RoadAhead:
         place = np.arange(_TURN_MARKS) + np.clip(way / MARK_SPACING, 0, 1)[:, None]
         mark = place.astype(np.intp)
         share = place - mark
-        take = np.take_along_axis
-        then = take(before, mark, axis=1) * (1 - share) + take(before, mark + 1, axis=1) * share
-        turned = np.median(then - self.headings[:, :_TURN_MARKS], axis=1)
+        rows = np.arange(len(before))[:, None]
+        then = before[rows, mark] * (1 - share) + before[rows, mark + 1] * share
+        turns = np.sort(then - self.headings[:, :_TURN_MARKS], axis=1)
+        turned = turns[:, _TURN_MARKS // 2]  # the median
         turned = (turned + np.pi) % (2 * np.pi) - np.pi
         return np.where(np.abs(turned) < _MOST_TURNED, turned, 0).astype(np.float32)
 
@@ -115,7 +117,8 @@ class RoadAhead:
         apart = squared(self.points)[:, None] - 2.0 * (spots @ self.points.transpose(0, 2, 1))
         nearest = apart.argmin(-1)
         rows = np.arange(len(spots))[:, None]
-        x, y, z = np.moveaxis(spots - self.points[rows, nearest], -1, 0)
+        apart = spots - self.points[rows, nearest]
+        x, y, z = apart[..., 0], apart[..., 1], apart[..., 2]
         heading = self.headings[rows, nearest]
         sines, cosines = np.sin(heading), np.cos(heading)
         along = nearest * np.float32(MARK_SPACING) + x * sines + z * cosines

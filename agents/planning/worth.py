@@ -192,12 +192,13 @@ def _items(scene: PlanScene, rules: DriverParameters) -> DoubleArray:
     """
     worths = _worths(scene, rules)
     types = np.clip(scene.item_types, -1, max(ItemType) + 1)
-    worth = np.take_along_axis(worths, types % worths.shape[1], axis=1)
+    rows = np.arange(len(types))[:, None]
+    worth = worths[rows, types % worths.shape[1]]
     squares = squared(scene.items)
     matters = (worth != 0) & (scene.items[..., 2] > 0) & (squares < (_FARTHEST + 5.0) ** 2)
     order = np.argsort(np.where(matters, squares, np.inf), axis=1, kind="stable")[:, :_ITEMS]
-    spots = np.take_along_axis(scene.items, order[..., None], axis=1)
-    worth = np.take_along_axis(np.where(matters, worth, 0), order, axis=1)
+    spots = scene.items[rows, order]
+    worth = np.where(matters, worth, 0)[rows, order]
     at = scene.road.place(spots)
     is_kept = (at.along > _NEAREST) & (at.along < _FARTHEST) & (np.abs(at.above) < _LEVEL)
     is_kept &= np.abs(at.across) < at.half_widths + _BEYOND
