@@ -11,6 +11,7 @@ _PARTS = (
     "car_controller",
     "game_stepper",
     "kart_observer",
+    "plan_weigher",
     "racing_observer",
     "rows",
     "step_scorer",

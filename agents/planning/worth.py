@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo import ItemType, PowerupType
+from stkzoo.kernel import weigh_plans
 from stkzoo.mdp.geometry import squared
 
-from . import plan_weigher
 from .kart import BOOST_LASTS, RELEASE_TURN, STEERING_LAG, STEP
 from .memory import KartSituation
 from .parameters import DriverParameters
@@ -24,7 +24,15 @@ from .plans import MANOEUVRES, plan_table, table_rows
 from .rivals import Rivals
 from .road import MARK_COUNT, MARK_SPACING, RoadAhead
 
-__all__ = ["PlanOptions", "PlanScene", "has_powerup", "road_columns", "rule_columns", "weigh"]
+__all__ = [
+    "NEVER",
+    "PlanOptions",
+    "PlanScene",
+    "has_powerup",
+    "road_columns",
+    "rule_columns",
+    "weigh",
+]
 
 FloatArray = npt.NDArray[np.float32]
 DoubleArray = npt.NDArray[np.float64]
@@ -50,6 +58,8 @@ _CROSSING = 0.5
 
 #: Karts are taken to be at least so fast [m/s].
 _SLOWEST = 5.0
+#: The worth of a manoeuvre that no plan begins with.
+NEVER = -1e4
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +140,7 @@ def weigh(scene: PlanScene, now: KartSituation, rules: DriverParameters) -> Plan
     widest = np.where(now.is_cautious, rules.caution_room, rules.greatest_room)
     room = np.minimum(np.maximum(road.half_widths - rules.margin, 0.3), widest[:, None])
     best = np.empty((3, count, MANOEUVRES), np.float32)
-    plan_weigher.weigh_plans(
+    weigh_plans(
         plan_table(rules.lane_changes),
         rule_columns(rules),
         table_rows(now.drift_side, now.drift_steps, now.release_steps),
@@ -168,21 +178,29 @@ def road_columns(road: RoadAhead, reach: FloatArray, room: npt.NDArray[np.floati
 
 @lru_cache(maxsize=64)
 def rule_columns(rules: DriverParameters) -> DoubleArray:
-    """What holds for all karts, in the order of :data:`plan_weigher.RULES`."""
-    own = {
-        "release_turn": RELEASE_TURN,
-        "steering_lag": STEERING_LAG,
-        "mark_spacing": MARK_SPACING,
-        "small_boost_lasts": BOOST_LASTS[0],
-        "big_boost_lasts": BOOST_LASTS[1],
-        "boost_wait_cost": rules.boost_wait_cost * STEP,
-        "blur": _BLUR,
-        "length": _LENGTH,
-        "beside": _BESIDE,
-        "harmless": _HARMLESS,
-        "crossing": _CROSSING,
-    }
-    return np.array([own[n] if n in own else getattr(rules, n) for n in plan_weigher.RULES])
+    """What holds for all karts, in the order of :func:`stkzoo.kernel.weigh_plans`."""
+    return np.array(
+        [
+            RELEASE_TURN,
+            STEERING_LAG,
+            MARK_SPACING,
+            rules.over_cost,
+            rules.late_time,
+            rules.late_cost,
+            rules.angle_cost,
+            *BOOST_LASTS,
+            rules.boost_worth,
+            rules.big_boost_worth,
+            rules.boost_wait_cost * STEP,
+            _BLUR,
+            rules.bump_cost,
+            rules.bump_width,
+            _LENGTH,
+            _BESIDE,
+            _HARMLESS,
+            _CROSSING,
+        ]
+    )
 
 
 def _items(scene: PlanScene, rules: DriverParameters) -> DoubleArray:

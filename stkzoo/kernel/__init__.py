@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         TrackGraph,
         join_rows,
         layouts,
+        weigh_plans,
     )
 
 __all__ = [
@@ -40,6 +41,7 @@ __all__ = [
     "TrackGraph",
     "join_rows",
     "layouts",
+    "weigh_plans",
 ]
 
 #: The modules of the twins, below ``stkzoo.kernel.reference``. Each is imported when it is first
@@ -54,6 +56,7 @@ _TWINS = {
     "TrackGraph": "track_graph",
     "join_rows": "rows",
     "layouts": "rows",
+    "weigh_plans": "plan_weigher",
 }
 
 

@@ -118,3 +118,13 @@ class StepScorer:
 
 def layouts() -> dict[str, dict[str, int]] | None: ...
 def join_rows(rows: tuple[Any, ...]) -> bytes | None: ...
+def weigh_plans(
+    table: tuple[npt.NDArray[Any], ...],
+    rules: npt.NDArray[np.float64],
+    rows: npt.NDArray[np.intp],
+    karts: npt.NDArray[np.float32],
+    road: npt.NDArray[np.float32],
+    items: npt.NDArray[np.float64],
+    rivals: npt.NDArray[np.float64],
+    out: npt.NDArray[np.float32],
+) -> None: ...

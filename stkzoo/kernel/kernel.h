@@ -67,6 +67,7 @@ const npy_int32 *nodes_ahead(TrackGraph *track, npy_intp node);
 void *numbers_of(PyObject *object, const char *name, int type, npy_intp *count);
 
 PyObject *join_rows(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
+PyObject *weigh_plans(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
 
 extern PyTypeObject CarControllerType, GameStepperType, TrackGraphType, KartObserverType, RacingObserverType, ActionReaderType, StepScorerType;
 

@@ -124,6 +124,7 @@ USERS = {
     "views.plan": ["ActionReader", "KartObserver"],
     "wrappers.control.car_action": ["CarController"],
     "wrappers.racing.batched_view": ["RacingObserver"],
+    "agents.planning.worth": ["weigh_plans"],
 }
 
 

@@ -5,11 +5,10 @@ import pytest
 
 from stkzoo.agents.planning import DriverParameters
 from stkzoo.agents.planning.memory import KartSituation
-from stkzoo.agents.planning.plan_weigher import NEVER
 from stkzoo.agents.planning.plans import BRAKE, FREE
 from stkzoo.agents.planning.rivals import Rivals
 from stkzoo.agents.planning.road import LINE_MARKS, RoadAhead
-from stkzoo.agents.planning.worth import PlanScene, weigh
+from stkzoo.agents.planning.worth import NEVER, PlanScene, weigh
 
 STRAIGHT = np.zeros((1, len(LINE_MARKS), 4), np.float32)
 STRAIGHT[0, :, 2], STRAIGHT[0, :, 3] = LINE_MARKS, 5.0

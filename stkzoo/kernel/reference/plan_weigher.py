@@ -1,52 +1,68 @@
-"""The plans of karts, driven over the road ahead by a simple model of a kart, and weighed."""
+"""The twin of ``plan_weigher.c``: plans driven by a simple model of a kart, and weighed."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-if TYPE_CHECKING:
-    from .plans import PlanTable
-
-__all__ = ["MANOEUVRES", "NEVER", "RULES", "drive_plans", "weigh_plans"]
+__all__ = ["drive_plans", "weigh_plans"]
 
 FloatArray = npt.NDArray[np.float32]
 DoubleArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
+Arrays = tuple[npt.NDArray[Any], ...]
 
 #: What plans begin with, how many, and which of them brakes.
-MANOEUVRES, _BRAKE = 4, 1
+_MANOEUVRES, _BRAKE = 4, 1
 #: The worth of a manoeuvre that no plan begins with.
-NEVER = -1e4
+_NEVER = -1e4
 
-#: What holds for all karts, in the order of the argument ``rules``.
-RULES = (
-    "release_turn",
-    "steering_lag",
-    "mark_spacing",
-    "over_cost",
-    "late_time",
-    "late_cost",
-    "angle_cost",
-    "small_boost_lasts",
-    "big_boost_lasts",
-    "boost_worth",
-    "big_boost_worth",
-    "boost_wait_cost",
-    "blur",
-    "bump_cost",
-    "bump_width",
-    "length",
-    "beside",
-    "harmless",
-    "crossing",
-)
+
+class _Table(NamedTuple):
+    """The plans of all states: ``(T,)``, then ``(S, T, C)``, then ``(S, C)``."""
+
+    spans: FloatArray
+    least: FloatArray
+    most: FloatArray
+    drifts: FloatArray
+    releases: FloatArray
+    slower: FloatArray
+    lanes: FloatArray
+    items: IntArray
+    manoeuvres: IntArray
+    boosts: IntArray
+    boost_steps: FloatArray
+    needs_drift: npt.NDArray[np.bool_]
+
+
+class _Rules(NamedTuple):
+    """What holds for all karts."""
+
+    release_turn: float
+    steering_lag: float
+    mark_spacing: float
+    over_cost: float
+    late_time: float
+    late_cost: float
+    angle_cost: float
+    small_boost_lasts: float
+    big_boost_lasts: float
+    boost_worth: float
+    big_boost_worth: float
+    boost_wait_cost: float
+    blur: float
+    bump_cost: float
+    bump_width: float
+    length: float
+    beside: float
+    harmless: float
+    crossing: float
 
 
 def weigh_plans(
-    table: PlanTable,
+    table: Arrays,
     rules: DoubleArray,
     rows: IntArray,
     karts: FloatArray,
@@ -60,8 +76,8 @@ def weigh_plans(
     A kart steers for a point of its lane ahead, as far as its plan lets it.
 
     Args:
-        table: the plans of all states.
-        rules: ``(19,)``: :data:`RULES`.
+        table: the plans of all states, in the order of ``stkzoo.agents.planning.PlanTable``.
+        rules: ``(19,)``: what holds for all karts, in the order of ``_Rules``.
         rows: ``(A,)``: the karts' states.
         karts: ``(A, 11)``: speed [m/s], turn at full lock [rad/s], how far ahead it aims [m],
             share of full lock of the last step and of the last drift, distance from the middle of
@@ -76,30 +92,29 @@ def weigh_plans(
             share of full lock that it turns by now, and what it costs beyond the edge of the road
             [m].
     """
-    constants = dict(zip(RULES, rules.tolist(), strict=True))
-    speed = karts[:, 0]
     along, across, ahead, angles, turns = drive_plans(table, rules, rows, karts, road, items)
-    danger = _danger(table.spans, across, ahead, angles, speed, constants)
-    worth = along[-1] - danger - np.float32(constants["angle_cost"]) * angles * angles
-    worth += _boosts(table, rows, karts, constants)
-    worth += _item_gain(items, along, across, constants)
-    if constants["bump_cost"]:
-        worth -= _bumps(table.spans, rivals, along, across, speed, constants)
-    manoeuvres = table.manoeuvres[rows]
+    plans, costs, speed = _Table(*table), _Rules(*rules.tolist()), karts[:, 0]
+    danger = _danger(plans.spans, across, ahead, angles, speed, costs)
+    worth = along[-1] - danger - np.float32(costs.angle_cost) * angles * angles
+    worth += _boosts(plans, rows, karts, costs)
+    worth += _item_gain(items, along, across, costs)
+    if costs.bump_cost:
+        worth -= _bumps(plans.spans, rivals, along, across, speed, costs)
+    manoeuvres = plans.manoeuvres[rows]
     may_drift, may_brake = karts[:, 9:10] > 0, karts[:, 10:11] > 0
-    is_there = (manoeuvres >= 0) & (may_drift | ~table.needs_drift[rows])
+    is_there = (manoeuvres >= 0) & (may_drift | ~plans.needs_drift[rows])
     is_there &= may_brake | (manoeuvres != _BRAKE)
-    for manoeuvre in range(MANOEUVRES):
+    for manoeuvre in range(_MANOEUVRES):
         own = is_there & (manoeuvres == manoeuvre)
-        best = np.where(own, worth, NEVER).argmax(axis=1)[:, None]
+        best = np.where(own, worth, _NEVER).argmax(axis=1)[:, None]
         exists = own.any(axis=1)
-        for part, (values, missing) in enumerate(((worth, NEVER), (turns, 0), (danger, 0))):
+        for part, (values, missing) in enumerate(((worth, _NEVER), (turns, 0), (danger, 0))):
             found = np.take_along_axis(values, best, axis=1)[:, 0]
             out[part, :, manoeuvre] = np.where(exists, found, missing)
 
 
 def drive_plans(
-    table: PlanTable,
+    table: Arrays,
     rules: DoubleArray,
     rows: IntArray,
     karts: FloatArray,
@@ -112,16 +127,16 @@ def drive_plans(
         Along the road, across it and how far across they may be, ``(T, A, C)`` each [m]; their
         last angle to the road [rad] and the turns by now, ``(A, C)`` each.
     """
-    constants = dict(zip(RULES, rules.tolist(), strict=True))
+    known, physics = _Table(*table), _Rules(*rules.tolist())
     speed, lock, reach, own_turn, drift_turn, offset, own_angle = karts[:, :7, None].swapaxes(0, 1)
     # what turns into a share of full lock, for each m/s of speed
     pull = 2.0 / (reach * reach * lock)
-    least, most = table.least[rows], table.most[rows]
-    drifts, releases, slower = table.drifts[rows] > 0, table.releases[rows], table.slower[rows]
-    lanes, which = table.lanes[rows], table.items[rows]
+    least, most = known.least[rows], known.most[rows]
+    drifts, releases, slower = known.drifts[rows] > 0, known.releases[rows], known.slower[rows]
+    lanes, which = known.lanes[rows], known.items[rows]
     item_lanes = _item_lanes(items, int(which.max()) + 1)
     extra = np.where(which < 0, 0, np.take_along_axis(item_lanes, np.maximum(which, 0), axis=1))
-    moments, (count, plans) = len(table.spans), which.shape
+    moments, (count, plans) = len(known.spans), which.shape
     along, across, ahead = (np.empty((moments, count, plans), np.float32) for _ in range(3))
     at = np.zeros((count, plans), np.float32)
     beside, angle, last_turn = (
@@ -131,9 +146,9 @@ def drive_plans(
     at_marks = np.ascontiguousarray(road.swapaxes(0, 1)).reshape(3, -1)
     first = (last_mark + 1) * np.arange(count)[:, None]
     marks = np.repeat(first, plans, axis=1)
-    per_mark = np.float32(1.0 / constants["mark_spacing"])
+    per_mark = np.float32(1.0 / physics.mark_spacing)
     turns = last_turn
-    for moment, span in enumerate(table.spans):
+    for moment, span in enumerate(known.spans):
         bend, width, curvature = at_marks.take(marks, axis=1)
         speeds = np.maximum(speed + slower[:, moment], 4.0)
         turn = (lanes[:, moment] * width + extra - beside + bend - angle * reach) * (speeds * pull)
@@ -141,8 +156,8 @@ def drive_plans(
         last_turn = np.where(drifts[:, moment], turn, last_turn)
         if moment == 0:
             turns = turn
-            turn = turn + (own_turn - turn) * np.float32(constants["steering_lag"])
-        release = releases[:, moment] * (np.float32(constants["release_turn"]) / lock)
+            turn = turn + (own_turn - turn) * np.float32(physics.steering_lag)
+        release = releases[:, moment] * (np.float32(physics.release_turn) / lock)
         turn = (turn + last_turn * release) * (lock * span)
         # along the road the inner side of a curve is the shorter one
         step = speeds * span
@@ -173,35 +188,29 @@ def _danger(
     ahead: FloatArray,
     angles: FloatArray,
     speed: FloatArray,
-    constants: dict[str, float],
+    rules: _Rules,
 ) -> FloatArray:
     """What plans cost by leaving the road, ``(A, C)`` [m]."""
     over = np.maximum(np.abs(across) - ahead, 0)
-    out = across[-1] + angles * (speed * np.float32(constants["late_time"]))[:, None]
+    out = across[-1] + angles * (speed * np.float32(rules.late_time))[:, None]
     late = np.maximum(np.abs(out) - ahead[-1], 0)
-    cost: FloatArray = np.tensordot(spans, over, axes=1) * np.float32(constants["over_cost"])
-    cost += np.float32(constants["late_cost"]) * late
+    cost: FloatArray = np.tensordot(spans, over, axes=1) * np.float32(rules.over_cost)
+    cost += np.float32(rules.late_cost) * late
     return cost
 
 
-def _boosts(
-    table: PlanTable, rows: IntArray, karts: FloatArray, constants: dict[str, float]
-) -> FloatArray:
+def _boosts(table: _Table, rows: IntArray, karts: FloatArray, rules: _Rules) -> FloatArray:
     """What plans earn by drifting, ``(A, C)`` [m]: less while such a boost still lasts."""
     wait, boosts = table.boost_steps[rows], table.boosts[rows]
-    parts = []
-    for column, size in enumerate(("small_boost", "big_boost")):
-        fresh = 1.0 - (karts[:, 7 + column, None] - wait) / constants[f"{size}_lasts"]
-        parts.append(np.minimum(fresh, 1.0))
-    worth = np.where(
-        boosts == 1, parts[1] * constants["big_boost_worth"], parts[0] * constants["boost_worth"]
-    )
-    worth -= constants["boost_wait_cost"] * wait
+    fresh = np.minimum(1.0 - (karts[:, 7:8] - wait) / rules.small_boost_lasts, 1.0)
+    fresh_big = np.minimum(1.0 - (karts[:, 8:9] - wait) / rules.big_boost_lasts, 1.0)
+    worth = np.where(boosts == 1, fresh_big * rules.big_boost_worth, fresh * rules.boost_worth)
+    worth -= rules.boost_wait_cost * wait
     return np.where(boosts < 0, 0.0, np.maximum(worth, 0.0)).astype(np.float32)
 
 
 def _item_gain(
-    items: DoubleArray, along: FloatArray, across: FloatArray, constants: dict[str, float]
+    items: DoubleArray, along: FloatArray, across: FloatArray, rules: _Rules
 ) -> FloatArray:
     """What plans earn by the items on their way, ``(A, C)`` [m]."""
     gain: FloatArray = np.zeros(along.shape[1:], np.float32)
@@ -219,7 +228,7 @@ def _item_gain(
         share = np.clip((there - from_) / np.maximum(to - from_, 1e-3), 0.0, 1.0)
         start, end = own_across[before, rows, columns], own_across[moment, rows, columns]
         miss = np.abs(start + (end - start) * share - beside)
-        hit = np.clip((radius - miss) / constants["blur"] + 1.0, 0.0, 1.0)
+        hit = np.clip((radius - miss) / rules.blur + 1.0, 0.0, 1.0)
         gain[who] += worth * hit * passed[-1]
     return gain
 
@@ -230,16 +239,16 @@ def _bumps(
     along: FloatArray,
     across: FloatArray,
     speed: FloatArray,
-    constants: dict[str, float],
+    rules: _Rules,
 ) -> FloatArray:
     """What plans cost by running into slower karts ahead, ``(A, C)`` [m]."""
     cost: FloatArray = np.zeros(along.shape[1:], np.float32)
     ends = np.cumsum(spans)
-    crossing = np.minimum(ends, constants["crossing"])[:, None]
+    crossing = np.minimum(ends, rules.crossing)[:, None]
     closing = -rivals[..., 3].astype(np.float32)
-    matters = (rivals[..., 0] > 0) & (rivals[..., 1] > constants["beside"])
-    matters &= closing > constants["harmless"]
-    matters &= rivals[..., 1] < closing * ends[-1] + constants["length"]
+    matters = (rivals[..., 0] > 0) & (rivals[..., 1] > rules.beside)
+    matters &= closing > rules.harmless
+    matters &= rivals[..., 1] < closing * ends[-1] + rules.length
     for rival in range(matters.shape[1]):
         who = np.flatnonzero(matters[:, rival])
         if not len(who):
@@ -248,10 +257,10 @@ def _bumps(
         there, aside, drift = (rivals[who, rival, column] for column in (1, 2, 4))
         ahead = there + (speed[who] - own) * ends[:, None]
         beside = aside.astype(np.float32) + drift.astype(np.float32) * crossing
-        reached = ahead[..., None] - along[:, who] < constants["length"]
+        reached = ahead[..., None] - along[:, who] < rules.length
         moment = reached.argmax(axis=0)
         rows, columns = np.arange(len(who))[:, None], np.arange(cost.shape[1])
         gap = np.abs(across[moment, who[:, None], columns] - beside[moment, rows])
-        hit = np.clip((np.float32(constants["bump_width"]) - gap) / constants["blur"], 0.0, 1.0)
-        cost[who] += np.float32(constants["bump_cost"]) * own[:, None] * hit * reached.any(axis=0)
+        hit = np.clip((np.float32(rules.bump_width) - gap) / rules.blur, 0.0, 1.0)
+        cost[who] += np.float32(rules.bump_cost) * own[:, None] * hit * reached.any(axis=0)
     return cost

@@ -1,13 +1,15 @@
-"""Plans driven over a road."""
+"""Plans driven over a road, and weighed by the kernel and by its numpy twin."""
 
 import numpy as np
 import pytest
 
-from stkzoo.agents.planning import DriverParameters, RoadAhead, plan_weigher
+from stkzoo import kernel
+from stkzoo.agents.planning import DriverParameters, RoadAhead
 from stkzoo.agents.planning.kart import DRIFT_TURN
 from stkzoo.agents.planning.plans import BRAKE, plan_table, table_rows
 from stkzoo.agents.planning.road import LINE_MARKS
 from stkzoo.agents.planning.worth import road_columns, rule_columns
+from stkzoo.kernel.reference import plan_weigher
 
 RADIUS, LOCK, SPEED, REACH = 60.0, 1.45, 25.0, 12.0
 RULES = DriverParameters()
@@ -143,8 +145,18 @@ def random_arguments(seed, count=9):
     return table, rules, rows, karts, road.astype(np.float32), items, rivals
 
 
-def test_a_kart_is_weighed_alone_as_among_others():
-    weigh = plan_weigher.weigh_plans
+@pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
+@pytest.mark.parametrize("seed", range(20))
+def test_the_kernel_weighs_as_its_twin(seed):
+    arguments = random_arguments(seed)
+    ours, theirs = (np.empty((3, len(arguments[2]), 4), np.float32) for _ in range(2))
+    kernel.weigh_plans(*arguments, ours)
+    plan_weigher.weigh_plans(*arguments, theirs)
+    np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-4)
+
+
+@pytest.mark.parametrize("weigh", [kernel.weigh_plans, plan_weigher.weigh_plans])
+def test_a_kart_is_weighed_alone_as_among_others(weigh):
     table, rules, *of_karts = random_arguments(0)
     together = np.empty((3, len(of_karts[0]), 4), np.float32)
     weigh(table, rules, *of_karts, together)
@@ -152,3 +164,23 @@ def test_a_kart_is_weighed_alone_as_among_others():
         alone = np.empty((3, 1, 4), np.float32)
         weigh(table, rules, *(array[kart : kart + 1] for array in of_karts), alone)
         assert (alone[:, 0] == together[:, kart]).all()
+
+
+@pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
+@pytest.mark.parametrize(
+    ("place", "value", "error"),
+    [
+        (0, (), TypeError),
+        (1, np.zeros(3), ValueError),
+        (2, np.array([10_000]), IndexError),
+        (3, np.zeros((1, 3), np.float32), ValueError),
+        (4, np.zeros((1, 3, 36)), TypeError),
+        (5, np.zeros(7), ValueError),
+        (7, np.zeros((3, 1, 4)), TypeError),
+    ],
+)
+def test_the_kernel_refuses_arrays_that_do_not_fit(place, value, error):
+    arguments = [*random_arguments(0, count=1), np.empty((3, 1, 4), np.float32)]
+    arguments[place] = value
+    with pytest.raises(error):
+        kernel.weigh_plans(*arguments)

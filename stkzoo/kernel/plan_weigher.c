@@ -1,0 +1,405 @@
+/* The plans of karts: driven over the road ahead by a simple model of a kart, and weighed.
+
+   The formulas are those of stkzoo.kernel.reference.plan_weigher, which says what the numbers
+   are. Results agree with numpy's to the last bit where numpy uses fused multiply-adds. */
+
+#include "kernel.h"
+
+#include <math.h>
+
+/* Versions of a function for processors with and without vectors of eight and fused
+   multiply-adds; the first that fits is chosen when the module is loaded. */
+#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__)
+#define FOR_ALL_PROCESSORS __attribute__((target_clones("arch=haswell", "default")))
+#else
+#define FOR_ALL_PROCESSORS
+#endif
+
+enum { MANOEUVRES = 4, BRAKE = 1, ITEM_LANES = 2 };
+static const float NEVER = -1e4f;
+
+/* A state's plans; arrays of moments by plans, or of plans. */
+typedef struct {
+    const float *least, *most, *drifts, *releases, *slower, *lanes, *boost_steps;
+    const npy_intp *items, *manoeuvres, *boosts;
+    const npy_bool *needs_drift;
+} Plans;
+
+/* What holds for all karts, in the order in which it is given. */
+enum {
+    RELEASE_TURN, STEERING_LAG, MARK_SPACING, OVER_COST, LATE_TIME, LATE_COST, ANGLE_COST,
+    SMALL_BOOST_LASTS, BIG_BOOST_LASTS, BOOST_WORTH, BIG_BOOST_WORTH, BOOST_WAIT_COST, BLUR,
+    BUMP_COST, BUMP_WIDTH, LENGTH, BESIDE, HARMLESS, CROSSING, NUM_RULES
+};
+
+/* A kart's own numbers, in the order in which they are given. */
+typedef struct {
+    float speed, lock, reach, turn, drift_turn, offset, angle, boost_steps, big_boost_steps;
+    float may_drift, may_brake;
+} PlanKart;
+
+typedef struct {
+    double along, across, worth, radius;
+} RoadItem;
+
+typedef struct {
+    double is_there, along, across, gain, drift;
+} RoadRival;
+
+/* What plans of a kart come to: moments by plans, and plans. */
+typedef struct {
+    npy_intp moments, plans, marks;
+    const float *spans;
+    const double *rules;
+    float *along, *across, *ahead;                  /* (T, C) */
+    float *angle, *last_turn, *turns, *extra;       /* (C,) */
+    float *danger, *worth, *gain;                   /* (C,) */
+    npy_int32 *places;                              /* (C,) */
+} Forecast;
+
+/* Sine and cosine as numpy computes them in float32 (Cody-Waite reduction, then polynomials). */
+static inline void sine_and_cosine(float x, float *sine, float *cosine)
+{
+    const float magic = 0x1.8p23f;
+    const float quarter = (x * 0x1.45f306p-1f + magic) - magic;
+    float r = fmaf(quarter, -1.5703125e+00f, x);
+    r = fmaf(quarter, -4.837512969970703125e-4f, r);
+    r = fmaf(quarter, -7.54978995489188216e-8f, r);
+    const float square = r * r;
+    float c = fmaf(0x1.98e616p-16f, square, -0x1.6c06dcp-10f);
+    c = fmaf(c, square, 0x1.55553cp-05f);
+    c = fmaf(c, square, -0.5f);
+    c = fmaf(c, square, 1.0f);
+    float s = fmaf(0x1.7d3bbcp-19f, square, -0x1.a06bbap-13f);
+    s = fmaf(s, square, 0x1.11119ap-07f);
+    s = fmaf(s, square, -0x1.555556p-03f);
+    s = fmaf(s * square, r, r);
+    const npy_int32 turned = (npy_int32)quarter;
+    const float first = turned & 1 ? c : s, second = turned & 1 ? s : c;
+    *sine = turned & 2 ? -first : first;
+    *cosine = (turned + 1) & 2 ? -second : second;
+}
+
+/* One moment of all plans. */
+FOR_ALL_PROCESSORS
+static void drive(const Forecast *f, const Plans *p, const PlanKart *kart, const float *road,
+                  npy_intp moment)
+{
+    const npy_intp plans = f->plans, at = moment * plans;
+    const float *bends = road, *rooms = road + f->marks, *curves = road + 2 * f->marks;
+    const float span = f->spans[moment], lock = kart->lock, reach = kart->reach;
+    const float pull = 2.0f / (reach * reach * lock), rate = lock * span;
+    const float release_rate = (float)f->rules[RELEASE_TURN] / lock;
+    const float lag = (float)f->rules[STEERING_LAG];
+    const float per_mark = (float)(1.0 / f->rules[MARK_SPACING]);
+    const npy_int32 last_mark = (npy_int32)f->marks - 1;
+    const float *least = p->least + at, *most = p->most + at, *drifts = p->drifts + at;
+    const float *releases = p->releases + at, *slower = p->slower + at, *lanes = p->lanes + at;
+    float *along = f->along + at, *across = f->across + at, *ahead = f->ahead + at;
+    const float *along_before = along - plans, *across_before = across - plans;
+    for (npy_intp i = 0; i < plans; i++) {
+        const npy_int32 mark = f->places[i];
+        const float bend = bends[mark], width = rooms[mark], curve = curves[mark];
+        const float beside = moment ? across_before[i] : kart->offset;
+        const float speed = kart->speed + slower[i] > 4.0f ? kart->speed + slower[i] : 4.0f;
+        float angle = f->angle[i];
+        float turn = (lanes[i] * width + f->extra[i] - beside + bend - angle * reach) *
+                     (speed * pull);
+        turn = turn > least[i] ? turn : least[i];
+        turn = turn < most[i] ? turn : most[i];
+        const float last_turn = drifts[i] > 0 ? turn : f->last_turn[i];
+        f->last_turn[i] = last_turn;
+        if (!moment) {
+            f->turns[i] = turn;
+            turn = turn + (kart->turn - turn) * lag;
+        }
+        turn = (turn + last_turn * (releases[i] * release_rate)) * rate;
+        /* along the road the inner side of a curve is the shorter one */
+        const float step = speed * span, inner = 1.0f - beside * curve;
+        float way = step / (inner > 0.3f ? inner : 0.3f);
+        turn = 0.5f * (turn - way * curve);
+        angle += turn;
+        float sine, cosine;
+        sine_and_cosine(angle, &sine, &cosine);
+        way = way * cosine;
+        const float there = (moment ? along_before[i] : 0.0f) + way;
+        along[i] = there;
+        across[i] = beside + step * sine;
+        f->angle[i] = angle + turn;
+        const npy_int32 next = (npy_int32)(there * per_mark);
+        f->places[i] = next < 0 ? 0 : next > last_mark ? last_mark : next;
+        ahead[i] = rooms[f->places[i]];
+    }
+}
+
+/* What plans cost beyond the edge of the road [m]. */
+FOR_ALL_PROCESSORS
+static void weigh_danger(const Forecast *f, const PlanKart *kart)
+{
+    const npy_intp plans = f->plans, last = (f->moments - 1) * plans;
+    const double *rules = f->rules;
+    const float late_way = kart->speed * (float)rules[LATE_TIME];
+    for (npy_intp i = 0; i < plans; i++) f->danger[i] = 0;
+    for (npy_intp moment = 0; moment < f->moments; moment++) {
+        const float *across = f->across + moment * plans, *ahead = f->ahead + moment * plans;
+        for (npy_intp i = 0; i < plans; i++) {
+            const float over = fabsf(across[i]) - ahead[i];
+            f->danger[i] = fmaf(f->spans[moment], over > 0 ? over : 0, f->danger[i]);
+        }
+    }
+    for (npy_intp i = 0; i < plans; i++) {
+        const float out = f->across[last + i] + f->angle[i] * late_way;
+        const float late = fabsf(out) - f->ahead[last + i];
+        f->danger[i] = f->danger[i] * (float)rules[OVER_COST] +
+                       (float)rules[LATE_COST] * (late > 0 ? late : 0);
+    }
+}
+
+/* What plans earn by drifting [m]: less while such a boost still lasts. */
+static float boost_of(const Forecast *f, const Plans *p, const PlanKart *kart, npy_intp i)
+{
+    if (p->boosts[i] < 0) return 0;
+    const double *rules = f->rules;
+    const int is_big = p->boosts[i] == 1;
+    const float lasts = (float)rules[is_big ? BIG_BOOST_LASTS : SMALL_BOOST_LASTS];
+    const float wait = p->boost_steps[i];
+    const float fresh = 1.0f - ((is_big ? kart->big_boost_steps : kart->boost_steps) - wait) / lasts;
+    const float worth = (fresh < 1.0f ? fresh : 1.0f) *
+                            (float)rules[is_big ? BIG_BOOST_WORTH : BOOST_WORTH] -
+                        (float)rules[BOOST_WAIT_COST] * wait;
+    return worth > 0 ? worth : 0;
+}
+
+static double share_of(double x)
+{
+    return x < 0 ? 0 : x > 1 ? 1 : x;
+}
+
+/* What plans earn by an item on their way, added to their gain [m]. */
+static void add_item(const Forecast *f, const RoadItem *item)
+{
+    const npy_intp plans = f->plans;
+    for (npy_intp i = 0; i < plans; i++) {
+        npy_intp moment = 0;
+        if (!(f->along[(f->moments - 1) * plans + i] >= item->along)) continue;
+        while (!(f->along[moment * plans + i] >= item->along)) moment++;
+        const npy_intp before = (moment ? moment - 1 : 0) * plans + i, after = moment * plans + i;
+        const float way = f->along[after] - f->along[before];
+        const float start = f->across[before], end = f->across[after];
+        const double share =
+            share_of((item->along - f->along[before]) / (way > 1e-3f ? way : 1e-3f));
+        const double miss = fabs(start + (end - start) * share - item->across);
+        const double hit = share_of((item->radius - miss) / f->rules[BLUR] + 1.0);
+        f->gain[i] = (float)(f->gain[i] + item->worth * hit);
+    }
+}
+
+/* What plans cost by running into a slower kart ahead, added to their gain as a loss [m]. */
+static void add_rival(const Forecast *f, const PlanKart *kart, const RoadRival *rival,
+                      const float *ends)
+{
+    const double *rules = f->rules;
+    const float closing = -(float)rival->gain, length = (float)rules[LENGTH];
+    const npy_intp last = f->moments - 1;
+    if (!rival->is_there || !(rival->along > rules[BESIDE]) || !(closing > (float)rules[HARMLESS]) ||
+        !(rival->along < (double)(closing * ends[last] + length))) {
+        return;
+    }
+    const float pace = kart->speed - closing, drift = (float)rival->drift;
+    for (npy_intp i = 0; i < f->plans; i++) {
+        for (npy_intp moment = 0; moment <= last; moment++) {
+            const npy_intp at = moment * f->plans + i;
+            if (!(rival->along + pace * ends[moment] - f->along[at] < rules[LENGTH])) continue;
+            const float crossing = (float)rules[CROSSING];
+            const float time = ends[moment] < crossing ? ends[moment] : crossing;
+            const float gap = fabsf(f->across[at] - ((float)rival->across + drift * time));
+            const float hit = ((float)rules[BUMP_WIDTH] - gap) / (float)rules[BLUR];
+            f->gain[i] += (float)rules[BUMP_COST] * closing * (hit < 0 ? 0 : hit > 1 ? 1 : hit);
+            break;
+        }
+    }
+}
+
+/* How far across the road the next good items are; plans for items are to drive there. */
+static void set_item_lanes(const Forecast *f, const Plans *p, const RoadItem *items,
+                           npy_intp num_items)
+{
+    float lanes[ITEM_LANES] = {0};
+    int count = 0;
+    for (npy_intp i = 0; i < num_items && count < ITEM_LANES; i++) {
+        if (items[i].worth > 0) lanes[count++] = (float)items[i].across;
+    }
+    for (npy_intp i = 0; i < f->plans; i++) f->extra[i] = p->items[i] < 0 ? 0 : lanes[p->items[i]];
+}
+
+static void find_best(const Forecast *f, const Plans *p, const PlanKart *kart, npy_intp num_karts,
+                      float *out)
+{
+    float *worth = out, *turn = worth + MANOEUVRES * num_karts;
+    float *danger = turn + MANOEUVRES * num_karts;
+    for (int m = 0; m < MANOEUVRES; m++) {
+        npy_intp best = -1;
+        for (npy_intp i = 0; i < f->plans; i++) {
+            if (p->manoeuvres[i] != m || (p->needs_drift[i] && !kart->may_drift) ||
+                (m == BRAKE && !kart->may_brake)) {
+                continue;
+            }
+            if (best < 0 || f->worth[i] > f->worth[best]) best = i;
+        }
+        worth[m] = best < 0 ? NEVER : f->worth[best];
+        turn[m] = best < 0 ? 0 : f->turns[best];
+        danger[m] = best < 0 ? 0 : f->danger[best];
+    }
+}
+
+/* Drives and weighs the plans of one kart. */
+static void weigh(Forecast *f, const Plans *p, const PlanKart *kart, const float *road,
+                  const RoadItem *items, npy_intp num_items, const RoadRival *rivals,
+                  npy_intp num_rivals, const float *ends)
+{
+    const npy_intp plans = f->plans;
+    set_item_lanes(f, p, items, num_items);
+    for (npy_intp i = 0; i < plans; i++) {
+        f->angle[i] = kart->angle;
+        f->last_turn[i] = kart->drift_turn;
+        f->places[i] = 0;
+    }
+    for (npy_intp moment = 0; moment < f->moments; moment++) drive(f, p, kart, road, moment);
+    weigh_danger(f, kart);
+    const float *along = f->along + (f->moments - 1) * plans;
+    const float angle_cost = (float)f->rules[ANGLE_COST];
+    for (npy_intp i = 0; i < plans; i++) {
+        f->worth[i] = along[i] - f->danger[i] - angle_cost * f->angle[i] * f->angle[i] +
+                      boost_of(f, p, kart, i);
+        f->gain[i] = 0;
+    }
+    for (npy_intp i = 0; i < num_items; i++) {
+        if (items[i].worth != 0) add_item(f, items + i);
+    }
+    for (npy_intp i = 0; i < plans; i++) {
+        f->worth[i] += f->gain[i];
+        f->gain[i] = 0;
+    }
+    if (f->rules[BUMP_COST] == 0) return;
+    for (npy_intp i = 0; i < num_rivals; i++) add_rival(f, kart, rivals + i, ends);
+    for (npy_intp i = 0; i < plans; i++) f->worth[i] -= f->gain[i];
+}
+
+/* ---------------------------------------------------------------- the arguments */
+
+/* The arrays of all states, with the plans of the first one. */
+typedef struct {
+    Plans first;
+    const float *spans;
+    npy_intp states, moments, plans;
+} Table;
+
+static int read_table(PyObject *tuple, Table *table)
+{
+    static const struct {
+        const char *name;
+        int type, axes; /* states by plans, or states by moments by plans */
+    } ARRAYS[] = {{"least", NPY_FLOAT32, 3},    {"most", NPY_FLOAT32, 3},
+                  {"drifts", NPY_FLOAT32, 3},   {"releases", NPY_FLOAT32, 3},
+                  {"slower", NPY_FLOAT32, 3},   {"lanes", NPY_FLOAT32, 3},
+                  {"items", NPY_INTP, 2},       {"manoeuvres", NPY_INTP, 2},
+                  {"boosts", NPY_INTP, 2},      {"boost_steps", NPY_FLOAT32, 2},
+                  {"needs_drift", NPY_BOOL, 2}};
+    enum { COUNT = sizeof ARRAYS / sizeof *ARRAYS };
+    const void *data[COUNT];
+    if (!PyTuple_Check(tuple) || PyTuple_GET_SIZE(tuple) != COUNT + 1) {
+        PyErr_Format(PyExc_TypeError, "the table must be a tuple of %d arrays", COUNT + 1);
+        return -1;
+    }
+    PyObject *lanes = PyTuple_GET_ITEM(tuple, 6);
+    table->spans = numbers_of(PyTuple_GET_ITEM(tuple, 0), "spans", NPY_FLOAT32, &table->moments);
+    if (!table->spans) return -1;
+    if (!PyArray_Check(lanes) || PyArray_NDIM((PyArrayObject *)lanes) != 3) {
+        PyErr_SetString(PyExc_ValueError, "lanes must be states by moments by plans");
+        return -1;
+    }
+    table->states = PyArray_DIM((PyArrayObject *)lanes, 0);
+    table->plans = PyArray_DIM((PyArrayObject *)lanes, 2);
+    for (int i = 0; i < COUNT; i++) {
+        npy_intp size;
+        data[i] = numbers_of(PyTuple_GET_ITEM(tuple, i + 1), ARRAYS[i].name, ARRAYS[i].type, &size);
+        if (!data[i]) return -1;
+        if (size != table->states * table->plans * (ARRAYS[i].axes == 3 ? table->moments : 1)) {
+            PyErr_Format(PyExc_ValueError, "%s has %zd numbers", ARRAYS[i].name, size);
+            return -1;
+        }
+    }
+    table->first = (Plans){data[0], data[1], data[2], data[3], data[4],  data[5],
+                           data[9], data[6], data[7], data[8], data[10]};
+    return 0;
+}
+
+static Plans plans_of(const Table *table, npy_intp state)
+{
+    Plans plans = table->first;
+    const npy_intp one = state * table->plans, all = one * table->moments;
+    plans.least += all, plans.most += all, plans.drifts += all, plans.releases += all;
+    plans.slower += all, plans.lanes += all;
+    plans.boost_steps += one, plans.items += one, plans.manoeuvres += one, plans.boosts += one;
+    plans.needs_drift += one;
+    return plans;
+}
+
+/* Room for a forecast, all of it in one block; NULL with an exception set if there is none. */
+static void *make_room(Forecast *f, float **ends)
+{
+    const size_t plans = (size_t)f->plans, all = plans * (size_t)f->moments;
+    float *block = PyMem_Malloc((3 * all + 8 * plans + (size_t)f->moments) * sizeof(float));
+    if (!block) return PyErr_NoMemory();
+    f->along = block, f->across = f->along + all, f->ahead = f->across + all;
+    f->angle = f->ahead + all, f->last_turn = f->angle + plans, f->turns = f->last_turn + plans;
+    f->extra = f->turns + plans, f->danger = f->extra + plans, f->worth = f->danger + plans;
+    f->gain = f->worth + plans, f->places = (npy_int32 *)(f->gain + plans);
+    *ends = f->gain + 2 * plans;
+    for (npy_intp i = 0; i < f->moments; i++) (*ends)[i] = f->spans[i] + (i ? (*ends)[i - 1] : 0);
+    return block;
+}
+
+/* weigh_plans(table, rules, rows, karts, road, items, rivals, out) */
+PyObject *weigh_plans(PyObject *Py_UNUSED(module), PyObject *const *args, Py_ssize_t nargs)
+{
+    Table table;
+    npy_intp num_rules, count, sizes[5];
+    if (nargs != 8) return PyErr_Format(PyExc_TypeError, "weigh_plans() takes 8 arguments");
+    if (read_table(args[0], &table) < 0) return NULL;
+    const double *rules = numbers_of(args[1], "rules", NPY_FLOAT64, &num_rules);
+    const npy_intp *rows = rules ? numbers_of(args[2], "rows", NPY_INTP, &count) : NULL;
+    const PlanKart *karts = rows ? numbers_of(args[3], "karts", NPY_FLOAT32, sizes) : NULL;
+    const float *road = karts ? numbers_of(args[4], "road", NPY_FLOAT32, sizes + 1) : NULL;
+    const RoadItem *items = road ? numbers_of(args[5], "items", NPY_FLOAT64, sizes + 2) : NULL;
+    const RoadRival *rivals = items ? numbers_of(args[6], "rivals", NPY_FLOAT64, sizes + 3) : NULL;
+    float *out = rivals ? numbers_of(args[7], "out", NPY_FLOAT32, sizes + 4) : NULL;
+    if (!out) return NULL;
+    if (!count) Py_RETURN_NONE;
+    const npy_intp marks = sizes[1] / (3 * count), num_items = sizes[2] / (4 * count);
+    const npy_intp num_rivals = sizes[3] / (5 * count);
+    if (num_rules != NUM_RULES || sizes[0] != 11 * count || sizes[1] != 3 * count * marks ||
+        marks < 1 || sizes[2] != 4 * count * num_items || sizes[3] != 5 * count * num_rivals ||
+        sizes[4] != 3 * MANOEUVRES * count || table.moments < 1 ||
+        !PyArray_ISWRITEABLE((PyArrayObject *)args[7])) {
+        return PyErr_Format(PyExc_ValueError, "the arrays of %zd karts do not fit together", count);
+    }
+    for (npy_intp i = 0; i < count; i++) {
+        if (rows[i] < 0 || rows[i] >= table.states) {
+            return PyErr_Format(PyExc_IndexError, "there is no state %zd", rows[i]);
+        }
+    }
+    float *ends = NULL;
+    Forecast forecast = {.moments = table.moments, .plans = table.plans, .marks = marks,
+                         .spans = table.spans, .rules = rules};
+    void *block = make_room(&forecast, &ends);
+    if (!block) return NULL;
+    for (npy_intp i = 0; i < count; i++) {
+        const Plans plans = plans_of(&table, rows[i]);
+        weigh(&forecast, &plans, karts + i, road + 3 * marks * i, items + num_items * i, num_items,
+              rivals + num_rivals * i, num_rivals, ends);
+        find_best(&forecast, &plans, karts + i, count, out + MANOEUVRES * i);
+    }
+    PyMem_Free(block);
+    Py_RETURN_NONE;
+}
