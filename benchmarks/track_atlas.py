@@ -16,10 +16,11 @@ import numpy as np
 from PIL import Image
 
 from stkzoo import race_v0
-from stkzoo.engine.ground import GROUND, SLOWED, VOID, WALL, ZIPPER, Ground
+from stkzoo.engine.ground import Ground
 from stkzoo.engine.track import TrackMap
 from stkzoo.evaluation import AiTimes, BatchProgress, load_ai_times, measure_ai_times
 from stkzoo.evaluation.batch.order import write_file
+from stkzoo.names import GroundKind
 from stkzoo.tracks import SPLITS, TEST_TRACKS
 
 ROOT = Path(__file__).parent.parent
@@ -84,11 +85,11 @@ env.close()
 
 #: Colours of the kinds of ground, and of the edges of the driving line.
 _PAINT = {
-    VOID: (60, 90, 200),
-    GROUND: (185, 185, 185),
-    SLOWED: (225, 200, 120),
-    ZIPPER: (0, 160, 60),
-    WALL: (200, 30, 30),
+    GroundKind.VOID: (60, 90, 200),
+    GroundKind.GROUND: (185, 185, 185),
+    GroundKind.SLOWED: (225, 200, 120),
+    GroundKind.ZIPPER: (0, 160, 60),
+    GroundKind.WALL: (200, 30, 30),
 }
 _EDGE, _PAPER = (0, 0, 0), (255, 255, 255)
 #: Beside the driving line the ground is shown so far [m], and looked at so often [m].

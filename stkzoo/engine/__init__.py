@@ -1,6 +1,6 @@
-"""The one door to the game: its data, its processes, and its state as arrays.
+"""The game: its data, its processes, and its state as arrays.
 
-Nothing outside this package imports ``pystk2``, and this package imports it only in
-the processes that run a race. It needs numpy and nothing else of ours but
-:mod:`stkzoo.errors` and :mod:`stkzoo.names`, so that an engine process starts quickly.
+Only this package imports ``pystk2``, and only in processes that run or draw a race:
+:mod:`~stkzoo.engine.race` and :mod:`~stkzoo.engine.render_process` do. It needs numpy, the
+kernel and the modules directly in ``stkzoo``, so that an engine process starts quickly.
 """

@@ -1,4 +1,4 @@
-"""The game itself, driven in this process: the only module that imports ``pystk2``."""
+"""The game itself, driven in this process by ``pystk2``."""
 
 from __future__ import annotations
 

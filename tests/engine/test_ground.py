@@ -8,17 +8,15 @@ import pytest
 from stkzoo import race_v0
 from stkzoo.config import Start
 from stkzoo.engine.ground import (
-    GROUND,
-    SLOWED,
-    VOID,
-    WALL,
-    ZIPPER,
     Faces,
     Ground,
     read_mesh,
     read_scenery,
 )
 from stkzoo.errors import AssetError, ConfigError
+from stkzoo.names import GroundKind
+
+VOID, GROUND, SLOWED, ZIPPER, WALL = GroundKind
 
 # ------------------------------------------------------------------ meshes
 

@@ -11,11 +11,11 @@ import pytest
 
 import stkzoo
 from stkzoo import race_v0
-from stkzoo.engine.ground import GROUND, SLOWED, VOID, WALL, ZIPPER
 from stkzoo.engine.track import TrackMap
 from stkzoo.errors import AgentError, ConfigError
 from stkzoo.evaluation import DemoView
 from stkzoo.mdp.spaces import GROUND_LANES, GROUND_MARKS
+from stkzoo.names import GroundKind
 from stkzoo.race import find_driver, run_race
 from stkzoo.race.agents.files import declared_env, find_files
 from stkzoo.race.remote import RemoteDriverGroup
@@ -27,6 +27,7 @@ from stkzoo.wrappers.racing import (
 from tests.engine.test_ground import FLOOR, ground_with, plate, wall
 from tests.support.remote_race import server_thread
 
+VOID, GROUND, SLOWED, ZIPPER, WALL = GroundKind
 MIDDLE = len(GROUND_LANES) // 2
 
 

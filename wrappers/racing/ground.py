@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.engine.ground import GROUND, SLOWED, VOID, WALL, ZIPPER, Ground
+from stkzoo.engine.ground import Ground
 from stkzoo.mdp.spaces import GROUND_LANES, GROUND_MARKS
+from stkzoo.names import GroundKind
 from stkzoo.wrappers.racing.features import line_places
 from stkzoo.wrappers.racing.road import NUM_POINTS, RoadTable
 
@@ -28,7 +29,7 @@ ByteArray = npt.NDArray[np.uint8]
 #: a lane beside its middle [m]. So no column is missed, and no wall however thin.
 _LOOKS = tuple(itertools.product((0.0, 0.25, 0.5, 0.75), (-0.1875, 0.1875)))
 #: A cell of several kinds is of the last of these.
-_ORDER = np.array([GROUND, SLOWED, ZIPPER, VOID, WALL], np.uint8)
+_ORDER = np.array([GroundKind[n] for n in ("GROUND", "SLOWED", "ZIPPER", "VOID", "WALL")], np.uint8)
 _PLACE_IN_ORDER = np.argsort(_ORDER).astype(np.uint8)
 #: Segments are looked up so many at a time.
 _CHUNK = 64

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.engine.ground.scenery import Faces
+from stkzoo.engine.ground.scenery import Faces, read_scenery
+from stkzoo.engine.track import TrackMap
 from stkzoo.errors import ConfigError
 from stkzoo.names import GroundKind
 
-__all__ = ["GROUND", "SLOWED", "VOID", "WALL", "ZIPPER", "Ground", "Spots"]
+__all__ = ["Ground", "Spots", "ground_of"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
-
-#: What a spot can be.
-VOID, GROUND, SLOWED, ZIPPER, WALL = GroundKind
 
 #: Width of a column [m], and how many levels one above the other it can have.
 _CELL, _LEVELS = 0.5, 4
@@ -74,14 +74,14 @@ class Ground:
         self._raise_walls(corners, normals, np.flatnonzero(flatness < _STEEP))
 
     def at(self, places: npt.NDArray[np.floating], reach: float = 3.0) -> Spots:
-        """What is at places.
+        """Looks up what is at places.
 
         Args:
             places: ``(..., 3)`` [m], world frame.
-            reach: ground farther above or below than this is not meant [m].
+            reach: ground farther above or below than this is ignored [m].
 
         Raises:
-            ConfigError: the places are not such.
+            ConfigError: the places have another shape, or are not finite.
         """
         spots: FloatArray = np.asarray(places, np.float64)
         if spots.shape[-1:] != (3,) or not np.isfinite(spots).all():
@@ -101,7 +101,7 @@ class Ground:
             return np.where(is_there, found, values.dtype.type(missing))
 
         return Spots(
-            there(self._kinds, VOID).astype(np.uint8),
+            there(self._kinds, GroundKind.VOID).astype(np.uint8),
             there(self._heights, np.nan).astype(np.float32),
             there(self._speeds, 1.0).astype(np.float32),
         )
@@ -128,7 +128,9 @@ class Ground:
         self._speeds[at] = faces.speed[who]
         is_slowed = faces.speed[who] < 1.0
         kinds = np.select(
-            [faces.is_reset[who], faces.is_zipper[who], is_slowed], [VOID, ZIPPER, SLOWED], GROUND
+            [faces.is_reset[who], faces.is_zipper[who], is_slowed],
+            [GroundKind.VOID, GroundKind.ZIPPER, GroundKind.SLOWED],
+            GroundKind.GROUND,
         )
         self._kinds[at] = kinds
 
@@ -149,11 +151,11 @@ class Ground:
                         at[hit].astype(np.float64),
                     )
                     hit = hit[is_wall]
-                    self._kinds[rows[hit], columns[hit], level] = WALL
+                    self._kinds[rows[hit], columns[hit], level] = GroundKind.WALL
 
 
 class _Near:
-    """Which columns are near the driving lines.
+    """The columns near the driving lines.
 
     Attributes:
         shape: how many rows (along x) and columns (along z) there are.
@@ -201,8 +203,8 @@ class _Near:
 
         Args:
             corners: ``(F, 3, 3)`` of all faces.
-            who: of which ones.
-            margin: columns so far away too [m].
+            who: indices of the faces to use.
+            margin: also columns at most this far away [m].
         """
         flat = corners[who][:, :, [0, 2]]
         low, high = ((part - self._corner) / _CELL for part in (flat.min(1), flat.max(1)))
@@ -277,3 +279,32 @@ def _is_in(corners: FloatArray, normals: FloatArray, spots: FloatArray) -> BoolA
         edge = corners[:, (n + 1) % 3] - corners[:, n]
         is_in &= (np.cross(edge, spots - corners[:, n]) * normals).sum(1) >= -1e-6
     return is_in
+
+
+#: Points of the driving lines are so far apart [m].
+_SPACING = 1.0
+
+
+@lru_cache(maxsize=64)
+def ground_of(track: TrackMap, name: str, root: Path, *, reverse: bool = False) -> Ground:
+    """The ground near a track's driving lines, cached; the first call takes 1 to 7 s.
+
+    Args:
+        track: the track's segments.
+        name: the track's name.
+        root: the game's data, :attr:`~stkzoo.engine.assets.Assets.root`.
+        reverse: whether the race is in reverse.
+
+    Raises:
+        AssetError: a file is missing or broken.
+    """
+    return Ground(read_scenery(root / "data", name, reverse=reverse), _line(track))
+
+
+def _line(track: TrackMap) -> npt.NDArray[np.float64]:
+    """Points of all segments, ``(N, 3)`` [m]."""
+    pieces = []
+    for start, end in track.path_nodes.astype(np.float64):
+        count = max(int(np.linalg.norm(end - start) / _SPACING) + 1, 2)
+        pieces.append(np.linspace(start, end, count))
+    return np.concatenate(pieces)
