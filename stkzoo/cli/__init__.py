@@ -1,5 +1,102 @@
-"""The command line, ``stkzoo``."""
+"""The command line, ``stkzoo``: each public module of this package is one command.
 
-from stkzoo.cli.main import main
+A command's module has
 
-__all__ = ["main"]
+- a docstring: its first line is the command's line in ``stkzoo --help``, the rest its description;
+- ``EXAMPLES``: shown at the end of ``stkzoo COMMAND --help``;
+- ``add_arguments(parser)``: declares its arguments;
+- ``run(arguments)``: does the work and returns the exit code.
+
+Modules are light to import: ``add_arguments`` and ``run`` import what is heavy. The module
+``race_server`` is the command ``race-server``. Private modules have what several commands share.
+"""
+
+from __future__ import annotations
+
+import argparse
+import pkgutil
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.metadata import version
+
+from stkzoo.errors import StkzooError
+
+__all__ = ["COMMANDS", "build_parser", "main"]
+
+#: The commands' names.
+COMMANDS = tuple(
+    module.name.replace("_", "-")
+    for module in pkgutil.iter_modules(__path__)
+    if not module.name.startswith("_")
+)
+
+_EPILOG = """\
+first steps:
+  stkzoo doctor             check this machine and suggest fixes
+  stkzoo assets install     get the game's tracks and karts
+  stkzoo race --demo        a race: a learned driver against the hardest bots
+  stkzoo race my_agent/ ai  your agent against the game's AI
+
+`stkzoo COMMAND --help` has examples of each.
+
+exit codes:
+  0 success, 1 failure, 2 invalid command line, 3 the race ran but an agent failed,
+  130 interrupted
+"""
+
+
+def build_parser(command: str | None = None) -> argparse.ArgumentParser:
+    """The parser of the command line.
+
+    Args:
+        command: the command that will be parsed; the others are listed, but without their
+            arguments. ``None`` for the arguments of all commands.
+    """
+    parser = argparse.ArgumentParser(
+        prog="stkzoo",
+        description="Multi-agent kart racing on the real SuperTuxKart engine.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"stkzoo {version('stkzoo')}")
+    subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for name in COMMANDS:
+        module = import_module(f"{__name__}.{name.replace('-', '_')}")
+        summary, _, description = (module.__doc__ or "").partition("\n\n")
+        child = subparsers.add_parser(
+            name,
+            help=summary[:1].lower() + summary[1:].rstrip("."),
+            description=description,
+            epilog=module.EXAMPLES,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            **getattr(module, "PARSER_OPTIONS", {}),
+        )
+        if command in (None, name):
+            module.add_arguments(child)
+            child.set_defaults(run=module.run, fail=child.error)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command.
+
+    Args:
+        argv: the words after the program's name; ``None`` for the process's own.
+
+    Returns:
+        0 for success, 1 for failure, 2 for an invalid command line, 130 after an interrupt from
+        the keyboard.
+    """
+    words = sys.argv[1:] if argv is None else list(argv)
+    try:
+        arguments = build_parser(words[0] if words else "").parse_args(words)
+        return int(arguments.run(arguments))
+    except SystemExit as end:  # argparse: 0 after --help, 2 after bad usage
+        return end.code if isinstance(end.code, int) else 1
+    except StkzooError as error:
+        print(f"stkzoo: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("stkzoo: interrupted", file=sys.stderr)
+        return 130

@@ -1,21 +1,7 @@
-"""``stkzoo assets``: the game's tracks and karts on this machine."""
+"""Find, get and pack the game's tracks and karts.
 
-from __future__ import annotations
-
-import argparse
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from stkzoo.engine.assets import PlaceReport
-
-__all__ = ["add_parser"]
-
-_RAW = argparse.RawDescriptionHelpFormatter
-
-_ABOUT = """\
-The game's data is what races need beside the engine: 21 tracks and 16 karts. It is
-looked for in this order:
+Besides the engine, races need the game's data: 21 tracks and 16 karts. stkzoo looks for it in this
+order:
 
   1. the folder in the environment variable SUPERTUXKART_DATADIR
   2. stkzoo's own cache (moved by the environment variable STKZOO_CACHE):
@@ -23,107 +9,91 @@ looked for in this order:
   3. the cache of pystk2
   4. an installed game (/usr/share/games/supertuxkart)
 
-The headless pack has no real pictures, music or sound. Races in it are bit for bit
-the same and start faster; drawing needs the full data. Nothing is ever downloaded but
-by `stkzoo assets install`.
+The headless pack has no textures, music or sound. Races with it are bit-identical and start
+faster; drawing needs the full data. Only `stkzoo assets install` downloads anything.
 """
 
-_INSTALL = """\
-Takes the data that is there, or gets it (about 630 MB to download; 1.5 GB of disk
-meanwhile, 750 MB after) and builds the headless pack. No administrator's rights are
-needed. It may be interrupted and repeated, and several may run at once.
-"""
+from __future__ import annotations
 
-_INSTALL_EXAMPLES = """\
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from stkzoo.engine.assets import PlaceReport
+
+__all__ = ["EXAMPLES", "add_arguments", "run"]
+
+EXAMPLES = """\
 examples:
-  stkzoo assets install                      whatever works
+  stkzoo assets status                       what is on this machine
+  stkzoo assets install                      any source that works
   stkzoo assets install --source debian      from Debian's or Ubuntu's package
   stkzoo assets install --source upstream    by the download of pystk2
   stkzoo assets install --from pack.tar.xz   no network: from another machine's pack
-"""
-
-_PACK_EXAMPLES = """\
-examples:
-  stkzoo assets pack                         build it in the cache
+  stkzoo assets pack                         build the pack in the cache
   stkzoo assets pack --output pack.tar.xz    and write it into a file (about 40 MB), for
                                              `stkzoo assets install --from` elsewhere
 """
 
+_INSTALL = """\
+Uses the data on this machine, or downloads it (about 630 MB to download; 1.5 GB of disk
+meanwhile, 750 MB after) and builds the headless pack. No administrator's rights are needed. You
+may interrupt and repeat it; several may run at once.
+"""
 
-def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
-    """Adds the command."""
-    parser = subparsers.add_parser(
-        "assets",
-        help="find, get and pack the game's tracks and karts",
-        description=_ABOUT,
-        formatter_class=_RAW,
-    )
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    _add_status(actions)
-    _add_install(actions)
-    _add_pack(actions)
-    _add_clean(actions)
-
-
-def _add_status(actions: argparse._SubParsersAction[Any]) -> None:
     status = actions.add_parser(
         "status",
-        help="show the places and what is in them",
-        description="Shows where the game's data is looked for and what is found there. "
-        "Fails if a headless race cannot be run.",
+        help="show where the data is",
+        description="Shows where stkzoo looks for the game's data and what it finds. Fails if a "
+        "headless race cannot run.",
     )
     status.add_argument("--names", action="store_true", help="list the tracks and karts by name")
-    status.set_defaults(run=_status)
-
-
-def _add_install(actions: argparse._SubParsersAction[Any]) -> None:
+    status.set_defaults(action=_status)
     install = actions.add_parser(
-        "install",
-        help="make the data usable: take what is there, get what is not",
-        description=_INSTALL,
-        epilog=_INSTALL_EXAMPLES,
-        formatter_class=_RAW,
+        "install", help="make the data usable; download it if needed", description=_INSTALL
     )
-    way = install.add_mutually_exclusive_group()
-    way.add_argument(
+    source = install.add_mutually_exclusive_group()
+    source.add_argument(
         "--source",
         choices=("auto", "debian", "upstream"),
         default="auto",
         help="where to get it (default: %(default)s, the first that works)",
     )
-    way.add_argument(
+    source.add_argument(
         "--from",
         dest="archive",
         type=Path,
         metavar="FILE",
         help="take the headless pack from FILE, written by `stkzoo assets pack --output`",
     )
-    install.add_argument("--force", action="store_true", help="get anew what is there")
-    install.set_defaults(run=_install)
-
-
-def _add_pack(actions: argparse._SubParsersAction[Any]) -> None:
+    install.add_argument("--force", action="store_true", help="replace existing data")
+    install.set_defaults(action=_install)
     pack = actions.add_parser(
         "pack",
         help="build the headless pack, or write it into a file",
         description="Builds the headless pack from the full data.",
-        epilog=_PACK_EXAMPLES,
-        formatter_class=_RAW,
     )
     pack.add_argument("--output", type=Path, metavar="FILE", help="a .tar.xz file to write")
-    pack.add_argument("--force", action="store_true", help="build it anew if it is there")
-    pack.set_defaults(run=_pack)
-
-
-def _add_clean(actions: argparse._SubParsersAction[Any]) -> None:
+    pack.add_argument("--force", action="store_true", help="replace an existing pack")
+    pack.set_defaults(action=_pack)
     clean = actions.add_parser(
         "clean",
-        help="remove what stkzoo has put into its cache",
+        help="remove stkzoo's data from its cache",
         description="Removes the full data, the headless pack and the links to an installed "
         "game from stkzoo's cache. Nothing outside is touched.",
     )
     clean.add_argument("--yes", action="store_true", help="do not ask")
-    clean.set_defaults(run=_clean)
+    clean.set_defaults(action=_clean)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Shows, installs, packs or removes the data."""
+    return int(arguments.action(arguments))
 
 
 def _status(arguments: argparse.Namespace) -> int:
@@ -131,7 +101,7 @@ def _status(arguments: argparse.Namespace) -> int:
     from rich.table import Table
     from rich.text import Text
 
-    from stkzoo.cli.console import megabytes
+    from stkzoo.cli._console import megabytes
     from stkzoo.engine.assets import find_assets, survey
 
     table = Table("place", title="The game's data")
@@ -159,7 +129,7 @@ def _describe(report: PlaceReport) -> str:
 
 
 def _install(arguments: argparse.Namespace) -> int:
-    from stkzoo.cli.console import ConsoleProgress
+    from stkzoo.cli._console import ConsoleProgress
     from stkzoo.engine.assets import install
 
     with ConsoleProgress() as progress:
@@ -174,7 +144,7 @@ def _install(arguments: argparse.Namespace) -> int:
 
 
 def _pack(arguments: argparse.Namespace) -> int:
-    from stkzoo.cli.console import ConsoleProgress
+    from stkzoo.cli._console import ConsoleProgress
     from stkzoo.engine.assets import pack
 
     with ConsoleProgress() as progress:
@@ -193,7 +163,7 @@ def _clean(arguments: argparse.Namespace) -> int:
     for folder in removed:
         print(f"Removed {folder}")
     if not removed:
-        print(f"There was nothing of stkzoo's in {cache_folder()}.")
+        print(f"No data of stkzoo in {cache_folder()}.")
     return 0
 
 

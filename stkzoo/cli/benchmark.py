@@ -1,110 +1,88 @@
-"""``stkzoo benchmark``: how good an agent is."""
+"""Measure how good an agent is.
+
+Measures an agent by the same races as every other: on the test tracks, forward and reversed,
+alone (P), as one kart among four of the game's AI (PAAAA), and as two among three (PPAAA),
+from both ends of the grid. It shows the agent's time as a multiple of the AI's median time, its
+win rate, its mean rank, and how often it did not finish and was rescued, each with a 95 %
+interval.
+
+Each race is stored in the output folder as soon as it is over. After an interruption the same
+command resumes.
+
+The agent is named as for `stkzoo race`: heuristic, ai, random, a folder, a zip, a module; append
+@:Name to rename it.
+"""
 
 from __future__ import annotations
 
 import argparse
-import os
-import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from stkzoo.cli.batch_bar import BatchBar
-from stkzoo.cli.flags import add_flags, flags_given
+from stkzoo.cli._arguments import (
+    add_batch_options,
+    add_directions,
+    chosen_directions,
+    settings_of,
+    usage_errors,
+)
+from stkzoo.errors import ConfigError
 
 if TYPE_CHECKING:
-    from stkzoo.evaluation import BenchmarkPlan, BenchmarkResult
+    from rich.console import Console
 
-__all__ = ["add_parser"]
+    from stkzoo.evaluation import BenchmarkPlan, BenchmarkResult, Comparison, Estimate
 
-_ABOUT = """\
-Measures an agent by the same races as everybody: on the test tracks, forward and reversed,
-alone (P), as one kart among four of the game's AI (PAAAA), and as two among three (PPAAA),
-from both ends of the grid. It shows its time as a multiple of the AI's median time there, the
-races it won, its mean rank, how often it did not finish and was rescued, each with a 95 %
-interval.
+__all__ = ["EXAMPLES", "add_arguments", "run"]
 
-Each race is kept in the output folder as soon as it is over. If the benchmark is interrupted,
-by whatever, the same command goes on where it was.
-
-The agent is named as for `stkzoo race`: heuristic, ai, random, a folder, a zip, a module, with
-@:Name behind it to call it something else.
-"""
-
-_EXAMPLES = """\
+EXAMPLES = """\
 examples:
-  stkzoo benchmark heuristic                    300 races, kept in benchmark/heuristic
+  stkzoo benchmark heuristic                    300 races, stored in benchmark/heuristic
   stkzoo benchmark my_agent/ --split lighthouse hacienda --seeds 2
   stkzoo benchmark my_agent.zip --difficulty 2 --output results/mine --inline
   stkzoo benchmark --compare results/mine benchmark/heuristic
-  stkzoo benchmark --baseline --output ai-times     the AI's own times, measured anew
+  stkzoo benchmark --baseline --output ai-times     measure the AI's own times
 
 exit codes:
-  0 all is well, 1 a race could not be run, 2 the command cannot be understood,
-  3 the agent failed in some race, 130 interrupted
+  0 success, 1 a race could not be run, 2 invalid command line, 3 the agent failed in some race,
+  130 interrupted
 """
 
-_AGENT_FAILED, _INTERRUPTED = 3, 130
-_DIRECTIONS = {"forward": False, "reversed": True}
+_AGENT_FAILED = 3
+_MAIN_GROUPS = ("all", "form")
+_SHOWN_GROUPS = (*_MAIN_GROUPS, "direction", "end", "track")
+#: Width of a line with all figures; on a narrower terminal the intervals are printed below.
+_WIDTH = 145
+#: Title, factor and decimals of each figure.
+_COLUMNS = {
+    "time_ratio": ("time ratio", 1, 3),
+    "win_rate": ("won %", 100, 1),
+    "mean_rank": ("rank", 1, 2),
+    "unfinished": ("DNF %", 100, 1),
+    "rescues": ("rescues", 1, 2),
+}
+_TITLES = [title for title, _, _ in _COLUMNS.values()]
 
 
-def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
-    """Adds the command."""
-    from stkzoo.race import RaceSettings
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments."""
+    from stkzoo.evaluation.benchmark.races import DECIDED, FORMS
 
-    parser = subparsers.add_parser(
-        "benchmark",
-        help="measure how good an agent is",
-        description=_ABOUT,
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("agent", nargs="?", metavar="AGENT", help="who is measured; see above")
+    parser.add_argument("agent", nargs="?", metavar="AGENT", help="the agent; see above")
     choice = parser.add_mutually_exclusive_group()
     choice.add_argument(
         "--compare",
         nargs="+",
         metavar="RESULT",
-        help="show what was measured in these folders or result.json files, and by how much "
-        "the first differs from the others in the same races",
+        help="show the results in these folders or result.json files, and the differences between "
+        "the first and each other in the same races",
     )
     choice.add_argument(
         "--baseline",
         action="store_true",
         help="measure the game's AI itself, at all difficulties, for --ai-times",
     )
-    _add_races(parser)
-    parser.add_argument(
-        "--output",
-        metavar="FOLDER",
-        help="where races, result.json and benchmark.png are kept (default: benchmark/AGENT); with "
-        "--compare, a picture's file",
-    )
-    parser.add_argument("--json", action="store_true", help="write only JSON to stdout")
-    parser.add_argument("--no-plot", action="store_true", help="draw no benchmark.png")
-    parser.add_argument(
-        "--jobs", type=int, metavar="N", help="races at a time (default: as many as processors)"
-    )
-    parser.add_argument(
-        "--race-timeout",
-        type=float,
-        default=3600.0,
-        metavar="SECONDS",
-        help="for one race (default: %(default)s)",
-    )
-    add_flags(parser.add_argument_group("each race"), RaceSettings, leave_out=_decided())
-    parser.set_defaults(run=_run, fail=parser.error)
-
-
-def _decided() -> tuple[str, ...]:
-    from stkzoo.evaluation.benchmark.races import DECIDED
-
-    return DECIDED
-
-
-def _add_races(parser: argparse.ArgumentParser) -> None:
-    from stkzoo.evaluation.benchmark.races import FORMS
-
     parser.add_argument(
         "--split",
         nargs="+",
@@ -121,7 +99,7 @@ def _add_races(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--forms",
         nargs="+",
-        default=list(FORMS),
+        default=FORMS,
         metavar="FORM",
         help=f"P is a kart of the agent, A one of the AI (default: {' '.join(FORMS)})",
     )
@@ -132,65 +110,56 @@ def _add_races(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="races of each kind (default: %(default)s)",
     )
+    add_directions(parser, "forward", "reversed")
     parser.add_argument(
-        "--directions",
-        nargs="+",
-        default=list(_DIRECTIONS),
-        choices=list(_DIRECTIONS),
-        help="default: both",
+        "--ai-times", metavar="FILE", help="the output of --baseline (default: stkzoo's own)"
     )
     parser.add_argument(
-        "--ai-times", metavar="FILE", help="what --baseline wrote (default: stkzoo's own)"
+        "--output",
+        metavar="FOLDER",
+        help="for races, result.json and benchmark.png (default: benchmark/AGENT); with "
+        "--compare, the file of a picture",
     )
+    parser.add_argument("--json", action="store_true", help="write only JSON to stdout")
+    parser.add_argument("--no-plot", action="store_true", help="draw no benchmark.png")
+    add_batch_options(parser, DECIDED)
 
 
-def _run(arguments: argparse.Namespace) -> int:
-    from stkzoo.errors import ConfigError
-
-    try:
-        if arguments.compare:
-            return _compare(arguments)
-        if arguments.baseline:
-            return _baseline(arguments)
+@usage_errors
+def run(arguments: argparse.Namespace) -> int:
+    """Measures an agent or the game's AI, or compares results."""
+    if not arguments.compare and not arguments.baseline:
         return _benchmark(arguments)
-    except ConfigError as error:
-        arguments.fail(str(error))
-        raise  # not reached: fail() leaves
-
-
-# ------------------------------------------------------------------ one agent
+    if arguments.agent:
+        option = "--compare" if arguments.compare else "--baseline"
+        raise ConfigError(f"{option} knows its agents; leave the agent out")
+    return _compare(arguments) if arguments.compare else _baseline(arguments)
 
 
 def _benchmark(arguments: argparse.Namespace) -> int:
-    from stkzoo.evaluation import BatchError, RunOptions
+    from stkzoo.cli._batch import run_batch, say_kept
     from stkzoo.evaluation.benchmark.run import run_benchmark_plan
 
     plan = _plan(arguments)
     folder = Path(arguments.output or Path("benchmark", plan.agent.label.replace("/", "_")))
-    code = 0
-    with BatchBar() as bar:
-        try:
-            options = RunOptions(arguments.jobs, arguments.race_timeout, bar.tell)
-            result = run_benchmark_plan(plan, folder, options, plot=not arguments.no_plot)
-        except BatchError as error:
-            print(f"stkzoo: {error}", file=sys.stderr)
-            result, code = error.result, 1
-        except KeyboardInterrupt:
-            return _interrupted(bar, "give the same command again")
+    result, code = run_batch(
+        arguments,
+        lambda options: run_benchmark_plan(plan, folder, options, plot=not arguments.no_plot),
+        "the same command",
+    )
+    if result is None:
+        return code
     if arguments.json:
         print(result.to_json())
     else:
-        _show([result])
-        names = ("result.json", "benchmark.png", "races")
-        kept = ", ".join(name for name in names if (folder / name).exists())
-        _say(f"More in {folder}{os.sep}: {kept}")
+        _show_results([result])
+        say_kept(folder, "result.json", "benchmark.png", "races")
     return code or (_AGENT_FAILED if result.errors else 0)
 
 
 def _plan(arguments: argparse.Namespace) -> BenchmarkPlan:
-    from stkzoo.errors import ConfigError
     from stkzoo.evaluation import plan_benchmark
-    from stkzoo.race import RaceSettings
+    from stkzoo.evaluation.benchmark.races import DECIDED
 
     if not arguments.agent:
         raise ConfigError("no agent; name one, such as heuristic, or see --help")
@@ -201,60 +170,44 @@ def _plan(arguments: argparse.Namespace) -> BenchmarkPlan:
         difficulty=arguments.difficulty,
         forms=arguments.forms,
         seeds=arguments.seeds,
-        reverse=[_DIRECTIONS[name] for name in arguments.directions],
+        reverse=chosen_directions(arguments),
         ai_times=arguments.ai_times,
-        settings=RaceSettings(**flags_given(arguments, RaceSettings, leave_out=_decided())),
+        **settings_of(arguments, DECIDED),
     )
-
-
-def _interrupted(bar: BatchBar, how: str) -> int:
-    print(
-        f"stkzoo: interrupted after {bar.done} of {bar.total} races, which are kept; to go on, "
-        f"{how}",
-        file=sys.stderr,
-    )
-    return _INTERRUPTED
-
-
-# ------------------------------------------------------------------ the AI's times
 
 
 def _baseline(arguments: argparse.Namespace) -> int:
-    from stkzoo.errors import ConfigError
+    from stkzoo.cli._batch import run_batch
+    from stkzoo.cli._console import say
     from stkzoo.evaluation import measure_ai_times
     from stkzoo.evaluation.benchmark.ai_times import AI_TIMES_FILE
 
-    if arguments.agent:
-        raise ConfigError("--baseline measures the game's AI; leave the agent out")
     folder = Path(arguments.output or "ai-times")
-    with BatchBar() as bar:
-        try:
-            times = measure_ai_times(
-                folder,
-                tracks=arguments.split or "all",
-                seeds=arguments.seeds,
-                jobs=arguments.jobs,
-                race_timeout=arguments.race_timeout,
-                on_race=bar.tell,
-            )
-        except KeyboardInterrupt:
-            return _interrupted(bar, "give the same command again")
+    times, code = run_batch(
+        arguments,
+        lambda options: measure_ai_times(
+            folder,
+            tracks=arguments.split or "all",
+            seeds=arguments.seeds,
+            jobs=options.jobs,
+            race_timeout=options.race_timeout,
+            on_race=options.on_race,
+        ),
+        "the same command",
+    )
+    if times is None:
+        return code
     if arguments.json:
         print(times.to_json())
     else:
-        _say(f"{len(times.by_race)} times of the game's AI in {folder / AI_TIMES_FILE}")
+        say(f"{len(times.by_race)} times of the game's AI in {folder / AI_TIMES_FILE}")
     return 0
 
 
-# ------------------------------------------------------------------ several results
-
-
 def _compare(arguments: argparse.Namespace) -> int:
-    from stkzoo.errors import ConfigError
+    from stkzoo.cli._console import say
     from stkzoo.evaluation import compare, load_benchmark, plot_benchmark
 
-    if arguments.agent:
-        raise ConfigError("--compare knows its agents; leave the agent out")
     results = [load_benchmark(path) for path in arguments.compare]
     comparisons = [compare(results[0], other) for other in results[1:]]
     if arguments.output:
@@ -264,23 +217,91 @@ def _compare(arguments: argparse.Namespace) -> int:
         texts += [comparison.to_json() for comparison in comparisons]
         print("[" + ",\n".join(texts) + "]")
         return 0
-    _show(results)
-    from stkzoo.cli.benchmark_report import show_comparison
-
+    _show_results(results)
     for comparison in comparisons:
-        show_comparison(comparison)
+        _show_comparison(comparison)
     if arguments.output:
-        _say(f"Drawn in {arguments.output}")
+        say(f"Drawn in {arguments.output}")
     return 0
 
 
-def _show(results: Sequence[BenchmarkResult]) -> None:
-    from stkzoo.cli.benchmark_report import show_results
-
-    show_results(results)
+# ------------------------------------------------------------------ tables
 
 
-def _say(text: str) -> None:
+def _show_results(results: Sequence[BenchmarkResult]) -> None:
+    """Prints one agent's figures, or the main figures of several agents."""
+    from rich.markup import escape
+
+    from stkzoo.cli._console import make_table, say
+
+    console, is_wide = _console()
+    is_one = len(results) == 1
+    columns = [*([] if is_one else ["agent"]), "races on", "n", "chance", *_TITLES]
+    is_framed = console.is_terminal and is_wide
+    table = make_table(columns, ("agent", "races on"), is_framed=is_framed)
+    for result in results:
+        first = escape(result.label)
+        for group in result.groups:
+            if group.by in (_SHOWN_GROUPS if is_one else _MAIN_GROUPS):
+                chance = "-" if group.chance is None else f"{100 * group.chance:.0f} %"
+                figures = _cells(group.figures, is_wide)
+                cells = (group.name or "all", str(group.races), chance, *figures)
+                style = "bold" if group.by == "all" else None
+                table.add_row(*cells if is_one else (first, *cells), style=style)
+                first = ""
+    console.print(table)
+    for result in results:
+        plan = result.plan
+        errors = f"; the agent failed {result.errors} times" if result.errors else ""
+        say(
+            f"{result.label}: {len(result.outcomes)} of {len(plan.races())} races on "
+            f"{', '.join(plan.tracks)}; AI difficulty {plan.settings.difficulty}; with 95 % "
+            f"intervals{errors}.",
+            console,
+        )
+
+
+def _show_comparison(comparison: Comparison) -> None:
+    """Prints the differences between two agents."""
+    from stkzoo.cli._console import make_table, say
+
+    console, is_wide = _console()
+    say(f"\n{comparison.first} minus {comparison.second}, in the same races:", console)
+    is_framed = console.is_terminal and is_wide
+    table = make_table(("races on", "n", *_TITLES), ("races on",), is_framed=is_framed)
+    for difference in comparison.differences:
+        if difference.by in _SHOWN_GROUPS:
+            table.add_row(
+                difference.name or "all",
+                str(difference.races),
+                *_cells(difference.figures, is_wide, sign="+"),
+                style="bold" if difference.by == "all" else None,
+            )
+    console.print(table)
+
+
+def _cells(figures: Mapping[str, Estimate | None], is_wide: bool, sign: str = "") -> list[str]:
+    return [
+        _cell(figures[name], scale, f"{sign}.{decimals}f", is_wide)
+        for name, (_, scale, decimals) in _COLUMNS.items()
+    ]
+
+
+def _cell(estimate: Estimate | None, scale: float, form: str, is_wide: bool) -> str:
+    if estimate is None:
+        return "-"
+    value = format(scale * estimate.value, form)
+    if estimate.low is None or estimate.high is None:
+        return value
+    low, high = (format(scale * end, form) for end in estimate.interval)
+    return f"{value} ({low}..{high})" if is_wide else f"{value}\n{low}..{high}"
+
+
+def _console() -> tuple[Console, bool]:
+    """The terminal, or a file that is wide enough; and whether it is wide."""
     from rich.console import Console
 
-    Console().print(text, highlight=False, markup=False, soft_wrap=True)
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=max(console.width, _WIDTH))
+    return console, console.width >= _WIDTH

@@ -1,4 +1,8 @@
-"""``stkzoo completion``: commands and options, completed by the shell."""
+"""Print a completion script for your shell.
+
+Prints a script with which a shell completes commands, options and their choices. It contains
+nothing specific to this machine; print it again after an update.
+"""
 
 from __future__ import annotations
 
@@ -7,39 +11,27 @@ from typing import Any
 
 from stkzoo.errors import ConfigError
 
-__all__ = ["add_parser"]
+__all__ = ["EXAMPLES", "add_arguments", "run"]
 
-_ABOUT = """\
-Writes a script that lets a shell complete commands, options and their choices. It names nothing
-of this machine, and may be written anew after an update.
-"""
-
-_EXAMPLES = """\
+EXAMPLES = """\
 examples:
   stkzoo completion bash > ~/.local/share/bash-completion/completions/stkzoo
   stkzoo completion zsh > ~/.zfunc/_stkzoo       a folder of $fpath
   stkzoo completion fish > ~/.config/fish/completions/stkzoo.fish
 """
 
-#: The shells that shtab writes for.
+#: The shells that shtab supports.
 _SHELLS = ("bash", "zsh", "fish", "tcsh")
 
 
-def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
-    """Adds the command."""
-    parser = subparsers.add_parser(
-        "completion",
-        help="completion of commands and options in your shell",
-        description=_ABOUT,
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("shell", choices=_SHELLS, help="whose script to write")
-    parser.set_defaults(run=_run)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments."""
+    parser.add_argument("shell", choices=_SHELLS, help="the shell")
 
 
-def _run(arguments: argparse.Namespace) -> int:
-    from stkzoo.cli.main import build_parser
+def run(arguments: argparse.Namespace) -> int:
+    """Prints the script."""
+    from stkzoo.cli import build_parser
 
     try:
         import shtab
@@ -54,7 +46,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _complete_files(parser: argparse.ArgumentParser, files: Any) -> None:
-    """Marks what is a file or folder, by what its option is called."""
+    """Marks the arguments that are files or folders, by their metavars."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for child in action.choices.values():

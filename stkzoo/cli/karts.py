@@ -1,4 +1,8 @@
-"""``stkzoo karts``: what there is to drive in."""
+"""List the karts.
+
+Shows the game's karts. Heavy ones have stronger engines and a higher top speed, light ones have
+a smaller turning circle and use less nitro. AgentSpec(kart="gnu") selects one for an agent.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +10,10 @@ import argparse
 import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
-__all__ = ["KartFacts", "add_parser", "kart_facts"]
+__all__ = ["EXAMPLES", "KartFacts", "add_arguments", "kart_facts", "run"]
 
-_ABOUT = """\
-Shows the game's karts. Heavy ones have stronger engines and a higher top speed, light ones turn
-in smaller circles and use less nitro. An agent takes one by AgentSpec(kart="gnu").
-"""
-
-_EXAMPLES = """\
+EXAMPLES = """\
 examples:
   stkzoo karts           a table
   stkzoo karts --json    the same for programs
@@ -24,28 +22,20 @@ examples:
 _ATTRIBUTE = r"<kart\b[^>]*?\b{}\s*=\s*\"([^\"]*)\""
 
 
-def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
-    """Adds the command."""
-    parser = subparsers.add_parser(
-        "karts",
-        help="what there is to drive in",
-        description=_ABOUT,
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments."""
     parser.add_argument("--json", action="store_true", help="write JSON instead of a table")
-    parser.set_defaults(run=_run)
 
 
 @dataclass(frozen=True)
 class KartFacts:
-    """What is known of one kart.
+    """Facts about one kart.
 
     Attributes:
         kart: its name for ``AgentSpec``.
         title: its name in the game.
         weight: ``light``, ``medium`` or ``heavy``.
-        wheel_base: between the axles [m]; ``None`` if nobody has measured it.
+        wheel_base: between the axles [m]; ``None`` if not measured.
         max_steer_angle: of the wheels at rest [rad]; ``None`` likewise.
     """
 
@@ -79,7 +69,8 @@ def _read(text: str, attribute: str) -> str:
     return found[1] if found else "?"
 
 
-def _run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
+    """Prints a table or JSON."""
     facts = kart_facts()
     if arguments.json:
         import json

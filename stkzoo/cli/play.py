@@ -1,4 +1,14 @@
-"""``stkzoo play``: drive yourself."""
+"""Drive yourself, with the keyboard.
+
+Opens a window and lets you drive, in real time, against other drivers: the game's ai (three of
+them by default), heuristic, random, or agents from files, as in `stkzoo race`.
+
+  arrows      throttle, brake, steer          P     pause
+  V           drift, while steering           Esc   leave
+  space       fire the collected item
+  N           nitro
+  backspace   return to the road
+"""
 
 from __future__ import annotations
 
@@ -6,58 +16,39 @@ import argparse
 import random
 from typing import Any
 
-from stkzoo.cli import race_replay
-from stkzoo.cli.flags import add_flags, flags_given
+from stkzoo.cli._arguments import add_settings, settings_of, usage_errors
+from stkzoo.cli._race_options import add_replay_options, replay_listeners
 from stkzoo.errors import ConfigError
 
-__all__ = ["add_parser"]
+__all__ = ["EXAMPLES", "add_arguments", "run"]
 
-_ABOUT = """\
-Opens a window and lets you drive, in real time, against the drivers named: the game's ai
-(three of them if nobody is named), heuristic, random, or agents of files, as in `stkzoo race`.
-
-  arrows      throttle, brake, steer          P     pause
-  V           drift, while steering           Esc   leave
-  space       fire what you have picked up
-  N           nitro
-  backspace   be put back on the road
-"""
-
-_EXAMPLES = """\
+EXAMPLES = """\
 examples:
-  stkzoo play                                    against three bots, on a track drawn by lot
+  stkzoo play                                    against three bots, on a random track
   stkzoo play heuristic my_agent/ --track hacienda
   stkzoo play --map --track lighthouse           from above, where 3D is slow
-  stkzoo play --dataset me.npz                   what you see and do, to learn from
-  stkzoo play --replay me.stkz                   the race, to watch again
+  stkzoo play --dataset me.npz                   your observations and actions, to learn from
+  stkzoo play --replay me.stkz                   the race, to replay
 """
 
-#: What a dataset is recorded in, and how often, unless the user says: as the ids step.
+#: Default view and rate of a dataset, which are those of the ids; default rate without one.
 _DATASET_VIEW, _DATASET_RATE, _RATE = "flattened_discrete", 10, 20
+_DECIDED = ("seed",)
 
 
-def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
-    """Adds the command."""
-    from stkzoo.race import RaceSettings
-
-    parser = subparsers.add_parser(
-        "play",
-        help="drive yourself, with the keyboard",
-        description=_ABOUT,
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("opponents", nargs="*", metavar="DRIVER", help="who else drives")
-    parser.add_argument("--name", default="you", help="what to call you (default: %(default)s)")
-    parser.add_argument("--seed", type=int, metavar="N", help="decides all that is left to chance")
-    _add_window_flags(parser.add_argument_group("the window"))
-    _add_dataset_flags(parser.add_argument_group("a dataset"))
-    add_flags(parser.add_argument_group("the race"), RaceSettings, leave_out=("seed",))
-    race_replay.add_flags(parser)
-    parser.set_defaults(run=_play, fail=parser.error, races=1)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments."""
+    parser.add_argument("opponents", nargs="*", metavar="DRIVER", help="the other drivers")
+    parser.add_argument("--name", default="you", help="your name (default: %(default)s)")
+    parser.add_argument("--seed", type=int, metavar="N", help="of all random choices")
+    _add_window_options(parser.add_argument_group("the window"))
+    _add_dataset_options(parser.add_argument_group("a dataset"))
+    add_settings(parser, "the race", _DECIDED)
+    add_replay_options(parser)
+    parser.set_defaults(races=1)
 
 
-def _add_window_flags(group: argparse._ArgumentGroup) -> None:
+def _add_window_options(group: argparse._ArgumentGroup) -> None:
     choice = group.add_mutually_exclusive_group()
     choice.add_argument("--map", action="store_true", help="draw the race from above")
     choice.add_argument("--3d", action="store_true", dest="is_3d", help="the game's pictures only")
@@ -72,8 +63,8 @@ def _add_window_flags(group: argparse._ArgumentGroup) -> None:
     )
 
 
-def _add_dataset_flags(group: argparse._ArgumentGroup) -> None:
-    group.add_argument("--dataset", metavar="FILE", help="keep what you drive in FILE (.npz)")
+def _add_dataset_options(group: argparse._ArgumentGroup) -> None:
+    group.add_argument("--dataset", metavar="FILE", help="record your drive in FILE (.npz)")
     group.add_argument(
         "--view",
         metavar="VIEW",
@@ -81,10 +72,12 @@ def _add_dataset_flags(group: argparse._ArgumentGroup) -> None:
     )
 
 
-def _play(arguments: argparse.Namespace) -> int:
-    from stkzoo.cli.race_report import show_race
+@usage_errors
+def run(arguments: argparse.Namespace) -> int:
+    """Opens the window and races."""
+    from stkzoo.cli._race_report import show_race
     from stkzoo.play import play_race
-    from stkzoo.race import RaceInterrupted, RaceSettings
+    from stkzoo.race import RaceInterrupted
 
     try:
         result = play_race(
@@ -92,13 +85,11 @@ def _play(arguments: argparse.Namespace) -> int:
             name=arguments.name,
             backend=_backend(arguments),
             size=(arguments.width, arguments.height),
-            listeners=race_replay.listeners(arguments),
+            listeners=replay_listeners(arguments),
             seed=random.randrange(2**16) if arguments.seed is None else arguments.seed,
             **_recording(arguments),
-            **flags_given(arguments, RaceSettings, leave_out=("seed",)),
+            **settings_of(arguments, _DECIDED),
         )
-    except ConfigError as error:
-        arguments.fail(str(error))
     except RaceInterrupted as interrupt:
         show_race(interrupt.result)
         return 130
@@ -115,7 +106,7 @@ def _backend(arguments: argparse.Namespace) -> str:
 def _recording(arguments: argparse.Namespace) -> dict[str, Any]:
     if arguments.dataset is None:
         if arguments.view is not None:
-            raise ConfigError("--view says what a dataset is recorded in; give --dataset too")
+            raise ConfigError("--view is the view of a dataset; add --dataset")
         return {"rate": arguments.rate or _RATE}
     return {
         "rate": arguments.rate or _DATASET_RATE,

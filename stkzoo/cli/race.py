@@ -1,4 +1,17 @@
-"""``stkzoo race``: run races and show who won."""
+"""Run a race and show who won.
+
+Each driver gets a kart:
+
+  ai               the game's own AI, as strong as --difficulty; ai:3 sets that too
+  heuristic        a rule-based driver, which comes with stkzoo
+  pretrained:ace   a learned one, the best that comes with stkzoo; docs/learning.md
+  random           random actions
+  FOLDER, ZIP      an agent of yours: a pystk_actor.py with get_actor(...); docs/agents.md
+  MODULE           the same, by the name that Python imports it by
+
+DRIVER@:Name sets a driver's name. Each agent from files runs in a process of its own: a failure
+affects its own kart only. The same seed gives the same race, bit for bit.
+"""
 
 from __future__ import annotations
 
@@ -7,49 +20,31 @@ import json
 import random
 import sys
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stkzoo._os import atomic_write
-from stkzoo.cli.flags import add_flags, flags_given
+from stkzoo.cli import _race_options
+from stkzoo.cli._arguments import add_settings, settings_of, usage_errors
 from stkzoo.errors import AgentError, ConfigError
 
 if TYPE_CHECKING:
-    from stkzoo.race import Driver, RaceListener, RaceResult
+    from stkzoo.race import Driver, RaceResult
 
-__all__ = ["EXTRAS", "add_parser", "add_race_flags", "run_races"]
+__all__ = ["EXAMPLES", "add_arguments", "add_race_options", "run", "run_races"]
 
-#: What can be attached to a race: modules of this package with ``add_flags(parser)`` and
-#: ``listeners(arguments) -> list[RaceListener]``. Each is light to import.
-EXTRAS: tuple[str, ...] = ("race_replay", "race_window", "race_video", "race_web")
-
-_ABOUT = """\
-Runs a race and shows how it ended. Each driver named gets a kart:
-
-  ai               the game's own AI, as good as --difficulty says; ai:3 sets that too
-  heuristic        a driver made of rules, which comes with stkzoo
-  pretrained:ace   a learned one, the best that comes with stkzoo; docs/learning.md
-  random           presses buttons at random
-  FOLDER, ZIP      an agent of yours: a pystk_actor.py with get_actor(...); docs/agents.md
-  MODULE           the same, by the name that Python imports it by
-
-DRIVER@:Name says what to call it. Agents of files run each in a process of its own: what
-goes wrong in one costs its own kart. The same seed gives the same race, bit for bit.
-"""
-
-_EXAMPLES = """\
+EXAMPLES = """\
 examples:
   stkzoo race --demo                           the best driver here against the hardest bots
   stkzoo race heuristic ai ai --track hacienda --laps 3
   stkzoo race my_agent/ other.zip@:Rival ai    agents of files against the game's AI
   stkzoo race my_agent/ ai --races 10 --track test --output results.json
-  stkzoo race heuristic --num-karts 8          seven bots beside it
-  stkzoo race heuristic random --json -        the result as JSON
+  stkzoo race heuristic --num-karts 8          with seven bots
+  stkzoo race heuristic random --output -      the result as JSON
 
 exit codes:
-  0 all is well, 1 the race could not be run, 2 the command cannot be understood,
-  3 an agent failed (what is known of it stands in the result), 130 interrupted
+  0 success, 1 the race could not be run, 2 invalid command line, 3 an agent failed (the result
+  has the error), 130 interrupted
 """
 
 _NEXT_STEPS = """\
@@ -63,54 +58,50 @@ Where to go next:
 _DEMO_DRIVERS = ("pretrained:ace", "ai:3", "ai:3", "ai:3")
 _DEMO_TRACK = "lighthouse"
 _DEMO_SEED = 1
-_AGENT_FAILED = 3
-_INTERRUPTED = 130
+_DECIDED = ("seed",)
+_AGENT_FAILED, _INTERRUPTED = 3, 130
 
 
-def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
-    """Adds the command."""
-    parser = subparsers.add_parser(
-        "race",
-        help="run a race and show who won",
-        description=_ABOUT,
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("drivers", nargs="*", metavar="DRIVER", help="who drives; see above")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments."""
+    parser.add_argument("drivers", nargs="*", metavar="DRIVER", help="the drivers; see above")
     parser.add_argument(
         "--demo", action="store_true", help=f"four karts on {_DEMO_TRACK}: see who wins"
     )
-    add_race_flags(parser)
-    parser.set_defaults(run=run_races, fail=parser.error)
+    add_race_options(parser)
 
 
-def add_race_flags(parser: argparse.ArgumentParser) -> None:
-    """Adds all that says how a race is run, whoever drives."""
-    from stkzoo.race import RaceSettings
-
+def add_race_options(parser: argparse.ArgumentParser) -> None:
+    """Adds all options of a race but its drivers."""
     parser.add_argument(
         "--num-karts", type=int, metavar="N", help="fill the race up with the AI to N karts"
     )
     parser.add_argument(
-        "--races", type=int, default=1, metavar="N", help="so many races, with following seeds"
+        "--races", type=int, default=1, metavar="N", help="number of races, with consecutive seeds"
     )
     parser.add_argument(
-        *("--output", "--json"),
+        "--output",
         metavar="FILE",
         help="write the result into FILE as JSON; - writes only it, to stdout",
     )
-    parser.add_argument("--seed", type=int, metavar="N", help="decides all that is left to chance")
-    add_flags(parser.add_argument_group("the race"), RaceSettings, leave_out=("seed",))
-    for name in EXTRAS:
-        import_module(f"stkzoo.cli.{name}").add_flags(parser)
+    parser.add_argument("--seed", type=int, metavar="N", help="of all random choices")
+    add_settings(parser, "the race", _DECIDED)
+    _race_options.add_replay_options(parser)
+    _race_options.add_viewing_options(parser, "--record")
+
+
+@usage_errors
+def run(arguments: argparse.Namespace) -> int:
+    """Runs races of the named drivers."""
+    return run_races(arguments)
 
 
 def run_races(arguments: argparse.Namespace, remote: Sequence[Driver] = ()) -> int:
-    """Runs the races that the flags of :func:`add_race_flags` ask for.
+    """Runs the races that the options of :func:`add_race_options` describe.
 
     Args:
-        arguments: the flags, and ``drivers``, ``demo`` and ``fail``.
-        remote: drivers besides those named, who get the first karts.
+        arguments: these options, ``drivers`` and ``demo``.
+        remote: more drivers, who get the first karts.
 
     Returns:
         The exit code.
@@ -122,8 +113,6 @@ def run_races(arguments: argparse.Namespace, remote: Sequence[Driver] = ()) -> i
     try:
         for drivers, settings in _plan(arguments, remote):
             results.append(_race(drivers, settings, arguments))
-    except ConfigError as error:
-        arguments.fail(str(error))
     except AgentError as error:
         print(f"stkzoo: {error}\n{error.trace}".rstrip(), file=sys.stderr)
         code = _AGENT_FAILED
@@ -138,22 +127,19 @@ def run_races(arguments: argparse.Namespace, remote: Sequence[Driver] = ()) -> i
 def _plan(
     arguments: argparse.Namespace, remote: Sequence[Driver]
 ) -> list[tuple[list[str | Driver], dict[str, Any]]]:
-    """For each race who drives, and the settings of :func:`stkzoo.race.run_race`."""
-    from stkzoo.race import RaceSettings
-
+    """For each race the drivers, and the settings of :func:`stkzoo.race.run_race`."""
     if arguments.demo and arguments.drivers:
         raise ConfigError("--demo brings its own drivers; leave out --demo or the drivers")
     if arguments.races < 1:
         raise ConfigError(f"--races is {arguments.races}, expected 1 or more")
     drivers = [*remote, *(_DEMO_DRIVERS if arguments.demo else arguments.drivers)]
     if not drivers:
-        raise ConfigError("nobody drives; name drivers, such as heuristic ai, or try --demo")
+        raise ConfigError("no drivers; name some, such as heuristic ai, or try --demo")
     num_karts = len(drivers) if arguments.num_karts is None else arguments.num_karts
     if num_karts < len(drivers):
         raise ConfigError(f"--num-karts is {num_karts}, but {len(drivers)} drivers are named")
     drivers += ["ai"] * (num_karts - len(drivers))
-    settings = flags_given(arguments, RaceSettings, leave_out=("seed",))
-    seed = arguments.seed
+    settings, seed = settings_of(arguments, _DECIDED), arguments.seed
     if seed is None:
         seed = _DEMO_SEED if arguments.demo else random.randrange(2**16)
     if arguments.demo:
@@ -164,19 +150,18 @@ def _plan(
 def _race(
     drivers: list[str | Driver], settings: dict[str, Any], arguments: argparse.Namespace
 ) -> RaceResult:
-    from stkzoo.cli.race_report import RaceBar
+    from stkzoo.cli._race_report import RaceBar
     from stkzoo.race import run_race
 
     with RaceBar() as bar:
-        listeners: list[RaceListener] = [bar]
-        for name in EXTRAS:
-            listeners += import_module(f"stkzoo.cli.{name}").listeners(arguments)
+        replay = _race_options.replay_listeners(arguments)
+        listeners = [bar, *replay, *_race_options.viewing_listeners(arguments)]
         return run_race(drivers, listeners=listeners, **settings)
 
 
 def _report(results: Sequence[RaceResult], arguments: argparse.Namespace) -> int:
     """Shows and writes the results."""
-    from stkzoo.cli.race_report import show_race, show_series
+    from stkzoo.cli._race_report import show_race, show_series
 
     if not results:
         return 0
@@ -207,7 +192,6 @@ def _as_json(results: Sequence[RaceResult], *, is_series: bool) -> str:
 
 
 def _write(text: str, file: Path) -> int:
-    """Writes the whole file or none."""
     try:
         with atomic_write(file) as part:
             part.write_text(text + "\n", encoding="utf-8")

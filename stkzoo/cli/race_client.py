@@ -1,49 +1,40 @@
-"""``stkzoo race-client``: run a race with agents that are served elsewhere."""
+"""Run a race with agents that are served elsewhere.
+
+Runs a race like `stkzoo race`, with the agents of servers (`stkzoo race-server`). Every agent of
+every server gets a kart, in the order of --server; the drivers named as arguments run here and
+get the next karts. A server that is slow, dies or misbehaves affects its own karts only.
+"""
 
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from stkzoo.errors import ConfigError
+from stkzoo.cli._arguments import usage_errors
 
 if TYPE_CHECKING:
     from stkzoo.race.remote import RemoteDriverGroup
 
-__all__ = ["add_parser"]
+__all__ = ["EXAMPLES", "add_arguments", "run"]
 
-_ABOUT = """\
-Runs a race like stkzoo race, with the agents of servers (stkzoo race-server) at the
-wheel. Every agent of every server gets a kart, in the order of --server; the drivers
-named besides run here and get the next ones. A server that is slow, dies or
-misbehaves costs its own karts only.
-"""
-
-_EXAMPLES = """\
+EXAMPLES = """\
 examples:
   stkzoo race-client --server 127.0.0.1:5555 --track lighthouse
   stkzoo race-client --server ada.lab:5555 --server bob.lab:5555 heuristic ai --laps 2
   stkzoo race-client --server ada.lab:5555 --server-key ada.public --secret course.secret
 
 exit codes:
-  0 all is well, 1 the race could not be run, 2 the command cannot be understood,
-  3 an agent or server failed (the result tells of it), 130 interrupted
+  0 success, 1 the race could not be run, 2 invalid command line, 3 an agent or server failed
+  (the result has the error), 130 interrupted
 """
 
 
-def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
-    """Adds the command."""
-    from stkzoo.cli.race import add_race_flags
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments."""
+    from stkzoo.cli.race import add_race_options
 
-    parser = subparsers.add_parser(
-        "race-client",
-        help="run a race with agents that are served elsewhere",
-        description=_ABOUT,
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
     parser.add_argument(
-        "drivers", nargs="*", metavar="DRIVER", help="who drives besides, as in stkzoo race"
+        "drivers", nargs="*", metavar="DRIVER", help="drivers that run here, as in stkzoo race"
     )
     group = parser.add_argument_group("the servers")
     group.add_argument(
@@ -65,27 +56,25 @@ def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
         "--timeout",
         type=float,
         metavar="SECONDS",
-        help="for each of a server's answers (default: --action-timeout and 5 s)",
+        help="for each of a server's answers (default: --action-timeout plus 5 s)",
     )
     group.add_argument(
         "--connect-timeout",
         type=float,
         default=10.0,
         metavar="SECONDS",
-        help="for a server to be there before the race (default: %(default)g)",
+        help="for the connection to a server before the race (default: %(default)g)",
     )
-    add_race_flags(parser)
-    parser.set_defaults(run=_run, fail=parser.error, demo=False)
+    add_race_options(parser)
+    parser.set_defaults(demo=False)
 
 
-def _run(arguments: argparse.Namespace) -> int:
+@usage_errors
+def run(arguments: argparse.Namespace) -> int:
+    """Connects to the servers and runs the race."""
     from stkzoo.cli.race import run_races
 
-    try:
-        group = _remote_group(arguments)
-    except ConfigError as error:
-        arguments.fail(str(error))
-    with group:
+    with _remote_group(arguments) as group:
         return run_races(arguments, group.drivers)
 
 

@@ -1,4 +1,12 @@
-"""``stkzoo race-server``: serve agents to races that run elsewhere."""
+"""Serve agents to races that run elsewhere.
+
+Serves agents to races that run elsewhere (`stkzoo race-client`), one race after another and
+several at once, until Ctrl-C. Each agent of each race runs in a process of its own here, with its
+own wrappers; only observations and actions go over the network.
+
+An agent is the path of a folder or zip with pystk_actor.py, or the name of a module or of a
+driver of stkzoo; append @:Name to rename it (docs/agents.md).
+"""
 
 from __future__ import annotations
 
@@ -6,25 +14,16 @@ import argparse
 import logging
 import signal
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from stkzoo.errors import ConfigError
+from stkzoo.cli._arguments import usage_errors
 
 if TYPE_CHECKING:
     from stkzoo.race.remote import RaceServer
 
-__all__ = ["add_parser"]
+__all__ = ["EXAMPLES", "add_arguments", "run"]
 
-_ABOUT = """\
-Serves agents to races that run elsewhere (stkzoo race-client), one race after another and
-several at once, until Ctrl-C. Each agent of each race runs in a process of its own here,
-with its own wrappers; only what karts see and do goes over the network.
-
-An agent is the path of a folder or zip with pystk_actor.py, or the name of a module or
-of a driver of stkzoo, with @:Name behind it if it is to be called so (docs/agents.md).
-"""
-
-_EXAMPLES = """\
+EXAMPLES = """\
 examples:
   stkzoo race-server my_agent.zip                  for clients on this machine
   stkzoo race-server ada.zip bob/ --address 127.0.0.1:6000
@@ -35,48 +34,47 @@ then, at the client:
 """
 
 
-def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
-    """Adds the command."""
-    parser = subparsers.add_parser(
-        "race-server",
-        help="serve agents to races that run elsewhere",
-        description=_ABOUT,
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments."""
     add = parser.add_argument
-    add("agents", nargs="+", metavar="AGENT", help="who drives; see above")
+    add("agents", nargs="+", metavar="AGENT", help="the agents; see above")
     add("--address", default="tcp://127.0.0.1:5555", help="where to listen (default: %(default)s)")
-    add("--adapter", metavar="PATH", help="Python file that makes the actors of agents")
+    add(
+        "--adapter",
+        metavar="PATH",
+        help="Python file with create_actor(...), which makes the agents' actors",
+    )
     add(
         "--action-timeout",
         type=float,
         default=10.0,
         metavar="SECONDS",
-        help="how long an agent may think about a step; 0 is no limit (default: %(default)g)",
+        help="time limit of an agent per step; 0 is no limit (default: %(default)g)",
     )
     add(
         "--start-timeout",
         type=float,
         default=60.0,
         metavar="SECONDS",
-        help="how long an agent may take to load (default: %(default)g)",
+        help="time limit of an agent to load (default: %(default)g)",
     )
     add(
         "--agent-memory",
         type=int,
         default=4096,
         metavar="MB",
-        help="memory that an agent may use; 0 is no limit (default: %(default)s)",
+        help="memory limit of an agent; 0 is no limit (default: %(default)s)",
     )
     add(
         "--threads",
         type=int,
         default=8,
         metavar="N",
-        help="clients served at once, each in a thread (default: %(default)s)",
+        help="clients served at a time, each in a thread (default: %(default)s)",
     )
-    add("--inline", action="store_true", help="run agents in this process: quicker, but not safe")
+    add(
+        "--inline", action="store_true", help="run agents in this process: faster, but not isolated"
+    )
     add("--secret", metavar="FILE", help="the server's secret key (stkzoo keys new)")
     add(
         "--allow",
@@ -85,27 +83,24 @@ def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
         help="a client's public key, a file of them or a folder of .public files; repeatable",
     )
     add("--insecure", action="store_true", help="listen to other machines even without keys")
-    add("--quiet", action="store_true", help="tell only what goes wrong")
-    parser.set_defaults(run=_run, fail=parser.error)
+    add("--quiet", action="store_true", help="log only failures")
 
 
-def _run(arguments: argparse.Namespace) -> int:
+@usage_errors
+def run(arguments: argparse.Namespace) -> int:
+    """Serves until it is stopped."""
     logging.basicConfig(
         level=logging.WARNING if arguments.quiet else logging.INFO,
         format="%(asctime)s %(message)s",
         datefmt="%H:%M:%S",
     )
-    try:
-        server = _server(arguments)
-    except ConfigError as error:
-        arguments.fail(str(error))
-    with server:
+    with _server(arguments) as server:
         signal.signal(signal.SIGTERM, lambda *_: server.stop())
         print(f"serving {', '.join(arguments.agents)} at {server.address}", flush=True)
         try:
             server.serve()
         except KeyboardInterrupt:
-            print("stkzoo: no more races", file=sys.stderr)
+            print("stkzoo: server stopped", file=sys.stderr)
     return 0
 
 

@@ -1,76 +1,56 @@
-"""``stkzoo replay``: run a recorded race again."""
+"""Run a recorded race again, check it, or make a video of it.
+
+Runs a race that `stkzoo race --replay FILE` recorded again, on the real engine, and checks after
+every step that each kart is where it was, to the last bit. The drivers are not needed.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
 import sys
-from collections.abc import Sequence
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from stkzoo.cli.race import EXTRAS
+from stkzoo.cli._race_options import add_viewing_options, viewing_listeners
+from stkzoo.errors import ConfigError
 
 if TYPE_CHECKING:
-    from stkzoo.race import RaceListener
     from stkzoo.race.replay import Playback, Replay
 
-__all__ = ["add_parser"]
+__all__ = ["EXAMPLES", "add_arguments", "run"]
 
-_ABOUT = """\
-Runs a race again that `stkzoo race --replay FILE` kept, on the real engine, and checks after
-every step that each kart is where it was, to the last bit. The drivers are not needed.
-"""
-
-_EXAMPLES = """\
+EXAMPLES = """\
 examples:
   stkzoo race heuristic ai ai --seed 1 --replay race.stkz
   stkzoo replay race.stkz                      run it again and check it
   stkzoo replay race.stkz --video race.mp4     make a video of it
-  stkzoo replay race.stkz --info               what is in the file, without the engine
+  stkzoo replay race.stkz --info               describe the file, without the engine
 
 exit codes:
-  0 all is as recorded, 1 it is not, or the file cannot be played, 2 the command cannot be
-  understood, 130 interrupted
+  0 all is as recorded, 1 it is not, or the file is not playable, 2 invalid command line,
+  130 interrupted
 """
 
-_OWN_EXTRA = "race_replay"
 
-
-def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
-    """Adds the command."""
-    parser = subparsers.add_parser(
-        "replay",
-        help="run a recorded race again, check it, film it",
-        description=_ABOUT,
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("file", metavar="FILE", help="what `stkzoo race --replay` wrote")
-    parser.add_argument("--info", action="store_true", help="show what is in it, run nothing")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments."""
+    parser.add_argument("file", metavar="FILE", help="the output of `stkzoo race --replay`")
+    parser.add_argument("--info", action="store_true", help="describe the file, run nothing")
     parser.add_argument("--json", action="store_true", help="write JSON to stdout")
     parser.add_argument(
-        "--to-the-end", action="store_true", help="go on after the first difference"
+        "--to-the-end", action="store_true", help="continue after the first difference"
     )
     parser.add_argument(
         "--any-engine",
         action="store_true",
-        help="play it with another version of the engine, which may drive differently",
+        help="play it with another engine version, which may behave differently",
     )
-    parser.add_argument(
-        "--video", dest="record", metavar="FILE", help="make a video; the same as --record"
-    )
-    for name in _extras():
-        import_module(f"stkzoo.cli.{name}").add_flags(parser)
-    parser.set_defaults(run=_run, fail=parser.error, races=1)
+    add_viewing_options(parser, "--video")
+    parser.set_defaults(races=1)
 
 
-def _extras() -> Sequence[str]:
-    """What can watch a race can watch a replay."""
-    return [name for name in EXTRAS if name != _OWN_EXTRA]
-
-
-def _run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
+    """Plays or describes a replay."""
     from stkzoo.race.replay import load_replay
 
     replay = load_replay(arguments.file)
@@ -83,15 +63,12 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _play(replay: Replay, arguments: argparse.Namespace) -> Playback:
-    from stkzoo.cli.race_report import RaceBar
-    from stkzoo.errors import ConfigError
+    from stkzoo.cli._race_report import RaceBar
     from stkzoo.race.replay import play_replay
 
     with RaceBar() as bar:
-        listeners: list[RaceListener] = [bar]
         try:
-            for name in _extras():
-                listeners += import_module(f"stkzoo.cli.{name}").listeners(arguments)
+            listeners = [bar, *viewing_listeners(arguments)]
         except ConfigError as error:
             arguments.fail(str(error))
         return play_replay(
@@ -115,7 +92,7 @@ def _show(replay: Replay, playback: Playback, *, as_json: bool) -> None:
         }
         print(json.dumps(form, indent=2))
     else:
-        from stkzoo.cli.race_report import show_race
+        from stkzoo.cli._race_report import show_race
 
         show_race(playback.result)
     if playback.is_exact:

@@ -1,61 +1,48 @@
-"""``stkzoo tournament``: find out which agents are better."""
+"""Rate agents in many races.
+
+Runs many races among agents and rates them. The schedule is balanced: each agent races as
+often as the others, on each track, from each place of the grid, against each other agent.
+
+Each race is stored in the output folder as soon as it is over. After an interruption the same
+command resumes; so does --resume FOLDER. An agent that fails loses its race; the tournament
+goes on.
+
+Agents are named as for `stkzoo race`: ai, heuristic, random, a folder, a zip, a module; append
+@:Name to rename one.
+"""
 
 from __future__ import annotations
 
 import argparse
-import os
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from stkzoo.cli.batch_bar import BatchBar
-from stkzoo.cli.flags import add_flags, flags_given
+from stkzoo.cli._arguments import add_batch_options, settings_of, usage_errors
+from stkzoo.errors import ConfigError
 
 if TYPE_CHECKING:
-    from stkzoo.evaluation import TournamentResult
+    from stkzoo.evaluation import RunOptions, TournamentResult
 
-__all__ = ["add_parser"]
+__all__ = ["EXAMPLES", "add_arguments", "run"]
 
-_ABOUT = """\
-Runs many races among agents and rates them. The schedule is balanced: each agent races as
-often as the others, on each track, from each place of the grid, against each other agent.
-
-Each race is kept in the output folder as soon as it is over. If the tournament is
-interrupted, by whatever, the same command goes on where it was; so does --resume FOLDER.
-An agent that fails loses its race; the tournament goes on.
-
-agents are named as for `stkzoo race`: ai, heuristic, random, a folder, a zip, a module, with
-@:Name behind it to call it something else.
-"""
-
-_EXAMPLES = """\
+EXAMPLES = """\
 examples:
   stkzoo tournament heuristic ai random my_agent/ --tracks lighthouse hacienda
   stkzoo tournament students/*.zip ai --tracks test --races 300 --per-race 5 --output league
   stkzoo tournament --resume league
 
 exit codes:
-  0 all is well, 1 a race could not be run, 2 the command cannot be understood,
-  3 an agent failed in some race, 130 interrupted
+  0 success, 1 a race could not be run, 2 invalid command line, 3 an agent failed in some race,
+  130 interrupted
 """
 
-_LEFT_OUT = ("track", "seed")
-_AGENT_FAILED, _INTERRUPTED = 3, 130
-_FOLDER = "tournament"
+_DECIDED = ("track", "seed")
+_AGENT_FAILED = 3
 
 
-def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
-    """Adds the command."""
-    from stkzoo.race import RaceSettings
-
-    parser = subparsers.add_parser(
-        "tournament",
-        help="rate agents in many races",
-        description=_ABOUT,
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("agents", nargs="*", metavar="AGENT", help="who takes part; see above")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments."""
+    parser.add_argument("agents", nargs="*", metavar="AGENT", help="the agents; see above")
     parser.add_argument(
         "--tracks",
         nargs="+",
@@ -63,107 +50,77 @@ def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
         metavar="TRACK",
         help="names of tracks, or train, test or all (default: train)",
     )
-    for flag, default, text in (
-        ("--races", 60, "how many races (default: %(default)s)"),
-        ("--per-race", None, "agents in a race (default: 4, or all if they are fewer)"),
-        ("--seed", 0, "decides the schedule and the races (default: %(default)s)"),
-        ("--jobs", None, "races at a time (default: as many as processors)"),
+    for option, default, text in (
+        ("--races", 60, "number of races (default: %(default)s)"),
+        ("--per-race", None, "agents in a race (default: 4, or all if there are fewer)"),
+        ("--seed", 0, "of the schedule and the races (default: %(default)s)"),
     ):
-        parser.add_argument(flag, type=int, default=default, metavar="N", help=text)
+        parser.add_argument(option, type=int, default=default, metavar="N", help=text)
     choice = parser.add_mutually_exclusive_group()
     choice.add_argument(
         "--output",
-        default=_FOLDER,
+        default="tournament",
         metavar="FOLDER",
-        help="where races, result.json and tournament.png are kept (default: %(default)s)",
+        help="for races, result.json and tournament.png (default: %(default)s)",
     )
-    choice.add_argument("--resume", metavar="FOLDER", help="go on with the tournament in FOLDER")
+    choice.add_argument("--resume", metavar="FOLDER", help="resume the tournament in FOLDER")
     parser.add_argument("--json", action="store_true", help="write only JSON to stdout")
     parser.add_argument("--no-plot", action="store_true", help="draw no tournament.png")
-    parser.add_argument(
-        "--race-timeout",
-        type=float,
-        default=3600.0,
-        metavar="SECONDS",
-        help="for one race (default: %(default)s)",
-    )
-    add_flags(parser.add_argument_group("each race"), RaceSettings, leave_out=_LEFT_OUT)
-    parser.set_defaults(run=_run, fail=parser.error)
+    add_batch_options(parser, _DECIDED)
 
 
-def _run(arguments: argparse.Namespace) -> int:
-    from stkzoo.errors import ConfigError
-    from stkzoo.evaluation import BatchError
+@usage_errors
+def run(arguments: argparse.Namespace) -> int:
+    """Runs or resumes a tournament."""
+    from stkzoo.cli._batch import run_batch, say_kept
 
     folder = Path(arguments.resume or arguments.output)
-    code = 0
-    with BatchBar() as bar:
-        try:
-            result = _result(arguments, folder, bar)
-        except ConfigError as error:
-            bar.stop()
-            arguments.fail(str(error))
-        except BatchError as error:
-            print(f"stkzoo: {error}", file=sys.stderr)
-            result, code = error.result, 1
-        except KeyboardInterrupt:
-            print(
-                f"stkzoo: interrupted after {bar.done} of {bar.total} races, which are kept; go "
-                f"on with: stkzoo tournament --resume {folder}",
-                file=sys.stderr,
-            )
-            return _INTERRUPTED
+    result, code = run_batch(
+        arguments,
+        lambda options: _run(arguments, folder, options),
+        f"stkzoo tournament --resume {folder}",
+    )
+    if result is None:
+        return code
     if arguments.json:
         print(result.to_json())
     else:
-        _show(result, folder)
+        _show(result)
+        say_kept(folder, "result.json", "tournament.png", "races")
     has_failed = any(row.errors for row in result.standings)
     return code or (_AGENT_FAILED if has_failed else 0)
 
 
-def _result(arguments: argparse.Namespace, folder: Path, bar: BatchBar) -> TournamentResult:
-    from stkzoo.errors import ConfigError
-    from stkzoo.evaluation import resume_tournament, run_tournament
-    from stkzoo.race import RaceSettings
+def _run(arguments: argparse.Namespace, folder: Path, options: RunOptions) -> TournamentResult:
+    from stkzoo.evaluation import plan_tournament
+    from stkzoo.evaluation.tournament.run import resumed_plan, run_tournament_plan
 
-    how: dict[str, Any] = {
-        "jobs": arguments.jobs,
-        "plot": not arguments.no_plot,
-        "race_timeout": arguments.race_timeout,
-        "on_race": bar.tell,
-    }
-    if arguments.resume:
-        if arguments.agents:
-            raise ConfigError("--resume knows its agents; leave them out")
-        return resume_tournament(folder, **how)
-    return run_tournament(
-        arguments.agents,
-        output=folder,
-        tracks=arguments.tracks,
-        races=arguments.races,
-        per_race=arguments.per_race,
-        seed=arguments.seed,
-        settings=RaceSettings(**flags_given(arguments, RaceSettings, leave_out=_LEFT_OUT)),
-        **how,
+    if arguments.resume and arguments.agents:
+        raise ConfigError("--resume knows its agents; leave them out")
+    plan = (
+        resumed_plan(folder)
+        if arguments.resume
+        else plan_tournament(
+            arguments.agents,
+            tracks=arguments.tracks,
+            races=arguments.races,
+            per_race=arguments.per_race,
+            seed=arguments.seed,
+            **settings_of(arguments, _DECIDED),
+        )
     )
+    return run_tournament_plan(plan, folder, options, plot=not arguments.no_plot)
 
 
-def _kept(folder: Path) -> list[str]:
-    return [name for name in ("result.json", "tournament.png", "races") if (folder / name).exists()]
-
-
-def _show(result: TournamentResult, folder: Path) -> None:
-    from rich import box
+def _show(result: TournamentResult) -> None:
     from rich.console import Console
     from rich.markup import escape
-    from rich.table import Table
+
+    from stkzoo.cli._console import make_table, say
 
     console = Console()
-    is_plain = not console.is_terminal
-    table = Table(box=None if is_plain else box.ROUNDED, pad_edge=not is_plain)
     columns = ("place", "agent", "rating", "95 %", "races", "wins", "rank", "finished", "failed")
-    for name in columns:
-        table.add_column(name, justify="left" if name == "agent" else "right")
+    table = make_table(columns, ("agent",), is_framed=console.is_terminal)
     for row in result.standings:
         rating = row.rating
         table.add_row(
@@ -180,9 +137,7 @@ def _show(result: TournamentResult, folder: Path) -> None:
         )
     console.print(table)
     plan = result.plan
-    for line in (
+    say(
         f"{len(result.races)} of {plan.races} races of {plan.per_race} on "
-        f"{', '.join(plan.tracks)}; Plackett-Luce ratings, intervals by bootstrap over races.",
-        f"More in {folder}{os.sep}: {', '.join(_kept(folder))}",
-    ):
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        f"{', '.join(plan.tracks)}; Plackett-Luce ratings, intervals by bootstrap over races."
+    )

@@ -1,4 +1,9 @@
-"""``stkzoo tracks``: what there is to drive on."""
+"""List the tracks.
+
+Shows the game's tracks: the length of a lap, parts and forks of the driving line, items at
+the start, and how long the game's AI takes for a lap, forward and reversed (median of 25 karts
+at --difficulty). Do not train on the tracks of the split "test".
+"""
 
 from __future__ import annotations
 
@@ -6,23 +11,17 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
+from stkzoo._os import atomic_write
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.tracks import SPLITS, TEST_TRACKS
 
-__all__ = ["TrackFacts", "add_parser", "track_facts"]
+__all__ = ["EXAMPLES", "TrackFacts", "add_arguments", "run", "track_facts"]
 
-_ABOUT = """\
-Shows the game's tracks: the length of a lap, parts and forks of the driving line, items at
-the start, and how long the game's AI takes for a lap, forwards and reversed (median of 25 karts
-at --difficulty). Nothing that learns may be trained on the tracks of the split "test".
-"""
-
-_EXAMPLES = """\
+EXAMPLES = """\
 examples:
   stkzoo tracks                                    all, by name
-  stkzoo tracks --split train --sort time          those to train on, the quickest first
+  stkzoo tracks --split train --sort time          training tracks, the fastest first
   stkzoo tracks lighthouse hacienda --difficulty 3
   stkzoo tracks lighthouse --map lighthouse.png    its map as a picture
   stkzoo tracks --json                             for programs
@@ -31,17 +30,10 @@ examples:
 _SORTS = ("name", "length", "time", "items")
 
 
-def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
-    """Adds the command."""
-    parser = subparsers.add_parser(
-        "tracks",
-        help="what there is to drive on",
-        description=_ABOUT,
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("tracks", nargs="*", metavar="TRACK", help="these alone (default: all)")
-    parser.add_argument("--split", choices=list(SPLITS), help="those of one list")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments."""
+    parser.add_argument("tracks", nargs="*", metavar="TRACK", help="only these (default: all)")
+    parser.add_argument("--split", choices=list(SPLITS), help="only the tracks of one split")
     parser.add_argument("--sort", choices=_SORTS, default="name", help="(default: name)")
     parser.add_argument(
         "--difficulty",
@@ -55,12 +47,11 @@ def add_parser(subparsers: argparse._SubParsersAction[Any]) -> None:
         "--map", type=Path, metavar="FILE", help="draw the one track's map (.png, .jpg, .webp)"
     )
     parser.add_argument("--json", action="store_true", help="write JSON instead of a table")
-    parser.set_defaults(run=_run)
 
 
 @dataclass(frozen=True)
 class TrackFacts:
-    """What is known of one track: length [m], counts, and the AI's times for a lap [s]."""
+    """Facts about one track: length [m], counts, and the AI's times for a lap [s]."""
 
     track: str
     split: str
@@ -72,7 +63,8 @@ class TrackFacts:
     reversed_time: float | None
 
 
-def _run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
+    """Prints a table or JSON, or draws a map."""
     names = _chosen(arguments)
     if arguments.map is not None:
         return _draw(names, arguments.map)
@@ -82,7 +74,7 @@ def _run(arguments: argparse.Namespace) -> int:
     console = Console(stderr=True)
     bar = with_bar(
         names,
-        "looking at the tracks",
+        "reading the tracks",
         console=console,
         transient=True,
         disable=not console.is_terminal,
@@ -111,11 +103,11 @@ def _chosen(arguments: argparse.Namespace) -> list[str]:
 
 
 def track_facts(track: str, difficulty: int) -> TrackFacts:
-    """Starts a race on a track and counts what is there.
+    """Starts a race on a track and reads its facts.
 
     Args:
         track: its name.
-        difficulty: that of the AI whose times are given, 0 to 3.
+        difficulty: level of the AI whose times are included, 0 to 3.
     """
     from stkzoo import race_v0
     from stkzoo.evaluation import load_ai_times
@@ -174,7 +166,6 @@ def _draw(names: Sequence[str], file: Path) -> int:
     if file.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
         raise ConfigError(f"--map is {str(file)!r}, expected a name ending in .png, .jpg or .webp")
     from stkzoo import race_v0
-    from stkzoo._os import atomic_write
     from stkzoo.render.map import MapView
     from stkzoo.render.pictures import pillow
 

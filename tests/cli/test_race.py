@@ -101,17 +101,17 @@ def test_demo_says_where_to_go_next(capsys):
 
 def test_command_writes_json(tmp_path):
     file = tmp_path / "result.json"
-    assert main(["race", "ai", "--track", "olivermath", "--json", str(file)]) == 0
+    assert main(["race", "ai", "--track", "olivermath", "--output", str(file)]) == 0
     assert RaceResult.from_json(file.read_text()).agents[0].driver == "ai"
 
 
 def test_command_writes_only_json_to_stdout_on_request(capsys):
-    assert main(["race", "ai", "--track", "olivermath", "--json", "-"]) == 0
+    assert main(["race", "ai", "--track", "olivermath", "--output", "-"]) == 0
     assert json.loads(capsys.readouterr().out)["track"] == "olivermath"
 
 
 def test_command_fills_the_race_up(capsys):
-    words = ["race", "heuristic", "--num-karts", "3", "--track", "olivermath", "--json", "-"]
+    words = ["race", "heuristic", "--num-karts", "3", "--track", "olivermath", "--output", "-"]
     assert main(words) == 0
     drivers = [row["driver"] for row in json.loads(capsys.readouterr().out)["agents"]]
     assert sorted(drivers) == ["ai", "ai", "heuristic"]
@@ -148,5 +148,5 @@ def test_command_without_the_games_data_exits_with_1(monkeypatch, tmp_path, caps
 
 def test_result_that_cannot_be_written_exits_with_1(tmp_path, capsys):
     file = tmp_path / "missing" / "result.json"
-    assert main(["race", "ai", "--track", "olivermath", "--json", str(file)]) == 1
+    assert main(["race", "ai", "--track", "olivermath", "--output", str(file)]) == 1
     assert "could not be written" in capsys.readouterr().err

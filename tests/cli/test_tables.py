@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from stkzoo.cli import main
-from stkzoo.cli.main import COMMANDS, build_parser
+from stkzoo.cli import COMMANDS, build_parser, main
 from stkzoo.tracks import SPLITS
 
 

@@ -8,7 +8,7 @@ from gymnasium import spaces
 
 import stkzoo
 from stkzoo import race_v0
-from stkzoo.cli.main import COMMANDS
+from stkzoo.cli import COMMANDS
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.views import CAMERA_VIEWS, VIEWS
 from stkzoo.views.split_step import MonoAgentEnv

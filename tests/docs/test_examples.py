@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from stkzoo.cli.main import build_parser
+from stkzoo.cli import build_parser
 from tests.support.docs_blocks import (
     NOT_RUN,
     ROOT,

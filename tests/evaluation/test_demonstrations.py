@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from stkzoo import AgentSpec, race_v0
-from stkzoo.cli.main import main
+from stkzoo.cli import main
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import (

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import stkzoo
-from stkzoo.cli.main import main
+from stkzoo.cli import main
 from stkzoo.env.keyboard import KEYS, base_action
 from stkzoo.errors import ConfigError
 from stkzoo.play import play_race

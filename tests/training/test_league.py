@@ -17,7 +17,7 @@ from stkzoo.agents.training.league.matches import AI, draw_matches, payoff, play
 from stkzoo.agents.training.league.page import page
 from stkzoo.agents.training.league.players import Player, PlayerMatchmaker, new_players
 from stkzoo.agents.training.ppo.selfplay import SelfPlayArguments
-from stkzoo.cli.main import main as command_line
+from stkzoo.cli import main as command_line
 from stkzoo.errors import ConfigError
 from tests.support.browser import Reader, open_browser
 from tests.support.training import run_and_kill, words_of

@@ -25,6 +25,7 @@ from stkzoo.evaluation.tournament.result import TournamentResult, tournament_res
 __all__ = [
     "load_tournament",
     "resume_tournament",
+    "resumed_plan",
     "run_tournament",
     "run_tournament_plan",
 ]
@@ -85,9 +86,13 @@ def resume_tournament(
 
     Raises: as :func:`run_tournament`.
     """
-    plan = read_plan(TournamentPlan, Path(folder)).as_of_now()
     options = RunOptions(jobs, race_timeout, on_race)
-    return run_tournament_plan(plan, folder, options, plot=plot)
+    return run_tournament_plan(resumed_plan(folder), folder, options, plot=plot)
+
+
+def resumed_plan(folder: str | os.PathLike[str]) -> TournamentPlan:
+    """The plan of the tournament in a folder, with the present software and agents' files."""
+    return read_plan(TournamentPlan, Path(folder)).as_of_now()
 
 
 def run_tournament_plan(

@@ -1,11 +1,14 @@
-"""What the commands write with: a table style and a progress bar."""
+"""Terminal output that several commands share: lines, tables and progress bars."""
 
 from __future__ import annotations
 
 import time
-from types import TracebackType
+from collections.abc import Collection, Sequence
+from typing import Literal
 
+from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import (
     BarColumn,
     DownloadColumn,
@@ -15,17 +18,40 @@ from rich.progress import (
     TransferSpeedColumn,
 )
 from rich.progress import Progress as Bars
+from rich.table import Table
+from typing_extensions import Self  # a dependency of gymnasium
 
 from stkzoo.engine.assets import Progress
 
-__all__ = ["ConsoleProgress", "megabytes"]
+__all__ = ["ConsoleProgress", "make_table", "megabytes", "say"]
 
-#: Without a terminal, one line at most in so many seconds for a stage under way.
+
+def say(text: str, console: Console | None = None) -> None:
+    """Prints a text as it is, without wrapping and markup."""
+    (console or Console()).print(text, highlight=False, markup=False, soft_wrap=True)
+
+
+def make_table(columns: Sequence[str], left: Collection[str], *, is_framed: bool) -> Table:
+    """An empty table of results; numbers are aligned right.
+
+    Args:
+        columns: headings.
+        left: headings of columns of text.
+        is_framed: draw a frame, as on a terminal.
+    """
+    table = Table(box=box.ROUNDED if is_framed else None, pad_edge=is_framed)
+    for name in columns:
+        justify: Literal["left", "right"] = "left" if name in left else "right"
+        table.add_column(escape(name), justify=justify, overflow="fold")
+    return table
+
+
+#: Without a terminal, seconds between two lines about the same stage.
 _QUIET_INTERVAL = 10.0
 
 
 class ConsoleProgress(Progress):
-    """Draws a bar for each stage on stderr; without a terminal, a line now and then."""
+    """Draws a bar for each stage on stderr; without a terminal, prints a line now and then."""
 
     def __init__(self) -> None:
         self._console = Console(stderr=True)
@@ -34,7 +60,7 @@ class ConsoleProgress(Progress):
         self._stage, self._total = "", 0
         self._spoken = time.monotonic()
 
-    def __enter__(self) -> ConsoleProgress:
+    def __enter__(self) -> Self:
         if self._console.is_terminal:
             self._bars = Bars(
                 TextColumn("{task.description}"),
@@ -47,19 +73,14 @@ class ConsoleProgress(Progress):
             self._bars.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
             self._finish()
         if self._bars is not None:
             self._bars.stop()
 
     def begin(self, stage: str, total: int | None = None) -> None:
-        """Starts a bar, or writes a line."""
+        """Starts a bar, or prints a line."""
         self._finish()
         self._stage, self._total = stage, total or 0
         self._spoken = time.monotonic()
@@ -78,8 +99,8 @@ class ConsoleProgress(Progress):
             self.note(f"{self._stage}: {megabytes(done)}{of}")
 
     def note(self, text: str) -> None:
-        """Writes a line."""
-        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+        """Prints a line."""
+        say(text, self._console)
 
     def _finish(self) -> None:
         if self._bars is not None and self._task is not None:
@@ -89,5 +110,5 @@ class ConsoleProgress(Progress):
 
 
 def megabytes(size: float) -> str:
-    """A size [bytes] in words."""
+    """A size [bytes] as text."""
     return f"{size / 1e6:,.0f} MB"

@@ -1,4 +1,4 @@
-"""What ``stkzoo race`` shows: a bar while it runs, tables when it is over."""
+"""Output of races: a bar while a race runs, tables when it is over."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
+from stkzoo.cli._console import make_table, say
 from stkzoo.race import AgentResult, RaceListener, RaceProgress, RaceResult
 
 if TYPE_CHECKING:
@@ -22,19 +22,20 @@ __all__ = ["RaceBar", "show_race", "show_series"]
 
 _ENDINGS = {
     "finished": "",
-    "awaited_finished": "all that were waited for had finished",
+    "awaited_finished": "all awaited karts had finished",
     "karts_finished": "as many karts had finished as --karts-finished asks for",
     "max_steps_after_first": "--max-steps-after-first had passed since the first finish",
     "max_steps": "cut short by --max-steps",
-    "time_limit": "those who had not finished by then are not waited for",
-    "abandoned": "nobody drove any more",
+    "time_limit": "time limit: the others had not finished",
+    "abandoned": "all drivers had failed",
     "interrupted": "interrupted: this is how far it has come",
 }
 _MAX_TRACE_LINES = 12
+_TEXT_COLUMNS = ("driver", "kart")
 
 
 class RaceBar(RaceListener):
-    """The leader's way and the simulation's speed, on a terminal's stderr."""
+    """A bar with the leader's distance and the simulation's speed, on a terminal's stderr."""
 
     def __init__(self) -> None:
         console = Console(stderr=True)
@@ -57,7 +58,7 @@ class RaceBar(RaceListener):
         self._bars.stop()
 
     def started(self, _: RaceProgress) -> None:
-        """Takes the time."""
+        """Starts the clock."""
         self._begin = time.monotonic()
 
     def stepped(self, race: RaceProgress) -> None:
@@ -79,14 +80,12 @@ def show_race(result: RaceResult) -> None:
     """Prints one race: what it was, who won, and what went wrong."""
     console = Console()
     console.print(_headline(result), soft_wrap=True, highlight=False)
-    console.print(_race_table(result, is_plain=not console.is_terminal))
+    console.print(_race_table(result, is_framed=console.is_terminal))
     reason = _ENDINGS.get(result.status, result.status)
-    console.print(
+    say(
         f"Over after {result.steps} steps, in {result.race_time:.1f} s of game time"
         f"{f' ({reason})' if reason else ''}; it took {result.wall_time:.1f} s.",
-        soft_wrap=True,
-        highlight=False,
-        markup=False,
+        console,
     )
     for row in result.agents:
         _show_errors(console, row)
@@ -98,9 +97,10 @@ def show_series(results: Sequence[RaceResult]) -> None:
     tracks = ", ".join(dict.fromkeys(result.track for result in results))
     seeds = f"{results[0].seed} to {results[-1].seed}"
     console.print(f"{len(results)} races, seeds {seeds}: {tracks}", soft_wrap=True, highlight=False)
-    table = _empty_table(
+    table = make_table(
         ("driver", "kart", "wins", "mean rank", "finished", "mean time [s]", "reward", "errors"),
-        is_plain=not console.is_terminal,
+        _TEXT_COLUMNS,
+        is_framed=console.is_terminal,
     )
     by_agent: dict[str, list[AgentResult]] = {}
     for result in results:
@@ -133,17 +133,9 @@ def _headline(result: RaceResult) -> str:
     )
 
 
-def _empty_table(columns: Sequence[str], *, is_plain: bool) -> Table:
-    table = Table(box=None if is_plain else box.ROUNDED, pad_edge=not is_plain)
-    for name in columns:
-        is_text = name in ("driver", "kart")
-        table.add_column(escape(name), justify="left" if is_text else "right")
-    return table
-
-
-def _race_table(result: RaceResult, *, is_plain: bool) -> Table:
+def _race_table(result: RaceResult, *, is_framed: bool) -> Table:
     columns = ("rank", "driver", "kart", "time [s]", "distance [m]", "reward", "think [ms]")
-    table = _empty_table(columns, is_plain=is_plain)
+    table = make_table(columns, _TEXT_COLUMNS, is_framed=is_framed)
     for row in result.agents:
         thought = row.action_time
         table.add_row(
@@ -182,7 +174,7 @@ def _show_errors(console: Console, row: AgentResult, where: str = "") -> None:
     trace = "\n".join(f"  {line}" for line in first.trace.splitlines()[-_MAX_TRACE_LINES:])
     for part in (text, trace):
         if part:
-            console.print(part, soft_wrap=True, highlight=False, markup=False)
+            say(part, console)
 
 
 def _mean(values: Sequence[float]) -> float:
