@@ -106,7 +106,7 @@ def _backend(arguments: argparse.Namespace) -> str:
 def _recording(arguments: argparse.Namespace) -> dict[str, Any]:
     if arguments.dataset is None:
         if arguments.view is not None:
-            raise ConfigError("--view is the view of a dataset; add --dataset")
+            raise ConfigError("--view is the view of a dataset; give --dataset too")
         return {"rate": arguments.rate or _RATE}
     return {
         "rate": arguments.rate or _DATASET_RATE,
