@@ -55,7 +55,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     status.add_argument("--names", action="store_true", help="list the tracks and karts by name")
     status.set_defaults(action=_status)
     install = actions.add_parser(
-        "install", help="make the data usable; download it if needed", description=_INSTALL
+        "install",
+        help="make the data usable; download it if needed",
+        description=_INSTALL,
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     source = install.add_mutually_exclusive_group()
     source.add_argument(
