@@ -9,7 +9,7 @@ from benchmarks.parity import ENV_IDS, compare_race, jobs_for, record_race, refe
 from benchmarks.parity_compare import compare
 from benchmarks.parity_reference import Leaf
 
-STEPS = 120
+STEPS = 60
 
 
 @pytest.fixture(scope="module")

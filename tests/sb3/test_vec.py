@@ -62,9 +62,9 @@ def test_ppo_learns_by_self_play(view):
     envs = make(view=view)
     model = PPO("MultiInputPolicy", envs, rollout_buffer_class=ActiveDictRolloutBuffer, **LEARNING)
     before = weights(model)
-    model.learn(256)
+    model.learn(128)
     assert changed(before, model)
-    assert model.num_timesteps == 256
+    assert model.num_timesteps == 128
     assert {episode["l"] for episode in model.ep_info_buffer} == {30}
     envs.close()
 
