@@ -13,3 +13,5 @@ A driver is a package with
 
 These packages use only what a user's own driver could use.
 """
+
+__all__: list[str] = []

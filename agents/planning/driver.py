@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo import Phase, PowerupType
-from stkzoo.mdp.geometry import squared
+from stkzoo.mdp import squared
 from stkzoo.wrappers.racing import (
     LOOKS,
     MIRROR,

@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.mdp.geometry import squared
+from stkzoo.mdp import squared
 
 from .kart import STEP
 from .road import MARK_COUNT, RoadAhead

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.mdp.geometry import squared
+from stkzoo.mdp import squared
 
 __all__ = ["LINE_MARKS", "MARK_COUNT", "MARK_SPACING", "RoadAhead", "RoadPlaces"]
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from stkzoo import ItemType, PowerupType
 from stkzoo.kernel import weigh_plans
-from stkzoo.mdp.geometry import squared
+from stkzoo.mdp import squared
 
 from .kart import BOOST_LASTS, RELEASE_TURN, STEERING_LAG, STEP
 from .memory import KartSituation

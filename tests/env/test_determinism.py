@@ -19,7 +19,7 @@ from tests.support.paths import ROOT
 # Functions of a test module cannot be imported by a fresh process.
 cloudpickle.register_pickle_by_value(sys.modules[__name__])
 
-SHORT_TRACKS = ("olivermath", "zengarden")
+SHORT_TRACKS = ("olivermath",)
 
 
 @pytest.fixture(scope="module")

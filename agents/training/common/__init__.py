@@ -1,1 +1,3 @@
 """What the learners share: arguments, logs, many races at once, matches."""
+
+__all__: list[str] = []

@@ -25,11 +25,8 @@ from stkzoo.agents.planning import (
     mirrored_inputs,
     mirrored_prior,
 )
+from stkzoo.engine import KartSetup, RaceSetup, Snapshot, TrackMap, WorkerSession, decode_track
 from stkzoo.engine.assets import find_assets
-from stkzoo.engine.session import WorkerSession
-from stkzoo.engine.setup import KartSetup, RaceSetup
-from stkzoo.engine.snapshot import Snapshot
-from stkzoo.engine.track import TrackMap, decode_track
 from stkzoo.evaluation import load_ai_times
 from stkzoo.names import Phase
 from stkzoo.wrappers.racing import BatchedRacingView, RoadTable, Surroundings

@@ -20,7 +20,7 @@ from stkzoo._os import atomic_write
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import DemoView, load_ai_times
-from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.mdp import kart_action_space, kart_observation_space
 from stkzoo.race import Driver, DriverInstance, DriverRequest, find_driver, run_race
 from stkzoo.race.replay import action_of, controls_of
 from stkzoo.wrappers.racing import controls_of_choices

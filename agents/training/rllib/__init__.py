@@ -1,1 +1,3 @@
 """Self-play with Ray RLlib, on one machine or a cluster."""
+
+__all__: list[str] = []

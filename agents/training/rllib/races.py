@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from stkzoo import race_v0
+from stkzoo import RaceParallelEnv, race_v0
 from stkzoo.engine.assets import cache_folder, find_assets, install, pack
-from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import AssetError, ConfigError
 
 __all__ = ["MAIN", "PackSender", "PolicyMap", "ensure_assets", "make_race", "win_share"]

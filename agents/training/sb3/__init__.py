@@ -1,1 +1,3 @@
 """Self-play with Stable-Baselines3."""
+
+__all__: list[str] = []

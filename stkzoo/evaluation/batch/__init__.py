@@ -3,3 +3,5 @@
 Benchmarks, tournaments and demonstrations are built on this package; what users need of it is
 exported by :mod:`stkzoo.evaluation`.
 """
+
+__all__: list[str] = []

@@ -1,1 +1,3 @@
 """Benchmarks: the same races for every agent, and figures with intervals."""
+
+__all__: list[str] = []

@@ -1,1 +1,3 @@
 """Tournaments: balanced races among many agents, and their ratings."""
+
+__all__: list[str] = []

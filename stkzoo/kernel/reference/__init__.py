@@ -2,3 +2,5 @@
 
 They are reached through :mod:`stkzoo.kernel`, which decides between them and the extension.
 """
+
+__all__: list[str] = []
