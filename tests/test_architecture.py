@@ -65,15 +65,9 @@ NOT_EXPORTED = {
 
 #: Class names that are used twice, and why.
 SHARED_CLASS_NAMES = {
-    "Arguments": "each training script has its own on top, under one name",
-    "Entrant": "to be renamed",
-    "Pool": "to be renamed",
-    "Progress": "to be renamed",
-    "RaceGroup": "to be renamed",
+    "RaceFleet": "to be renamed",
     "Session": "to be renamed",
-    "Standing": "to be renamed",
     "_Lane": "to be renamed",
-    "_Race": "to be renamed",
     "_Reader": "to be renamed",
 }
 
