@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from typing import Any
-
-from gymnasium import spaces
 
 from stkzoo.env.graphics import checked_size
 from stkzoo.env.keyboard import keys_to_action
@@ -15,7 +13,7 @@ from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.names import Phase, PowerupType
 from stkzoo.play.dataset import DatasetWriter
 from stkzoo.play.screen import PlayScreen
-from stkzoo.race import Driver, RaceListener, RaceProgress, RaceResult, run_race
+from stkzoo.race import ActorMaker, Driver, RaceListener, RaceProgress, RaceResult, run_race
 from stkzoo.render.renderer import BACKENDS, RaceRenderer
 from stkzoo.views import VIEWS
 
@@ -68,11 +66,10 @@ def play_race(
         writer = DatasetWriter(dataset, view) if dataset is not None else None
         screen = PlayScreen(checked_size(size))
         resources.callback(screen.close)
-        person = _Person(screen, actions, writer)
         watchers = [_Game(screen, checked_size(size), backend, rate), *listeners]
         if writer is not None:
             watchers.append(writer)
-        driver = Driver.of_actor(name, person.actor, view)
+        driver = Driver.of_actor(name, _person(screen, actions, writer), view)
         return run_race([driver, *opponents], listeners=watchers, **settings)
 
 
@@ -87,23 +84,18 @@ def _check(backend: str, rate: int, view: str) -> None:
         raise unknown_name("view", view, VIEWS)
 
 
-class _Person:
-    """The driver: the action for the keys that are down."""
+def _person(
+    screen: PlayScreen, actions: Mapping[Any, Any], writer: DatasetWriter | None
+) -> ActorMaker:
+    """The driver: takes the action for the keys that are down."""
 
-    def __init__(
-        self, screen: PlayScreen, actions: dict[Any, Any], writer: DatasetWriter | None
-    ) -> None:
-        self._screen, self._actions, self._writer = screen, actions, writer
-
-    def actor(self, _: spaces.Space[Any], __: spaces.Space[Any], ___: int) -> Any:
-        """Makes the actor of one race."""
-        return self._act
-
-    def _act(self, observation: Any) -> Any:
-        action = self._actions[tuple(sorted(self._screen.pressed)) or ""]
-        if self._writer is not None:
-            self._writer.decided(observation, action)
+    def act(observation: Any) -> Any:
+        action = actions[tuple(sorted(screen.pressed)) or ""]
+        if writer is not None:
+            writer.decided(observation, action)
         return action
+
+    return lambda *_: act
 
 
 class _Game(RaceListener):

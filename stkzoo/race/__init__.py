@@ -12,7 +12,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from stkzoo.race.drivers import Driver, driver_names, find_driver
+    from stkzoo.race.drivers import Actor, ActorMaker, Driver, driver_names, find_driver
     from stkzoo.race.instances import Decision, DriverInstance, DriverLimits, DriverRequest
     from stkzoo.race.listeners import RaceListener, RaceProgress
     from stkzoo.race.result import (
@@ -30,6 +30,8 @@ __all__ = [
     "ERROR_HANDLING",
     "SCHEMA_VERSION",
     "ActionTime",
+    "Actor",
+    "ActorMaker",
     "AgentFailure",
     "AgentResult",
     "Decision",
@@ -51,7 +53,7 @@ __all__ = [
 
 #: Names by module, loaded when they are first used: the process of an agent needs few.
 _LAZY = {
-    "drivers": ("Driver", "driver_names", "find_driver"),
+    "drivers": ("Actor", "ActorMaker", "Driver", "driver_names", "find_driver"),
     "instances": ("Decision", "DriverInstance", "DriverLimits", "DriverRequest"),
     "listeners": ("RaceListener", "RaceProgress"),
     "result": ("SCHEMA_VERSION", "ActionTime", "AgentFailure", "AgentResult", "RaceResult"),

@@ -331,7 +331,7 @@ def test_without_a_display_it_says_what_to_do(monkeypatch):
     for name in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(sys, "platform", "linux")
-    with pytest.raises(ConfigError, match="start a desktop session, or `xvfb-run`"):
+    with pytest.raises(ConfigError, match="start a desktop session, or use `xvfb-run`"):
         play_race([], **WINDOW)
 
 

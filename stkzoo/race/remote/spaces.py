@@ -1,5 +1,7 @@
 """Gymnasium spaces as plain data for messages (:mod:`stkzoo.race.codec`).
 
+Only the kinds of spaces that the ``full`` view consists of can be sent.
+
 >>> from gymnasium import spaces
 >>> space = spaces.Dict({"steer": spaces.Box(-1, 1, (1,)), "fire": spaces.Discrete(2)})
 >>> space_from_data(space_to_data(space)) == space
@@ -67,17 +69,6 @@ def _read_discrete(data: Mapping[str, Any]) -> Space:
     return spaces.Discrete(data["n"], start=data["start"], dtype=_integer_type(data["dtype"]))
 
 
-def _read_multi_discrete(data: Mapping[str, Any]) -> Space:
-    nvec = np.asarray(data["nvec"])
-    return spaces.MultiDiscrete(nvec, dtype=_integer_type(nvec.dtype.name), start=data["start"])
-
-
-def _read_multi_binary(data: Mapping[str, Any]) -> Space:
-    sizes = [_bounded(size) for size in data["n"]]
-    _bounded(int(np.prod([float(size) for size in sizes])))
-    return spaces.MultiBinary(sizes[0] if data["is_flat"] else sizes)
-
-
 def _read_text(data: Mapping[str, Any]) -> Space:
     longest, shortest = _bounded(data["max_length"]), _bounded(data["min_length"])
     return spaces.Text(longest, min_length=shortest, charset=data["charset"])
@@ -90,10 +81,6 @@ def _read_dict(data: Mapping[str, Any]) -> Space:
             raise ProtocolError(f"a Dict space came with the key {key!r:.100}, expected text")
         whole[key] = space_from_data(part)
     return whole
-
-
-def _read_tuple(data: Mapping[str, Any]) -> Space:
-    return spaces.Tuple([space_from_data(part) for part in data["spaces"]])
 
 
 def _read_sequence(data: Mapping[str, Any]) -> Space:
@@ -119,18 +106,12 @@ _WRITERS: dict[str, Callable[[Any], Data]] = {
         "start": int(space.start),
         "dtype": space.dtype.name,
     },
-    "MultiDiscrete": lambda space: {"nvec": space.nvec, "start": space.start},
-    "MultiBinary": lambda space: {
-        "n": [int(size) for size in np.atleast_1d(space.n)],
-        "is_flat": np.ndim(space.n) == 0,
-    },
     "Text": lambda space: {
         "max_length": space.max_length,
         "min_length": space.min_length,
         "charset": "".join(space.character_list),
     },
     "Dict": lambda space: {"spaces": [[k, space_to_data(v)] for k, v in space.spaces.items()]},
-    "Tuple": lambda space: {"spaces": [space_to_data(part) for part in space.spaces]},
     "Sequence": lambda space: {
         "feature": space_to_data(space.feature_space),
         "stack": bool(space.stack),
@@ -140,10 +121,7 @@ _WRITERS: dict[str, Callable[[Any], Data]] = {
 _READERS: dict[str, Callable[[Mapping[str, Any]], Space]] = {
     "Box": _read_box,
     "Discrete": _read_discrete,
-    "MultiDiscrete": _read_multi_discrete,
-    "MultiBinary": _read_multi_binary,
     "Text": _read_text,
     "Dict": _read_dict,
-    "Tuple": _read_tuple,
     "Sequence": _read_sequence,
 }

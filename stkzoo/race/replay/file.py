@@ -9,7 +9,6 @@ import json
 import os
 import stat
 import zipfile
-from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -36,8 +35,22 @@ _ABOUT, _CONTROLS, _DIGESTS = "race.json", "controls.f4", "digests.u1"
 
 _MAX_FILE = 64 << 20  # [bytes]
 _MAX_MEMBER = {_ABOUT: 8 << 20, _CONTROLS: 256 << 20, _DIGESTS: 16 << 20}
-_MAX_KARTS = 256
-_MAX_WHOLE = 2**63
+_MAX_KARTS, _MAX_TRACKS, _MAX_INTEGER = 256, 10_000, 2**63
+#: Types of the plain fields.
+_FIELDS: dict[str, type[Any]] = {
+    "track": str,
+    "reverse": bool,
+    "laps": int,
+    "difficulty": int,
+    "step_size": float,
+    "seed": int,
+    "num_tracks": int,
+    "engine_seed": int,
+    "status": str,
+}
+_AGENT_FIELDS: dict[str, type[Any]] = {"name": str, "source": str, "is_game_ai": bool}
+#: Fields that are options of the environment too.
+_SETTINGS = ("track", "reverse", "laps", "difficulty", "max_paths", "step_size")
 #: A fixed date in the zip makes equal replays equal files.
 _DATE = (1980, 1, 1, 0, 0, 0)
 
@@ -142,47 +155,34 @@ def _members(file: Path) -> dict[str, bytes]:
 def _replay_of(members: dict[str, bytes]) -> Replay:
     header = json.loads(members[_ABOUT])
     _check_version(header)
+    fields = {name: _field(header, name, kind) for name, kind in _FIELDS.items()}
     agents = tuple(
-        ReplayAgent(_text(entry, "name"), _text(entry, "source"), _get(entry, "is_game_ai", bool))
+        ReplayAgent(**{name: _field(entry, name, kind) for name, kind in _AGENT_FIELDS.items()})
         for entry in _list(header, "agents", 1, _MAX_KARTS)
     )
-    steps, count = _whole(header, "steps"), len(agents)
+    steps, count = _field(header, "steps", int), len(agents)
     positions = tuple(_list(header, "start_positions", count, count))
     kart_types = tuple(_list(header, "kart_types", count, count))
     if sorted(positions) != list(range(1, count + 1)):
         raise ValueError("start_positions does not have each place once")
     if not all(isinstance(kart, str) for kart in kart_types):
         raise TypeError("kart_types has entries that are not text")
-    options = RaceOptions(  # checks the values
-        num_kart=count,
-        track=_text(header, "track"),
-        reverse=_get(header, "reverse", bool),
-        laps=_whole(header, "laps"),
-        difficulty=_whole(header, "difficulty"),
-        max_paths=None if header["max_paths"] is None else _whole(header, "max_paths"),
-        step_size=_get(header, "step_size", float),
-    )
+    if header["max_paths"] is not None:
+        fields["max_paths"] = _field(header, "max_paths", int)
+    settings: dict[str, Any] = {name: fields.get(name) for name in _SETTINGS}
+    RaceOptions(num_kart=count, **settings)  # checks the values
+    if not 1 <= fields["num_tracks"] <= _MAX_TRACKS:
+        raise ValueError(f"num_tracks is {fields['num_tracks']}, expected 1 to {_MAX_TRACKS}")
+    versions = _field(header, "versions", dict)
     return Replay(
-        track=_text(header, "track"),
-        reverse=options.reverse,
-        laps=options.laps,
-        difficulty=options.difficulty,
-        max_paths=options.max_paths,
-        step_size=options.step_size,
-        seed=_whole(header, "seed"),
-        num_tracks=_whole(header, "num_tracks", 1, 10_000),
-        engine_seed=_whole(header, "engine_seed"),
+        **{"max_paths": None, **fields},
         start_positions=positions,
         kart_types=kart_types,
         agents=agents,
         controls=_controls(members[_CONTROLS], steps, count),
         digests=np.frombuffer(members[_DIGESTS], np.uint8).reshape(steps + 1, DIGEST_SIZE),
-        status=_text(header, "status"),
         result=_result(header["result"]),
-        versions={
-            printable(name): printable(value)
-            for name, value in _get(header, "versions", dict).items()
-        },
+        versions={printable(name): printable(value) for name, value in versions.items()},
     )
 
 
@@ -216,27 +216,18 @@ def _result(header: Any) -> RaceResult | None:
         raise ReplayError(f"its result cannot be read: {error}") from None
 
 
-def _get(header: Any, name: str, kind: type[Any] | Callable[..., Any]) -> Any:
+def _field(header: Any, name: str, kind: type[Any]) -> Any:
+    """A field of exactly this type; a number in bounds, a text without control codes."""
     value = header[name]
     if type(value) is not kind:
         raise TypeError(f"{name} is {value!r:.60}")
-    return value
-
-
-def _text(header: Any, name: str) -> str:
-    text: str = _get(header, name, str)
-    return printable(text)  # terminals show it
-
-
-def _whole(header: Any, name: str, low: int = 0, high: int = _MAX_WHOLE) -> int:
-    value: int = _get(header, name, int)
-    if not low <= value <= high:
-        raise ValueError(f"{name} is {value}, expected {low} to {high}")
-    return value
+    if kind is int and not 0 <= value <= _MAX_INTEGER:
+        raise ValueError(f"{name} is {value}, expected 0 to {_MAX_INTEGER}")
+    return printable(value) if kind is str else value  # terminals show it
 
 
 def _list(header: Any, name: str, low: int, high: int) -> list[Any]:
-    value: list[Any] = _get(header, name, list)
+    value: list[Any] = _field(header, name, list)
     if not low <= len(value) <= high:
         raise ValueError(f"{name} has {len(value)} entries, expected {low} to {high}")
     return value
