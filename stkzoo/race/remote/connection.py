@@ -79,15 +79,12 @@ class Connection:
         self._poller.register(self._socket, self._zmq.POLLIN)
         self._poller.register(self._monitor, self._zmq.POLLIN)
         self._next_seat = self._step = 0
-        self._opening: set[int] = set()
         self._opened: dict[int, tuple[str, int | None] | Failure] = {}
         self._observations: list[list[Any]] = []
         self._asked: set[int] = set()
         self._decided: dict[int, Decision | Failure] = {}
         self._seats: set[int] = set()
-        self._send(
-            protocol.HELLO, protocol.pack(protocol=protocol.VERSION, stkzoo=version("stkzoo"))
-        )
+        self._send(protocol.HELLO, protocol=protocol.VERSION, stkzoo=version("stkzoo"))
 
     # ------------------------------------------------------------------ requests
 
@@ -101,8 +98,7 @@ class Connection:
         number = self._next_seat
         self._next_seat += 1
         self._seats.add(number)
-        self._opening.add(number)
-        self._send(protocol.OPEN, protocol.pack(protocol=protocol.VERSION, seat=number, **fields))
+        self._send(protocol.OPEN, protocol=protocol.VERSION, seat=number, **fields)
         return number
 
     def wait_opened(self, seat: int, deadline: float) -> tuple[str, int | None] | Failure:
@@ -126,7 +122,7 @@ class Connection:
         self._step += 1
         self._asked = {seat for seat, _ in observations}
         try:
-            self._send(protocol.ACT, protocol.pack(step=self._step, observations=observations))
+            self._send(protocol.ACT, step=self._step, observations=observations)
         except (ProtocolError, RemoteError) as error:
             self._fail(str(error))
 
@@ -141,7 +137,7 @@ class Connection:
             return
         self._seats.discard(seat)
         if not self.failure and self._seats:
-            self._send(protocol.CLOSE, protocol.pack(seats=[seat]))
+            self._send(protocol.CLOSE, seats=[seat])
         if not self._seats:
             self.close()
 
@@ -150,7 +146,7 @@ class Connection:
         if self._socket.closed:
             return
         if not self.failure:
-            self._send(protocol.BYE, b"")
+            self._send(protocol.BYE)
             self.failure = self.failure or "the connection was closed"
         self._socket.disable_monitor()
         self._monitor.close(0)
@@ -162,8 +158,9 @@ class Connection:
         if self.failure:
             raise RemoteError(self.failure)
 
-    def _send(self, kind: bytes, body: bytes) -> None:
+    def _send(self, kind: bytes, **fields: Any) -> None:
         self._require()
+        body = protocol.pack(**fields) if fields else b""
         try:
             self._socket.send_multipart([kind, body], self._zmq.NOBLOCK)
         except self._zmq.ZMQError as error:
@@ -254,9 +251,8 @@ class Connection:
 
     def _handle_opened(self, fields: dict[str, Any]) -> None:
         seat = protocol.field(fields, "seat", int)
-        if seat not in self._opening:
+        if not 0 <= seat < self._next_seat or seat in self._opened:
             raise ProtocolError(f"a start of seat {seat}, which was not asked for")
-        self._opening.discard(seat)
         if "error" in fields:
             self._opened[seat] = Failure(reported_error(fields["error"], ""))
             return

@@ -204,12 +204,8 @@ class RaceServer:
             return
         agents = [[own.name, own.source, own.sees_ground] for own in self._drivers]
         limit = self._limits.action_timeout
-        body = protocol.pack(
-            protocol=protocol.VERSION,
-            stkzoo=version("stkzoo"),
-            agents=agents,
-            action_timeout=limit,
-        )
+        facts = {"protocol": protocol.VERSION, "stkzoo": version("stkzoo")}
+        body = protocol.pack(**facts, agents=agents, action_timeout=limit)
         self._send(identity, protocol.WELCOME, body)
 
     def _admit(self, identity: bytes, body: bytes) -> None:

@@ -77,12 +77,10 @@ class Session(threading.Thread):
             try:
                 self._serve()
             except ProtocolError as error:
-                self._reply(protocol.ERROR, protocol.pack(text=f"the session is over: {error}"))
+                self._send(protocol.ERROR, text=f"the session is over: {error}")
             except Exception:  # noqa: BLE001 - the server continues after any error
                 _log.exception("a session failed")
-                self._reply(
-                    protocol.ERROR, protocol.pack(text="the session is over: the server failed")
-                )
+                self._send(protocol.ERROR, text="the session is over: the server failed")
             finally:
                 self._reply(b"", b"")
                 for instance in self._instances.values():
@@ -113,6 +111,9 @@ class Session(threading.Thread):
             self._waiting -= len(body)
             return kind, body
 
+    def _send(self, kind: bytes, **fields: Any) -> None:
+        self._reply(kind, protocol.pack(**fields))
+
     # ------------------------------------------------------------------ driver instances
 
     def _open(self, fields: dict[str, Any]) -> None:
@@ -135,7 +136,7 @@ class Session(threading.Thread):
             self._instances[seat] = start(request)
             self._starting.append(seat)
         except Exception as error:  # noqa: BLE001 - of any driver's code
-            self._report_start(seat, error=error_report(error))
+            self._send(protocol.OPENED, seat=seat, error=error_report(error))
 
     def _request(self, fields: dict[str, Any]) -> DriverRequest:
         return DriverRequest(
@@ -162,13 +163,10 @@ class Session(threading.Thread):
                 name = printable(instance.ready(), 100)
             except Exception as error:  # noqa: BLE001 - of any driver's code
                 self._drop(seat)
-                self._report_start(seat, error=error_report(error))
+                self._send(protocol.OPENED, seat=seat, error=error_report(error))
             else:
                 paths = getattr(instance, "paths_used", None)
-                self._report_start(seat, name=name, paths_used=paths)
-
-    def _report_start(self, seat: int, **fields: Any) -> None:
-        self._reply(protocol.OPENED, protocol.pack(seat=seat, **fields))
+                self._send(protocol.OPENED, seat=seat, name=name, paths_used=paths)
 
     def _close(self, seats: list[Any]) -> None:
         for seat in seats:
@@ -193,8 +191,7 @@ class Session(threading.Thread):
         asked = [s for s, data in observations.items() if self._attempt(s, failures, _ask, data)]
         answers = [self._attempt(seat, failures, _answer) for seat in asked]
         decisions = [[seat, *answer] for seat, answer in zip(asked, answers, strict=True) if answer]
-        body = protocol.pack(step=step, decisions=decisions, failures=failures)
-        self._reply(protocol.ACTED, body)
+        self._send(protocol.ACTED, step=step, decisions=decisions, failures=failures)
 
     def _attempt(
         self, seat: int, failures: list[list[Any]], function: Callable[..., Any], *arguments: Any
