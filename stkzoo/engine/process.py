@@ -1,13 +1,12 @@
 """The processes that hold the game, seen from the program that uses them.
 
-A race runs in a :class:`RaceProcess`. :func:`start_race_process` makes one: a fork of
-this program's fork server (:mod:`stkzoo.engine.fork_server`) where that exists, else a fresh
+A race runs in a :class:`RaceProcess`: a fork of this program's fork server
+(:mod:`stkzoo.engine.fork_client`) where forking works, else a :class:`SpawnedProcess`, a new
 interpreter. Both speak :mod:`stkzoo.engine.wire`.
 """
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import hmac
 import json
@@ -18,34 +17,34 @@ import socket
 import subprocess
 import sys
 import tempfile
-import threading
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
 
 from stkzoo._os import LockedTemporaryDirectory
 from stkzoo.engine import wire
-from stkzoo.engine.fork_server import READY
 from stkzoo.errors import ConfigError, EngineCrashed, EngineError, EngineTimeout
 
 __all__ = [
     "DRAWING_START_TIMEOUT",
+    "SELF_DESTRUCT_SECONDS",
     "START_TIMEOUT",
     "Log",
     "RaceProcess",
-    "can_fork",
+    "SpawnedProcess",
+    "describe_end",
     "engine_environment",
-    "start_fork_server",
-    "start_race_process",
+    "explain_os_errors",
+    "spawn_interpreter",
     "start_render_process",
 ]
 
-#: Seconds that a process may take to start, and a race to stand on its grid.
+#: Time limit for a process to start, and for a race to be ready on the grid [s].
 START_TIMEOUT = 60.0
-#: The same for a race that is drawn: without a graphics card, shaders take minutes.
+#: The same for the render process: without a graphics card, shaders take minutes.
 DRAWING_START_TIMEOUT = 300.0
 #: A request that still runs after this many seconds ends the engine process from inside.
-_SELF_DESTRUCT_SECONDS = 600
+SELF_DESTRUCT_SECONDS = 600
 _LOG_TAIL_BYTES = 4096
 _TOKEN_BYTES = 32
 
@@ -61,13 +60,8 @@ main(*map(int, sys.argv[2:]))
 """
 
 
-def can_fork() -> bool:
-    """Whether races are forked from a fork server here (Linux), not spawned."""
-    return sys.platform == "linux" and os.environ.get("STKZOO_START_METHOD") != "spawn"
-
-
 class Log:
-    """A nameless file that an engine process writes its output to."""
+    """An unnamed file for the output of an engine process."""
 
     def __init__(self) -> None:
         self._file: IO[bytes] = tempfile.TemporaryFile(prefix="stkzoo-log-")  # noqa: SIM115
@@ -77,7 +71,7 @@ class Log:
         return self._file.fileno()
 
     def tail(self) -> str:
-        """The last lines written; nothing once the file is closed."""
+        """The last lines of the output; empty once the file is closed."""
         if self._file.closed:
             return ""
         start = max(0, os.fstat(self.fileno()).st_size - _LOG_TAIL_BYTES)
@@ -85,17 +79,17 @@ class Log:
         return os.pread(self.fileno(), _LOG_TAIL_BYTES, start).decode(errors="replace").strip()
 
     def close(self) -> None:
-        """Frees the file."""
+        """Closes and removes the file."""
         self._file.close()
 
 
 class RaceProcess:
-    """A process that serves one connection, and the means to end it.
+    """A process that serves one connection.
 
     Attributes:
         connection: socket that speaks :mod:`stkzoo.engine.wire`.
         pid: its process id.
-        log: what it writes.
+        log: its output.
     """
 
     def __init__(self, connection: socket.socket, pid: int, log: Log) -> None:
@@ -104,15 +98,15 @@ class RaceProcess:
         self.log = log
 
     def end(self) -> str:
-        """Ends the process if it still lives and says how it ended."""
+        """Ends the process if it still runs and says how it ended."""
         raise NotImplementedError
 
     def drop(self) -> None:
-        """Ends the process without waiting for it, and frees what belongs to it."""
+        """Ends the process without waiting for it, and releases its resources."""
         raise NotImplementedError
 
     def let_go(self, owner: int) -> None:
-        """:meth:`drop` in the program that started it; forks of that only free their ends.
+        """:meth:`drop` in the program that started it; in forks of that, only closes the handles.
 
         Args:
             owner: process id of the program that started it.
@@ -123,10 +117,10 @@ class RaceProcess:
             self._free()
 
     def reply(self) -> list[bytes]:
-        """Waits for the frames of one answer of the process.
+        """Waits for one reply and returns its frames.
 
         Raises:
-            EngineError: the game refused what it was asked for.
+            EngineError: the game refused the request.
             EOFError: the process is gone.
             TimeoutError: the connection's time-out passed.
         """
@@ -142,10 +136,10 @@ class RaceProcess:
         return frames
 
     def fork(self) -> RaceProcess:
-        """A copy of the process as it is now; call it between two requests.
+        """A clone of the process in its present state; call it between two requests.
 
         Raises:
-            EngineError: no copy could be made; the process is as before.
+            EngineError: no clone could be made; the process is unchanged.
             EOFError: the process is gone.
             TimeoutError: the connection's time-out passed.
         """
@@ -159,42 +153,23 @@ class RaceProcess:
         self.log.close()
 
 
-def start_race_process(root: Path) -> RaceProcess:
-    """Starts a process that can run races.
-
-    Args:
-        root: the game's data, as :attr:`stkzoo.engine.assets.Assets.root`.
-
-    Raises:
-        EngineCrashed: the engine could not start.
-        EngineTimeout: it took too long to start.
-    """
-    with _told_what_is_missing():
-        if not can_fork():
-            return _SpawnedRace(root, "worker")
-        try:
-            return start_fork_server(root).fork()
-        except EngineCrashed:  # the fork server was killed since it was last used
-            return start_fork_server(root).fork()
-
-
 def start_render_process(root: Path, graphics: str, variables: Mapping[str, str]) -> RaceProcess:
     """Starts a process that draws another race (:mod:`stkzoo.engine.render_process`).
 
     Args:
         root: the game's full data.
         graphics: as in :func:`stkzoo.engine.race.init_engine`.
-        variables: more of its environment.
+        variables: additional environment variables.
 
     Raises: as :func:`start_race_process`.
     """
-    with _told_what_is_missing():
-        return _SpawnedRace(root, "render_process", {"STKZOO_GRAPHICS": graphics, **variables})
+    with explain_os_errors():
+        return SpawnedProcess(root, "render_process", {"STKZOO_GRAPHICS": graphics, **variables})
 
 
 @contextlib.contextmanager
-def _told_what_is_missing() -> Iterator[None]:
-    """Tells in words that there is no room for another process."""
+def explain_os_errors() -> Iterator[None]:
+    """Explains the error of a system that cannot start another process."""
     try:
         yield
     except OSError as error:
@@ -207,8 +182,8 @@ def _told_what_is_missing() -> Iterator[None]:
 def engine_environment(root: Path, home: str) -> dict[str, str]:
     """The environment of an engine process.
 
-    The game reads and writes its settings in ``home``, so that a player's own settings
-    change nothing and several processes do not meet there.
+    The game reads and writes its settings in ``home``, so a player's own settings do not
+    affect it, and several processes do not share a folder.
     """
     private = {
         "SUPERTUXKART_DATADIR": str(root),
@@ -223,9 +198,10 @@ def engine_environment(root: Path, home: str) -> dict[str, str]:
     return {**os.environ, **private, **threads}
 
 
-def _spawn(
+def spawn_interpreter(
     module: str, arguments: list[int], environment: Mapping[str, str], log: Log, **options: Any
 ) -> subprocess.Popen[bytes]:
+    """Starts a new interpreter that runs ``main`` of one of this package's modules."""
     package = Path(__file__).resolve().parents[1]
     code = _BOOTSTRAP.format(module=module)
     return subprocess.Popen(  # noqa: S603 - our own interpreter on our own code
@@ -239,167 +215,8 @@ def _spawn(
     )
 
 
-class ForkServerClient:
-    """This program's connection to one fork server."""
-
-    def __init__(self, root: Path) -> None:
-        self._log = Log()
-        self._home = LockedTemporaryDirectory("home")
-        self._lock = threading.Lock()
-        self._is_ready = False
-        self._number = 0  # of the last request
-        self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._control.settimeout(START_TIMEOUT)
-        with theirs:
-            self._process = _spawn(
-                "fork_server",
-                [theirs.fileno(), _SELF_DESTRUCT_SECONDS],
-                engine_environment(root, str(self._home.path)),
-                self._log,
-                pass_fds=[theirs.fileno()],
-            )
-
-    def fork(self) -> RaceProcess:
-        """A new child that has run no race yet."""
-        with contextlib.ExitStack() as on_failure, self._lock:
-            ours, theirs = wire.pair()
-            log = Log()
-            on_failure.callback(ours.close)
-            on_failure.callback(log.close)
-            with theirs:
-                answer = self._ask({"do": "fork"}, [theirs.fileno(), log.fileno()])
-            if answer["pid"] is None:
-                raise OSError(answer["error"])
-            on_failure.pop_all()
-        return _ForkedRace(ours, answer["pid"], log, self)
-
-    def end_child(self, pid: int) -> int | None:
-        """Ends a child if it still lives; its wait status, ``None`` if unknown."""
-        with contextlib.suppress(EngineCrashed), self._lock:
-            status: int | None = self._ask({"do": "end", "pid": pid})["status"]
-            return status
-        return None
-
-    def drop_child(self, pid: int) -> None:
-        """Ends a child without waiting for it."""
-        with contextlib.suppress(OSError):
-            self._control.send(json.dumps({"do": "drop", "pid": pid}).encode())
-
-    def adopt(self, pid: int) -> None:
-        """Reports a clone that one of the fork server's children has made of itself."""
-        with contextlib.suppress(OSError):  # a fork server that is gone has ended the clone too
-            self._control.send(json.dumps({"do": "adopt", "pid": pid}).encode())
-
-    def close(self) -> None:
-        """Ends the fork server and with it all its children."""
-        self._control.close()
-        try:
-            self._process.wait(2.0)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        self._home.close()
-        self._log.close()
-
-    def forget(self) -> None:
-        """Lets go of a fork server that belongs to the process this one was forked from."""
-        self._control.close()
-        self._process.returncode = 0  # not our child: nothing to wait for
-        self._home.release()
-
-    def _ask(self, request: Mapping[str, Any], fds: list[int] | None = None) -> Any:
-        """Sends a request and waits for its reply; discards replies to interrupted requests."""
-        self._number += 1
-        form = json.dumps({"number": self._number, **request}).encode()
-        try:
-            socket.send_fds(self._control, [form], fds or [])
-        except OSError:
-            self._fail()
-        while True:
-            packet = self._receive() or self._fail()
-            if packet == READY:
-                self._is_ready = True
-            elif (answer := json.loads(packet))["number"] == self._number:
-                return answer
-
-    def _receive(self) -> bytes:
-        try:
-            return self._control.recv(65536)
-        except TimeoutError:
-            _retire(self)
-            raise EngineTimeout(
-                f"the game's fork server gave no answer in {START_TIMEOUT:.0f} s and was ended",
-                self._log.tail(),
-            ) from None
-        except OSError:
-            return b""
-
-    def _fail(self) -> bytes:
-        log = self._log.tail()
-        what = "is gone" if self._is_ready else "could not start"
-        _retire(self)
-        raise EngineCrashed(
-            f"the game's fork server {what}; `stkzoo doctor` looks for the cause", log
-        )
-
-
-class _ForkedRace(RaceProcess):
-    def __init__(
-        self, connection: socket.socket, pid: int, log: Log, fork_server: ForkServerClient
-    ) -> None:
-        super().__init__(connection, pid, log)
-        self._fork_server = fork_server
-
-    def end(self) -> str:
-        self.connection.close()
-        status = self._fork_server.end_child(self.pid)
-        return "was lost" if status is None else _describe_end(os.waitstatus_to_exitcode(status))
-
-    def drop(self) -> None:
-        self._fork_server.drop_child(self.pid)
-        self._free()
-
-    def fork(self) -> RaceProcess:
-        with contextlib.ExitStack() as on_failure:
-            ours, theirs, log = _connection_and_log()
-            on_failure.callback(ours.close)
-            on_failure.callback(log.close)
-            with theirs:
-                wire.send(self.connection, wire.FORK)
-                self.reply()
-                wire.send_files(self.connection, [theirs.fileno(), log.fileno()])
-            pid = int(self.reply()[0])
-            ours.settimeout(self.connection.gettimeout())
-            self._fork_server.adopt(pid)
-            on_failure.callback(self._fork_server.drop_child, pid)
-            try:
-                wire.receive(ours)
-            except (EOFError, OSError):
-                message = "a copy of the game's process ended before it could answer"
-                raise EngineCrashed(message, log.tail()) from None
-            on_failure.pop_all()
-        return _ForkedRace(ours, pid, log, self._fork_server)
-
-
-def _connection_and_log() -> tuple[socket.socket, socket.socket, Log]:
-    """What a copy of a process needs: both ends of a connection, and a log."""
-    try:
-        with contextlib.ExitStack() as on_failure:
-            ends = wire.pair()
-            for end in ends:
-                on_failure.callback(end.close)
-            log = Log()
-            on_failure.pop_all()
-    except OSError as error:
-        raise EngineError(
-            f"there is no room for a copy of the game's process: {error}; close() some saved "
-            "states, or raise the system's limit on open files (ulimit -n)"
-        ) from error
-    return *ends, log
-
-
-class _SpawnedRace(RaceProcess):
-    """An interpreter of its own, reached over the loopback interface."""
+class SpawnedProcess(RaceProcess):
+    """A new interpreter, connected over the loopback interface."""
 
     def __init__(self, root: Path, module: str, variables: Mapping[str, str] | None = None) -> None:
         self._home = LockedTemporaryDirectory("home")
@@ -412,7 +229,9 @@ class _SpawnedRace(RaceProcess):
         with socket.create_server(("127.0.0.1", 0)) as listener:
             listener.settimeout(0.25)
             port = listener.getsockname()[1]
-            self._process = _spawn(module, [port, _SELF_DESTRUCT_SECONDS], environment, log)
+            self._process = spawn_interpreter(
+                module, [port, SELF_DESTRUCT_SECONDS], environment, log
+            )
             try:
                 connection = self._accept(listener, token, log)
             except BaseException:
@@ -427,7 +246,7 @@ class _SpawnedRace(RaceProcess):
                 connection, _ = listener.accept()
             except TimeoutError:
                 if self._process.poll() is not None:
-                    how = _describe_end(self._process.returncode)
+                    how = describe_end(self._process.returncode)
                     raise EngineCrashed(
                         f"the game's process {how} at its start", log.tail()
                     ) from None
@@ -441,15 +260,17 @@ class _SpawnedRace(RaceProcess):
         raise EngineTimeout(f"the game did not start in {START_TIMEOUT:.0f} s", log.tail())
 
     def end(self) -> str:
+        """See :meth:`RaceProcess.end`."""
         self.connection.close()
         try:
             self._process.wait(0.2)
         except subprocess.TimeoutExpired:
             self._kill()
         self._home.close()
-        return _describe_end(self._process.returncode)
+        return describe_end(self._process.returncode)
 
     def drop(self) -> None:
+        """See :meth:`RaceProcess.drop`."""
         self._kill()
         self._free()
 
@@ -459,53 +280,11 @@ class _SpawnedRace(RaceProcess):
         self._home.close()
 
 
-def _describe_end(returncode: int) -> str:
+def describe_end(returncode: int) -> str:
+    """Says how a process ended, such as ``"was ended by SIGKILL"``."""
     if returncode >= 0:
         return f"exited with code {returncode}"
     try:
         return f"was ended by {signal.Signals(-returncode).name}"
     except ValueError:
         return f"was ended by signal {-returncode}"
-
-
-_fork_servers: dict[Path, ForkServerClient] = {}
-_fork_servers_lock = threading.Lock()
-
-
-def start_fork_server(root: Path) -> ForkServerClient:
-    """This program's fork server for the given game data; does not wait for it."""
-    with _fork_servers_lock:
-        if root not in _fork_servers:
-            with _told_what_is_missing():
-                _fork_servers[root] = ForkServerClient(root)
-        return _fork_servers[root]
-
-
-def _retire(fork_server: ForkServerClient) -> None:
-    with _fork_servers_lock:
-        for root, known in tuple(_fork_servers.items()):
-            if known is fork_server:
-                del _fork_servers[root]
-    fork_server.close()
-
-
-@atexit.register
-def _close_all() -> None:
-    while _fork_servers:
-        _fork_servers.popitem()[1].close()
-
-
-def _forget_all() -> None:
-    global _fork_servers_lock
-    _fork_servers_lock = threading.Lock()
-    while _fork_servers:
-        fork_server = _fork_servers.popitem()[1]
-        fork_server.forget()
-        _forgotten.append(fork_server)
-
-
-#: Fork servers of the process this one was forked from, kept so that nothing tidies them up here.
-_forgotten: list[ForkServerClient] = []
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forget_all)

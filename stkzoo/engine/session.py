@@ -16,12 +16,12 @@ import numpy.typing as npt
 
 from stkzoo._os import LockedTemporaryDirectory
 from stkzoo.engine import wire
+from stkzoo.engine.fork_client import start_race_process
 from stkzoo.engine.process import (
     START_TIMEOUT,
     Log,
     RaceProcess,
     engine_environment,
-    start_race_process,
 )
 from stkzoo.engine.race import GameRace, RaceStart, init_engine
 from stkzoo.engine.setup import RaceSetup

@@ -13,7 +13,7 @@ from gymnasium.utils import EzPickle
 
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import find_assets
-from stkzoo.engine.process import can_fork, start_fork_server
+from stkzoo.engine.fork_client import can_fork, start_fork_server
 from stkzoo.engine.track import TrackMap
 from stkzoo.env.graphics import RENDER_MODES
 from stkzoo.env.parallel import RaceParallelEnv

@@ -16,8 +16,8 @@ from pettingzoo import ParallelEnv
 
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import Assets, find_assets
+from stkzoo.engine.fork_client import can_fork, start_fork_server
 from stkzoo.engine.ground import Ground
-from stkzoo.engine.process import can_fork, start_fork_server
 from stkzoo.engine.session import LocalSession, Session, WorkerSession
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.engine.track import TrackMap

@@ -13,7 +13,7 @@ import numpy as np
 
 import stkzoo
 from stkzoo import AgentSpec, race_v0
-from stkzoo.engine import process
+from stkzoo.engine import fork_client
 from tests.support.paths import AGENTS
 
 __all__ = ["FORMS", "Form", "digest"]
@@ -54,7 +54,7 @@ class Form:
 
     def begin(self) -> None:
         """The first environment of a program: with a fork server that is started for it."""
-        process._close_all()
+        fork_client._close_all()
         self.construct()
         self.reset()
 

@@ -13,7 +13,7 @@ import pytest
 
 import stkzoo
 from stkzoo import race_v0
-from stkzoo.engine import process
+from stkzoo.engine import fork_client
 from stkzoo.race import RaceResult
 from stkzoo.race.replay import load_replay
 from tests.chaos.family import family
@@ -34,7 +34,7 @@ def trace(env):
 
 
 def fork_server_pid():
-    (fork_server,) = process._fork_servers.values()
+    (fork_server,) = fork_client._fork_servers.values()
     return fork_server._process.pid
 
 

@@ -17,7 +17,7 @@ import pytest
 
 import stkzoo
 from stkzoo import EngineCrashed, EngineError, StkzooError, race_v0
-from stkzoo.engine import process
+from stkzoo.engine import fork_client
 from tests.chaos.forms import digest
 from tests.support.paths import AGENTS, ROOT
 from tests.support.processes import children_of, process_exists, run_program, wait_until
@@ -38,7 +38,7 @@ def trace(env):
 
 
 def fork_server_pid():
-    (fork_server,) = process._fork_servers.values()
+    (fork_server,) = fork_client._fork_servers.values()
     return fork_server._process.pid
 
 
@@ -299,7 +299,7 @@ def test_an_environment_may_go_from_thread_to_thread():
         thread.join()
         return results.pop()
 
-    process._close_all()  # the fork server is a child of a thread that ends
+    fork_client._close_all()  # the fork server is a child of a thread that ends
     env = in_thread(make)
     first = in_thread(lambda: trace(env))
     assert in_thread(lambda: trace(env)) == first

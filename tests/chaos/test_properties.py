@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 import stkzoo
 from stkzoo import ActionError, AgentSpec, ConfigError, StkzooError, race_v0
-from stkzoo.engine import process
+from stkzoo.engine import fork_client
 from stkzoo.race import RaceSettings, run_race
 from stkzoo.views import VIEWS
 
@@ -116,9 +116,9 @@ def one_fork_server():
     """The process that all races come from lives through all of it."""
     with race_v0.parallel_env(num_kart=1, track=TRACKS[0]) as env:
         env.reset(seed=1)
-        (fork_server,) = process._fork_servers.values()
+        (fork_server,) = fork_client._fork_servers.values()
         yield
-        assert list(process._fork_servers.values()) == [fork_server]
+        assert list(fork_client._fork_servers.values()) == [fork_server]
         assert fork_server._process.poll() is None
         env.step({"kart_0": env.action_space("kart_0").sample()})
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from stkzoo import race_v0
-from stkzoo.engine import process, render_session, session
+from stkzoo.engine import fork_client, process, render_session, session
 from stkzoo.errors import EngineError, StkzooError
 from tests.chaos.family import family
 from tests.chaos.faults import Fault, Strike
@@ -78,7 +78,7 @@ class Trials:
         self._folder = tempfile.TemporaryDirectory(prefix="chaos-")
         self._patches = contextlib.ExitStack()
         self._patches.enter_context(_replaced(tempfile, "tempdir", self._folder.name))
-        process._close_all()  # the fork server's home is to be in that folder
+        fork_client._close_all()  # the fork server's home is to be in that folder
         self._not_ours = {member.pid for member in family(os.getpid())}  # of earlier tests
         self._witness = _Witness()
         self._traces: dict[str, str] = {}
@@ -88,7 +88,7 @@ class Trials:
 
     def __exit__(self, *_: object) -> None:
         self._witness.close()
-        process._close_all()
+        fork_client._close_all()
         self._patches.close()
         self._folder.cleanup()
 
@@ -221,6 +221,7 @@ def _short_timeouts() -> Iterator[None]:
     drawing = {"has_window": False, "timeout": DRAWING_TIMEOUT}
     with (
         _replaced(process, "START_TIMEOUT", START_TIMEOUT),
+        _replaced(fork_client, "START_TIMEOUT", START_TIMEOUT),
         _replaced(session, "START_TIMEOUT", START_TIMEOUT),
         _replaced(render_session, "DRAWING_START_TIMEOUT", DRAWING_START_TIMEOUT),
         _replaced(render_session.RenderSession.__init__, "__kwdefaults__", drawing),

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stkzoo.engine import process
+from stkzoo.engine import fork_client
 from stkzoo.engine.assets import find_assets
 from stkzoo.engine.session import LocalSession, WorkerSession
 from stkzoo.engine.setup import KartSetup, RaceSetup
@@ -129,13 +129,13 @@ def test_others_do_not_notice_a_crash(root, session):
 
 def test_a_killed_fork_server_is_replaced(root, session):
     expected = trajectory(session)
-    fork_server = process.start_fork_server(root)
+    fork_server = fork_client.start_fork_server(root)
     os.kill(fork_server._process.pid, signal.SIGKILL)
     fork_server._process.wait()
     with pytest.raises(EngineCrashed):
         drive_on(session)
     assert trajectory(session) == expected
-    assert process.start_fork_server(root) is not fork_server
+    assert fork_client.start_fork_server(root) is not fork_server
 
 
 def test_an_engine_error_carries_the_games_own_traceback(session):
@@ -177,13 +177,13 @@ PROGRAM = """
     import sys, time, os, signal
     import numpy as np
     from pathlib import Path
-    from stkzoo.engine import process
+    from stkzoo.engine import fork_client
     from stkzoo.engine.session import WorkerSession
     from stkzoo.engine.setup import KartSetup, RaceSetup
     session = WorkerSession(Path({root!r}))
     session.start(RaceSetup("olivermath", (KartSetup(is_bot=False), KartSetup())))
-    print(session.pid, process.start_fork_server(Path({root!r}))._process.pid,
-          process.start_fork_server(Path({root!r}))._home.path, flush=True)
+    print(session.pid, fork_client.start_fork_server(Path({root!r}))._process.pid,
+          fork_client.start_fork_server(Path({root!r}))._home.path, flush=True)
     {ending}
 """
 
@@ -211,7 +211,7 @@ def test_nothing_outlives_the_program(root, ending):
 
 def test_a_killed_fork_server_takes_its_races_along(root, session):
     session.start(SETUP)
-    pid, fork_server = session.pid, process.start_fork_server(root)
+    pid, fork_server = session.pid, fork_client.start_fork_server(root)
     os.kill(pid, signal.SIGSTOP)
     os.kill(fork_server._process.pid, signal.SIGKILL)
     assert wait_until(lambda: not process_exists(pid))
@@ -281,7 +281,7 @@ def test_a_second_race_in_this_process_is_refused_while_the_first_lives(root):
 def test_quick_restarts_leave_no_process_behind(root, session):
     for _ in range(30):
         session.start(RaceSetup("olivermath", (PLAYER,)))
-    fork_server = process.start_fork_server(root)
+    fork_server = fork_client.start_fork_server(root)
     assert wait_until(lambda: len(children_of(fork_server._process.pid)) == 1)
 
 

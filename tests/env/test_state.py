@@ -18,7 +18,7 @@ from stkzoo import AgentSpec, race_v0
 from stkzoo.agents import heuristic
 from stkzoo.agents.planner import Planner, PlannerSettings
 from stkzoo.checks.play import fingerprint
-from stkzoo.engine import process
+from stkzoo.engine import fork_client
 from stkzoo.engine.assets import find_assets
 from stkzoo.errors import (
     AgentException,
@@ -75,7 +75,7 @@ def started(env, steps=30, seed=3):
 
 
 def fork_server_pid():
-    return process.start_fork_server(find_assets().root)._process.pid
+    return fork_client.start_fork_server(find_assets().root)._process.pid
 
 
 @pytest.mark.parametrize("track", ["olivermath", "zengarden"])
@@ -584,12 +584,12 @@ def test_a_program_out_of_open_files_keeps_its_race():
 PROGRAM = """
     import os, signal, sys, time
     from stkzoo import race_v0
-    from stkzoo.engine import process
+    from stkzoo.engine import fork_client
     env = race_v0.parallel_env(track="olivermath")
     env.reset(seed=1)
     states = [env.save_state() for _ in range(3)]
     clone = env.clone()
-    (fork_server,) = process._fork_servers.values()
+    (fork_server,) = fork_client._fork_servers.values()
     print(fork_server._process.pid, env._session.pid, clone._session.pid,
           *(state.pid for state in states), flush=True)
     {ending}
