@@ -15,7 +15,7 @@ from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.names import CameraMode
 from stkzoo.render.renderer import RaceRenderer
 from stkzoo.render.scene import Scene
-from stkzoo.views import View
+from stkzoo.views import ViewFactory
 from stkzoo.wrappers.camera import Camera, CameraKind, Shot
 
 __all__ = ["RaceCameras"]
@@ -40,7 +40,7 @@ class RaceCameras:
         """One agent's camera."""
         return _AgentCamera(self, agent)
 
-    def connected(self, views: Mapping[str, View]) -> dict[str, View]:
+    def connected(self, views: Mapping[str, ViewFactory]) -> dict[str, ViewFactory]:
         """The agents' views, around environments that have cameras."""
         return {agent: self._connected(agent, view) for agent, view in views.items()}
 
@@ -76,7 +76,7 @@ class RaceCameras:
         for drawing in self._drawings.values():
             drawing.close()
 
-    def _connected(self, agent: str, view: View) -> View:
+    def _connected(self, agent: str, view: ViewFactory) -> ViewFactory:
         def wrap(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
             env.camera = self.of(agent)  # type: ignore[attr-defined]
             return view(env)

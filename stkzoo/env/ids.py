@@ -6,7 +6,7 @@ import gymnasium
 import pettingzoo
 
 from stkzoo.errors import ConfigError
-from stkzoo.views import CAMERA_VIEWS, VIEWS, View
+from stkzoo.views import CAMERA_VIEWS, VIEWS, ViewFactory
 
 __all__ = ["MAX_EPISODE_STEPS", "register_ids", "register_view"]
 
@@ -28,7 +28,7 @@ def register_ids() -> None:
         pettingzoo.register("aec", f"{_NAMESPACE}/race-v0", "stkzoo.race_v0:env")
 
 
-def register_view(name: str, view: View) -> None:
+def register_view(name: str, view: ViewFactory) -> None:
     """Adds a view, for ``view="<name>"`` and ``gym.make("supertuxkart/<name>-v0")``.
 
     Args:

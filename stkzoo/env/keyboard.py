@@ -17,7 +17,7 @@ from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
-from stkzoo.views import View, sees_ground
+from stkzoo.views import ViewFactory, sees_ground
 from stkzoo.views.agent_chain import AgentChain
 from stkzoo.wrappers.camera import CameraKind, Shot
 
@@ -75,7 +75,7 @@ def base_action(pressed: Collection[int]) -> dict[str, Any]:
     }
 
 
-def keys_to_action(view: View, name: str) -> dict[Any, Any]:
+def keys_to_action(view: ViewFactory, name: str) -> dict[Any, Any]:
     """The action of a view for every combination of keys, none of them too.
 
     Args:
@@ -101,7 +101,7 @@ def keys_to_action(view: View, name: str) -> dict[Any, Any]:
     return chosen
 
 
-def _blind(view: View) -> View:
+def _blind(view: ViewFactory) -> ViewFactory:
     """The view where nobody draws."""
 
     def wrap(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:

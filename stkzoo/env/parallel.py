@@ -225,6 +225,10 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
     def step(self, actions: Mapping[str, Any]) -> StepParts:
         """Advances the race by one step.
 
+        Its phases: :meth:`decode` makes controls of the actions, :meth:`send` steps the game,
+        and :meth:`step_wait` reads the moment after it, scores rewards and ends, observes and
+        gathers infos. Wrappers that the kernel does not do run last.
+
         Args:
             actions: an action for each agent still in the race; entries of agents that
                 have left, and of agents that the game's AI drives, are ignored.
@@ -238,7 +242,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
             ApiOrderError: before the first ``reset``.
             EngineError: the game died or hangs; ``reset`` starts anew.
         """
-        self.step_async(actions)
+        controls = self.decode(actions)
+        self.send(controls)
         return self.step_wait()
 
     def step_async(self, actions: Mapping[str, Any]) -> None:
@@ -294,14 +299,13 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         rewards, terminations, truncations = episode.advance(snapshot, agents)
         observations = self._chains.observe(agents, episode)
         infos = episode.infos(agents)
-        result = observations, rewards, terminations, truncations, infos
-        result = self._chains.finish(agents, result)
-        _, _, terminations, truncations, _ = result
+        parts = observations, rewards, terminations, truncations, infos
+        self._chains.finish(agents, parts)
         if any(terminations.values()) or any(truncations.values()):
             self.agents = [a for a in agents if not (terminations[a] or truncations[a])]
         if self.render_mode is not None:
             self._rendering.follow(episode)
-        return result
+        return parts
 
     def render(self) -> Any:
         """Shows the race as ``render_mode`` asks for.

@@ -6,7 +6,15 @@
 
 from stkzoo.views.agent_chain import AgentChain
 from stkzoo.views.chains import AgentChains
-from stkzoo.views.shipped import CAMERA_VIEWS, VIEWS, View, sees_ground, views_of_agents
+from stkzoo.views.plan import ViewPlan
+from stkzoo.views.shipped import (
+    CAMERA_VIEWS,
+    VIEWS,
+    View,
+    ViewFactory,
+    sees_ground,
+    views_of_agents,
+)
 
 __all__ = [
     "CAMERA_VIEWS",
@@ -14,6 +22,8 @@ __all__ = [
     "AgentChain",
     "AgentChains",
     "View",
+    "ViewFactory",
+    "ViewPlan",
     "sees_ground",
     "views_of_agents",
 ]

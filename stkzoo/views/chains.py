@@ -12,12 +12,12 @@ from gymnasium import spaces
 from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo.errors import ActionError, AgentException, ConfigError
-from stkzoo.kernel import ActionReader, CarController
+from stkzoo.kernel import ActionReader, CarController, KartObserver
 from stkzoo.views.actions import read_actions
 from stkzoo.views.agent_chain import AgentChain, WrapperFactory
 from stkzoo.views.batch import split
 from stkzoo.views.memory import WrapperMemory
-from stkzoo.views.plan import ObservationSource, Observer
+from stkzoo.views.plan import ObservationSource, Observer, ViewPlan
 from stkzoo.views.split_step import AgentStep
 
 __all__ = ["AgentChains", "ChainsMemory", "StepParts"]
@@ -259,15 +259,13 @@ class AgentChains:
             )
         return observations, new_infos
 
-    def finish(self, agents: Sequence[str], parts: StepParts) -> StepParts:
+    def finish(self, agents: Sequence[str], parts: StepParts) -> None:
         """Runs the second half of the wrappers' steps; call it once after each :meth:`decode`.
 
         Args:
             agents: the agents that acted.
-            parts: what happened to them, with what :meth:`observe` gave; becomes the result.
-
-        Returns:
-            Observations, rewards, terminations, truncations and infos by agent.
+            parts: what happened to them, with what :meth:`observe` gave; the wrappers' answers
+                take its place.
 
         Raises:
             AgentException: a wrapper failed.
@@ -280,7 +278,6 @@ class AgentChains:
         except BaseException:
             self._abandon()
             raise
-        return parts
 
     def memory(self) -> ChainsMemory:
         """What the agents' wrappers remember between steps, as a value.
@@ -353,7 +350,7 @@ class AgentChains:
         acting = [a for a in own if self._chains[a].is_empty and a not in self._ignored]
         identity, plan = self._identities[own[0]], self._plans[own[0]]
         if identity not in self._made:
-            made = plan.new_observer(), plan.new_reader(), plan.new_controller()
+            made = _new_observer(plan), plan.new_reader(), plan.new_controller()
             self._made[identity] = made
         observer, reader, car = self._made[identity]
         return _Group(
@@ -419,6 +416,41 @@ class AgentChains:
     def _abandon(self) -> None:
         for chain in self._chains.values():
             chain.abandon()
+
+
+class _Records:
+    """Observations straight from the game's records."""
+
+    def __init__(self, observer: KartObserver) -> None:
+        self._observer = observer
+
+    def observe(self, source: ObservationSource, karts: IntArray) -> list[Any]:
+        """See :class:`Observer`."""
+        return self._observer.observe(*source.course, source.snapshot.data, karts)
+
+
+class _GroundRecords(_Records):
+    """The same, and what is beside the road ahead."""
+
+    def __init__(self, observer: KartObserver, names: tuple[str, ...]) -> None:
+        super().__init__(observer)
+        self._names = names
+
+    def observe(self, source: ObservationSource, karts: IntArray) -> list[Any]:
+        """See :class:`Observer`."""
+        ahead = source.ground_ahead(karts)
+        observations = []
+        for row, own in enumerate(super().observe(source, karts)):
+            seen = own | {key: values[row] for key, values in ahead.items()}
+            observations.append({name: seen[name] for name in self._names})
+        return observations
+
+
+def _new_observer(plan: ViewPlan) -> Observer:
+    if plan.observer is not None:
+        return plan.observer
+    made = plan.new_observer()
+    return _GroundRecords(made, plan.names) if plan.sees_ground else _Records(made)
 
 
 def _part(result: StepParts, agent: str) -> AgentStep:

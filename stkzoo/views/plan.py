@@ -162,50 +162,18 @@ class ViewPlan:
         """What turns an action in physical units into controls."""
         return None if self.car is None else self.car.new_controller(self.columns)
 
-    def new_observer(self) -> Observer:
-        """What makes observations."""
-        if self.observer is not None:
-            return self.observer
+    def new_observer(self) -> KartObserver:
+        """What makes observations from the game's records, but for the ground."""
         names = tuple(name for name in self.names if not name.startswith("ground_"))
-        joined = None if self.joined is None else np.array(self.joined, np.intp)
-        made = KartObserver(
+        return KartObserver(
             names,
             **self.sizes,
             polar=self.is_polar,
             flat=self.is_flat,
-            joined=joined,
+            joined=None if self.joined is None else np.array(self.joined, np.intp),
             nitro=self.nitro,
             fire=self.fire,
         )
-        return GroundRecords(made, self.names) if self.sees_ground else Records(made)
-
-
-class Records:
-    """Observations straight from the game's records."""
-
-    def __init__(self, observer: KartObserver) -> None:
-        self._observer = observer
-
-    def observe(self, source: ObservationSource, karts: IntArray) -> list[Any]:
-        """See :class:`Observer`."""
-        return self._observer.observe(*source.course, source.snapshot.data, karts)
-
-
-class GroundRecords(Records):
-    """The same, and what is beside the road ahead."""
-
-    def __init__(self, observer: KartObserver, names: tuple[str, ...]) -> None:
-        super().__init__(observer)
-        self._names = names
-
-    def observe(self, source: ObservationSource, karts: IntArray) -> list[Any]:
-        """See :class:`Observer`."""
-        ahead = source.ground_ahead(karts)
-        observations = []
-        for row, own in enumerate(super().observe(source, karts)):
-            seen = own | {key: values[row] for key, values in ahead.items()}
-            observations.append({name: seen[name] for name in self._names})
-        return observations
 
 
 def _entry(part: Any, column: int) -> Entry:

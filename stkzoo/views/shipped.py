@@ -1,13 +1,14 @@
-"""Views by name: what an agent observes and how it acts.
+"""The shipped views, each a declared value: a name and the wrappers around the ``full`` view.
 
-A view is a function from a Gymnasium environment to a wrapped one. It is applied to
-each agent's side of the race, and agents that share a view share its work.
+To add a view, add a :class:`View` to :data:`VIEWS`. Its Gymnasium id, its place in vector
+environments and its tests come with it. Agents that share a view share its work.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import gymnasium as gym
 
@@ -28,120 +29,135 @@ from stkzoo.wrappers.control import ControlView
 from stkzoo.wrappers.marl import ActionMasks
 from stkzoo.wrappers.racing import RacingActions, RacingObservations
 
-__all__ = ["CAMERA_VIEWS", "VIEWS", "View", "sees_ground", "views_of_agents"]
+__all__ = ["CAMERA_VIEWS", "VIEWS", "View", "ViewFactory", "sees_ground", "views_of_agents"]
 
-View = Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]]
-
-
-def full(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """Everything a kart sees, in lists of varying length; the game's own actions."""
-    return env
+#: Wraps the environment of one kart. :class:`View` values, wrapper classes and functions do.
+ViewFactory: TypeAlias = Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]]
 
 
-def ground(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """``full``, and what is beside the road ahead: walls, drops, what slows, zippers.
+@dataclass(frozen=True, slots=True)
+class View:
+    """What an agent observes and how it acts.
 
-    Raises:
-        ConfigError: the environment does not show that.
+    Attributes:
+        name: of the view, and of its Gymnasium id.
+        description: one line about it.
+        wrappers: around the ``full`` view, the innermost first.
+        needs: what the race has to offer beside that: ``"ground"``, what is beside the road, or
+            ``"camera"``.
     """
-    if not shows_ground(env.observation_space):
-        raise ConfigError(
-            "the ground view goes around an environment that shows the ground, but found "
-            f"{env.observation_space!r}; choose view='ground', and write in an agent's module "
-            "env_name = 'supertuxkart/ground-v0' as it stands here"
-        )
-    return env
+
+    name: str
+    description: str
+    wrappers: tuple[ViewFactory, ...] = ()
+    needs: frozenset[str] = frozenset()
+
+    def __call__(self, env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+        """The environment, wrapped.
+
+        Raises:
+            ConfigError: it does not offer what the view needs.
+        """
+        if self.sees_ground and not shows_ground(env.observation_space):
+            raise ConfigError(
+                f"the {self.name} view goes around an environment that shows the ground, but "
+                f"found {env.observation_space!r}; choose view={self.name!r}, and write in an "
+                f"agent's module env_name = 'supertuxkart/{self.name}-v0' as it stands here"
+            )
+        for wrapper in self.wrappers:
+            env = wrapper(env)
+        return env
+
+    @property
+    def sees_ground(self) -> bool:
+        """Whether the view is around observations that tell of the ground."""
+        return "ground" in self.needs
 
 
-# What sees_ground() looks for; to mypy functions have no attributes of their own.
-ground.sees_ground = True  # type: ignore[attr-defined]
+_SIMPLE = (ConstantSizedObservations, PolarObservations)
+_MULTIDISCRETE = (*_SIMPLE, DiscreteActionsWrapper, FlattenerWrapper)
+_DISCRETE = (*_MULTIDISCRETE, FlattenMultiDiscreteActions)
+_CONTINUOUS = (*_SIMPLE, OnlyContinuousActionsWrapper, FlattenerWrapper)
 
-
-def simple(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """The nearest five items, karts and track segments, in polar coordinates."""
-    return PolarObservations(ConstantSizedObservations(env))
-
-
-def flattened(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """``simple`` as one continuous and one discrete vector, both ways."""
-    return FlattenerWrapper(simple(env))
-
-
-def flattened_continuous_actions(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """``flattened``, acting by acceleration and steering alone."""
-    return FlattenerWrapper(OnlyContinuousActionsWrapper(simple(env)))
-
-
-def flattened_multidiscrete(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """``flattened``, with acceleration and steering in steps."""
-    return FlattenerWrapper(DiscreteActionsWrapper(simple(env)))
-
-
-def flattened_discrete(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """``flattened_multidiscrete`` with one number for the whole action."""
-    return FlattenMultiDiscreteActions(flattened_multidiscrete(env))
-
-
-def box_discrete(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """``flattened_discrete`` with all observations in one vector."""
-    return JoinedObservations(flattened_discrete(env))
-
-
-def box_continuous(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """``flattened_continuous_actions`` with all observations in one vector."""
-    return JoinedObservations(flattened_continuous_actions(env))
-
-
-def masked_discrete(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """``box_discrete``, and a mask of the actions that can do something."""
-    return JoinedObservations(ActionMasks(flattened_discrete(env)))
-
-
-def racing(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """The road ahead and what is near as one vector of fixed size; acting by a few choices."""
-    return RacingActions(RacingObservations(env))
-
-
-def camera(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """``flattened_discrete``, and the picture of the kart's camera, 84 by 84 pixels."""
-    return CameraObservations(flattened_discrete(env))
-
-
-def control(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """``simple``, acting by speed [m/s] and steering angle [rad]; see :class:`ControlView`."""
-    return ControlView()(env)
-
-
-def flattened_control(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """``flattened``, acting by speed and steering angle, each from -1 to 1."""
-    return ControlView(observe="flattened", normalize_act=True)(env)
-
+_SHIPPED = (
+    View("full", "Everything a kart sees, in lists of varying length; the game's own actions."),
+    View(
+        "ground",
+        "``full``, and what is beside the road ahead: walls, drops, what slows, zippers.",
+        needs=frozenset({"ground"}),
+    ),
+    View(
+        "simple",
+        "The nearest five items, karts and track segments, in polar coordinates.",
+        _SIMPLE,
+    ),
+    View(
+        "flattened",
+        "``simple`` as one continuous and one discrete vector, both ways.",
+        (*_SIMPLE, FlattenerWrapper),
+    ),
+    View(
+        "flattened_continuous_actions",
+        "``flattened``, acting by acceleration and steering alone.",
+        _CONTINUOUS,
+    ),
+    View(
+        "flattened_multidiscrete",
+        "``flattened``, with acceleration and steering in steps.",
+        _MULTIDISCRETE,
+    ),
+    View(
+        "flattened_discrete",
+        "``flattened_multidiscrete`` with one number for the whole action.",
+        _DISCRETE,
+    ),
+    View(
+        "box_discrete",
+        "``flattened_discrete`` with all observations in one vector.",
+        (*_DISCRETE, JoinedObservations),
+    ),
+    View(
+        "box_continuous",
+        "``flattened_continuous_actions`` with all observations in one vector.",
+        (*_CONTINUOUS, JoinedObservations),
+    ),
+    View(
+        "masked_discrete",
+        "``box_discrete``, and a mask of the actions that can do something.",
+        (*_DISCRETE, ActionMasks, JoinedObservations),
+    ),
+    View(
+        "racing",
+        "The road ahead and what is near as one vector of fixed size; acting by a few choices.",
+        (RacingObservations, RacingActions),
+    ),
+    View(
+        "control",
+        "``simple``, acting by speed [m/s] and steering angle [rad].",
+        (ControlView(),),
+    ),
+    View(
+        "flattened_control",
+        "``flattened``, acting by speed and steering angle, each from -1 to 1.",
+        (ControlView(observe="flattened", normalize_act=True),),
+    ),
+)
 
 #: The known views, from which the Gymnasium ids are made; ``stkzoo.register_view`` adds to them.
-VIEWS: dict[str, View] = {
-    view.__name__: view
-    for view in (
-        full,
-        ground,
-        simple,
-        flattened,
-        flattened_continuous_actions,
-        flattened_multidiscrete,
-        flattened_discrete,
-        box_discrete,
-        box_continuous,
-        masked_discrete,
-        racing,
-        control,
-        flattened_control,
+VIEWS: dict[str, ViewFactory] = {view.name: view for view in _SHIPPED}
+
+#: Views that need an environment which can draw: those of this package, but no agent's alone.
+CAMERA_VIEWS: dict[str, ViewFactory] = {
+    "camera": View(
+        "camera",
+        "``flattened_discrete``, and the picture of the kart's camera, 84 by 84 pixels.",
+        (*_DISCRETE, CameraObservations),
+        needs=frozenset({"camera"}),
     )
 }
 
-#: Views that need an environment which can draw: those of this package, but no agent's alone.
-CAMERA_VIEWS: dict[str, View] = {"camera": camera}
 
-
-def sees_ground(view: View) -> bool:
+def sees_ground(view: ViewFactory) -> bool:
     """Whether a view is around observations that tell of the ground.
 
     It says so by an attribute ``sees_ground`` that is true.
@@ -149,7 +165,7 @@ def sees_ground(view: View) -> bool:
     return bool(getattr(view, "sees_ground", False))
 
 
-def views_of_agents(choice: object, agents: Sequence[str]) -> dict[str, View]:
+def views_of_agents(choice: object, agents: Sequence[str]) -> dict[str, ViewFactory]:
     """The view of every agent.
 
     Args:
@@ -160,10 +176,10 @@ def views_of_agents(choice: object, agents: Sequence[str]) -> dict[str, View]:
     if not isinstance(choice, Mapping):
         return dict.fromkeys(agents, _view(choice))
     chosen = {agent: _view(view) for agent, view in by_agent(choice, agents).items()}
-    return {**dict.fromkeys(agents, full), **chosen}
+    return {**dict.fromkeys(agents, VIEWS["full"]), **chosen}
 
 
-def _view(choice: object) -> View:
+def _view(choice: object) -> ViewFactory:
     if isinstance(choice, str):
         known = {**VIEWS, **CAMERA_VIEWS}
         if choice not in known:

@@ -21,7 +21,8 @@ from stkzoo.wrappers.racing.layout import SIZE
 from stkzoo.wrappers.racing.road import MAX_SEGMENTS, road_line
 
 if TYPE_CHECKING:
-    from stkzoo.views.plan import ObservationSource, Observer, ViewPlan
+    from stkzoo.kernel import KartObserver
+    from stkzoo.views.plan import ObservationSource, ViewPlan
 
 __all__ = [
     "BRAKE",
@@ -107,7 +108,7 @@ class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
 class _RacingObserver:
     """The vectors of some karts at once, straight from the game's records."""
 
-    def __init__(self, full: Observer) -> None:
+    def __init__(self, full: KartObserver) -> None:
         self._full = full
 
     def observe(self, source: ObservationSource, karts: npt.NDArray[np.intp]) -> list[Any]:
@@ -115,7 +116,7 @@ class _RacingObserver:
         track, (_, num_paths, _) = source.track_map, source.course
         if num_paths < min(MAX_SEGMENTS, track.num_nodes):
             # They see less of the road than the vector tells.
-            seen = self._full.observe(source, karts)
+            seen = self._full.observe(*source.course, source.snapshot.data, karts)
             return [racing_features(*surroundings_of(one))[0] for one in seen]
         return list(racing_view_of(track).observe([source.snapshot], [0], [karts]))
 

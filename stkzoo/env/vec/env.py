@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, iterate
 
 from stkzoo.env.parallel import RaceParallelEnv
-from stkzoo.env.vec.fleet import RaceFleet
+from stkzoo.env.vec.fleet import ParallelRaces
 from stkzoo.env.vec.slots import SlotSteps
 from stkzoo.errors import ActionError, ConfigError
 
@@ -87,7 +87,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         prefetch: bool | None = None,
         **options: Any,
     ) -> None:
-        self.fleet = RaceFleet(num_races, prefetch, {**options, "view": view})
+        self.fleet = ParallelRaces(num_races, prefetch, {**options, "view": view})
         self.num_races = num_races
         self.num_agents = len(self.fleet.agents)
         self.num_envs = self.fleet.num_slots

@@ -17,10 +17,10 @@ from stkzoo.env.vec.slots import RaceSlots, SlotSteps
 from stkzoo.errors import ActionError, ApiOrderError, ConfigError, check_whole
 from stkzoo.views.actions import read_actions
 
-__all__ = ["RaceFleet"]
+__all__ = ["ParallelRaces"]
 
 
-class RaceFleet:
+class ParallelRaces:
     """Races with equal options, whose agents are slots in race-major order.
 
     What :class:`~stkzoo.env.vec.env.RaceVectorEnv` and the Stable-Baselines3 form have in

@@ -19,7 +19,7 @@ from gymnasium.envs.registration import load_env_creator
 
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.race.agents.files import AgentPlace
-from stkzoo.views import VIEWS, View, sees_ground
+from stkzoo.views import VIEWS, ViewFactory, sees_ground
 
 __all__ = [
     "Actor",
@@ -52,7 +52,7 @@ class AgentCode:
         scope: context for running its code.
     """
 
-    wrap: View
+    wrap: ViewFactory
     make_actor: ActorMaker
     name: str = ""
     scope: AbstractContextManager[Any] = field(default_factory=nullcontext)
@@ -128,14 +128,16 @@ def _no_state() -> None:
     return None
 
 
-def _wrap(view: View, wrappers: list[View], env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+def _wrap(
+    view: ViewFactory, wrappers: list[ViewFactory], env: gym.Env[Any, Any]
+) -> gym.Env[Any, Any]:
     env = view(env)
     for wrapper in wrappers:
         env = wrapper(env)
     return env
 
 
-def _view_of(env_name: object) -> View:
+def _view_of(env_name: object) -> ViewFactory:
     """The view of an environment's id: one of stkzoo's, or the wrappers of a registered one."""
     if not isinstance(env_name, str):
         raise ConfigError(f"env_name is {env_name!r}, expected text such as {_DEFAULT_ENV!r}")
