@@ -65,7 +65,6 @@ NOT_EXPORTED = {
 
 #: Class names that are used twice, and why.
 SHARED_CLASS_NAMES = {
-    "RaceFleet": "to be renamed",
     "Session": "to be renamed",
     "_Lane": "to be renamed",
     "_Reader": "to be renamed",
