@@ -47,7 +47,7 @@ GROUPS = ("parallel", "multi", "single")
 
 
 @dataclass(frozen=True)
-class Match:
+class Lineup:
     """Contenders that run together.
 
     Attributes:
@@ -63,7 +63,7 @@ class Match:
     specs: Mapping[str, Spec]
 
 
-def matches(options: argparse.Namespace) -> Iterator[Match]:
+def matches(options: argparse.Namespace) -> Iterator[Lineup]:
     """All matches that the options ask for."""
     pinned = cores(options.cores)
     for num_kart in options.karts:
@@ -75,7 +75,7 @@ def matches(options: argparse.Namespace) -> Iterator[Match]:
                 if group == "single" and view not in REFERENCE_VIEWS:
                     continue
                 specs = _specs(group, view, num_kart, pinned)
-                yield Match(group, view, num_kart, specs)
+                yield Lineup(group, view, num_kart, specs)
 
 
 def _specs(group: str, view: str, num_kart: int, pinned: tuple[int, ...]) -> dict[str, Spec]:
@@ -97,7 +97,7 @@ def _specs(group: str, view: str, num_kart: int, pinned: tuple[int, ...]) -> dic
     return specs
 
 
-def run(match: Match, options: argparse.Namespace, advance: Any) -> dict[str, Any]:
+def run(match: Lineup, options: argparse.Namespace, advance: Any) -> dict[str, Any]:
     """Runs one match; its part of the results."""
     with contenders(match.specs) as started:
         times, is_same = race_together(

@@ -37,7 +37,7 @@ __all__ = ["READY", "main"]
 READY = b"ready"
 
 _POLL_SECONDS = 0.5
-#: How long a child whose connection broke may take to end by itself.
+#: Time for a child to end by itself after its connection broke [s].
 _GRACE_SECONDS = 0.2
 
 
@@ -62,11 +62,11 @@ class _ForkServer:
         self._self_destruct_after = self_destruct_after
         self._program = os.getppid()
         self._living: set[int] = set()
-        self._statuses: dict[int, int] = {}  # of ended children that may be asked about
-        self._dropped: set[int] = set()  # living children that nobody will ask about
+        self._statuses: dict[int, int] = {}  # of ended children that may be requested
+        self._dropped: set[int] = set()  # living children whose status is not needed
 
     def run(self) -> None:
-        """Serves the program's requests, and ends all children when it is gone."""
+        """Serves the program's requests; ends all children when the program is gone."""
         poller = select.poll()
         poller.register(self._control, select.POLLIN)
         while os.getppid() == self._program:
@@ -95,7 +95,7 @@ class _ForkServer:
         self._control.send(json.dumps({"number": request["number"], **values}).encode())
 
     def _try_to_fork(self, fds: list[int]) -> dict[str, Any]:
-        """A child, or why there is none, which is no reason to end the others."""
+        """Forks a child, or says why it failed; the other children go on."""
         problem = "the game's fork server may open no more files"
         if len(fds) == 2:
             try:
@@ -128,7 +128,7 @@ class _ForkServer:
             os._exit(status)
 
     def _adopt(self, pid: int) -> None:
-        """Takes charge of a copy that a child has made of itself."""
+        """Registers a clone that a child has made of itself."""
         with contextlib.suppress(ChildProcessError):  # it has ended and was reaped
             ended, status = os.waitpid(pid, os.WNOHANG)
             if ended:
@@ -137,7 +137,7 @@ class _ForkServer:
                 self._living.add(pid)
 
     def _end(self, pid: int) -> int | None:
-        """Makes sure that a child is gone; its wait status, if it is one of ours."""
+        """Ends a child; returns its wait status, ``None`` for an unknown child."""
         deadline = time.monotonic() + _GRACE_SECONDS
         while pid in self._living and time.monotonic() < deadline:
             self._reap()
@@ -163,7 +163,7 @@ class _ForkServer:
                 return
             if not pid:
                 return
-            # Others are copies that nobody has told of, and nobody will ask about.
+            # Others are clones that were never reported; their status is not needed.
             if pid in self._living and pid not in self._dropped:
                 self._statuses[pid] = status
             self._living.discard(pid)
@@ -171,7 +171,7 @@ class _ForkServer:
 
 
 def _unbuffer_output(libc: ctypes.CDLL) -> None:
-    """Lets the game's own lines reach the log even when it dies."""
-    with contextlib.suppress(ValueError):  # a C library that names its streams otherwise
+    """Makes the game's own output reach the log even if the game dies."""
+    with contextlib.suppress(ValueError):  # a C library with other names for its streams
         stdout = ctypes.c_void_p.in_dll(libc, "stdout")
         libc.setvbuf(stdout, None, 2, 0)  # 2 is _IONBF

@@ -1,13 +1,13 @@
-"""How a process that runs a race makes a copy of itself in the middle of it (Linux).
+"""Clones a process in the middle of its race (Linux).
 
-The copy has to outlive the process that it was made of, and to die with the fork server
-of them all. A plain fork gives a child of the race, so the copy is forked as a *sibling*:
+The clone must outlive the process that it was made from, and die with the fork server.
+A plain fork gives a child of the race's process, so the clone is forked as a *sibling*:
 the kernel's ``clone`` call with ``CLONE_PARENT`` makes it the fork server's own child from its
 first moment, which it can end and reap, and which the kernel ends when it dies. (A fork
 of a fork, with an orphan adopted by the fork server, does the same in twice the time.)
 
-Python's and the C library's own preparations for a fork are left out by this call. They
-matter to processes with threads; a race without a window has none, which is checked.
+This call skips Python's and the C library's own preparations for a fork. They matter to
+processes with threads; a race without a window has none, which is checked.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ __all__ = ["die_with", "fork_beside", "move_to"]
 
 _PR_SET_PDEATHSIG = 1
 _CLONE_PARENT = 0x8000
-#: The number of the system call ``clone``; with these arguments its form is the same on both.
+#: Number of the system call ``clone``; with these arguments both platforms call it alike.
 _SYS_CLONE = {"x86_64": 56, "aarch64": 220}
 
-# Unlike CDLL, PyDLL keeps Python's lock during a call, so that the copy starts with it.
+# Unlike CDLL, PyDLL keeps Python's lock during a call, so the clone starts with it.
 _libc: Any = ctypes.PyDLL(None, use_errno=True) if os.name == "posix" else None
 
 
 def die_with(parent: int) -> None:
-    """Makes the kernel kill this process when its parent ends; ends it if that is over.
+    """Makes the kernel kill this process when its parent ends, or ends it if that has happened.
 
     Args:
         parent: process id of the parent.
@@ -54,11 +54,11 @@ def fork_beside(fork_server: int) -> int:
         OSError: the system refuses, or this process has threads.
     """
     if len(os.listdir("/proc/self/task")) > 1:
-        raise OSError("a process with several threads cannot be copied")
+        raise OSError("a process with several threads cannot be cloned")
     try:
         clone = _SYS_CLONE[platform.machine()]
     except KeyError:
-        raise OSError(f"processes of {platform.machine()} cannot be copied") from None
+        raise OSError(f"processes on {platform.machine()} cannot be cloned") from None
     pid: int = _libc.syscall(clone, _CLONE_PARENT | signal.SIGCHLD, 0, 0, 0, 0)
     if pid < 0:
         error = ctypes.get_errno()
@@ -69,12 +69,12 @@ def fork_beside(fork_server: int) -> int:
 
 
 def move_to(connection: socket.socket, session_fd: int, log_fd: int) -> socket.socket:
-    """Leaves one connection and log for others.
+    """Replaces this process's connection and log.
 
     Args:
-        connection: the connection to leave; others may go on with it.
-        session_fd: descriptor of the new connection, which is taken over.
-        log_fd: descriptor of the file to write output to from now on; it is closed.
+        connection: the old connection; another process may keep using it.
+        session_fd: descriptor of the new connection.
+        log_fd: descriptor of the new output file; it is closed.
 
     Returns:
         The new connection.

@@ -141,7 +141,7 @@ def _serve(connection: socket.socket, self_destruct_after: int) -> None:
             wire.send(connection, wire.OK, *answer)
         except (EOFError, OSError):
             return
-        except Exception as error:  # noqa: BLE001 - it is the program that must hear of it
+        except Exception as error:  # noqa: BLE001 - the program reports it
             wire.send(connection, wire.ERROR, describe(error))
         set_alarm(0)
 

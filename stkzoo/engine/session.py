@@ -1,4 +1,4 @@
-"""One race after another, in a process of its own or in this one."""
+"""Sessions: one race after another, in separate processes or in this one."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ class Session(Protocol):
     """Runs races for one environment, one at a time."""
 
     def start(self, setup: RaceSetup) -> RaceStart:
-        """Starts a race and ends the one before; returns once karts stand on the grid."""
+        """Ends the race before and starts another; returns when the karts are on the grid."""
 
     def step(self, controls: Controls) -> Snapshot:
         """:meth:`step_async` and :meth:`step_wait` in one."""
 
     def step_async(self, controls: Controls) -> None:
-        """Asks for one step, which a process of its own takes while the caller goes on.
+        """Requests one step; a separate process takes it while the caller goes on.
 
         Args:
             controls: ``(P, 7)`` float32, as in :meth:`stkzoo.engine.race.GameRace.step`.
@@ -54,29 +54,29 @@ class Session(Protocol):
         """
 
     def step_wait(self) -> Snapshot:
-        """The moment after the step that :meth:`step_async` asked for.
+        """The moment after the step that :meth:`step_async` requested.
 
         Raises:
             EngineCrashed: the game's process died.
-            EngineTimeout: it gave no answer in time and was ended.
+            EngineTimeout: it did not answer in time and was ended.
         """
 
     def branch(self) -> Session:
-        """A session of its own whose race is a copy of this one's present moment.
+        """A new session whose race is a copy of this one's present moment.
 
         Raises:
             EngineError: races cannot be copied here, or the game's process has failed.
         """
 
     def resume(self, other: Session) -> None:
-        """Ends this session's race and goes on with a copy of another's present moment.
+        """Ends this session's race and continues with a copy of another's present moment.
 
         Raises:
             EngineError: as for :meth:`branch`; this session's race goes on.
         """
 
     def close(self) -> None:
-        """Ends the race; may be called again, and :meth:`start` still works."""
+        """Ends the race. You may call it again; :meth:`start` still works."""
 
 
 class ProcessSession:
@@ -251,7 +251,7 @@ class WorkerSession(ProcessSession):
 
 #: Why a race in this process cannot be saved and copied.
 _NO_COPIES = (
-    "a race's state can be saved and copied only while it runs in a process of its own; leave "
+    "a race's state can be saved and copied only while it runs in a separate process; leave "
     "use_subprocess at True"
 )
 
@@ -260,11 +260,11 @@ _holder: weakref.ref[LocalSession] | None = None
 
 
 class LocalSession:
-    """Races in this process, which can hold one at a time.
+    """Races in this process, one at a time.
 
-    The second and later races of a process with game bots do not repeat bit for bit,
-    because the engine carries hidden random state over; and a crash of the game is a
-    crash of this program.
+    With game bots, the second and later races of a process do not repeat bit for bit,
+    because the engine carries hidden random state over. A crash of the game crashes this
+    program.
     """
 
     def __init__(self, root: Path) -> None:
@@ -330,7 +330,7 @@ class LocalSession:
 
 @contextlib.contextmanager
 def _quiet_output() -> Iterator[None]:
-    """Keeps what the game writes off the terminal; an error carries it instead."""
+    """Keeps the game's output off the terminal; an error carries it instead."""
     log = Log()
     _flush_c_streams()
     streams = {stream: os.dup(stream) for stream in (1, 2)}
@@ -343,7 +343,7 @@ def _quiet_output() -> Iterator[None]:
     except Exception as error:
         raise EngineError(f"the game refused: {error!r}", log.tail()) from error
     finally:
-        _flush_c_streams()  # or what the game wrote comes out when this program ends
+        _flush_c_streams()  # or the game's output appears when this program ends
         for stream, original in streams.items():
             os.dup2(original, stream)
             os.close(original)

@@ -1,4 +1,4 @@
-"""What the engine is told about a race: plain values, already checked."""
+"""The engine's options of a race: plain values, already checked."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class KartSetup:
 class RaceSetup:
     """One race. ``karts`` is in grid order, first place first.
 
-    ``starts`` says for each kart where it is put; by default all stay on the grid.
+    ``starts`` says where each kart starts; by default all start on the grid.
     """
 
     track: str

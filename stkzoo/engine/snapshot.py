@@ -1,8 +1,8 @@
-"""One moment of a race as arrays: the only thing the engine tells the rest.
+"""One moment of a race as arrays: all that the rest of the library learns from the engine.
 
-A :class:`Snapshot` is one block of bytes (header, karts, items), which the compiled kernel
-reads as it is, and all others through numpy's structured types. So it crosses a process
-border by one copy and is never pickled.
+A :class:`Snapshot` is one block of bytes (header, karts, items). The compiled kernel reads
+it directly, Python through numpy's structured types. It crosses a process border by one copy
+and is never pickled.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class Snapshot:
     def of(
         cls, header: np.void, karts: npt.NDArray[np.void], items: npt.NDArray[np.void]
     ) -> Snapshot:
-        """The moment with these parts; the header's counts are made to fit."""
+        """Makes a snapshot of these parts and sets the header's counts."""
         head = np.zeros(1, HEADER_DTYPE)
         head[0] = header
         head["num_kart"], head["num_items"] = len(karts), len(items)

@@ -1,9 +1,9 @@
 """Puts the karts of a race that has just begun anywhere on the track, at any speed.
 
-The engine can move a kart but gives it no speed, and it counts laps by the lines that a kart
+The engine can move a kart but not give it speed, and it counts laps by the lines that a kart
 crosses. So all karts are led along the road from the start line to their places, high enough
-to touch nothing, and set down there. What speed they are to have they gain on the spot: a kart
-that is put back after every tick keeps the speed that it has gained. The clock runs meanwhile.
+to touch nothing, and set down there. They gain their speed on the spot: a kart that is moved
+back after every tick keeps the speed that it has gained. The race clock runs meanwhile.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _HEIGHT_REACH = 1.3
 #: Cosine of the angle by which it may point elsewhere, up and down included.
 _FACING = 0.75
 
-#: As fast as karts get at each difficulty [m/s]; the game slows down those that are faster.
+#: Top speed at each difficulty [m/s]; the game slows down faster karts.
 _TOP_SPEEDS = (15.0, 20.0, 23.0, 25.0)
 
 #: How far from the asked one its speed may be [m/s].
@@ -56,10 +56,10 @@ _SPEED_REACH = 1.0
 def put_karts(
     race: Any, world: Any, track: Any, setup: RaceSetup, make_action: Callable[[], Any]
 ) -> None:
-    """Puts all karts where ``setup.starts`` says; call it in phase READY.
+    """Moves all karts to ``setup.starts``; call it in phase READY.
 
     Raises:
-        ConfigError: a place is beside the road, or a kart does not stay there.
+        ConfigError: a place is off the road, or a kart does not stay there.
     """
     road = CentreLine(track)
     _check_speeds(setup)
@@ -87,7 +87,7 @@ def _check_speeds(setup: RaceSetup) -> None:
 
 
 class _Place:
-    """Where a kart is to be, in the world."""
+    """A kart's start in the world."""
 
     def __init__(self, road: CentreLine, start: Start, kart: int, count: int) -> None:
         self.kart, self.start = kart, start
@@ -144,7 +144,7 @@ class _Mover:
             self._actions[row].acceleration = value
 
     def drives(self, kart: int) -> bool:
-        """Whether the kart does what it is told; bots do what they like."""
+        """Whether the kart follows our actions; bots do not."""
         return self._action_of[kart] is not None
 
     def wait_for_go(self) -> None:
@@ -155,7 +155,7 @@ class _Mover:
 
 
 def _lead(mover: _Mover, road: CentreLine, places: list[_Place]) -> None:
-    """Leads the karts over the start line and along the road, or only before the line."""
+    """Leads the karts over the start line and along the road, or to a place before the line."""
     for height in _LED_HEIGHTS:
         distances = [min(-_BEFORE_LINE, place.distance) for place in places]
         is_there = False
@@ -178,7 +178,7 @@ def _lead(mover: _Mover, road: CentreLine, places: list[_Place]) -> None:
 def _next(
     road: CentreLine, place: _Place, distance: float, height: float, items: FloatArray
 ) -> float:
-    """How far along a kart is to be in the next tick: where it touches no item."""
+    """The distance of a kart in the next tick, where it touches no item [m]."""
     for stride in _STRIDES:
         ahead = min(distance + stride, place.distance)
         point = _led_point(road, place, ahead, height)
@@ -188,7 +188,7 @@ def _next(
 
 
 def _led_point(road: CentreLine, place: _Place, distance: float, height: float) -> FloatArray:
-    """Above the road, with a little room for each kart so that none stands in another."""
+    """A point above the road, with a little room between the karts."""
     along = road.direction(distance)
     right = np.array([along[2], 0.0, -along[0]])
     point: FloatArray = road.point(distance) + place.side * right
@@ -197,7 +197,7 @@ def _led_point(road: CentreLine, place: _Place, distance: float, height: float) 
 
 
 def _set_down(mover: _Mover, places: list[_Place]) -> None:
-    """Lets the karts down on the road, at rest, and takes note of how they stand there."""
+    """Sets the karts down on the road, at rest, and records how they stand there."""
     for place in places:
         place.stand = place.point + np.array([0.0, _DROP_HEIGHT, 0.0])
     for cycle in range(_SETTLE_CYCLES):
@@ -216,11 +216,16 @@ def _set_down(mover: _Mover, places: list[_Place]) -> None:
             raise _no_ground(place)
         if mover.drives(place.kart):
             w, x, y, z = map(float, kart.rotation)
-            place.rotation = [-x, -y, -z, w]  # it is read from the world's to the kart's frame
+            place.rotation = [
+                -x,
+                -y,
+                -z,
+                w,
+            ]  # the game reads it as world to kart
 
 
 def _run_up(mover: _Mover, places: list[_Place]) -> None:
-    """Lets the karts gain speed on the spot, and sends them off."""
+    """Makes the karts gain speed on the spot, and releases them."""
     if not any(place.start.speed for place in places):
         return
     for _ in range(_MAX_RUN_TICKS):
@@ -229,7 +234,7 @@ def _run_up(mover: _Mover, places: list[_Place]) -> None:
         for place in places:
             is_slow = _lacks(mover, place) > 0
             mover.throttle(place.kart, 1.0 if is_slow else _ROLLING if place.start.speed else 0.0)
-            # A bot does as it likes; turned round it slows down as hard.
+            # A bot does not follow us; turned round it slows down as hard.
             turn = 0.0 if is_slow or mover.drives(place.kart) else math.pi
             speed = place.start.speed
             mover.put(place.kart, place.stand, _turned(place.rotation, turn), speed)
@@ -262,7 +267,7 @@ def _check(mover: _Mover, places: list[_Place]) -> None:
         if mover.drives(place.kart) and abs(_lacks(mover, place)) > _SPEED_REACH:
             raise ConfigError(
                 f"kart {place.kart} cannot start at {place.distance:.1f} m with "
-                f"{place.start.speed:.1f} m/s: the road there does not let it; choose another "
+                f"{place.start.speed:.1f} m/s: the road there does not allow it; choose another "
                 "place or speed"
             )
 
@@ -327,7 +332,7 @@ def _main_line(successors: Any) -> list[int]:
 
 
 def _rotation_of(yaw: float, climb: float) -> list[float]:
-    """A quaternion x, y, z, w: turned to ``yaw``, then the nose up by ``climb``."""
+    """The quaternion x, y, z, w of a turn to ``yaw`` and then the nose up by ``climb``."""
     sy, cy = math.sin(yaw / 2), math.cos(yaw / 2)
     sp, cp = math.sin(-climb / 2), math.cos(-climb / 2)
     return [cy * sp, sy * cp, -sy * sp, cy * cp]

@@ -1,4 +1,4 @@
-"""A track's driving line as arrays, and the order of what lies ahead on it."""
+"""A track's driving line as arrays, and the order of the segments ahead."""
 
 from __future__ import annotations
 
@@ -61,12 +61,12 @@ class TrackMap:
     def nodes_ahead(self, nodes: IntArray, max_paths: int | None = None) -> IntArray:
         """The segments ahead, nearest first along the way a kart can drive.
 
-        The distance is that of the shortest way over the graph, so a branch that can
-        no longer be taken comes a lap later than the one the kart is in.
+        The distance is that of the shortest way over the graph, so a branch that the kart has
+        passed comes a lap later than its own.
 
         Args:
             nodes: ``(A,)`` segments to start from.
-            max_paths: how many to give; all by default.
+            max_paths: number of segments; all by default.
 
         Returns:
             ``(A, P)`` indices; the first column is ``nodes``.
@@ -106,7 +106,7 @@ def decode_track(data: bytes) -> TrackMap:
     start = _JSON_SIZE.size + size
     facts = json.loads(data[_JSON_SIZE.size : start])
     num_nodes = len(facts["successors"])
-    numbers = np.frombuffer(data, "f4", offset=start).copy()  # at a place fit for numbers
+    numbers = np.frombuffer(data, "f4", offset=start).copy()  # aligned
     nodes, widths, distances = np.split(numbers, [6 * num_nodes, 7 * num_nodes])
     return TrackMap(
         length=facts["length"],

@@ -1,8 +1,8 @@
 """Messages between a program and its engine processes.
 
-A message is a kind (one byte), the number of its frames (one byte), their lengths, and
-that many bytes. Nothing is pickled: a frame is arrays by a fixed layout, or JSON. After a
-message each end waits for the other's, so that one read of a connection holds one message.
+A message is a kind (one byte), the number of its frames (one byte), their lengths, and the
+frames. Nothing is pickled: a frame holds arrays in a fixed layout, or JSON. After a message
+each end waits for the other's, so one read of a connection holds one message.
 """
 
 from __future__ import annotations
@@ -29,27 +29,27 @@ __all__ = [
     "send_files",
 ]
 
-#: Requests: start a race (JSON), advance it (control array), end; and to make a copy of the
-#: process, which this process answers with nothing, takes a connection and a log for the
-#: copy (:func:`send_files`), and answers with the copy's process id. The copy answers on
-#: its connection, with nothing.
+#: Requests: start a race (JSON), advance it (control array), end, and clone the process. To
+#: clone, the process sends an empty reply, receives a connection and a log for the clone
+#: (:func:`send_files`), and replies with the clone's process id. The clone sends an empty
+#: reply on its own connection.
 BEGIN, ACT, QUIT, FORK = b"B", b"A", b"Q", b"F"
-#: Request to a process that draws (:mod:`stkzoo.engine.render_process`): move the karts, then look.
+#: Request to the render process (:mod:`stkzoo.engine.render_process`): move the karts and draw.
 DRAW = b"D"
-#: Replies: the asked-for bytes, or a JSON object with ``type``, ``message``, ``traceback``.
+#: Replies: the requested bytes, or a JSON object with ``type``, ``message``, ``traceback``.
 OK, ERROR = b"O", b"E"
 
 _HEADER = struct.Struct("<cB")
-#: No message of ours comes near; a larger length is a sign of a broken stream.
+#: Far more than any message has; a larger length means a broken stream.
 _MAX_LENGTH = 1 << 28
-#: More than a message between processes of one machine can have: one call reads it.
+#: More than a message on one machine can have, so one call reads it.
 _ONE_READ = 1 << 18
 
 
 def pair() -> tuple[socket.socket, socket.socket]:
     """Both ends of a connection within this machine.
 
-    It carries each message in one piece, which is quicker than a stream.
+    It carries each message in one piece, which is faster than a stream.
     """
     return socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
 
@@ -67,12 +67,12 @@ def receive(connection: socket.socket) -> tuple[bytes, list[bytes]]:
         EOFError: the other end is gone.
         TimeoutError: the socket's time-out passed.
     """
-    room = _room.bytes
+    room = _read_buffer.bytes
     return complete(connection, bytes(room[: connection.recv_into(room)]))
 
 
 def complete(connection: socket.socket, data: bytes) -> tuple[bytes, list[bytes]]:
-    """The kind and the frames of a message that begins with some bytes.
+    """Reads the rest of a message that begins with ``data``; returns its kind and frames.
 
     Raises: as :func:`receive`.
     """
@@ -83,10 +83,10 @@ def complete(connection: socket.socket, data: bytes) -> tuple[bytes, list[bytes]
     lengths = struct.unpack_from(f"<{count}I", data, _HEADER.size)
     size = begin + sum(lengths)
     if size > _MAX_LENGTH:
-        raise EOFError(f"a message of {size} bytes makes no sense here")
+        raise EOFError(f"a message of {size} bytes is too large")
     data = _at_least(connection, data, size)
     if len(data) > size:
-        raise EOFError("more came than was asked for")
+        raise EOFError("the message is longer than its header says")
     frames = []
     for length in lengths:
         frames.append(data[begin : begin + length])
@@ -95,19 +95,19 @@ def complete(connection: socket.socket, data: bytes) -> tuple[bytes, list[bytes]
 
 
 def send_files(connection: socket.socket, files: Sequence[int]) -> None:
-    """Hands open files over, by their descriptors; only between processes of one machine.
+    """Sends open files by their descriptors, to a process on this machine.
 
-    They travel with one byte of their own, so that the stream of messages stays in order.
+    They travel with one byte of their own, which keeps the stream of messages in order.
     """
     socket.send_fds(connection, [b"f"], files)
 
 
 def receive_files(connection: socket.socket, count: int) -> list[int]:
-    """Waits for the files of one :func:`send_files`; the descriptors are the caller's.
+    """Waits for the files of one :func:`send_files`; the caller owns the descriptors.
 
     Raises:
         EOFError: the other end is gone.
-        OSError: other files came than were expected, or this process may open no more.
+        OSError: another number of files came, or this process may open no more.
     """
     data, files, _, _ = socket.recv_fds(connection, 1, count)
     if not data:
@@ -119,18 +119,18 @@ def receive_files(connection: socket.socket, count: int) -> list[int]:
     return list(files)
 
 
-class _Room(threading.local):
-    """What messages are read into, kept because as much new memory for each takes longer."""
+class _ReadBuffer(threading.local):
+    """The buffer that messages are read into; allocating one for each message is slower."""
 
     def __init__(self) -> None:
         self.bytes = memoryview(bytearray(_ONE_READ))
 
 
-_room = _Room()
+_read_buffer = _ReadBuffer()
 
 
 def _at_least(connection: socket.socket, data: bytes, size: int) -> bytes:
-    """Reads on until there are so many bytes."""
+    """Reads until there are ``size`` bytes."""
     if len(data) >= size:
         return data
     if not data:

@@ -51,12 +51,12 @@ def main(port: int, self_destruct_after: int) -> None:
 def serve(
     connection: socket.socket, *, self_destruct_after: int, fork_server: int | None = None
 ) -> None:
-    """Serves requests until the other end quits or is gone.
+    """Serves requests until the program quits or is gone.
 
     Args:
         connection: socket to the program.
         self_destruct_after: seconds after which a single request that is still running
-            ends this process, so that a game which hangs cannot outlive a program that
+            ends this process, so that a game that hangs cannot outlive a program that
             can no longer end it. A child of a fork server ends with it instead.
         fork_server: process id of the parent, if that is a fork server. Clones of this process
             become its children; without a fork server this process cannot be cloned.
@@ -82,7 +82,7 @@ def serve(
                 return
         except (EOFError, ConnectionError):
             return
-        except Exception as error:  # noqa: BLE001 - it is the program that must hear of it
+        except Exception as error:  # noqa: BLE001 - the program reports it
             wire.send(connection, wire.ERROR, describe(error))
         if has_alarm:
             set_alarm(0)
@@ -91,9 +91,9 @@ def serve(
 def _next_request(
     connection: socket.socket, race: GameRace | None, fork_server: int | None
 ) -> tuple[bytes, list[bytes]]:
-    """The next request but for steps that the race can take at once.
+    """The next request that is not a step; the kernel takes the steps before it.
 
-    Only children of a fork server have a packet socket, and no alarm to set.
+    Only children of a fork server have a packet socket, and need no alarm.
     """
     if race is None or fork_server is None or not race.can_serve:
         return wire.receive(connection)
@@ -101,7 +101,7 @@ def _next_request(
 
 
 def _fork(connection: socket.socket, fork_server: int) -> socket.socket:
-    """Copies this process; returns the connection to serve, a new one in the copy."""
+    """Clones this process; returns the connection to serve, a new one in the clone."""
     wire.send(connection, wire.OK)
     session_fd, log_fd = wire.receive_files(connection, 2)
     try:
@@ -121,13 +121,13 @@ def _fork(connection: socket.socket, fork_server: int) -> socket.socket:
 
 
 def set_alarm(seconds: int) -> None:
-    """Ends this process after so many seconds, where that can be; never with 0."""
+    """Ends this process after ``seconds``, where the system can; 0 cancels it."""
     if hasattr(signal, "alarm"):
         signal.alarm(seconds)
 
 
 def describe(error: Exception) -> bytes:
-    """An error that is being handled, as what an answer of kind ``ERROR`` has in it."""
+    """The error that is being handled, as the content of a reply of kind ``ERROR``."""
     return json.dumps(
         {
             "type": type(error).__name__,

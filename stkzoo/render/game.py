@@ -27,8 +27,8 @@ Picture = npt.NDArray[np.uint8]
 _LONGEST_WAY = 0.5
 _SETTLING_STEPS, _SETTLING_STEP = 4, 0.1
 #: The game splits its screen for so many cameras into cells of another shape than the
-#: screen's, and each picture has the cell's view: a screen higher by this much mends the shape.
-_MENDS = {2: 2.0, 5: 1.5, 6: 1.5}
+#: screen's, and each picture has the cell's view; a screen higher by this factor corrects it.
+_HEIGHT_FACTORS = {2: 2.0, 5: 1.5, 6: 1.5}
 #: The largest screen that the game finds where there is none [pixels]; for a larger one it
 #: takes this instead, of another shape.
 _LARGEST_SCREEN = 1024, 768
@@ -168,7 +168,7 @@ def _thinned(depth: npt.NDArray[np.float32], size: tuple[int, int]) -> npt.NDArr
 
 def _screen_for(size: tuple[int, int], cameras: int) -> tuple[int, int]:
     """A screen whose pictures have the shape of a size, and are no larger than can be."""
-    width, height = size[0], size[1] * _MENDS.get(cameras, 1.0)
+    width, height = size[0], size[1] * _HEIGHT_FACTORS.get(cameras, 1.0)
     scale = min(1.0, _LARGEST_SCREEN[0] / width, _LARGEST_SCREEN[1] / height)
     return max(1, round(width * scale)), max(1, round(height * scale))
 

@@ -1,4 +1,4 @@
-"""What a folder must hold for the engine to race in it."""
+"""The game's data in a folder: what the engine needs, and how it is checked."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Marker:
         headless: as in :class:`Assets`.
         tracks: as in :class:`Assets`.
         karts: as in :class:`Assets`.
-        layout: number of the recipe by which it was made.
+        layout: version of the tree's layout.
     """
 
     origin: str
@@ -74,10 +74,10 @@ class Marker:
 
 
 def write_marker(root: Path, origin: str, *, headless: bool) -> None:
-    """Names the tracks and karts of a finished tree in its marker.
+    """Writes the marker of a finished tree, with its tracks and karts.
 
     Raises:
-        AssetError: the tree is no usable one.
+        AssetError: the tree is not usable.
     """
     tracks, karts = read_catalog(root)
     marker = Marker(origin, headless, tracks, karts)
@@ -90,7 +90,7 @@ def read_marker(root: Path) -> Marker | None:
     """The marker of a tree, ``None`` where stkzoo did not make it.
 
     Raises:
-        AssetError: the marker is there but cannot be understood.
+        AssetError: the marker is there but not readable.
     """
     try:
         text = (root / MARKER).read_text(encoding="utf-8")
@@ -122,7 +122,7 @@ def _parse_marker(text: str, root: Path) -> Marker:
 
 
 def check_shape(root: Path) -> None:
-    """Looks for what makes the engine exit, by names alone (a millisecond or two).
+    """Checks for what makes the engine exit, by names alone (a millisecond or two).
 
     Raises:
         AssetError: naming the first thing that is missing.
@@ -158,8 +158,8 @@ def _check_marked(root: Path) -> None:
 def read_catalog(root: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names of the race tracks and of the kart models in ``root``, each sorted.
 
-    A race track is one whose ``track.xml`` calls it neither arena nor soccer field nor
-    cutscene nor internal, which is the engine's own rule.
+    A race track is one whose ``track.xml`` does not call it an arena, a soccer field, a
+    cutscene or internal, which is the engine's own rule.
 
     Raises:
         AssetError: a description cannot be read, or there is none.

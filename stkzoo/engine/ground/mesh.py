@@ -27,7 +27,7 @@ _WHITE = 128
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What of a mesh has one material.
+    """The part of a mesh with one material.
 
     Attributes:
         texture: file name of the material's first texture; empty if it has none.
@@ -40,7 +40,7 @@ class Part:
     triangles: npt.NDArray[np.intp]
 
 
-class _Reader:
+class _MeshReader:
     """Bytes, and how far they have been read."""
 
     def __init__(self, data: bytes) -> None:
@@ -69,12 +69,12 @@ def read_mesh(path: str | Path) -> list[Part]:
         AssetError: the file is missing or broken, or of another version.
     """
     try:
-        return _parts(_Reader(Path(path).read_bytes()))
+        return _parts(_MeshReader(Path(path).read_bytes()))
     except (OSError, ValueError, struct.error, IndexError) as error:
-        raise AssetError(f"{str(path)!r} is no mesh that can be read: {error}") from error
+        raise AssetError(f"{str(path)!r} is not a mesh that can be read: {error}") from error
 
 
-def _parts(file: _Reader) -> list[Part]:
+def _parts(file: _MeshReader) -> list[Part]:
     magic, version, flags = file.data[:2], *file.data[2:4]
     if magic != b"SP" or version >> 3 != _VERSION:
         raise ValueError(f"it begins with {file.data[:3]!r}, expected 'SP' and version {_VERSION}")
@@ -90,7 +90,7 @@ def _parts(file: _Reader) -> list[Part]:
     return parts
 
 
-def _part(file: _Reader, textures: list[tuple[str, str]], flags: int, has_joints: bool) -> Part:
+def _part(file: _MeshReader, textures: list[tuple[str, str]], flags: int, has_joints: bool) -> Part:
     vertices, indices, material = file.take("IIH")
     first, second = textures[material]
     before = 12 + 4 * bool(flags & _NORMALS)
@@ -106,7 +106,7 @@ def _part(file: _Reader, textures: list[tuple[str, str]], flags: int, has_joints
 
 
 def _starts(
-    file: _Reader, count: int, before: int, after: int, *, with_colours: bool
+    file: _MeshReader, count: int, before: int, after: int, *, with_colours: bool
 ) -> npt.NDArray[np.intp]:
     """Where the vertices begin; those with a colour other than white are longer."""
     if not with_colours:

@@ -1,4 +1,4 @@
-"""What of a track is solid: its meshes, where its scene puts them."""
+"""The solid parts of a track: its meshes, at the places that its scene gives them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["Faces", "read_scenery"]
 
 FloatArray = npt.NDArray[np.float64]
 
-#: What karts drive through or what moves about.
+#: Objects that karts drive through, or that move.
 _NOT_SOLID = ("ghost", "none", "explode")
 _SOLID_OBJECTS = ("static", "physics-only", "physicsonly")
 _YES = "Y"
@@ -30,8 +30,8 @@ class Faces:
     Attributes:
         corners: ``(F, 3, 3)`` float32 [m], world frame.
         speed: ``(F,)`` the share of their greatest speed that karts keep on them.
-        is_reset: ``(F,)`` whether who touches them is put back on the road.
-        is_zipper: ``(F,)`` whether they throw karts ahead.
+        is_reset: ``(F,)`` whether the game puts karts that touch them back on the road.
+        is_zipper: ``(F,)`` whether they accelerate karts.
     """
 
     corners: npt.NDArray[np.float32]
@@ -49,30 +49,30 @@ class _Material:
 
 
 def read_scenery(data: Path, track: str, *, reverse: bool = False) -> Faces:
-    """The solid faces of a track, as they stand when a race begins.
+    """The solid faces of a track at the start of a race.
 
     Args:
         data: the game's folder ``data``.
         track: its name.
-        reverse: some things stand there in one direction only.
+        reverse: whether the race is in reverse; some objects exist in one direction only.
 
     Raises:
         AssetError: a file is missing or broken.
     """
     folder = data / "tracks" / track
     scene = parse_xml(folder / "scene.xml")
-    reader = _Reader(data, reverse)
+    reader = _SceneReader(data, reverse)
     common = _materials(data / "textures" / "materials.xml")
     reader.walk(scene, folder, np.eye(4), common | _materials(folder / "materials.xml"), scene)
     return reader.faces()
 
 
-class _Reader:
+class _SceneReader:
     """Gathers faces from a scene and the libraries that it names."""
 
     def __init__(self, data: Path, reverse: bool) -> None:
         self._data, self._reverse = data, reverse
-        self._meshes: dict[Path, list[Part]] = {}  # the same one stands in many places
+        self._meshes: dict[Path, list[Part]] = {}  # one mesh may have many places
         self._corners: list[FloatArray] = []
         self._of: list[_Material] = []
 
@@ -84,7 +84,7 @@ class _Reader:
         materials: Mapping[str, _Material],
         scene: ET.Element,
     ) -> None:
-        """Takes in what stands below a node."""
+        """Adds the objects below a node."""
         for entry in node:
             if not self._is_there(entry):
                 continue
