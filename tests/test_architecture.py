@@ -67,7 +67,6 @@ NOT_EXPORTED = {
 SHARED_CLASS_NAMES = {
     "Session": "to be renamed",
     "_Lane": "to be renamed",
-    "_Reader": "to be renamed",
 }
 
 
