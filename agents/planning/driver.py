@@ -73,7 +73,7 @@ ALL_LOOKS = np.concatenate([LOOKS, LINE_MARKS])
 _METRE = 2.0  # of a metre that a plan is worth
 _NEVER = -30.0
 _OFFSET_PRIOR = np.array([-5.5, -4.5, -3.5, 0.0, -3.5, -4.5, -5.5], np.float32)
-_BUTTON = 2.0  # for what the rules would do, and its negative for what not
+_BUTTON_PRIOR = np.array([[2.0, -2.0], [-2.0, 2.0]], np.float32)  # as the rules would do
 
 #: What is pressed, in the order of the controls.
 _BUTTONS = ("brake", "drift", "fire", "nitro", "rescue")
@@ -277,7 +277,7 @@ class PlanDriver:
         begin, offset = choices[:, 0], choices[:, 1]
         side = (begin == DRIFT_RIGHT).astype(np.intp) - (begin == DRIFT_LEFT)
         turn = self.options.turn[np.arange(len(choices)), begin] + OFFSETS[offset]
-        return side, np.clip(turn, -1.0, 1.0)
+        return side, np.minimum(np.maximum(turn, -1.0), 1.0)
 
     def act(self, choices: IntArray) -> tuple[FloatArray, BoolArray]:
         """What the engine is told.
@@ -332,15 +332,13 @@ class PlanDriver:
             options.straightness < rules.straight_angle
         )
         fire = is_safe & is_straight & self.memory.may_fire & self._is_useful(own, around)
-        buttons = np.where(np.stack([~nitro, nitro, ~fire, fire], axis=1), _BUTTON, -_BUTTON)
-        return np.concatenate(
-            [
-                np.maximum(_METRE * behind, _NEVER),
-                np.repeat(_OFFSET_PRIOR[None], len(rows), axis=0),
-                buttons,
-            ],
-            axis=1,
-        ).astype(np.float32)
+        begin, turns, nitro_head, fire_head = HEADS
+        prior = np.empty((len(rows), sum(CHOICES)), np.float32)
+        prior[:, begin] = np.maximum(_METRE * behind, _NEVER)
+        prior[:, turns] = _OFFSET_PRIOR
+        for head, is_wanted in ((nitro_head, nitro), (fire_head, fire)):
+            prior[:, head] = _BUTTON_PRIOR[is_wanted.astype(np.intp)]
+        return prior
 
     def _is_useful(self, own: Mapping[str, Any], around: Surroundings) -> BoolArray:
         """Who has something to fire; the switch would spoil items close ahead."""
@@ -371,17 +369,15 @@ def _action(controls: FloatArray) -> dict[str, Any]:
 def _numbers(options: PlanOptions) -> FloatArray:
     """What the policy sees of the plans, ``(A, 4 * MANOEUVRES + 3)``."""
     behind = options.worth - options.worth.max(axis=1, keepdims=True)
-    each = np.stack(
-        [
-            behind > _NEVER / _METRE * 10,
-            np.maximum(behind / 10.0, -2.0),
-            options.turn,
-            np.minimum(options.danger / 10.0, 2.0),
-        ],
-        axis=2,
-    )
-    road = np.stack([options.angle, options.offset / 10.0, options.straightness], axis=1)
-    return np.concatenate([each.reshape(len(behind), -1), road], axis=1).astype(np.float32)
+    numbers = np.empty((len(behind), 4 * MANOEUVRES + 3), np.float32)
+    numbers[:, 0:-3:4] = behind > _NEVER / _METRE * 10
+    numbers[:, 1:-3:4] = np.maximum(behind / 10.0, -2.0)
+    numbers[:, 2:-3:4] = options.turn
+    numbers[:, 3:-3:4] = np.minimum(options.danger / 10.0, 2.0)
+    numbers[:, -3] = options.angle
+    numbers[:, -2] = options.offset / 10.0
+    numbers[:, -1] = options.straightness
+    return numbers
 
 
 def steer_of_turn(side: IntArray, turn: FloatArray, begins: BoolArray) -> FloatArray:
@@ -395,5 +391,6 @@ def steer_of_turn(side: IntArray, turn: FloatArray, begins: BoolArray) -> FloatA
     least, most = DRIFT_TURN
     inwards = 2.0 * (turn * side - least) / (most - least) - 1.0
     inwards = np.where(begins, np.maximum(inwards, START_STEER), inwards)
-    steer: FloatArray = np.where(side == 0, turn, side * np.clip(inwards, -1.0, 1.0))
-    return np.clip(steer, -1.0, 1.0).astype(np.float32)
+    inwards = np.minimum(np.maximum(inwards, -1.0), 1.0)
+    steer = np.where(side == 0, np.minimum(np.maximum(turn, -1.0), 1.0), side * inwards)
+    return steer.astype(np.float32)

@@ -86,34 +86,26 @@ class _Fields:
     drift_turn: FloatArray
     drift_side: FloatArray
     drift_steps: FloatArray
+    still_steps: FloatArray
+    crawl_steps: FloatArray
+    free_steps: FloatArray
+    reverses: FloatArray
+    lost_steps: FloatArray
+    since_fire: FloatArray
+    # times that run out
     hop_steps: FloatArray
     release_steps: FloatArray
     boost_steps: FloatArray
     big_boost_steps: FloatArray
     nitro_steps: FloatArray
     caution_steps: FloatArray
-    still_steps: FloatArray
-    crawl_steps: FloatArray
-    free_steps: FloatArray
     reverse_steps: FloatArray
-    reverses: FloatArray
     rescue_steps: FloatArray
-    lost_steps: FloatArray
-    since_fire: FloatArray
 
 
 _NAMES = tuple(entry.name for entry in fields(_Fields))
-#: Times that run out.
-_CLOCKS = (
-    "hop_steps",
-    "release_steps",
-    "boost_steps",
-    "big_boost_steps",
-    "nitro_steps",
-    "caution_steps",
-    "reverse_steps",
-    "rescue_steps",
-)
+#: Times that run out, which come one after the other.
+_CLOCKS = slice(_NAMES.index("hop_steps"), _NAMES.index("rescue_steps") + 1)
 
 
 class DriverMemory:
@@ -129,7 +121,8 @@ class DriverMemory:
         self._nitro_steps, self._caution_steps, self._stuck_steps = (
             round(time / STEP) for time in (rules.nitro_wait, rules.caution_time, rules.stuck_time)
         )
-        self._of = _Fields(*[np.zeros(count, np.float32) for _ in _NAMES])
+        self._all = np.zeros((len(_NAMES), count), np.float32)
+        self._of = _Fields(*self._all)
         self._of.since_fire[:] = _LONG_AGO
 
     def look(self, speed: FloatArray, skeed_factor: FloatArray) -> None:
@@ -139,16 +132,15 @@ class DriverMemory:
             speed: ``(A,)`` forward [m/s].
             skeed_factor: ``(A,)``.
         """
-        of = self._of
-        for name in _CLOCKS:
-            clock = getattr(of, name)
-            np.maximum(clock - 1, 0, out=clock)
+        of, clocks = self._of, self._all[_CLOCKS]
+        np.maximum(clocks - 1, 0, out=clocks)
         of.gain[:] = speed - of.speed
         of.caution_steps[of.gain < -self._rules.crash_drop] = self._caution_steps
         of.speed[:] = speed
-        is_still = (np.abs(speed) < self._rules.stuck_speed) & (of.rescue_steps == 0)
+        pace, is_free = np.abs(speed), of.rescue_steps == 0
+        is_still = (pace < self._rules.stuck_speed) & is_free
         of.still_steps[:] = np.where(is_still, of.still_steps + 1, 0)
-        crawls = (np.abs(speed) < self._rules.crawl_speed) & (of.rescue_steps == 0)
+        crawls = (pace < self._rules.crawl_speed) & is_free
         of.crawl_steps[:] = np.where(crawls, of.crawl_steps + 1, 0)
         of.free_steps[:] = np.where(is_still, 0, of.free_steps + 1)
         of.reverses[of.free_steps * STEP > self._rules.free_time] = 0
@@ -196,10 +188,13 @@ class DriverMemory:
             of.nitro_steps / max(self._nitro_steps, 1),
             of.caution_steps / max(self._caution_steps, 1),
             of.still_steps / self._stuck_steps,
-            np.clip(of.gain / 5.0, -2.0, 2.0),
+            np.minimum(np.maximum(of.gain / 5.0, -2.0), 2.0),
             of.since_fire / _LONG_AGO,
         )
-        return np.stack(columns, axis=1).astype(np.float32)
+        numbers = np.empty((self._all.shape[1], MEMORY_SIZE), np.float32)
+        for number, column in enumerate(columns):
+            numbers[:, number] = column
+        return numbers
 
     @property
     def may_fire(self) -> BoolArray:
@@ -260,8 +255,8 @@ class DriverMemory:
 
     def forget(self, rows: IntArray) -> None:
         """Starts some karts anew."""
-        for name in _NAMES:
-            getattr(self._of, name)[rows] = _LONG_AGO if name == "since_fire" else 0
+        self._all[:, rows] = 0
+        self._of.since_fire[rows] = _LONG_AGO
 
     def state(self) -> dict[str, FloatArray]:
         """All of it by name, for :meth:`restore`."""
@@ -269,4 +264,5 @@ class DriverMemory:
 
     def restore(self, state: Mapping[str, FloatArray]) -> None:
         """Makes it what :meth:`state` was."""
-        self._of = _Fields(*[np.array(state[name], np.float32) for name in _NAMES])
+        self._all = np.array([state[name] for name in _NAMES], np.float32)
+        self._of = _Fields(*self._all)

@@ -189,7 +189,10 @@ def _turned(spots: FloatArray, angles: FloatArray) -> FloatArray:
     """Spots ``(A, I, 2)``, to the right and ahead, as karts see them that have turned right."""
     sines, cosines = np.sin(angles)[:, None], np.cos(angles)[:, None]
     right, ahead = spots[..., 0], spots[..., 1]
-    return np.stack([right * cosines - ahead * sines, right * sines + ahead * cosines], axis=2)
+    turned = np.empty_like(spots)
+    turned[..., 0] = right * cosines - ahead * sines
+    turned[..., 1] = right * sines + ahead * cosines
+    return turned
 
 
 def _nearest(karts: FloatArray) -> tuple[FloatArray, BoolArray]:

@@ -65,8 +65,11 @@ class RoadAhead:
         """The road of a line ``(A, 37, 4)``: :data:`LINE_MARKS` in the kart's frame, half width."""
         points = line[..., :3]
         steps = points[:, 1:] - points[:, :-1]
-        headings = np.unwrap(np.arctan2(steps[..., 0], steps[..., 2]), axis=1)
+        headings = np.arctan2(steps[..., 0], steps[..., 2])
         turns = headings[:, 1:] - headings[:, :-1]
+        if (np.abs(turns) >= np.pi).any():
+            headings = np.unwrap(headings, axis=1)
+            turns = headings[:, 1:] - headings[:, :-1]
         curvature = np.zeros_like(headings)
         curvature[:, :-1] = turns
         curvature[:, 1:-1] += turns[:, :-1]
@@ -79,7 +82,8 @@ class RoadAhead:
 
     def bends(self, lengths: FloatArray) -> FloatArray:
         """Mean curvature ``(A, 36)`` [1/m] over lengths ``(A,)`` [m] from each mark on."""
-        ahead = np.clip((lengths / MARK_SPACING).astype(np.intp), 1, MARK_COUNT - 1)[:, None]
+        ahead = (lengths / MARK_SPACING).astype(np.intp)
+        ahead = np.minimum(np.maximum(ahead, 1), MARK_COUNT - 1)[:, None]
         marks = np.arange(MARK_COUNT) + ahead
         rows = np.arange(len(marks))[:, None]
         there = self.headings[rows, np.minimum(marks, MARK_COUNT - 1)]
@@ -101,7 +105,7 @@ class RoadAhead:
             before: ``(A, 36)``: :attr:`headings` then; not finite where it is not known.
             way: ``(A,)`` how far they have driven since [m].
         """
-        place = np.arange(_TURN_MARKS) + np.clip(way / MARK_SPACING, 0, 1)[:, None]
+        place = np.arange(_TURN_MARKS) + np.minimum(way / MARK_SPACING, 1)[:, None]
         mark = place.astype(np.intp)
         share = place - mark
         rows = np.arange(len(before))[:, None]
@@ -122,5 +126,6 @@ class RoadAhead:
         heading = self.headings[rows, nearest]
         sines, cosines = np.sin(heading), np.cos(heading)
         along = nearest * np.float32(MARK_SPACING) + x * sines + z * cosines
-        marks = np.clip((along / MARK_SPACING).astype(np.intp), 0, MARK_COUNT - 1)
+        marks = (along / MARK_SPACING).astype(np.intp)
+        marks = np.minimum(np.maximum(marks, 0), MARK_COUNT - 1)
         return RoadPlaces(along, x * cosines - z * sines, y, self.half_widths[rows, marks], heading)

@@ -208,10 +208,9 @@ def _items(scene: PlanScene, rules: DriverParameters) -> DoubleArray:
 
     Along the road, across it, what they are worth and how near karts must come [m].
     """
-    worths = _worths(scene, rules)
-    types = np.clip(scene.item_types, -1, max(ItemType) + 1)
+    types = np.minimum(np.maximum(scene.item_types, -1), max(ItemType) + 1)  # -1 is the last one
+    worth = _worths(rules)[scene.has_powerup.astype(np.intp)[:, None], types]
     rows = np.arange(len(types))[:, None]
-    worth = worths[rows, types % worths.shape[1]]
     squares = squared(scene.items)
     matters = (worth != 0) & (scene.items[..., 2] > 0) & (squares < (_FARTHEST + 5.0) ** 2)
     order = np.argsort(np.where(matters, squares, np.inf), axis=1, kind="stable")[:, :_ITEMS]
@@ -228,12 +227,11 @@ def _items(scene: PlanScene, rules: DriverParameters) -> DoubleArray:
     return items
 
 
-def _worths(scene: PlanScene, rules: DriverParameters) -> FloatArray:
-    """What items are worth to each kart by type, ``(A, types)`` [m]."""
-    worths = np.zeros((len(scene.speed), max(ItemType) + 3), np.float32)
-    worths[:, ItemType.BONUS_BOX] = np.where(
-        scene.has_powerup, rules.second_box_worth, rules.box_worth
-    )
+@lru_cache(maxsize=64)
+def _worths(rules: DriverParameters) -> FloatArray:
+    """What items are worth by type [m], to karts without and with a power-up, ``(2, types)``."""
+    worths = np.zeros((2, max(ItemType) + 3), np.float32)
+    worths[:, ItemType.BONUS_BOX] = rules.box_worth, rules.second_box_worth
     worths[:, ItemType.NITRO_BIG] = rules.big_nitro_worth
     worths[:, ItemType.NITRO_SMALL] = rules.small_nitro_worth
     worths[:, ItemType.BANANA] = -rules.banana_cost

@@ -6,6 +6,7 @@ Both say how likely a choice is, and the product decides (a product of experts: 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -38,6 +39,8 @@ IntArray = npt.NDArray[np.intp]
 _PEDALS = np.array([BRAKE if m == BRAKE_PLAN else 0 for m in range(MANOEUVRES)])
 _SIDES = np.array([(m == DRIFT_RIGHT) - (m == DRIFT_LEFT) for m in range(MANOEUVRES)], np.float32)
 _DRIFTS = np.abs(_SIDES).astype(np.intp)
+#: Where the logits of each choice are.
+_PARTS = [slice(begin, end) for begin, end in itertools.pairwise([0, *SPLITS, None])]
 #: What a file calls the arrays of its networks.
 _IN_FILE = "adviser{}."
 
@@ -87,18 +90,19 @@ class EnsemblePolicy:
             (prior + np.float32(self.weight) * own).argmax(axis=1)
             for prior, own in zip(buttons, (nitro, fire), strict=True)
         ]
-        return np.stack([*np.divmod(best, len(OFFSETS)), *presses], axis=1)
+        choices: IntArray = np.array([*divmod(best, len(OFFSETS)), *presses]).T
+        return choices
 
     def _log_probabilities(self, seen: FloatArray) -> list[FloatArray]:
         """The networks' mean logarithms of probabilities, an array for each choice."""
-        logits = np.stack([network.logits(seen) for network in self.networks])
-        parts = np.split(logits, SPLITS, axis=2)
+        logits = np.array([network.logits(seen) for network in self.networks])
+        parts = (logits[..., part] for part in _PARTS)
         return [(part - log_sum(part)).mean(axis=0) for part in parts]
 
 
 def _steering(inputs: FloatArray) -> IntArray:
     """Which choice of steering each manoeuvre comes to with each turn, ``(A, 4, 7)``."""
-    turn = np.clip(plan_turns(inputs)[..., None] + OFFSETS, -1.0, 1.0)
+    turn = np.minimum(np.maximum(plan_turns(inputs)[..., None] + OFFSETS, -1.0), 1.0)
     sides = _SIDES[:, None]
     begins = (sides != 0) & ~is_drifting(inputs)[:, None, None]
     return steering(sides, turn, begins)

@@ -148,8 +148,7 @@ def _write_own(view: FloatArray, own: Mapping[str, Any]) -> None:
 
 def _write_road(view: FloatArray, road: FloatArray) -> None:
     count = len(MARKS)
-    beside, marks, beyond = np.split(road[:, : len(LOOKS)], [1, count + 1], axis=1)
-    beside = beside[:, 0]
+    beside, marks, beyond = road[:, 0], road[:, 1 : count + 1], road[:, count + 1 : len(LOOKS)]
     view[:, PLACES["line_position"]] = beside[:, :3] / 10.0
     view[:, PLACES["line_room"]] = beside[:, 3:] / 10.0
     directions = marks[..., :3] / MARKS[:, None]
@@ -181,7 +180,7 @@ def _write_items(view: FloatArray, around: Surroundings) -> None:
         view[:, PLACES[f"{name}_beside"]] = seen[..., 0] / 5.0
         if name == "goods":
             found = there[:, : order.shape[1], None]
-            kinds = _GOOD_ROWS[np.take_along_axis(types, order, axis=1)] * found
+            kinds = _GOOD_ROWS[types[np.arange(len(types))[:, None], order]] * found
             view[:, PLACES["goods_type"]] = _padded(kinds, count).reshape(len(view), -1)
 
 
@@ -209,8 +208,8 @@ def _nearest_with_order(
     """
     keys = np.where(is_seen, squares, np.inf)
     order = np.argsort(keys, axis=1, kind="stable")[:, :count]
-    found = np.take_along_axis(is_seen, order, axis=1)
-    near = np.take_along_axis(points, order[..., None], axis=1)
+    rows = np.arange(len(order))[:, None]
+    found, near = is_seen[rows, order], points[rows, order]
     near = np.where(found[..., None], near, 0).astype(np.float32)
     return _padded(near, count), _padded(found.astype(np.float32), count), order
 

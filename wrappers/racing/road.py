@@ -56,14 +56,17 @@ def road_line(starts: FloatArray, ends: FloatArray, widths: FloatArray) -> Float
         [m]. Where the road is not known that far, it goes straight on.
     """
     chain = _chain(starts, ends)
-    points = np.stack([starts[chain], ends[chain]], axis=1, dtype=np.float64).reshape(-1, 3)
-    points = np.concatenate([points, _tail(points)])
-    steps = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))
-    marks = np.concatenate([[0.0], np.cumsum(steps)])
+    points = np.empty((2 * len(chain) + 1, 3))
+    points[:-1:2], points[1:-1:2] = starts[chain], ends[chain]
+    points[-1:] = _tail(points[:-1])
+    steps = points[1:] - points[:-1]
+    marks = np.zeros(len(points))
+    np.cumsum(np.sqrt((steps**2).sum(axis=1)), out=marks[1:])
     line = np.empty((NUM_POINTS, 4), np.float32)
     for column in range(3):
         line[:, column] = np.interp(_MARKS, marks, points[:, column])
-    rooms = np.append(np.repeat(widths[chain] / 2, 2), widths[chain[-1]] / 2)
+    rooms = np.repeat(widths[chain] / 2, 2)
+    rooms = np.concatenate([rooms, rooms[-1:]])
     line[:, 3] = np.interp(_MARKS, marks, rooms)
     return line
 

@@ -161,9 +161,8 @@ def _rows(lists: Any, width: int, limit: int | None = None) -> FloatArray:
     """Lists of vectors, one list an agent, as ``(A, n, width)``."""
     if isinstance(lists, np.ndarray):
         return lists[:, :limit]
-    return np.array([np.reshape(rows[:limit], (-1, width)) for rows in lists], np.float32).reshape(
-        len(lists), -1, width
-    )
+    parts = [np.concatenate(rows[:limit]) if len(rows) else () for rows in lists]
+    return np.array(parts, np.float32).reshape(len(lists), -1, width)
 
 
 def _road(paths: dict[str, FloatArray], looks: FloatArray) -> FloatArray:
