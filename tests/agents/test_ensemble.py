@@ -33,7 +33,7 @@ def ensemble(weight, *networks):
 @pytest.fixture(scope="module")
 def views():
     """What four karts see in a race that the plans drive, 50 moments of it."""
-    fleet = Fleet([Lineup(4, 0)], ["snowmountain"], 0, goes_on=False, mirrors=False)
+    fleet = Fleet([Lineup(4, 0)], ["snowmountain"], 0, mirrors=False)
     plans, seen = RacingPolicy.of_plans_alone(), []
     try:
         view = fleet.begin_at([("snowmountain", False, 0)])
