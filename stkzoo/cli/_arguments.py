@@ -7,7 +7,7 @@ import functools
 import types
 import typing
 from collections.abc import Callable, Collection
-from dataclasses import fields
+from dataclasses import Field, fields
 from typing import Any
 
 from stkzoo.errors import ConfigError
@@ -40,21 +40,25 @@ def usage_errors(run: Callable[[argparse.Namespace], int]) -> Callable[[argparse
     return checked
 
 
-def add_settings(parser: argparse.ArgumentParser, title: str, decided: Collection[str]) -> None:
+def add_settings(
+    parser: argparse.ArgumentParser,
+    title: str,
+    decided: Collection[str] = (),
+    only: Collection[str] | None = None,
+) -> None:
     """Adds an option for each field of ``RaceSettings``: ``--max-steps`` for ``max_steps``.
 
     Args:
         parser: the command's parser.
         title: of the group of options.
         decided: fields that the command sets itself.
+        only: the fields to add; ``None`` for all.
     """
     from stkzoo.race import RaceSettings
 
     group = parser.add_argument_group(title)
     kinds = typing.get_type_hints(RaceSettings)
-    for entry in fields(RaceSettings):
-        if entry.name in decided:
-            continue
+    for entry in _fields(decided, only):
         options: dict[str, Any] = dict(entry.metadata)
         kind = _without_none(kinds[entry.name])
         if kind is bool:
@@ -68,12 +72,23 @@ def add_settings(parser: argparse.ArgumentParser, title: str, decided: Collectio
         group.add_argument(f"--{entry.name.replace('_', '-')}", default=entry.default, **options)
 
 
-def settings_of(arguments: argparse.Namespace, decided: Collection[str]) -> dict[str, Any]:
+def settings_of(
+    arguments: argparse.Namespace,
+    decided: Collection[str] = (),
+    only: Collection[str] | None = None,
+) -> dict[str, Any]:
     """The values of the options that :func:`add_settings` added, by field."""
+    return {entry.name: getattr(arguments, entry.name) for entry in _fields(decided, only)}
+
+
+def _fields(decided: Collection[str], only: Collection[str] | None) -> list[Field[Any]]:
     from stkzoo.race import RaceSettings
 
-    names = [entry.name for entry in fields(RaceSettings) if entry.name not in decided]
-    return {name: getattr(arguments, name) for name in names}
+    return [
+        entry
+        for entry in fields(RaceSettings)
+        if entry.name not in decided and (only is None or entry.name in only)
+    ]
 
 
 def _without_none(kind: Any) -> Any:

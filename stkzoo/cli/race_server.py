@@ -16,7 +16,7 @@ import signal
 import sys
 from typing import TYPE_CHECKING
 
-from stkzoo.cli._arguments import usage_errors
+from stkzoo.cli._arguments import add_settings, settings_of, usage_errors
 
 if TYPE_CHECKING:
     from stkzoo.race.remote import RaceServer
@@ -34,46 +34,20 @@ then, at the client:
 """
 
 
+_SETTINGS = ("action_timeout", "start_timeout", "agent_memory", "inline", "adapter")
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
     add = parser.add_argument
     add("agents", nargs="+", metavar="AGENT", help="the agents; see above")
     add("--address", default="tcp://127.0.0.1:5555", help="where to listen (default: %(default)s)")
     add(
-        "--adapter",
-        metavar="PATH",
-        help="Python file with create_actor(...), which makes the agents' actors",
-    )
-    add(
-        "--action-timeout",
-        type=float,
-        default=10.0,
-        metavar="SECONDS",
-        help="time limit of an agent per step; 0 is no limit (default: %(default)g)",
-    )
-    add(
-        "--start-timeout",
-        type=float,
-        default=60.0,
-        metavar="SECONDS",
-        help="time limit of an agent to load (default: %(default)g)",
-    )
-    add(
-        "--agent-memory",
-        type=int,
-        default=4096,
-        metavar="MB",
-        help="memory limit of an agent; 0 is no limit (default: %(default)s)",
-    )
-    add(
         "--threads",
         type=int,
         default=8,
         metavar="N",
         help="clients served at a time, each in a thread (default: %(default)s)",
-    )
-    add(
-        "--inline", action="store_true", help="run agents in this process: faster, but not isolated"
     )
     add("--secret", metavar="FILE", help="the server's secret key (stkzoo keys new)")
     add(
@@ -84,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--insecure", action="store_true", help="listen to other machines even without keys")
     add("--quiet", action="store_true", help="log only failures")
+    add_settings(parser, "each agent", only=_SETTINGS)
 
 
 @usage_errors
@@ -108,15 +83,11 @@ def _server(arguments: argparse.Namespace) -> RaceServer:
     from stkzoo.race import RaceSettings, find_driver
     from stkzoo.race.remote import RaceServer, ServerKeys, read_publics, read_secret
 
+    settings = RaceSettings(**settings_of(arguments, only=_SETTINGS))
     drivers = [
-        find_driver(agent, inline=arguments.inline, adapter=arguments.adapter)
+        find_driver(agent, inline=settings.inline, adapter=settings.adapter)
         for agent in arguments.agents
     ]
-    limits = RaceSettings(
-        action_timeout=arguments.action_timeout,
-        start_timeout=arguments.start_timeout,
-        agent_memory=arguments.agent_memory,
-    ).limits
     keys = ServerKeys(
         own=None if arguments.secret is None else read_secret(arguments.secret),
         allowed=None if arguments.allow is None else read_publics(arguments.allow),
@@ -124,7 +95,7 @@ def _server(arguments: argparse.Namespace) -> RaceServer:
     return RaceServer(
         drivers,
         arguments.address,
-        limits=limits,
+        limits=settings.limits,
         max_sessions=arguments.threads,
         keys=keys,
         insecure=arguments.insecure,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import queue
 import subprocess
 import sys
 import threading
 from collections.abc import Generator, Sequence
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -22,7 +22,7 @@ __all__ = ["OrderOutcome", "run_in_parallel"]
 #: How often a race is tried whose process dies.
 _TRIES = 2
 _END_TIMEOUT = 5.0  # [s]
-_LOOK_INTERVAL = 0.5  # [s]
+_WAIT_INTERVAL = 0.5  # [s]
 _WORKER = "stkzoo.evaluation.batch.worker"
 
 
@@ -48,85 +48,61 @@ def run_in_parallel(
 
     Args:
         orders: the races.
-        jobs: how many at a time.
+        jobs: races at a time.
         race_timeout: for one race [s]; its process is ended then.
     """
-    waiting: queue.SimpleQueue[BatchOrder[Any]] = queue.SimpleQueue()
-    for order in orders:
-        waiting.put(order)
-    outcomes: queue.SimpleQueue[OrderOutcome] = queue.SimpleQueue()
-    lanes = [_Lane(waiting, outcomes, race_timeout) for _ in range(min(jobs, len(orders)))]
+    workers = _Workers(race_timeout)
+    threads = ThreadPoolExecutor(jobs)
     try:
-        for lane in lanes:
-            lane.start()
-        for _ in orders:
-            yield _next(outcomes)
+        waiting = {threads.submit(workers.run, order) for order in orders}
+        while waiting:  # the timeout lets Ctrl-C through
+            done, waiting = wait(waiting, _WAIT_INTERVAL, FIRST_COMPLETED)
+            for future in done:
+                yield future.result()
     finally:
-        for lane in lanes:
-            lane.close()
-        remove_stale_directories()  # what races that were ended had in temporary folders
+        threads.shutdown(wait=False, cancel_futures=True)
+        workers.close()
+        threads.shutdown()
+        remove_stale_directories()  # of races that were ended
 
 
-def _next(outcomes: queue.SimpleQueue[OrderOutcome]) -> OrderOutcome:
-    while True:  # each race has an end; looking up now and then lets Ctrl-C through
-        with contextlib.suppress(queue.Empty):
-            return outcomes.get(timeout=_LOOK_INTERVAL)
+class _Workers:
+    """The worker processes, at most one for each thread that calls :meth:`run`."""
 
-
-class _Lane(threading.Thread):
-    """Races one after another, in a process of its own that is replaced when it dies."""
-
-    def __init__(
-        self,
-        waiting: queue.SimpleQueue[BatchOrder[Any]],
-        outcomes: queue.SimpleQueue[OrderOutcome],
-        race_timeout: float,
-    ) -> None:
-        super().__init__(daemon=True)
+    def __init__(self, race_timeout: float) -> None:
         self._race_timeout = race_timeout
-        self._waiting, self._outcomes = waiting, outcomes
-        self._worker: _Worker | None = None
-        self._is_closed = self._was_late = False
         self._lock = threading.Lock()
+        self._idle: list[_Worker] = []
+        self._busy: set[_Worker] = set()
+        self._is_closed = False
 
-    def run(self) -> None:
-        """Runs what is waiting."""
-        while not self._is_closed:
-            try:
-                order = self._waiting.get_nowait()
-            except queue.Empty:
-                break
-            self._outcomes.put(self._outcome(order))
-        self.close()
-
-    def close(self) -> None:
-        """Ends the process, also in the middle of a race."""
-        with self._lock:
-            self._is_closed = True
-            worker, self._worker = self._worker, None
-        if worker is not None:
-            worker.close()
-
-    def _outcome(self, order: BatchOrder[Any]) -> OrderOutcome:
-        outcome = OrderOutcome(order)
+    def run(self, order: BatchOrder[Any]) -> OrderOutcome:
+        """Runs a race, again if its process dies."""
+        outcome = OrderOutcome(order, error="the batch was ended")
         for _ in range(_TRIES):
-            outcome = self._try(order)
-            if outcome.result or self._is_closed or self._was_late:
+            with self._lock:
+                if self._is_closed:
+                    break
+                worker = self._idle.pop() if self._idle else _Worker()
+                self._busy.add(worker)
+            outcome = OrderOutcome(order, **worker.run(order, self._race_timeout))
+            with self._lock:
+                self._busy.discard(worker)
+                if worker.is_alive and not self._is_closed:
+                    self._idle.append(worker)
+            if not worker.is_alive:
+                worker.close()
+            if outcome.result or worker.was_late:
                 break
         return outcome
 
-    def _try(self, order: BatchOrder[Any]) -> OrderOutcome:
+    def close(self) -> None:
+        """Ends all processes, also during a race."""
         with self._lock:
-            if self._is_closed:
-                return OrderOutcome(order, error="the batch was ended")
-            worker = self._worker = self._worker or _Worker()
-        answer = worker.run(order, self._race_timeout)
-        self._was_late = worker.was_late
-        if not worker.is_alive:
-            with self._lock:
-                self._worker = None
+            self._is_closed = True
+            workers = [*self._idle, *self._busy]
+        for worker in workers:
             worker.close()
-        return OrderOutcome(order, **answer)
 
 
 class _Worker:

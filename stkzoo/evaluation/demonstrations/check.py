@@ -11,7 +11,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.demonstrations.dataset import Demonstrations, columns_of
+from stkzoo.evaluation.demonstrations.dataset import Demonstrations
 from stkzoo.evaluation.demonstrations.plan import DemoPlan
 from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
 from stkzoo.race.drivers import Driver, find_driver
@@ -75,7 +75,7 @@ def check_demonstrations(demos: Demonstrations, race: int = 0) -> DemoCheck:
     )
     again = recorder.episodes(demos.plan)
     firsts = [
-        _first_difference(view, demos[number].observations, again[place].observations)
+        _first_difference(demos[number].observations, again[place].observations)
         if again is not None and place < len(again)
         else 0
         for place, number in enumerate(numbers)
@@ -93,26 +93,20 @@ def _again(controls: npt.NDArray[np.float32]) -> Driver:
     return Driver.of_actor("recorded", make_actor)
 
 
-def _first_difference(view: DemoView, one: Any, two: Any) -> int | None:
-    """The first moment in which two episodes differ."""
-    mine = columns_of("", view.observation_space, _rows(one))
-    theirs = columns_of("", view.observation_space, _rows(two))
-    count = min(len(next(iter(mine.values()))), len(next(iter(theirs.values()))))
+def _first_difference(one: Any, two: Any) -> int | None:
+    """The first moment in which the observations of two episodes differ."""
+    mine, theirs = _arrays(one), _arrays(two)
+    count = min(len(mine[0]), len(theirs[0]))
     differs = np.zeros(count, np.bool_)
-    for name, column in mine.items():
-        other = theirs[name]
-        same = (column[:count] == other[:count]).reshape(count, -1).all(axis=1)
-        differs |= ~same
+    for column, other in zip(mine, theirs, strict=True):
+        differs |= (column[:count] != other[:count]).reshape(count, -1).any(axis=1)
     if differs.any():
         return int(differs.argmax())
-    lengths = {len(column) for columns in (mine, theirs) for column in columns.values()}
-    return None if len(lengths) == 1 else count
+    return None if len(mine[0]) == len(theirs[0]) else count
 
 
-def _rows(tree: Any) -> list[Any]:
-    """Splits arrays with a leading time axis into a list of moments."""
-    if not isinstance(tree, dict):
-        return list(tree)
-    parts = {key: _rows(part) for key, part in tree.items()}
-    count = len(next(iter(parts.values())))
-    return [{key: part[number] for key, part in parts.items()} for number in range(count)]
+def _arrays(tree: Any) -> list[npt.NDArray[Any]]:
+    """The arrays of an observation, which may be a dict."""
+    if isinstance(tree, dict):
+        return [array for key in sorted(tree) for array in _arrays(tree[key])]
+    return [tree]
