@@ -58,15 +58,11 @@ LAYERS = [
 #: Modules from which agents take names that no package exports, and why.
 NOT_EXPORTED = {
     "stkzoo._os": "training writes its files whole, as the rest of the package does",
-    "stkzoo.evaluation.plotting": "training draws its curves in the style of the evaluation",
-    "stkzoo.evaluation.ratings": "training asks for the library before it starts",
-    "stkzoo.evaluation.statistics": "training gives its ratings the same intervals",
 }
 
 #: Class names that are used twice, and why.
 SHARED_CLASS_NAMES = {
     "Session": "to be renamed",
-    "_Lane": "to be renamed",
 }
 
 

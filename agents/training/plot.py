@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo.evaluation import Rating
-from stkzoo.evaluation.plotting import BLUE, GREY, INK, new_figure, save_figure, style_axes
+from stkzoo.evaluation import BLUE, GREY, INK, Rating, new_figure, save_figure, style_axes
 
 from .common.command import command_parser, run_command
 from .common.training_log import require_log

@@ -33,8 +33,7 @@ from stkzoo.agents.pretrained.mlp import is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation import Rating
-from stkzoo.evaluation.statistics import percentile_interval
+from stkzoo.evaluation import Rating, percentile_interval
 
 from .common.arguments import QUICK_TRACKS, track_names, write_json
 from .common.command import command_parser, limit_threads, run_command

@@ -55,8 +55,22 @@ from stkzoo.evaluation.demonstrations.minari import to_minari
 from stkzoo.evaluation.demonstrations.plan import DemoPlan, plan_demonstrations
 from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
 from stkzoo.evaluation.demonstrations.run import record_demonstrations
-from stkzoo.evaluation.ratings import Rating, rate
-from stkzoo.evaluation.statistics import Estimate, estimate_mean
+from stkzoo.evaluation.plotting import (
+    BLUE,
+    GREY,
+    INK,
+    PALETTE,
+    new_figure,
+    save_figure,
+    style_axes,
+)
+from stkzoo.evaluation.ratings import Rating, rate, require_openskill
+from stkzoo.evaluation.statistics import (
+    CONFIDENCE,
+    Estimate,
+    estimate_mean,
+    percentile_interval,
+)
 from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament
 from stkzoo.evaluation.tournament.plot import plot_tournament
 from stkzoo.evaluation.tournament.result import Standing, TournamentResult, tournament_result
@@ -68,7 +82,12 @@ from stkzoo.evaluation.tournament.run import (
 from stkzoo.evaluation.tournament.schedule import ScheduledRace, make_schedule
 
 __all__ = [
+    "BLUE",
+    "CONFIDENCE",
     "FORMS",
+    "GREY",
+    "INK",
+    "PALETTE",
     "AiTime",
     "AiTimes",
     "BatchError",
@@ -109,6 +128,8 @@ __all__ = [
     "make_races",
     "make_schedule",
     "measure_ai_times",
+    "new_figure",
+    "percentile_interval",
     "plan_benchmark",
     "plan_demonstrations",
     "plan_tournament",
@@ -117,10 +138,13 @@ __all__ = [
     "race_seed",
     "rate",
     "record_demonstrations",
+    "require_openskill",
     "resume_tournament",
     "run_benchmark",
     "run_tournament",
     "save_demonstrations",
+    "save_figure",
+    "style_axes",
     "to_minari",
     "tournament_result",
 ]

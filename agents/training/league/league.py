@@ -36,7 +36,7 @@ from stkzoo.agents.pretrained.driver import check_shapes
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.ratings import require_openskill
+from stkzoo.evaluation import require_openskill
 
 from ..common.arguments import PPOArguments, add_arguments, check_resumed, values_of, write_json
 from ..common.command import ProgressBar, run_command

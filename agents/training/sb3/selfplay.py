@@ -42,7 +42,7 @@ import numpy as np
 
 from stkzoo._os import atomic_write
 from stkzoo.agents.pretrained.mlp import load_driver
-from stkzoo.evaluation.ratings import require_openskill
+from stkzoo.evaluation import require_openskill
 from stkzoo.wrappers.racing import CHOICES, RESCUE
 
 from ..common.arguments import (
