@@ -8,7 +8,7 @@ Each policy drives one race per track, direction and number, by its most likely 
     runs/first/policy-000500000.safetensors   a policy file of a run of any script
     runs/first                                the newest policy of a run
     agents/swift                              the folder of an exported agent
-    prior, prior:by-hand                      the plans with nothing learned, by these parameters
+    prior, prior:tuned/best.json              the plans with nothing learned, by these parameters
 
 The first one is what the others are compared with.
 """

@@ -35,13 +35,13 @@ from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
 from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
 from stkzoo.errors import ConfigError
 
-from .common.arguments import ARGUMENTS
+from .common.arguments import ARGUMENTS, write_json
 from .common.command import command_parser, run_command
 from .common.plan_parameters import run_parameters
 
 __all__ = ["export_policy", "main"]
 
-#: What of a network's names says that it is the value's.
+#: Part of the names of a value network's arrays.
 _VALUES = "value"
 
 _MODULE = '''"""A learned driver; see ``CARD.md``."""
@@ -65,7 +65,7 @@ player_name = "{name}"
 create_state = partial({state}, Path(__file__).parent)
 '''
 
-#: What its gaps are filled with for policies over plans, and for networks that answer at once.
+#: Values for the module of policies over plans, and of networks that answer at once.
 _OF_PLANS = {"make": "make_actor", "state": "new_state", "view": "full"}
 _OF_NETWORKS = {"make": "make_network_actor", "state": "new_network_state", "view": "racing"}
 
@@ -102,8 +102,8 @@ def export_policy(
 
     Args:
         weights: a policy of a run; with ``ensemble_weight`` one or more networks of an ensemble.
-        name: what the agent is called: a Python name.
-        folder: where it goes.
+        name: name of the agent, a Python name.
+        folder: the agent's.
         ensemble_weight: the weight of the networks beside the worth of plans.
 
     Returns:
@@ -133,24 +133,21 @@ def export_policy(
     }
     _write(target / "__init__.py", _PACKAGE.format(name=name))
     _write(target / "pystk_actor.py", _MODULE.format(name=name, **gaps))
-    _write(target / CARD, json.dumps(facts, indent=1) + "\n")
+    write_json(target / CARD, facts)
     if not (target / "CARD.md").exists():
-        _write(target / "CARD.md", _human(facts))
+        _write(target / "CARD.md", _card(facts))
     return target
 
 
 def _agent_of(
     sources: Sequence[Path], ensemble_weight: float | None
 ) -> tuple[Arrays, dict[str, str], dict[str, Any]]:
-    """An agent's arrays, what fills the gaps of its module, and what its plans go by."""
+    """An agent's arrays, the values for its module, and the parameters of its plans."""
     if ensemble_weight is not None:
         check_ensemble_weight(ensemble_weight)
         joined = join_networks([_network(source) for source in sources])
-        return (
-            joined,
-            _OF_PLANS,
-            {"ensemble_weight": ensemble_weight, "rules": asdict(DriverParameters())},
-        )
+        rules = asdict(DriverParameters())
+        return joined, _OF_PLANS, {"ensemble_weight": ensemble_weight, "rules": rules}
     if len(sources) > 1:
         raise ConfigError(
             f"there are {len(sources)} files of weights, expected one; several networks can "
@@ -180,18 +177,18 @@ def _run_of(source: Path) -> dict[str, Any]:
     return {"kart_steps": int(digits) if digits.isdigit() else None, "history": history}
 
 
-def _human(facts: dict[str, Any]) -> str:
+def _card(facts: dict[str, Any]) -> str:
     return _CARD.format(
         name=facts["name"],
         parameters=facts["parameters"],
         weights=WEIGHTS,
         size=facts["size"],
         digest=facts["sha256"],
-        runs="\n".join(_told(run) for run in facts["runs"]),
+        runs="\n".join(_describe(run) for run in facts["runs"]),
     )
 
 
-def _told(run: dict[str, Any]) -> str:
+def _describe(run: dict[str, Any]) -> str:
     arguments = run["history"][-1]["arguments"] if run["history"] else {}
     return _RUN.format(
         kart_steps=f"{run['kart_steps']:,}" if run["kart_steps"] else "unknown",

@@ -115,7 +115,7 @@ def test_its_policy_races_and_starts_self_play(imitated):
     assert driver.best(np.zeros((3, SIZE), np.float32)).shape == (3, 5)
     result = run_race([str(folder / "agent")], track="olivermath", max_steps=30, inline=True)
     assert not result.has_errors
-    assert result.agents[0].driver == "pursuit's student"
+    assert result.agents[0].driver == "student"
 
 
 @pytest.mark.slow
@@ -159,4 +159,4 @@ def test_demonstrations_of_another_view_are_refused(tmp_path, capsys):
 def test_the_games_ai_can_be_cloned_but_not_asked():
     arguments, _ = parse(["--output", "x", "--teacher", "ai", "--rounds", "0"])
     assert arguments.rounds == 0
-    assert "black_forest" not in arguments.all_tracks
+    assert "black_forest" not in arguments.tracks

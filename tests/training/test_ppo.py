@@ -15,13 +15,14 @@ from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.agents.training.common.arguments import TrainingRaces
 from stkzoo.agents.training.common.fleet import Fleet, Lineup, lineups_of
 from stkzoo.agents.training.common.matches import match_driver
-from stkzoo.agents.training.common.plan_parameters import PLAN_PARAMETERS, run_parameters
+from stkzoo.agents.training.common.plan_parameters import plan_parameters, run_parameters
 from stkzoo.agents.training.evaluate import evaluate, newest_policy
 from stkzoo.agents.training.evaluate import main as evaluate_main
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.plot import main as plot_main
 from stkzoo.agents.training.ppo.selfplay import PPOLearner, SelfPlayArguments, main
 from stkzoo.errors import ConfigError
+from tests.support.paths import ROOT
 from tests.support.training import run_and_kill, words_of
 
 SMALL = {
@@ -35,6 +36,7 @@ SMALL = {
     "warm_up": 1,
     "checkpoint_every": 2,
 }
+BY_HAND = str(ROOT / "benchmarks" / "results" / "tuning" / "by-hand.json")
 TIMES = ("drive_s", "learn_s", "kart_steps_per_s")
 
 
@@ -201,22 +203,22 @@ def test_policies_are_compared_in_the_same_races():
 
 
 def test_plans_go_by_the_numbers_of_their_run(tmp_path):
-    arguments = SelfPlayArguments(**SMALL | {"plans": "by-hand"})
+    arguments = SelfPlayArguments(**SMALL | {"plans": BY_HAND})
     learner = PPOLearner(tmp_path, arguments)
     file = learner.save_policy()
     learner.close()
-    assert run_parameters(tmp_path) == PLAN_PARAMETERS["by-hand"] != DriverParameters()
+    assert run_parameters(tmp_path) == plan_parameters(BY_HAND) != DriverParameters()
     card = json.loads((export_policy(file, "swift", tmp_path / "swift") / "card.json").read_text())
-    assert card["rules"] == asdict(PLAN_PARAMETERS["by-hand"])
+    assert card["rules"] == asdict(plan_parameters(BY_HAND))
     assert newest_policy(str(tmp_path)) == str(file)
-    drivers = [match_driver(name) for name in ("prior:by-hand", "prior", file)]
+    drivers = [match_driver(name) for name in (f"prior:{BY_HAND}", "prior", file)]
     results = evaluate(drivers, ["olivermath"], 1, bots=0)
     assert results[0] == results[2] != results[1]
 
 
 def test_unknown_numbers_and_those_of_another_version_are_refused(tmp_path):
-    with pytest.raises(ConfigError, match="'best' are unknown; expected one of found, by-hand"):
-        match_driver("prior:best")
+    with pytest.raises(ConfigError, match=r"'best\.json' has no parameters of plans"):
+        match_driver("prior:best.json")
     rules = asdict(DriverParameters()) | {"courage": 1.0}
     (tmp_path / "arguments.json").write_text(json.dumps([{"rules": rules}]))
     with pytest.raises(ConfigError, match="courage"):

@@ -15,8 +15,9 @@ from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.agents.training.common.arguments import TrainingRaces, parse_races
 from stkzoo.agents.training.common.matches import rate_orders
-from stkzoo.agents.training.common.network_policy import initial_weights, save_driver, write_agent
+from stkzoo.agents.training.common.network_policy import initial_weights, save_driver
 from stkzoo.agents.training.common.opponents import OpponentPool, bot_name
+from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.plot import main as plot_main
 from stkzoo.agents.training.rate import evaluate_policy, read_evaluations
 from stkzoo.agents.training.sb3 import races as sb3_races
@@ -420,7 +421,8 @@ def test_other_weights_are_refused(tmp_path, policy):
 
 
 def test_a_policy_becomes_an_agent(tmp_path, policy):
-    agent = write_agent(tmp_path / "agent", policy, "me")
+    save_driver(tmp_path / "policy.safetensors", policy)
+    agent = export_policy(tmp_path / "policy.safetensors", "me", tmp_path / "agent")
     settings = RaceSettings(track="olivermath", max_steps=30)
     result = run_race([str(agent), "random"], settings=settings)
     assert [row.num_errors for row in result.agents] == [0, 0]

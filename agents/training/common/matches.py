@@ -125,15 +125,14 @@ def match_driver(source: str | Path) -> MatchDriver:
 
     Args:
         source: a policy file of a run, the folder of an exported agent, ``"prior"`` (the plans with
-            nothing learned) or ``"prior:NAME"`` (by the plan parameters of that name).
+            nothing learned) or ``"prior:FILE"`` (by the plan parameters of a JSON file).
 
     Raises:
-        ConfigError: the source is no policy, or the name is unknown.
+        ConfigError: the source is no policy, or the file has no plan parameters.
     """
-    prior, _, name = str(source).partition(":")
+    prior, _, file = str(source).partition(":")
     if prior == PRIOR:
-        parameters = plan_parameters(name) if name else DriverParameters()
-        return plan_match_driver(RacingPolicy.of_plans_alone(), parameters)
+        return plan_match_driver(RacingPolicy.of_plans_alone(), plan_parameters(file))
     path = Path(source)
     if path.is_dir():
         if not is_network(load_weights(path / WEIGHTS)):

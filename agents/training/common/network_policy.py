@@ -1,4 +1,4 @@
-"""A Stable-Baselines3 policy as a file, and as an agent to race."""
+"""A Stable-Baselines3 policy as a file."""
 
 from __future__ import annotations
 
@@ -8,35 +8,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._os import atomic_write
 from stkzoo.agents.planning import MEMORY_SIZE
 from stkzoo.agents.pretrained.mlp import HOLD, MlpDriver
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import SIZE
 
-__all__ = ["initial_weights", "save_driver", "write_agent"]
+__all__ = ["initial_weights", "save_driver"]
 
 FloatArray = npt.NDArray[np.float32]
-
-_MODULE = '''"""A driver learned by self-play with Stable-Baselines3."""
-
-from pathlib import Path
-
-from stkzoo.agents.pretrained.mlp import load_driver
-
-env_name = "supertuxkart/racing-v0"
-player_name = {name!r}
-driver = load_driver(Path(__file__).with_name("policy.safetensors"))
-
-
-def create_state():
-    return driver.new_race()
-
-
-def get_actor(module_dir, observation_space, action_space):
-    return lambda seat, observation: seat(observation[None])[0]
-'''
 
 
 def save_driver(path: str | Path, policy: Any, hold: int = 0) -> None:
@@ -78,23 +58,3 @@ def initial_weights(path: str | Path, policy: Any) -> dict[str, FloatArray]:
             "this one; give the --hidden that they were made with"
         )
     return {**own, **weights}
-
-
-def write_agent(folder: str | Path, policy: Any, name: str, hold: int = 0) -> Path:
-    """Makes an agent of a policy: a folder that ``stkzoo race`` takes.
-
-    Args:
-        folder: the agent's; it is created.
-        policy: of Stable-Baselines3.
-        name: of the agent.
-        hold: steps for which it holds a drift.
-
-    Returns:
-        The folder.
-    """
-    path = Path(folder)
-    path.mkdir(parents=True, exist_ok=True)
-    save_driver(path / "policy.safetensors", policy, hold)
-    with atomic_write(path / "pystk_actor.py") as part:
-        part.write_text(_MODULE.format(name=name))
-    return path

@@ -1,58 +1,31 @@
-"""The parameters of a run's plans."""
+"""The parameters of the plans of a run."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 from stkzoo.agents.planning import DriverParameters
 from stkzoo.errors import ConfigError
 
 from .arguments import ARGUMENTS
 
-__all__ = ["PLAN_PARAMETERS", "plan_parameters", "run_parameters"]
-
-#: By name: those that a search on training tracks found, and those before it.
-PLAN_PARAMETERS = {
-    "found": DriverParameters(),
-    "by-hand": DriverParameters(
-        lane_changes=0,
-        bump_cost=0.0,
-        wheel_base=0.97,
-        aim_distance=4.0,
-        aim_time=0.35,
-        margin=1.0,
-        greatest_room=4.5,
-        over_cost=20.0,
-        late_time=0.3,
-        late_cost=4.0,
-        drift_speed=13.0,
-        boost_worth=12.0,
-        big_boost_worth=18.0,
-        boost_wait_cost=1.0,
-        small_nitro_worth=8.0,
-        big_nitro_worth=20.0,
-        banana_cost=15.0,
-        item_radius=0.9,
-        bad_item_radius=1.2,
-        nitro_wait=2.2,
-        nitro_turn=0.7,
-        danger=1.0,
-        caution_room=1.5,
-    ),
-}
+__all__ = ["plan_parameters", "run_parameters"]
 
 
-def plan_parameters(name: str) -> DriverParameters:
-    """The parameters of a name.
+def plan_parameters(file: str | Path) -> DriverParameters:
+    """The parameters in a JSON file, such as ``best.json`` of ``tune_plans``.
+
+    Args:
+        file: the file; empty is the default parameters.
 
     Raises:
-        ConfigError: the name is unknown.
+        ConfigError: the file is unreadable, or has other parameters.
     """
-    if name not in PLAN_PARAMETERS:
-        expected = ", ".join(PLAN_PARAMETERS)
-        raise ConfigError(f"plans {name!r} are unknown; expected one of {expected}")
-    return PLAN_PARAMETERS[name]
+    if not file:
+        return DriverParameters()
+    return _parameters(file, lambda content: content)
 
 
 def run_parameters(folder: Path) -> DriverParameters:
@@ -62,12 +35,18 @@ def run_parameters(folder: Path) -> DriverParameters:
         ConfigError: the run is of another version.
     """
     file = folder / ARGUMENTS
-    if not file.exists():
-        return DriverParameters()
+    return (
+        _parameters(file, lambda content: content[-1]["rules"])
+        if file.exists()
+        else plan_parameters("")
+    )
+
+
+def _parameters(file: str | Path, find: Any) -> DriverParameters:
     try:
-        return DriverParameters(**json.loads(file.read_text())[-1]["rules"])
-    except (KeyError, TypeError) as error:
+        return DriverParameters(**find(json.loads(Path(file).read_text())))
+    except (OSError, ValueError, LookupError, TypeError) as error:
         raise ConfigError(
-            f"{str(file)!r} is of another version of stkzoo: the parameters of its plans have "
-            f"changed ({error}); use that version, or start a new run"
+            f"{str(file)!r} has no parameters of plans as this version of stkzoo has them "
+            f"({error}); give another file, or the version that wrote it"
         ) from None

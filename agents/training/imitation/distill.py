@@ -44,8 +44,9 @@ from ..common.arguments import (
 from ..common.command import ProgressBar, command_parser, run_command, training_torch
 from ..common.fleet import Finish, Fleet, Lineup
 from ..common.matches import Match, network_driver, play_matches
-from ..common.network_policy import save_driver, write_agent
+from ..common.network_policy import save_driver
 from ..common.training_log import LOG, read_json_lines, write_log
+from ..export import export_policy
 from .network import fit, load_weights_into, make_network
 
 __all__ = ["DistillationArguments", "LabelledRaces", "main", "run"]
@@ -156,7 +157,7 @@ def run(
         log.append(_round(arguments, folder, network, number, bar))
         save_driver(folder / _POLICY, network, _HOLD)
         write_log(folder, log)
-    write_agent(folder / "agent", network, "student of the plans", _HOLD)
+    export_policy(folder / _POLICY, "student", folder / "agent")
     return log
 
 

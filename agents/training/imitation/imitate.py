@@ -38,6 +38,7 @@ from stkzoo.evaluation import Demonstrations, load_demonstrations, record_demons
 from stkzoo.race import find_driver
 
 from ..common.arguments import (
+    QUICK_TRACKS,
     NetworkArguments,
     add_arguments,
     keep_arguments,
@@ -46,8 +47,9 @@ from ..common.arguments import (
     write_json,
 )
 from ..common.command import ProgressBar, command_parser, run_command
-from ..common.network_policy import save_driver, write_agent
+from ..common.network_policy import save_driver
 from ..common.training_log import write_log
+from ..export import export_policy
 from ..plot import plot_imitation
 from .network import Fit, fit, load_weights_into, make_network
 from .races import (
@@ -76,7 +78,6 @@ class ImitationArguments(NetworkArguments):
         demos: file of stkzoo demos to learn from first; empty records one.
         rounds: rounds of DAgger; 0 is behaviour cloning alone.
         tracks: names of tracks, or train.
-        leave_out: but not these; none for all of them.
         races: races on each track in a round.
         karts: karts of the learner in each race.
         difficulty: of the game's AI, whose times are compared with.
@@ -88,8 +89,7 @@ class ImitationArguments(NetworkArguments):
     teacher: str = "heuristic"
     demos: str = ""
     rounds: int = 5
-    tracks: tuple[str, ...] = ("train",)
-    leave_out: tuple[str, ...] = ("black_forest",)
+    tracks: tuple[str, ...] = QUICK_TRACKS
     races: int = 1
     karts: int = 3
     difficulty: int = 3
@@ -105,11 +105,6 @@ class ImitationArguments(NetworkArguments):
                 "the game's AI cannot be asked what it would do in a kart that it does not drive; "
                 "give --rounds 0 (behaviour cloning alone), or another --teacher"
             )
-
-    @property
-    def all_tracks(self) -> list[str]:
-        """The tracks by name."""
-        return [name for name in track_names(self.tracks) if name not in self.leave_out]
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +168,7 @@ def _demonstrations(arguments: ImitationArguments, folder: Path, report: Report)
     return record_demonstrations(
         arguments.teacher,
         output=folder / "demos.npz",
-        tracks=arguments.all_tracks,
+        tracks=track_names(arguments.tracks),
         seeds=range(first, first + arguments.races),
         karts=arguments.karts,
         difficulty=arguments.difficulty,
@@ -209,7 +204,7 @@ def _drive(
     home = folder / f"round_{number:02d}"
     home.mkdir(exist_ok=True)
     first = 1000 * arguments.seed + 100 * number
-    kinds = itertools.product(arguments.all_tracks, range(first, first + arguments.races))
+    kinds = itertools.product(track_names(arguments.tracks), range(first, first + arguments.races))
     orders = [
         LessonOrder(
             teacher=arguments.teacher,
@@ -291,7 +286,7 @@ def _finish(arguments: ImitationArguments, folder: Path) -> None:
     network = make_network(arguments.hidden, arguments.seed)
     load_weights_into(network, _policy_file(folder, arguments.rounds))
     save_driver(folder / _POLICY, network)
-    write_agent(folder / "agent", network, f"{arguments.teacher}'s student")
+    export_policy(folder / _POLICY, "student", folder / "agent")
 
 
 def _summary(line: dict[str, Any]) -> str:

@@ -76,7 +76,7 @@ class SelfPlayArguments(PPOArguments):
         tracks: tracks to train on.
         races: races side by side: 8x5 is five of eight learners, 4+2x3 three of four learners and
             two karts of the game's AI at its hardest.
-        plans: parameters of the plans: found (by a search) or by-hand.
+        plans: JSON file of plan parameters, such as best.json of tune_plans; empty is the default.
         groups: the races are dealt to this many groups; one is computed while the others run.
         n_steps: steps of each race between two updates.
         anneal_timesteps: kart-steps over which learning rate and entropy coefficient fall.
@@ -95,7 +95,7 @@ class SelfPlayArguments(PPOArguments):
     gae_lambda: float = 0.85
     tracks: tuple[str, ...] = QUICK_TRACKS
     races: tuple[str, ...] = ("1x8", "5x8", "2+3x8", "1+4x8")
-    plans: str = "found"
+    plans: str = ""
     groups: int = 2
     n_steps: int = 128
     anneal_timesteps: int = 20_000_000

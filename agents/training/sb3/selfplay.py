@@ -55,16 +55,17 @@ from ..common.arguments import (
     write_json,
 )
 from ..common.command import ProgressBar, command_parser, run_command, training_library
-from ..common.network_policy import initial_weights, save_driver, write_agent
+from ..common.network_policy import initial_weights, save_driver
 from ..common.opponents import OpponentPool, bot_name
 from ..common.training_log import TrainingLog
+from ..export import export_policy
 from ..rate import RATINGS
 from .curriculum import EASY_TO_HARD, Curriculum
 from .evaluation import BackgroundEvaluation
 
 __all__ = ["SB3Arguments", "SB3Run", "main"]
 
-_CHECKPOINT, _AGENT = "checkpoint.pt", "agent"
+_CHECKPOINT = "checkpoint.pt"
 #: Initial bias of choices, by their place in the view: to go rather than to brake, and to drift or
 #: call for the rescue rarely. Without it every kart stands for most of its first races.
 _BIASES = {CHOICES[0]: 1.5, CHOICES[0] + RESCUE: -3.0, sum(CHOICES[:2]): 2.0}
@@ -206,8 +207,9 @@ class SB3Run:
 
     def save_agent(self) -> Path:
         """Writes the policy as an agent to race; its folder."""
-        name = f"self-play {self.kart_steps:,}"
-        return write_agent(self.folder / _AGENT, self._model.policy, name, self._held)
+        file = self.folder / "policy.safetensors"
+        save_driver(file, self._model.policy, self._held)
+        return export_policy(file, f"selfplay_{self.kart_steps}", self.folder / "agent")
 
     def close(self) -> None:
         """Ends all races."""
