@@ -216,7 +216,7 @@ class MatchRecord:
     order: list[str]
 
 
-class _Lane:
+class _MatchBatch:
     """Some matches side by side."""
 
     def __init__(
@@ -282,13 +282,13 @@ def play_matches(
     waiting = deque(matches[first : first + side_by_side] for first in cuts)
     uses = Counter(match.start for match in matches)
     results: dict[int, list[list[Finish]]] = {}
-    lanes: dict[int, tuple[_Lane, Sequence[Match]]] = {}
+    lanes: dict[int, tuple[_MatchBatch, Sequence[Match]]] = {}
     starts = RaceStarts()
     try:
         while waiting or lanes:
             while waiting and len(lanes) < _LANES:
                 part = waiting.popleft()
-                lanes[len(results) + len(lanes)] = _Lane(part, drivers, starts), part
+                lanes[len(results) + len(lanes)] = _MatchBatch(part, drivers, starts), part
             for number, (lane, part) in list(lanes.items()):
                 if (finishes := lane.step()) is not None:
                     results[number] = finishes

@@ -41,7 +41,7 @@ def initial_weights(path: str | Path, policy: Any) -> dict[str, FloatArray]:
         policy: the Stable-Baselines3 policy that starts from it.
 
     Raises:
-        ConfigError: the file cannot be read, or is of another network.
+        ConfigError: the file is unreadable, or is of another network.
     """
     weights = load_weights(path)
     MlpDriver(weights, f"the weights {str(path)!r}")

@@ -129,7 +129,7 @@ def run(
         report: called with what is being done, how much of it is done, and how much there is.
 
     Returns:
-        The log: for each round who drove, how well, and how well the network fitted then.
+        The log: for each round the driver, its results, and the fit of the network after it.
 
     Raises:
         ConfigError: an argument is invalid, torch is not installed, or the folder has another run.
@@ -183,7 +183,7 @@ def _of_demos(demos: Demonstrations, difficulty: int) -> tuple[list[float], int]
 
 
 def _line(number: int, driver: str, ratios: Sequence[float], finished: int) -> dict[str, Any]:
-    """What the log says of the races of a round."""
+    """The log line of a round's races."""
     return {
         "round": number,
         "driver": driver,
@@ -200,7 +200,7 @@ def _line(number: int, driver: str, ratios: Sequence[float], finished: int) -> d
 def _drive(
     arguments: ImitationArguments, folder: Path, number: int, report: Report
 ) -> list[Lesson]:
-    """The races of a round; those that are there are not driven again."""
+    """The races of a round; those with a file are not driven again."""
     home = folder / f"round_{number:02d}"
     home.mkdir(exist_ok=True)
     first = 1000 * arguments.seed + 100 * number
@@ -238,7 +238,7 @@ def _in_parallel(orders: Sequence[LessonOrder], jobs: int) -> Iterator[str]:
                 yield task.result()
         except BrokenProcessPool as error:
             raise StkzooError(
-                f"a process that drove died ({error}); the same command goes on"
+                f"a process that drove died ({error}); the same command continues"
             ) from error
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
@@ -251,7 +251,7 @@ def _learn(
     lessons: Sequence[_Examples],
     report: Report,
 ) -> dict[str, Any]:
-    """Trains the round's network, or reads what it came to; what the log says of it."""
+    """Trains the round's network, or reads the result; its figures for the log."""
     file, facts = _policy_file(folder, number), folder / f"fit_{number:02d}.json"
     if file.exists() and facts.exists():
         found: dict[str, Any] = json.loads(facts.read_text())

@@ -58,7 +58,7 @@ def load_weights_into(network: Any, path: str | Path) -> None:
     """Loads weights from a file, which may hold more than the network's.
 
     Raises:
-        ConfigError: it cannot be read.
+        ConfigError: the file is unreadable.
     """
     torch, weights = training_torch(), load_weights(path)
     own = {name: torch.from_numpy(weights[name]) for name in network.state_dict()}
@@ -85,7 +85,7 @@ def fit(
     """Trains a network on examples; a twentieth of them, in blocks, is left out and judged.
 
     Args:
-        network: of :func:`make_network`; it goes on from what it is.
+        network: of :func:`make_network`; training continues from its weights.
         observations: ``(N, inputs)``.
         actions: ``(N, 5)``.
         n_epochs: passes over all of them.

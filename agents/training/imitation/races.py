@@ -38,7 +38,7 @@ Numbers = npt.NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class LessonOrder:
-    """A race that is to be driven.
+    """A race to drive.
 
     Attributes:
         teacher: who says what is right; a text for :func:`~stkzoo.race.find_driver`.

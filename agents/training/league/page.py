@@ -12,7 +12,7 @@ from .matches import AI, payoff
 
 __all__ = ["page"]
 
-#: More rows would not be read.
+#: Rows of the matrix at most.
 _MOST_ROWS = 16
 _WIDTH, _HEIGHT = 720, 360
 _LEFT, _RIGHT, _TOP, _BOTTOM = 44, 12, 14, 60
@@ -52,7 +52,7 @@ def page(
     matches: Sequence[MatchRecord],
     ratings: Mapping[str, Sequence[float]],
 ) -> str:
-    """The page, with nothing from elsewhere.
+    """The page as self-contained HTML.
 
     Args:
         members: of the league: ``name``, ``player``, ``kart_steps`` and ``league_steps`` of each.

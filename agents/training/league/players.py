@@ -1,4 +1,4 @@
-"""The players of a league, and whom each of them meets."""
+"""The players of a league, and their matchmaking."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = [
 
 #: Kinds of players.
 MAIN, EXPLOITER, LEAGUE_EXPLOITER = "main", "exploiter", "league-exploiter"
-#: The member that everybody started from.
+#: The member that all players start from.
 START = "start"
 #: A main player meets itself in this share of its races.
 _SELF_PLAY = 0.5
@@ -38,7 +38,7 @@ _ENDLESS = 1_000_000
 
 @dataclass(slots=True)
 class Player:
-    """One that learns.
+    """A player of the league.
 
     Attributes:
         name: of the player.
@@ -60,12 +60,12 @@ class Player:
 
     @property
     def total_turns(self) -> int:
-        """All that it has played."""
+        """Turns in all generations."""
         return self.past_turns + self.turns
 
     @property
     def folder(self) -> str:
-        """Of its run."""
+        """The folder of its run."""
         return f"{self.name}-g{self.generation}"
 
     def is_done(self, beaten: float, patience: int) -> bool:
@@ -78,7 +78,7 @@ class Player:
         return self.kind != MAIN and (beaten >= _WON or self.turns >= patience)
 
     def start_over(self) -> None:
-        """Forgets all that it has learned; its past selves stay in the league."""
+        """Drops the learned policy; the past selves stay in the league."""
         self.generation += 1
         self.past_turns += self.turns
         self.turns = self.kart_steps = 0
@@ -86,7 +86,7 @@ class Player:
 
 
 def new_players(mains: int, exploiters: int, league_exploiters: int) -> list[Player]:
-    """So many of each kind, which take turns in this order.
+    """New players of each kind, in the order of their turns.
 
     Raises:
         ConfigError: there is no main player, or a number is below 0.
@@ -111,15 +111,15 @@ def _letters(count: int) -> list[str]:
 
 
 class PlayerMatchmaker:
-    """Whom a player meets in a turn.
+    """Draws the rivals of a player in a turn.
 
     Args:
         player: whose turn it is.
         members: the league's past selves, the oldest first.
-        policy: gives a member's policy.
+        policy: returns a member's policy.
 
     Attributes:
-        pool: the members with how often each was beaten.
+        pool: the members, with the share of duels won against each.
     """
 
     def __init__(
@@ -160,14 +160,14 @@ class PlayerMatchmaker:
         self._reported.append(beaten)
 
     def beaten(self) -> float:
-        """The share of duels won since this was made; 0 of none."""
+        """The share of duels won in this turn; 0 without duels."""
         return float(np.mean(self._reported)) if self._reported else 0.0
 
     def state(self) -> dict[str, Any]:
-        """How the duels went, as JSON has it."""
+        """The results of the duels as JSON values."""
         return {"pool": self.pool.state(), "reported": self._reported}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Makes it what :meth:`state` was."""
+        """Restores a :meth:`state`."""
         self.pool.restore(state["pool"])
         self._reported = list(state["reported"])

@@ -1,4 +1,4 @@
-"""What RLlib's env runners need on whatever node they are: the game's data, and races.
+"""What RLlib's env runners need on any node: the game's data, and races.
 
 Nothing here needs Ray but :class:`PackSender`'s methods.
 """
@@ -86,7 +86,7 @@ def win_share(positions: Mapping[str, int], policies: PolicyMap) -> float | None
 
 
 class PackSender:
-    """Has the headless pack for nodes that lack the game's data. An actor on the driver's node.
+    """Provides the headless pack to nodes without the game's data. An actor on the driver's node.
 
     Args:
         archive: the pack, as `stkzoo assets pack --output` writes it; empty makes one when it is
@@ -155,7 +155,7 @@ def _have_assets() -> bool:
 
 @contextlib.contextmanager
 def _one_at_a_time() -> Iterator[None]:
-    """Lets one process of a node install at a time; the system frees a dead one's lock."""
+    """Lets one process per node install at a time; the system frees the lock of a killed one."""
     folder = cache_folder()
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "rllib.lock").open("a") as file:

@@ -11,7 +11,7 @@ one. All see the view ``racing``.
 
 Env runners may be on many nodes. A node without the game's data is sent the headless pack (39 MB)
 before its first race. Env runners and nodes may die: they are started again elsewhere or later, and
-learning goes on with those that are left.
+learning continues with the others.
 
 In the folder are ``log.jsonl`` (a line an iteration), ``checkpoint`` (RLlib's, replaced every few
 iterations in one step) and ``policy.safetensors``, which ``sb3.selfplay --init`` takes too. The

@@ -1,13 +1,13 @@
 """Races for self-play as one ``VecEnv``: learners, frozen rivals and bots, drawn race by race.
 
 In some races the learner drives all agents; in the others a frozen rival drives half of them.
-Towards Stable-Baselines3 a rival's slot idles: each of its steps is an episode by itself, without
-reward, which :class:`stkzoo.sb3.ActiveRolloutBuffer` gives to no update. So it may be another
-slot in the next race.
+For Stable-Baselines3 a rival's slot idles: each of its steps is an episode without reward, which
+:class:`stkzoo.sb3.ActiveRolloutBuffer` leaves out of the updates. So the rival can have
+another slot in the next race.
 
-The finish counts as a race that is cut short: the road goes on behind the line, and a kart does not
-see how far away that is. Were nothing to come after it, the worth of the last seconds before would
-fall to nothing, by far more than what driving well or badly makes, and unforeseeably.
+The finish counts as a race that is cut short: the road continues behind the line, and a kart does
+not see how far away the line is. If the finish were terminal, the value of the last seconds before
+it would drop to zero, unpredictably and by far more than good and bad driving differ.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ STEP, COUNTDOWN = 0.1, 2.0
 PATIENCE = 2.0
 #: A race that begins elsewhere than on the grid is cut short after so many steps.
 SHORT_RACE = 250
-#: What is driven faster than this was a leap of the game's count, off the road [m a step].
+#: More is a jump of the game's distance, off the road [m per step].
 _LONGEST_STEP = 5.0
 
 
@@ -61,14 +61,14 @@ def ai_time(track: str, reverse: bool, difficulty: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class RaceEnd:
-    """How a learner's race went.
+    """The result of a learner's kart.
 
     Attributes:
         track: its name.
-        rival: who drove beside the learner: a snapshot, ``bot:0`` to ``bot:3``, or nobody.
-        beaten: the share of the rival's karts that the learner's kart was before.
-        pace: metres a second over those of the game's AI in such races.
-        finished: whether it came to the finish.
+        rival: the other driver: a snapshot, ``bot:0`` to ``bot:3``, or empty for none.
+        beaten: the share of the rival's karts that the learner's kart was ahead of.
+        pace: speed over that of the game's AI in such races.
+        finished: whether it finished.
         steps: how many it drove.
     """
 
@@ -81,7 +81,7 @@ class RaceEnd:
 
 
 def way_and_places() -> Reward:
-    """A tenth of the metres driven, and a little for each place won or lost."""
+    """The reward: a tenth of the metres driven, and 0.3 per place won."""
 
     def metres(step: Any) -> Any:
         driven = step.distance - step.distance_before
@@ -94,7 +94,7 @@ def way_and_places() -> Reward:
 
 
 class _SelfPlayRace:
-    """One race after another; who drives what in the present one, and what the next one is."""
+    """One race after another: the drivers of the present one, and the options of the next one."""
 
     def __init__(self, env: Any, group: TrainingRaces, first: int) -> None:
         self.env, self.group = env, group
@@ -125,7 +125,7 @@ class _SelfPlayRace:
         self.is_learner[random.permutation(len(self.is_learner))[: len(self.is_learner) // 2]] = 0
 
     def ends(self) -> list[RaceEnd]:
-        """How the learner's karts did, when all have ended."""
+        """The results of the learner's karts, once all have ended."""
         places = np.array([info["position"] for info in self.finals])
         ends = []
         for row in np.flatnonzero(self.is_learner):
@@ -157,21 +157,21 @@ class SelfPlayVecEnv(VecEnv):
     """The races.
 
     Args:
-        groups: what races there are.
-        curriculum: what they may be like; it is told how karts do.
-        bots: the game's bots as rivals, told likewise.
-        snapshots: the frozen rivals, told likewise.
+        groups: the races.
+        curriculum: decides what races are like; it is updated with the results.
+        bots: the game's bots as opponents; updated likewise.
+        snapshots: the frozen opponents; updated likewise.
         snapshot_share: share of races without bots in which a snapshot drives half of the karts.
         grid_share: share of races that begin on the grid; the others begin anywhere on the track.
-        hold: for how many steps all hold a drift.
+        hold: steps for which all hold a drift.
 
     Attributes:
         kart_steps: how many steps the learner has driven.
         rewarded: the sum of its rewards.
-        ends: of the learner's karts whose races were over, for whoever empties it.
+        ends: results of the learner's karts; the reader empties it.
 
     Raises:
-        ConfigError: a group cannot be.
+        ConfigError: a group is invalid.
     """
 
     def __init__(
@@ -221,11 +221,11 @@ class SelfPlayVecEnv(VecEnv):
         return len(self._races)
 
     def add_driver(self, name: str, driver: MlpDriver) -> None:
-        """Makes a snapshot of the pool ready to drive."""
+        """Adds the driver of a snapshot in the pool."""
         self._drivers[name] = driver
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Seeds all that is drawn from the next :meth:`reset` on."""
+        """Seeds everything from the next :meth:`reset` on."""
         self._random = np.random.default_rng(seed)
         for env in self._envs:
             env.seed(int(self._random.integers(2**31)))
@@ -245,7 +245,7 @@ class SelfPlayVecEnv(VecEnv):
         return self._observations
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
-        """Asks for a step: the learner's choices for its karts, their own for the rivals'."""
+        """Starts a step: the learner's choices for its karts, and their own for the rivals."""
         chosen = np.array(actions)
         for race in self._races:
             if not race.is_learner.all():
@@ -264,7 +264,7 @@ class SelfPlayVecEnv(VecEnv):
         npt.NDArray[np.bool_],
         list[dict[str, Any]],
     ]:
-        """What came of it; a rival's slot idles."""
+        """The outcome of the step; a rival's slot idles."""
         parts = [env.step_wait() for env in self._envs]
         views = np.concatenate([np.asarray(part[0]) for part in parts])
         rewards, dones = (np.concatenate([part[n] for part in parts]) for n in (1, 2))
@@ -298,7 +298,7 @@ class SelfPlayVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """What a method of each slot's race says."""
+        """The results of a method of each slot's race."""
         methods = self.get_attr(method_name, indices)
         return [method(*method_args, **method_kwargs) for method in methods]
 
@@ -351,7 +351,7 @@ class SelfPlayVecEnv(VecEnv):
         self._plan(race)
 
     def _plan(self, race: _SelfPlayRace) -> None:
-        """Draws what the race after this one is: it begins by itself when this one is over."""
+        """Draws the options of the race after this one, which begins by itself."""
         track, reverse = self._curriculum.draw(self._random)
         race.next_from_grid = bool(self._random.random() < self._grid_share)
         known = [bot_name(difficulty) for difficulty in self._curriculum.difficulties]
