@@ -191,7 +191,7 @@ def test_exporting_spares_other_folders(tmp_path, capsys):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "letter.txt").write_text("dear")
     assert main([str(file), "--name=tiny", f"--output={tmp_path / 'mine'}"]) == 1
-    assert "no agent's folder" in capsys.readouterr().err
+    assert "is not the folder of an agent" in capsys.readouterr().err
     with pytest.raises(ConfigError, match="expected letters"):
         export_policy(file, "a b", tmp_path / "other")
 
