@@ -73,7 +73,7 @@ class RaceVecEnv(VecEnv):
             alone.
 
     Raises:
-        ConfigError: an argument cannot be, or Stable-Baselines3 cannot act in the view.
+        ConfigError: an argument is invalid, or Stable-Baselines3 cannot act in the view.
         AssetError: the game's data is missing.
     """
 

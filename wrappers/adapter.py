@@ -14,8 +14,8 @@ from pettingzoo.utils import BaseParallelWrapper
 
 from stkzoo.agent_names import by_agent
 from stkzoo.errors import ConfigError
+from stkzoo.views.actions import split
 from stkzoo.views.agent_chain import AgentChain, WrapperFactory
-from stkzoo.views.batch import split
 
 __all__ = ["GymAgentAdapter", "MonoAgentWrapperAdapter", "ParallelAgentAdapter"]
 
@@ -72,7 +72,7 @@ class GymAgentAdapter(
 
     Rewards of single agents are read from ``info["reward"]`` and ends from
     ``info["terminated"]``, dicts by agent, where the environment gives them; the changed
-    ones stand in their place, together with ``info["truncated"]`` and ``info["infos"]``,
+    ones take their place, together with ``info["truncated"]`` and ``info["infos"]``,
     and the scalar reward moves by the sum of the changes. Agents that are not in the
     observations or actions of a step are passed over.
     """

@@ -27,7 +27,7 @@ class CameraKind:
     Attributes:
         size: width and height [pixels].
         depth: whether it measures distances too.
-        backend: who draws: ``"engine"``, ``"map"`` or ``"auto"``.
+        backend: what draws: ``"engine"``, ``"map"`` or ``"auto"``.
     """
 
     size: tuple[int, int]
@@ -76,11 +76,11 @@ class CameraObservations(gym.ObservationWrapper[Any, Any, Any], gym.utils.Record
         size: width and height [pixels].
         depth: adds the depth; the map has none.
         every: so many steps a new picture; between them the last one stays.
-        backend: who draws: ``"engine"``, the game; ``"map"``, the race from above, following
+        backend: what draws: ``"engine"``, the game; ``"map"``, the race from above, following
             the kart; ``"auto"``, the game where it can, else the map.
 
     Raises:
-        ConfigError: an argument cannot be, the environment has no camera, or more than 8
+        ConfigError: an argument is invalid, the environment has no camera, or more than 8
             agents have one.
 
     Example:

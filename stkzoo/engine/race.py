@@ -154,7 +154,7 @@ class GameRace:
 
     @property
     def can_serve(self) -> bool:
-        """Whether :meth:`serve` can be had."""
+        """Whether :meth:`serve` is available."""
         return hasattr(self._stepper, "serve")
 
     def serve(self, connection: socket.socket) -> bytes:

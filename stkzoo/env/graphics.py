@@ -24,7 +24,7 @@ def check_render_mode(mode: str | None, backend: str) -> None:
     """Checks a render mode and who is to draw.
 
     Raises:
-        ConfigError: they cannot be, or there is no display for a window.
+        ConfigError: they are invalid, or there is no display for a window.
     """
     if mode is not None and not (isinstance(mode, str) and mode in RENDER_MODES):
         raise ConfigError(
@@ -55,7 +55,7 @@ def drawing_preset(mode: str | None, choice: Any) -> str | dict[str, Any]:
             window if there is a graphics card, else the quickest.
 
     Raises:
-        ConfigError: the choice cannot be.
+        ConfigError: the choice is invalid.
     """
     if choice is None:
         return "hd" if mode == "human" and has_graphics_card() else "ld"
@@ -72,7 +72,7 @@ def checked_size(size: Sequence[int]) -> tuple[int, int]:
     """Width and height of a picture as Python's own numbers [pixels].
 
     Raises:
-        ConfigError: they cannot be.
+        ConfigError: they are invalid.
     """
     try:
         width, height = (int(side) for side in size)

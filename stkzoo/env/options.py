@@ -119,7 +119,7 @@ def check_agents(agents: Sequence[AgentSpec], num_kart: int, karts: Sequence[str
         karts: all kart models of the game's data.
 
     Raises:
-        ConfigError: something cannot be.
+        ConfigError: an option is invalid.
     """
     if not 1 <= len(agents) <= num_kart:
         raise ConfigError(

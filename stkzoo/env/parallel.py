@@ -70,7 +70,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
             race; ``None`` shows nothing. No mode changes a race.
         num_cameras: how many agents have a camera, at most 8; with 0 those that ask for one,
             or the first agent.
-        render_backend: who draws pictures: ``"engine"``, the game; ``"map"``, the race from
+        render_backend: what draws pictures: ``"engine"``, the game; ``"map"``, the race from
             above; ``"auto"``, the game where it can draw, else the map.
         render_size: width and height of a picture [pixels].
         graphics_config: a ``pystk2.GraphicsConfig`` or the name of a preset (``"ld"``,
@@ -82,7 +82,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
             each is a process of about a megabyte and two open files.
 
     Raises:
-        ConfigError: an argument cannot be.
+        ConfigError: an argument is invalid.
         AssetError: the game's data is missing.
     """
 
@@ -183,7 +183,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         """Starts a new race and returns when all karts stand on the grid and may act.
 
         Args:
-            seed: starts the environment's random stream anew; ``None`` goes on with it.
+            seed: restarts the environment's random stream; ``None`` goes on with it.
             options: fields of :class:`~stkzoo.env.options.RaceOptions` for this episode
                 alone, except ``num_kart``; others are ignored with a log line. ``state``
                 is a :class:`~stkzoo.env.state.RaceState`: the episode starts at that moment
@@ -238,9 +238,9 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
             acted; empty after the end.
 
         Raises:
-            ActionError: an action is missing or cannot be; the race has not moved.
+            ActionError: an action is missing or invalid; the race has not moved.
             ApiOrderError: before the first ``reset``.
-            EngineError: the game died or hangs; ``reset`` starts anew.
+            EngineError: the game died or hangs; ``reset`` starts a new race.
         """
         controls = self.decode(actions)
         self.send(controls)
@@ -256,9 +256,9 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
             actions: as for :meth:`step`.
 
         Raises:
-            ActionError: an action is missing or cannot be; the race has not moved.
+            ActionError: an action is missing or invalid; the race has not moved.
             ApiOrderError: before the first ``reset``, or twice without :meth:`step_wait`.
-            EngineError: the game died or hangs; ``reset`` starts anew.
+            EngineError: the game died or hangs; ``reset`` starts a new race.
         """
         self.send(self.decode(actions))
 
@@ -287,7 +287,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
 
         Raises:
             ApiOrderError: without :meth:`step_async`.
-            EngineError: the game died or hangs; ``reset`` starts anew.
+            EngineError: the game died or hangs; ``reset`` starts a new race.
         """
         episode, self._asked = self._asked, None
         if episode is None or episode is not self._episode:
@@ -366,7 +366,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
 
     @property
     def render_backend(self) -> str:
-        """Who draws: ``"engine"`` or ``"map"``; ``"auto"`` until a picture was asked for."""
+        """What draws: ``"engine"`` or ``"map"``; ``"auto"`` until a picture was asked for."""
         return self._rendering.backend
 
     @property
@@ -389,7 +389,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
 
     @property
     def np_random(self) -> np.random.Generator:
-        """The environment's random stream, which ``reset(seed=...)`` starts anew."""
+        """The environment's random stream, which ``reset(seed=...)`` restarts."""
         if self._np_random is None:
             self._np_random, _ = seeding.np_random()
         return self._np_random

@@ -27,12 +27,12 @@ class Rendering:
 
     Args:
         mode: one of :data:`~stkzoo.env.graphics.RENDER_MODES`, or ``None``.
-        backend: who draws: ``"auto"``, ``"engine"`` or ``"map"``.
+        backend: what draws: ``"auto"``, ``"engine"`` or ``"map"``.
         size: width and height of a picture [pixels].
         graphics_config: see :func:`~stkzoo.env.graphics.drawing_preset`.
 
     Raises:
-        ConfigError: an argument cannot be.
+        ConfigError: an argument is invalid.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class Rendering:
 
     @property
     def backend(self) -> str:
-        """Who draws; see :attr:`stkzoo.render.renderer.RaceRenderer.backend`."""
+        """What draws; see :attr:`stkzoo.render.renderer.RaceRenderer.backend`."""
         return self._renderer.backend
 
     def reset(self, episode: Episode) -> None:

@@ -122,7 +122,7 @@ class Scenario:
             raise ConfigError(
                 f"the scenario on {self.setup.track!r} did not come out as it was saved, with "
                 f"{_ENGINE} {self.engine}; here is {here}. Use that version and the same data of "
-                "the game, or save the scenario anew"
+                "the game, or save the scenario again"
             )
         return replace(begun, snapshot=snapshot)
 
@@ -165,7 +165,7 @@ class Scenario:
 
 
 def read_scenario(value: object, options: Mapping[str, Any], fixed: Set[str]) -> Scenario:
-    """What stands in ``options["scenario"]``: a scenario or its file.
+    """What is in ``options["scenario"]``: a scenario or its file.
 
     Raises:
         ConfigError: it is neither, or options of the race stand beside it.

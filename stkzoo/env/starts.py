@@ -33,7 +33,7 @@ def check_start(start: object) -> None:
     """Checks what was asked for as ``start``.
 
     Raises:
-        ConfigError: it cannot be.
+        ConfigError: it is invalid.
     """
     if isinstance(start, Mapping):
         if not start:
@@ -136,7 +136,7 @@ class StartCurriculum:
         start: everything about the starts but where they are.
 
     Raises:
-        ConfigError: a number cannot be.
+        ConfigError: a number is invalid.
     """
 
     def __init__(

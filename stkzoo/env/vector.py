@@ -40,7 +40,7 @@ def single_kart_races(
         **options: keywords of the id, and ``prefetch``.
 
     Raises:
-        ConfigError: an argument cannot be, or the view's values differ in size.
+        ConfigError: an argument is invalid, or the view's values differ in size.
     """
     if agent is not None and not isinstance(agent, AgentSpec):
         raise ConfigError(f"agent is {agent!r}, expected an AgentSpec or None")

@@ -7,13 +7,13 @@ kart's own frame: x right, y up, z forward [m].
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.engine.snapshot import CONTROLS, KART_DTYPE, Snapshot
+from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
 from stkzoo.mdp.spaces import POWERUP_COUNT_LIMIT
 
@@ -112,37 +112,17 @@ _CHOICES = {
 }
 
 
-def _words_of(fields: Iterable[str]) -> tuple[list[int], list[slice]]:
-    """Where fields stand in a record seen as 4-byte words, and then in a row of just these."""
-    words: list[int] = []
-    places: list[slice] = []
-    layout = dict(KART_DTYPE.fields or {})
-    for field in fields:
-        part, offset, *_ = layout[field]
-        begin, count = offset // 4, part.itemsize // 4
-        places.append(slice(len(words), len(words) + count))
-        words.extend(range(begin, begin + count))
-    return words, places
-
-
-_NUMBER_WORDS, _NUMBER_PLACES = _words_of(_NUMBERS.values())
-_CHOICE_WORDS, _ = _words_of(_CHOICES.values())
-
-
 def _own_state(snapshot: Snapshot, records: Any) -> Batch:
     count = len(records)
-    numbers = records.view(np.float32).reshape(count, -1)[:, _NUMBER_WORDS]
-    choices = records.view(np.int32).reshape(count, -1)[:, _CHOICE_WORDS].astype(np.int64)
-    state: Batch = {
+    numbers = {key: records[field].reshape(count, -1) for key, field in _NUMBERS.items()}
+    choices = {key: records[field].astype(np.int64) for key, field in _CHOICES.items()}
+    choices["powerup_count"] = np.minimum(choices["powerup_count"], POWERUP_COUNT_LIMIT)
+    return {
         "aux_ticks": np.full((count, 1), snapshot.header["aux_ticks"], np.float32),
         "phase": np.full(count, snapshot.phase, np.int64),
+        **numbers,
+        **choices,
     }
-    for key, place in zip(_NUMBERS, _NUMBER_PLACES, strict=True):
-        state[key] = numbers[:, place]
-    for column, key in enumerate(_CHOICES):
-        state[key] = choices[:, column]
-    np.minimum(state["powerup_count"], POWERUP_COUNT_LIMIT, out=state["powerup_count"])
-    return state
 
 
 def ai_actions(snapshot: Snapshot, karts: IntArray) -> Batch:

@@ -1,7 +1,7 @@
 """Rewards as sums of named terms, each computed for all karts at once.
 
 A *term* is a function from a :class:`~stkzoo.mdp.transition.Transition` to ``(K,)`` floats.
-A :class:`Reward` weighs and sums terms; their weighted values stand in
+A :class:`Reward` weighs and sums terms; their weighted values are in
 ``infos[agent]["reward/<name>"]``.
 
 Write ``reward="placement"`` to choose a shipped reward, ``reward={"time": 5.0}`` to
@@ -50,7 +50,7 @@ def finish(step: Transition) -> FloatArray:
 
 
 def course(step: Transition) -> FloatArray:
-    """The share of the race driven in this step; sums to 1 for whoever finishes."""
+    """The share of the race driven in this step; sums to 1 for a kart that finishes."""
     done = np.minimum(step.distance, step.race_length)
     # The engine may call a kart finished a hair before its distance says so.
     done = np.where(step.after.karts["has_finished_race"] > 0, step.race_length, done)

@@ -1,5 +1,9 @@
 """Actions as they come from users, checked and brought into batch form.
 
+The *batch form* of a value has the agents as the leading axis: ``(A,)`` for ``Discrete`` and
+``Text``, ``(A, *shape)`` for ``Box`` and its like, a dict of these for ``Dict``. The *single form*
+is Gymnasium's own: ``int``, ``str``, array, tuple, dict.
+
 The form is taken kindly: a bare number for an array of one entry, lists, Python's and
 numpy's numbers, ``bool`` for a choice, whole ``float`` numbers for whole ones. The value
 is taken strictly: nothing infinite, undefined, out of range or of another shape.
@@ -17,7 +21,7 @@ from gymnasium import spaces
 
 from stkzoo.errors import ActionError
 
-__all__ = ["BOUND_TOLERANCE", "read_actions"]
+__all__ = ["BOUND_TOLERANCE", "read_actions", "split"]
 
 #: A number may miss a bound of its ``Box`` by this much (rounding); it is then clipped.
 BOUND_TOLERANCE = 1e-6
@@ -160,3 +164,25 @@ def _expectation(space: spaces.Space[Any]) -> str:
     )
     count = int(np.prod(space.shape or ()))
     return f"a {noun} {limits}" if count == 1 else f"{space.shape} {noun}s {limits}"
+
+
+def split(space: spaces.Space[Any], batch: Any) -> list[Any]:
+    """The single forms of a batch, which share no memory with it.
+
+    Args:
+        space: the space of each single form.
+        batch: values in batch form.
+
+    Returns:
+        One value for each row.
+    """
+    if isinstance(space, spaces.Dict):
+        columns = [split(part, batch[key]) for key, part in space.spaces.items()]
+        keys = tuple(space.spaces)
+        return [dict(zip(keys, row, strict=True)) for row in zip(*columns, strict=True)]
+    if isinstance(space, (spaces.Discrete, spaces.Text)):
+        values: list[Any] = np.asarray(batch).tolist()
+        return values
+    if isinstance(space, spaces.Sequence):
+        return [tuple(row) for row in np.array(batch)]
+    return list(np.array(batch)) if isinstance(batch, np.ndarray) else list(batch)

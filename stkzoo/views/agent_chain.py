@@ -10,9 +10,8 @@ import gymnasium as gym
 from gymnasium import spaces
 
 from stkzoo.errors import ActionError, AgentError, AgentException
-from stkzoo.views.actions import read_actions
+from stkzoo.views.actions import read_actions, split
 from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
-from stkzoo.views.batch import split
 from stkzoo.views.memory import WrapperMemory
 from stkzoo.views.plan import ViewPlan
 from stkzoo.views.split_step import AgentStep, CompiledPart, MonoAgentEnv, SplitStep

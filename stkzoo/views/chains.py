@@ -13,9 +13,8 @@ from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo.errors import ActionError, AgentException, ConfigError
 from stkzoo.kernel import ActionReader, CarController, KartObserver
-from stkzoo.views.actions import read_actions
+from stkzoo.views.actions import read_actions, split
 from stkzoo.views.agent_chain import AgentChain, WrapperFactory
-from stkzoo.views.batch import split
 from stkzoo.views.memory import WrapperMemory
 from stkzoo.views.plan import ObservationSource, Observer, ViewPlan
 from stkzoo.views.split_step import AgentStep
@@ -134,7 +133,7 @@ class AgentChains:
         strangers = [agent for agent in factories if agent not in observation_spaces]
         if strangers:
             raise ConfigError(
-                f"wrappers for {', '.join(map(repr, strangers))}, who is no agent; the agents "
+                f"wrappers for {', '.join(map(repr, strangers))}, which is no agent; the agents "
                 f"are {', '.join(observation_spaces)}."
             )
         self._chains = {

@@ -106,7 +106,7 @@ class MonoAgentEnv(AgentSide, gym.Env[Any, Any]):
 class CompiledPart(AgentSide, gym.Wrapper[Any, Any, Any, Any]):
     """One agent's side of a race, where the kernel does the work of the wrappers inside.
 
-    Wrappers around it see those inside as ever; only ``reset`` and ``step`` go past them.
+    Wrappers around it still see those inside; only ``reset`` and ``step`` go past them.
     """
 
     def reset(

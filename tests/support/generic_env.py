@@ -15,8 +15,7 @@ from stkzoo.engine.track import TrackMap
 from stkzoo.kernel import KartObserver
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.names import AttachmentType, ItemType, Phase, PowerupType
-from stkzoo.views.actions import read_actions
-from stkzoo.views.batch import split
+from stkzoo.views.actions import read_actions, split
 from stkzoo.wrappers import (
     ConstantSizedObservations,
     DiscreteActionsWrapper,

@@ -619,7 +619,7 @@ def test_a_race_goes_on_after_a_failure_and_a_reset():
 
 
 def test_factories_for_strangers_are_refused():
-    with pytest.raises(ConfigError, match="'kart_9', who is no agent"):
+    with pytest.raises(ConfigError, match="'kart_9', which is no agent"):
         AgentChains(
             {"kart_0": kart_observation_space()}, {"kart_0": kart_action_space()}, {"kart_9": None}
         )

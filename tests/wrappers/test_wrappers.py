@@ -16,7 +16,7 @@ from hypothesis.extra import numpy as npst
 import stkzoo.wrappers
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
-from stkzoo.views.batch import split
+from stkzoo.views.actions import split
 from stkzoo.wrappers import (
     ActionObservationWrapper,
     CompiledWrapper,

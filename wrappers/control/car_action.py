@@ -28,7 +28,7 @@ _STEERING = tuple(kind.value for kind in SteerActionEnum)
 class CarAction:
     """An action of two numbers, ``[steering, longitudinal]``, in physical units.
 
-    The numbers stand in this order whatever the order of the names, as in F1TENTH gymkhana.
+    The numbers come in this order whatever the order of the names, as in F1TENTH gymkhana.
     All methods are pure functions over arrays with any leading axes: one kart or many.
 
     Attributes:

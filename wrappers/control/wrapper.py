@@ -47,7 +47,7 @@ class ControlWrapper(ActionObservationWrapper, CompiledWrapper):
             change it for an episode are heeded.
 
     Raises:
-        ConfigError: an argument cannot be, or the environment is of another kind.
+        ConfigError: an argument is invalid, or the environment is of another kind.
     """
 
     has_memory = True

@@ -89,7 +89,7 @@ def _inwards(env: Any) -> Iterator[Any]:
 
 
 def _place(space: spaces.Dict, keys: list[str], key: str) -> int:
-    """Where the one number under a key stands in a flattened vector."""
+    """The place of the one number under a key in a flattened vector."""
     if key not in keys:
         raise ConfigError(
             f"ActionMasks needs {key!r} among the observations, but found {', '.join(keys)}."

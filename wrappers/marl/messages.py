@@ -38,7 +38,7 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
         within_teams: only team-mates hear each other; ``env`` has :class:`Teams` in it.
 
     Raises:
-        ConfigError: an argument cannot be.
+        ConfigError: an argument is invalid.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
         """Steps the race and delivers what was said.
 
         Raises:
-            ActionError: a message is missing or cannot be; the race has not moved.
+            ActionError: a message is missing or invalid; the race has not moved.
         """
         said = {agent: self._message(agent, actions) for agent in self.env.agents}
         bare = {agent: action["action"] for agent, action in actions.items() if agent in said}

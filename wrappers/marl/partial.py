@@ -31,7 +31,7 @@ class PartialObservations(gym.ObservationWrapper[Any, Any, Any], gym.utils.Recor
         of: what is hidden beyond: ``"karts"``, ``"items"`` or both.
 
     Raises:
-        ConfigError: an argument cannot be, or the environment is in another view.
+        ConfigError: an argument is invalid, or the environment is in another view.
     """
 
     def __init__(

@@ -63,7 +63,7 @@ class Teams(BaseParallelWrapper[str, Any, Any]):
         team_of: each agent's team.
 
     Raises:
-        ConfigError: an argument cannot be.
+        ConfigError: an argument is invalid.
     """
 
     def __init__(

@@ -98,7 +98,7 @@ class AheadRace(RaceParallelEnv):
         **options: those of :class:`~stkzoo.env.parallel.RaceParallelEnv`.
 
     Raises:
-        ConfigError: an option cannot be, or not for a race that others run beside.
+        ConfigError: an option is invalid, or not for a race that others run beside.
     """
 
     def __init__(self, **options: Any) -> None:

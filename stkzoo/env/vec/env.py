@@ -58,7 +58,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         fleet: the races themselves.
 
     Raises:
-        ConfigError: an argument cannot be, or agents differ in what they see or do.
+        ConfigError: an argument is invalid, or agents differ in what they see or do.
         AssetError: the game's data is missing.
 
     Example:
@@ -163,7 +163,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             ``(num_envs,)`` bool, and infos.
 
         Raises:
-            ActionError: an action cannot be; no race has moved.
+            ActionError: an action is invalid; no race has moved.
             ApiOrderError: before ``reset`` or after ``close``.
         """
         self.step_async(actions)

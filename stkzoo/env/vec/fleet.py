@@ -42,7 +42,7 @@ class ParallelRaces:
             what comes nearest to them in the space.
 
     Raises:
-        ConfigError: an option cannot be, or agents differ in what they see or do.
+        ConfigError: an option is invalid, or agents differ in what they see or do.
     """
 
     def __init__(self, num_races: int, prefetch: bool | None, options: Mapping[str, Any]) -> None:
@@ -113,7 +113,7 @@ class ParallelRaces:
             actions: one for each slot; those of idle slots are not looked at.
 
         Raises:
-            ActionError: an action cannot be; no race has moved.
+            ActionError: an action is invalid; no race has moved.
             ApiOrderError: before ``reset``, after ``close``, or twice in a row.
         """
         self._require_open("step")
@@ -144,7 +144,7 @@ class ParallelRaces:
         """The step that was asked for; races that are over have started again.
 
         Raises:
-            AgentException: a wrapper failed; ``reset`` starts anew.
+            AgentException: a wrapper failed; ``reset`` starts a new race.
             ApiOrderError: no step was asked for.
         """
         if not self._is_asked:

@@ -17,7 +17,7 @@ __all__ = ["RaceSlots", "SlotSteps"]
 
 logger = logging.getLogger(__name__)
 
-#: How often a race is started anew when the game dies at its start.
+#: How often a race is started again when the game dies at its start.
 _MAX_STARTS = 3
 
 BoolArray = npt.NDArray[np.bool_]

@@ -17,8 +17,8 @@ from stkzoo.errors import AgentError, AgentTimeout
 from stkzoo.race.agents.code import AgentCode
 from stkzoo.race.agents.failures import agent_trace, in_words
 from stkzoo.race.instances import Decision, DriverRequest
+from stkzoo.views.actions import split
 from stkzoo.views.agent_chain import AgentChain
-from stkzoo.views.batch import split
 
 __all__ = ["AgentRunner", "InlineInstance"]
 
