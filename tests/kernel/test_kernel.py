@@ -154,7 +154,7 @@ def test_a_twin_takes_what_the_stub_says(name):
 
 @pytest.mark.parametrize(
     ("view", "track"),
-    zip(CHAINS, itertools.cycle(TRACKS)),
+    list(zip(CHAINS, itertools.cycle(TRACKS), strict=False)),
     ids=lambda view: getattr(view, "__name__", view),
 )
 def test_a_race_is_the_same_with_and_without_the_kernel(view, track, numpy_only):
