@@ -112,7 +112,7 @@ def _measure(spec: Mapping[str, Any], options: argparse.Namespace) -> float:
             env.action_space.seed(1)  # which it leaves to chance
             return performance.benchmark_step(env, options.seconds, seed=1)
         env.reset(seed=1)
-        env.render()  # the process that draws starts
+        env.render()  # the render process starts
         return performance.benchmark_render(env, options.seconds)
     finally:
         env.close()

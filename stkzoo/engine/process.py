@@ -105,7 +105,7 @@ class RaceProcess:
         """Ends the process without waiting for it, and releases its resources."""
         raise NotImplementedError
 
-    def let_go(self, owner: int) -> None:
+    def release(self, owner: int) -> None:
         """:meth:`drop` in the program that started it; in forks of that, only closes the handles.
 
         Args:
@@ -154,7 +154,7 @@ class RaceProcess:
 
 
 def start_render_process(root: Path, graphics: str, variables: Mapping[str, str]) -> RaceProcess:
-    """Starts a process that draws another race (:mod:`stkzoo.engine.render_process`).
+    """Starts a render process (:mod:`stkzoo.engine.render_process`).
 
     Args:
         root: the game's full data.

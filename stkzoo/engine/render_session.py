@@ -99,7 +99,7 @@ class RenderSession(ProcessSession):
         fields |= {"render": True, "display": has_window}
         fields |= {"screen_width": size[0], "screen_height": size[1]}
         super().__init__(
-            "the process that draws",
+            "the render process",
             "`stkzoo doctor` looks for the cause",
             {wire.BEGIN: DRAWING_START_TIMEOUT},
         )

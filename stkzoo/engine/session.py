@@ -108,7 +108,7 @@ class ProcessSession:
         """Ends the process. You may call it again, and start another one afterwards."""
         process, self._process, self._asked = self._process, None, None
         if process is not None:
-            process.let_go(self._owner)
+            process.release(self._owner)
 
     def __del__(self) -> None:
         with contextlib.suppress(Exception):  # the interpreter may be shutting down

@@ -97,7 +97,7 @@ class Rendering:
         return {agent: by_kart[kart] for agent, kart in karts.items() if kart in by_kart}
 
     def close(self) -> None:
-        """Ends the process that draws, if there is one."""
+        """Ends the render process, if there is one."""
         self._scene = self._shown = None
         self._list.clear()
         self._renderer.close()

@@ -343,7 +343,7 @@ def test_a_dead_drawing_process_says_so_and_the_race_lives():
         next(steps)
         env.render()
         os.kill(env._rendering._renderer._game._session.pid, signal.SIGKILL)
-        with pytest.raises(EngineCrashed, match="the process that draws was ended by SIGKILL"):
+        with pytest.raises(EngineCrashed, match="the render process was ended by SIGKILL"):
             env.render()
         next(steps)
         assert is_picture(env.render())  # a new process draws
