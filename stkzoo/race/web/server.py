@@ -10,8 +10,7 @@ import mimetypes
 import secrets
 import socket
 import threading
-from collections.abc import Awaitable, Callable
-from concurrent.futures import TimeoutError as FutureTimeout
+from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -67,21 +66,20 @@ class RequestGuard:
         self._host = host.lower()
         self.key = "" if is_loopback(host) else secrets.token_urlsafe(16)
 
-    def knows_host(self, header: str | None) -> bool:
-        """Whether a ``Host`` header is this page's: an address, ``localhost`` or its name."""
-        name = _name_of(f"//{header}") if header else None
-        if name is None:
-            return False
-        return name in ("localhost", self._host) or _address_of(name) is not None
+    def check(self, headers: Mapping[str, str]) -> None:
+        """Rejects requests that do not come from this page.
 
-    def knows_origin(self, origin: str | None, host: str | None) -> bool:
-        """Whether a request comes from this page.
-
-        Programs other than browsers send no ``Origin``, and could send any.
+        Raises:
+            HTTPForbidden: ``Host`` is neither an address, ``localhost`` nor the page's name, or
+                ``Origin`` is another site.
         """
-        if origin is None:
-            return True
-        return host is not None and origin.lower() == f"http://{host.lower()}"
+        host, origin = headers.get("Host", ""), headers.get("Origin")
+        name = _name_of(f"//{host}")
+        if name is None or (name not in ("localhost", self._host) and _address_of(name) is None):
+            raise web.HTTPForbidden(text="the page has another name; open it by its address\n")
+        # Programs other than browsers send no Origin, and could send any.
+        if origin is not None and origin.lower() != f"http://{host.lower()}":
+            raise web.HTTPForbidden(text="the page accepts requests from itself only\n")
 
     def may_steer(self, key: str) -> bool:
         """Whether a viewer with this key may control the race."""
@@ -134,7 +132,7 @@ class LiveServer:
         self._listener = _listener(host, port)
         self.port: int = self._listener.getsockname()[1]
         self.address = _shown(host)
-        self._loop = asyncio.new_event_loop()
+        self._loop, self._closing = asyncio.new_event_loop(), asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="stkzoo-live-page", daemon=True)
         self._thread.start()
 
@@ -158,33 +156,33 @@ class LiveServer:
         """Sends viewers the last messages, then ends; may be called again."""
         if not self._thread.is_alive():
             return
-        try:
-            asyncio.run_coroutine_threadsafe(self._dismiss_viewers(), self._loop).result(_END)
-        except FutureTimeout:
-            logger.warning("the live page's viewers did not close in %.0f s", _END)
-        self._call(self._loop.stop)
+        self._call(self._closing.set)
         self._thread.join(_END)
+        if self._thread.is_alive():
+            logger.warning("the live page did not close in %.0f s", _END)
 
     # ------------------------------------------------------------------ the thread
 
     def _run(self) -> None:
         asyncio.set_event_loop(self._loop)
-        app = web.Application(middlewares=[self._guarded])
-        app.router.add_get("/live", self._live)
-        app.router.add_get("/{name:[^/]*}", self._page)
-        self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0)
         try:
-            self._loop.run_until_complete(self._start())
-            self._loop.run_forever()
+            self._loop.run_until_complete(self._serve())
         finally:
-            self._loop.run_until_complete(self._runner.cleanup())
-            self._loop.run_until_complete(self._loop.shutdown_asyncgens())
             self._listener.close()
             self._loop.close()
 
-    async def _start(self) -> None:
-        await self._runner.setup()
-        await web.SockSite(self._runner, self._listener).start()
+    async def _serve(self) -> None:
+        app = web.Application(middlewares=[self._guarded])
+        app.router.add_get("/live", self._live)
+        app.router.add_get("/{name:[^/]*}", self._page)
+        runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0)
+        await runner.setup()
+        try:
+            await web.SockSite(runner, self._listener).start()
+            await self._closing.wait()
+            await self._dismiss_viewers()
+        finally:
+            await runner.cleanup()
 
     def _call(self, function: Callable[[], object]) -> None:
         try:
@@ -208,11 +206,7 @@ class LiveServer:
 
     @web.middleware
     async def _guarded(self, request: web.Request, handler: _Handler) -> web.StreamResponse:
-        host, origin = request.headers.get("Host"), request.headers.get("Origin")
-        if not self._guard.knows_host(host):
-            raise web.HTTPForbidden(text="the page has another name; open it by its address\n")
-        if not self._guard.knows_origin(origin, host):
-            raise web.HTTPForbidden(text="the page accepts requests from itself only\n")
+        self._guard.check(request.headers)
         return await handler(request)
 
     async def _page(self, request: web.Request) -> web.StreamResponse:
