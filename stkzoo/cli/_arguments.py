@@ -17,6 +17,7 @@ __all__ = [
     "add_batch_options",
     "add_directions",
     "add_settings",
+    "add_tracks",
     "chosen_directions",
     "settings_of",
     "usage_errors",
@@ -116,6 +117,17 @@ def add_batch_options(parser: argparse.ArgumentParser, decided: Collection[str])
         help="time limit of one race (default: %(default)s)",
     )
     add_settings(parser, "each race", decided)
+
+
+def add_tracks(parser: argparse.ArgumentParser) -> None:
+    """Adds ``--tracks``."""
+    parser.add_argument(
+        "--tracks",
+        nargs="+",
+        default=["train"],
+        metavar="TRACK",
+        help="names of tracks, or train, test or all (default: train)",
+    )
 
 
 def add_directions(parser: argparse.ArgumentParser, *default: str) -> None:

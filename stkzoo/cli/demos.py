@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 from stkzoo.cli._arguments import (
     add_batch_options,
     add_directions,
+    add_tracks,
     chosen_directions,
     settings_of,
     usage_errors,
@@ -57,13 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="the view to record: racing, simple, flattened_discrete, ... (default: racing)",
     )
-    parser.add_argument(
-        "--tracks",
-        nargs="+",
-        default=["train"],
-        metavar="TRACK",
-        help="names of tracks, or train, test or all (default: train)",
-    )
+    add_tracks(parser)
     add_directions(parser, "forward")
     for option, default, text in (
         ("--seeds", 1, "races of each track and direction (default: %(default)s)"),

@@ -17,7 +17,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stkzoo.cli._arguments import add_batch_options, settings_of, usage_errors
+from stkzoo.cli._arguments import add_batch_options, add_tracks, settings_of, usage_errors
 from stkzoo.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -43,13 +43,7 @@ _AGENT_FAILED = 3
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
     parser.add_argument("agents", nargs="*", metavar="AGENT", help="the agents; see above")
-    parser.add_argument(
-        "--tracks",
-        nargs="+",
-        default=["train"],
-        metavar="TRACK",
-        help="names of tracks, or train, test or all (default: train)",
-    )
+    add_tracks(parser)
     for option, default, text in (
         ("--races", 60, "number of races (default: %(default)s)"),
         ("--per-race", None, "agents in a race (default: 4, or all if there are fewer)"),

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["CONFIDENCE", "Estimate", "estimate_mean", "percentile_interval"]
+__all__ = ["CONFIDENCE", "Estimate", "estimate_known", "estimate_mean", "percentile_interval"]
 
 #: Coverage of every interval that stkzoo reports.
 CONFIDENCE = 0.95
@@ -70,6 +70,18 @@ def estimate_mean(
     low, high = percentile_interval(_resampled_means(list(members.values()), len(values)))
     # Where all races agree, sums in another order differ in the last place.
     return Estimate(mean, min(float(low), mean), max(float(high), mean))
+
+
+def estimate_known(
+    values: Sequence[float | None],
+    strata: Sequence[Hashable],
+    bounds: tuple[float, float] | None = None,
+) -> Estimate | None:
+    """:func:`estimate_mean` of the values that are known; ``None`` if none is."""
+    known = [(value, at) for value, at in zip(values, strata, strict=True) if value is not None]
+    if not known:
+        return None
+    return estimate_mean([value for value, _ in known], [at for _, at in known], bounds)
 
 
 def percentile_interval(draws: npt.ArrayLike) -> npt.NDArray[np.float64]:

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.benchmark.result import FIGURES, BenchmarkResult, RaceOutcome, groups_of
-from stkzoo.evaluation.statistics import CONFIDENCE, Estimate, estimate_mean
+from stkzoo.evaluation.statistics import CONFIDENCE, Estimate, estimate_known
 
 __all__ = ["Comparison", "GroupDifference", "compare"]
 
@@ -53,10 +53,7 @@ class Comparison:
         Raises:
             KeyError: there are no such races.
         """
-        for difference in self.differences:
-            if (difference.by, difference.name) == (by, name):
-                return difference
-        raise KeyError((by, name))
+        return {(entry.by, entry.name): entry for entry in self.differences}[by, name]
 
     def to_json(self) -> str:
         """The comparison as JSON."""
@@ -111,14 +108,14 @@ def _key(outcome: RaceOutcome) -> tuple[object, ...]:
 
 
 def _figures(pairs: Sequence[Pair]) -> dict[str, Estimate | None]:
-    figures: dict[str, Estimate | None] = {}
+    strata = [mine.race.kind for mine, _ in pairs]
+    figures = {}
     for kind in FIGURES:
-        values, strata = [], []
-        for mine, other in pairs:
-            one, two = kind.of(mine), kind.of(other)
-            if one is not None and two is not None:
-                values.append(one - two)
-                strata.append(mine.race.kind)
+        values = [_difference(kind.of(mine), kind.of(other)) for mine, other in pairs]
         bounds = None if kind.bounds is None else (-kind.bounds[1], kind.bounds[1])
-        figures[kind.name] = estimate_mean(values, strata, bounds) if values else None
+        figures[kind.name] = estimate_known(values, strata, bounds)
     return figures
+
+
+def _difference(one: float | None, two: float | None) -> float | None:
+    return None if one is None or two is None else one - two

@@ -11,7 +11,7 @@ from typing import Any
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan
 from stkzoo.evaluation.benchmark.races import BenchmarkRace, direction_name
-from stkzoo.evaluation.statistics import CONFIDENCE, Estimate, estimate_mean
+from stkzoo.evaluation.statistics import CONFIDENCE, Estimate, estimate_known
 from stkzoo.race.result import AgentResult, RaceResult, check_schema, read_json
 
 __all__ = [
@@ -232,10 +232,7 @@ class BenchmarkResult:
         Raises:
             KeyError: there are no such races.
         """
-        for group in self.groups:
-            if (group.by, group.name) == (by, name):
-                return group
-        raise KeyError((by, name))
+        return {(group.by, group.name): group for group in self.groups}[by, name]
 
     def to_json(self) -> str:
         """The result as JSON (``docs/schemas/benchmark-result.schema.json``)."""
@@ -319,13 +316,11 @@ def _chance(outcomes: Sequence[RaceOutcome]) -> float | None:
 
 
 def _figures(outcomes: Sequence[RaceOutcome]) -> dict[str, Estimate | None]:
-    figures: dict[str, Estimate | None] = {}
-    for kind in FIGURES:
-        pairs = [(kind.of(outcome), outcome.race.kind) for outcome in outcomes]
-        values = [value for value, _ in pairs if value is not None]
-        strata = [stratum for value, stratum in pairs if value is not None]
-        figures[kind.name] = estimate_mean(values, strata, kind.bounds) if values else None
-    return figures
+    strata = [outcome.race.kind for outcome in outcomes]
+    return {
+        kind.name: estimate_known([kind.of(race) for race in outcomes], strata, kind.bounds)
+        for kind in FIGURES
+    }
 
 
 def _outcome(form: Mapping[str, Any], race: BenchmarkRace, plan: BenchmarkPlan) -> RaceOutcome:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from statistics import fmean
 
 from stkzoo.evaluation.ratings import Rating, rate
 from stkzoo.evaluation.statistics import CONFIDENCE
@@ -167,15 +168,14 @@ def _standing(
     orders: Mapping[int, Sequence[AgentResult]],
 ) -> Standing:
     entrant = plan.entrants[agent]
-    rows: list[AgentResult] = []
-    ranks: list[int] = []
-    by_track: dict[str, list[int]] = {}
-    for number, order in orders.items():
-        for rank, row in enumerate(order, 1):
-            if row.driver == entrant.label:
-                rows.append(row)
-                ranks.append(rank)
-                by_track.setdefault(results[number].track, []).append(rank)
+    entries = [
+        (results[number].track, rank, row)
+        for number, order in orders.items()
+        for rank, row in enumerate(order, 1)
+        if row.driver == entrant.label
+    ]
+    ranks = [rank for _, rank, _ in entries]
+    rows = [row for _, _, row in entries]
     times = [row.finish_time for row in rows if row.finish_time is not None]
     return Standing(
         place=place,
@@ -189,7 +189,10 @@ def _standing(
         retired=sum(row.status == "retired" for row in rows),
         errors=sum(row.num_errors for row in rows),
         mean_time=_mean(times),
-        track_ranks={track: sum(on) / len(on) for track, on in sorted(by_track.items())},
+        track_ranks={
+            track: fmean(rank for on, rank, _ in entries if on == track)
+            for track in sorted({track for track, _, _ in entries})
+        },
     )
 
 
