@@ -213,14 +213,13 @@ def _rate_runs(runs: Sequence[Path], folder: Path, wanted: int, every: int) -> N
     ]
     report = {"matches": len(records), "learned_longer": asdict(progress), "ratings": rows}
     write_json(folder / RATINGS, report)
+    start = [(0.0, ratings[START])] if START in ratings else []
+    kept = sorted((_millions(name), name) for name in ratings if " " in name)
     curves = {
-        name.rpartition(" ")[0]: [(0.0, ratings[START])] if START in ratings else []
-        for name in ratings
-        if " " in name
+        run.name: start
+        + [(at, ratings[name]) for at, name in kept if name.startswith(f"{run.name} ")]
+        for run in runs
     }
-    for name in sorted(ratings, key=lambda name: _millions(name) if " " in name else 0.0):
-        if " " in name:
-            curves[name.rpartition(" ")[0]].append((_millions(name), ratings[name]))
     draw_ratings(curves, ratings.get(AI), len(records), folder / _PLOT)
     for name, rating in sorted(ratings.items(), key=lambda item: -item[1].value):
         print(f"{rating.value:6.2f} ({rating.low:.2f}..{rating.high:.2f})  {name}")

@@ -8,6 +8,7 @@ so a fleet continues exactly after the program was killed.
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
@@ -41,6 +42,7 @@ __all__ = [
     "RaceFleet",
     "RaceStarts",
     "StartingPoint",
+    "ai_time",
     "lineups_of",
 ]
 
@@ -58,6 +60,12 @@ _LONGEST_STEP = 8.0
 _METRE = 0.05
 #: Upper limit of an estimated time ratio.
 _WORST_RATIO = 10.0
+
+
+@functools.cache
+def ai_time(track: str, reverse: bool, difficulty: int) -> float:
+    """The median time of the game's AI [s]; the difficulty makes all karts faster."""
+    return load_ai_times().of(track, reverse, difficulty).median
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +218,7 @@ class _FleetRace:
 
     def begin(self, track: str, reverse: bool, number: int) -> None:
         self.start = StartingPoint(track, reverse, number, self.lineup)
-        self._ai_time = load_ai_times().of(track, reverse, self.lineup.difficulty).median
+        self._ai_time = ai_time(track, reverse, self.lineup.difficulty)
         self.snapshot = self._starts.begin(self.start, self._session)
         is_bot = np.array([kart.is_bot for kart in self.start.setup().karts])
         self.karts = np.flatnonzero(~is_bot)

@@ -22,6 +22,7 @@ from __future__ import annotations
 import itertools
 import json
 import multiprocessing
+import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -32,7 +33,7 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo._os import cpu_count
+from stkzoo._os import atomic_write, cpu_count
 from stkzoo.errors import ConfigError, StkzooError, check_whole
 from stkzoo.evaluation import Demonstrations, load_demonstrations, record_demonstrations
 from stkzoo.race import find_driver
@@ -107,14 +108,6 @@ class ImitationArguments(NetworkArguments):
             )
 
 
-@dataclass(frozen=True, slots=True)
-class _Examples:
-    """The lessons of a round: observations ``(N, 165)`` and actions ``(N, 5)``."""
-
-    observations: Numbers
-    actions: Numbers
-
-
 Report = Callable[[str, int, int], None]
 
 
@@ -137,19 +130,18 @@ def run(
     """
     keep_arguments(folder, arguments, _FREE)
     demos = _demonstrations(arguments, folder, report)
-    observations, actions = demos.pairs()
-    lessons = [_Examples(observations, actions)]
+    examples = [demos.pairs()]
     log = [_line(0, arguments.teacher, *_of_demos(demos, arguments.difficulty))]
     for number in range(arguments.rounds + 2):
         if number:
             driven = _drive(arguments, folder, number, report)
-            lessons += [_Examples(lesson.observations, lesson.actions) for lesson in driven]
+            examples += [(lesson.observations, lesson.actions) for lesson in driven]
             ratios = [ratio for lesson in driven for ratio in lesson.ratios]
             finished = sum(lesson.finished for lesson in driven)
             who = "behaviour cloning" if number == 1 else f"DAgger, round {number - 1}"
             log.append(_line(number, who, ratios, finished))
         if number <= arguments.rounds:
-            log[-1] |= _learn(arguments, folder, number, lessons, report)
+            log[-1] |= _learn(arguments, folder, number, examples, report)
         write_log(folder, log)
     _finish(arguments, folder)
     return log
@@ -248,7 +240,7 @@ def _learn(
     arguments: ImitationArguments,
     folder: Path,
     number: int,
-    lessons: Sequence[_Examples],
+    examples: Sequence[tuple[Numbers, Numbers]],
     report: Report,
 ) -> dict[str, Any]:
     """Trains the round's network, or reads the result; its figures for the log."""
@@ -256,8 +248,7 @@ def _learn(
     if file.exists() and facts.exists():
         found: dict[str, Any] = json.loads(facts.read_text())
         return found
-    observations = np.concatenate([lesson.observations for lesson in lessons])
-    actions = np.concatenate([lesson.actions for lesson in lessons])
+    observations, actions = (np.concatenate(part) for part in zip(*examples, strict=True))
     report(f"round {number}: learning from {len(actions):,} examples", 0, 1)
     network = make_network(arguments.hidden, arguments.seed)
     if number:
@@ -283,9 +274,8 @@ def _policy_file(folder: Path, number: int) -> Path:
 
 def _finish(arguments: ImitationArguments, folder: Path) -> None:
     """The last round's policy as the run's, and as an agent."""
-    network = make_network(arguments.hidden, arguments.seed)
-    load_weights_into(network, _policy_file(folder, arguments.rounds))
-    save_driver(folder / _POLICY, network)
+    with atomic_write(folder / _POLICY) as part:
+        shutil.copyfile(_policy_file(folder, arguments.rounds), part)
     export_policy(folder / _POLICY, "student", folder / "agent")
 
 

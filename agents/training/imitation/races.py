@@ -19,11 +19,13 @@ from gymnasium import spaces
 from stkzoo._os import atomic_write
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation import DemoView, load_ai_times
+from stkzoo.evaluation import DemoView
 from stkzoo.mdp import kart_action_space, kart_observation_space
 from stkzoo.race import Driver, DriverInstance, DriverRequest, find_driver, run_race
 from stkzoo.race.replay import action_of, controls_of
 from stkzoo.wrappers.racing import controls_of_choices
+
+from ..common.fleet import ai_time
 
 __all__ = ["Lesson", "LessonOrder", "end_with_parent", "read_lesson", "run_order"]
 
@@ -96,7 +98,7 @@ def time_ratio(time: float | None, track: str, reverse: bool, difficulty: int) -
     """A finish time over the AI's median time there."""
     if time is None:
         return UNFINISHED
-    return min(time / load_ai_times().of(track, reverse, difficulty).median, UNFINISHED)
+    return min(time / ai_time(track, reverse, difficulty), UNFINISHED)
 
 
 def run_order(order: LessonOrder) -> str:
@@ -121,7 +123,7 @@ def run_order(order: LessonOrder) -> str:
 
         return act
 
-    median = load_ai_times().of(order.track, order.reverse, order.difficulty).median
+    median = ai_time(order.track, order.reverse, order.difficulty)
     result = run_race(
         [Driver.of_actor(f"learner {kart}", make_actor) for kart in range(order.karts)],
         track=order.track,

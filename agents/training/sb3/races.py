@@ -12,7 +12,6 @@ it would drop to zero, unpredictably and by far more than good and bad driving d
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -27,10 +26,10 @@ from stkzoo import RandomStart, Reward
 from stkzoo.agents.pretrained.action_filter import INPUT_SIZE, ActionFilter
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation import load_ai_times
 from stkzoo.sb3 import RaceVecEnv
 
 from ..common.arguments import TrainingRaces
+from ..common.fleet import ai_time
 from ..common.opponents import OpponentPool, bot_name
 from .curriculum import Curriculum
 
@@ -51,12 +50,6 @@ PATIENCE = 2.0
 SHORT_RACE = 250
 #: More is a jump of the game's distance, off the road [m per step].
 _LONGEST_STEP = 5.0
-
-
-@functools.cache
-def ai_time(track: str, reverse: bool, difficulty: int) -> float:
-    """The median time of the game's AI [s]; the difficulty makes all karts faster."""
-    return load_ai_times().of(track, reverse, difficulty).median
 
 
 @dataclass(frozen=True, slots=True)
