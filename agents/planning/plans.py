@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
-from typing import NamedTuple
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -82,138 +81,6 @@ def all_lanes(changes: int) -> Lanes:
     return [*kept, *itertools.permutations(np.linspace(-0.9, 0.9, changes).tolist(), 2)]
 
 
-@dataclass(slots=True)
-class _Plans:
-    """Lists of plans, one entry each; ``(T,)`` arrays for what goes by moments."""
-
-    least: list[FloatArray]
-    most: list[FloatArray]
-    drifts: list[FloatArray]
-    releases: list[FloatArray]
-    slower: list[FloatArray]
-    lanes: list[FloatArray]
-    items: list[int]
-    manoeuvres: list[int]
-    boosts: list[int]
-    boost_steps: list[float]
-    needs_drift: list[bool]
-
-    @classmethod
-    def none(cls) -> _Plans:
-        return cls(*[[] for _ in range(11)])
-
-    def add_free(self, lanes: Lanes, release: int, *, boost: int = -1, brake: bool = False) -> None:
-        """Plans without any drift."""
-        lost = -BRAKING * BRAKE_TIME
-        regained = lost + GAIN * (ENDS[-1] - BRAKE_TIME)
-        slower = np.interp(_BEGINS, [0.0, BRAKE_TIME, ENDS[-1]], [0.0, lost, regained])
-        self._add(
-            lanes,
-            least=-np.ones_like(SPANS),
-            most=np.ones_like(SPANS),
-            drifts=np.zeros_like(SPANS),
-            releases=_between(0.0, release * STEP),
-            slower=slower if brake else np.zeros_like(SPANS),
-            manoeuvre=BRAKE if brake else FREE,
-            boost=boost,
-        )
-
-    def add_drift(
-        self,
-        lanes: Lanes,
-        side: int,
-        steps: int,
-        *,
-        boost: int,
-        wait: int = 0,
-        swing: int = 0,
-        is_new: bool = False,
-    ) -> None:
-        """Plans with one drift: wait for the end of the last, swing away, drift, release."""
-        swings, begin = wait * STEP, (wait + swing) * STEP
-        end = begin + steps * STEP
-        is_swing, is_drift = _between(swings, begin), _between(begin, end)
-        lower, upper = sorted(side * share for share in DRIFT_TURN)
-        now = DRIFT_RIGHT if side > 0 else DRIFT_LEFT
-        self._add(
-            lanes,
-            least=np.select([is_swing > 0, is_drift > 0], [-side, lower], -1.0),
-            most=np.select([is_swing > 0, is_drift > 0], [-side, upper], 1.0),
-            drifts=is_drift,
-            releases=np.maximum(_between(0.0, swings), _between(end, end + RELEASE_STEPS * STEP)),
-            slower=np.zeros_like(SPANS),
-            manoeuvre=FREE if wait or swing else now,
-            boost=boost,
-            boost_steps=wait + swing + steps,
-            needs_drift=is_new,
-        )
-
-    def _add(
-        self,
-        lanes: Lanes,
-        *,
-        least: FloatArray,
-        most: FloatArray,
-        drifts: FloatArray,
-        releases: FloatArray,
-        slower: FloatArray,
-        manoeuvre: int,
-        boost: int,
-        boost_steps: float = 0.0,
-        needs_drift: bool = False,
-    ) -> None:
-        """Plans that differ in their lanes only, and those for items."""
-        to_items = [((0.0, 0.0), item) for item in range(ITEM_LANES)]
-        for (before, after), item in [*((lane, -1) for lane in lanes), *to_items]:
-            self.least.append(least)
-            self.most.append(most)
-            self.drifts.append(drifts)
-            self.releases.append(releases)
-            self.slower.append(slower)
-            self.lanes.append(np.where(_MIDDLES < CHANGE_AT, before, after))
-            self.items.append(item)
-            self.manoeuvres.append(manoeuvre)
-            self.boosts.append(boost)
-            self.boost_steps.append(boost_steps)
-            self.needs_drift.append(needs_drift)
-
-
-def _between(begin: float, end: float) -> FloatArray:
-    """1 for the moments that lie between two times [s], ``(T,)``."""
-    return (np.greater_equal(_MIDDLES, begin) & np.less(_MIDDLES, end)).astype(np.float32)
-
-
-def _without_drift(release: int, lanes: Lanes) -> _Plans:
-    """The plans of a kart that does not drift but still turns for some steps after one."""
-    plans = _Plans.none()
-    plans.add_free(lanes, release)
-    plans.add_free(FEW_LANES, release, brake=True)
-    for side in (-1, 1):
-        length = BOOST_STEPS[0]
-        plans.add_drift(SOME_LANES, side, length, boost=0, wait=release, is_new=True)
-        for swing in SWINGS:
-            plans.add_drift(
-                FEW_LANES, side, length, boost=0, wait=release, swing=swing, is_new=True
-            )
-    return plans
-
-
-def _in_drift(side: int, steps: int, lanes: Lanes) -> _Plans:
-    """The plans of a kart that has drifted to a side for some steps."""
-    plans = _Plans.none()
-    small, big = (max(earned - steps, 0) for earned in BOOST_STEPS)
-    earned = 1 if not big else 0 if not small else -1
-    release = min(steps, RELEASE_STEPS)
-    plans.add_free(lanes, release, boost=earned)
-    plans.add_free(FEW_LANES, release, brake=True)
-    if small:
-        plans.add_drift(lanes, side, small, boost=0)
-    if big:
-        is_in_sight = big <= BIG_BOOST_IN_SIGHT
-        plans.add_drift(lanes, side, big, boost=1 if is_in_sight else -1)
-    return plans
-
-
 class PlanTable(NamedTuple):
     """The plans of all states: ``S`` states, ``T`` moments, ``C`` plans.
 
@@ -246,12 +113,120 @@ class PlanTable(NamedTuple):
     needs_drift: npt.NDArray[np.bool_]
 
 
+#: The types of the columns that are not float32.
+_TYPES = {"items": np.intp, "manoeuvres": np.intp, "boosts": np.intp, "needs_drift": np.bool_}
+
+
+class _Plan(NamedTuple):
+    """A column of a :class:`PlanTable`: ``(T,)`` arrays for what goes by moments."""
+
+    least: FloatArray
+    most: FloatArray
+    drifts: FloatArray
+    releases: FloatArray
+    slower: FloatArray
+    lanes: FloatArray
+    items: int
+    manoeuvres: int
+    boosts: int
+    boost_steps: float
+    needs_drift: bool
+
+
+_ZEROS, _ONES = np.zeros_like(SPANS), np.ones_like(SPANS)
+_NOTHING = (_ZEROS, _ZEROS, _ZEROS, _ZEROS, _ZEROS, _ZEROS)
+_NO_PLAN = _Plan(*_NOTHING, items=-1, manoeuvres=-1, boosts=-1, boost_steps=0.0, needs_drift=False)
+
+
+def _free(lanes: Lanes, release: int, *, boost: int = -1, brake: bool = False) -> list[_Plan]:
+    """Plans without any drift."""
+    lost = -BRAKING * BRAKE_TIME
+    regained = lost + GAIN * (ENDS[-1] - BRAKE_TIME)
+    slower = np.interp(_BEGINS, [0.0, BRAKE_TIME, ENDS[-1]], [0.0, lost, regained])
+    plan = _NO_PLAN._replace(
+        least=-_ONES,
+        most=_ONES,
+        releases=_between(0.0, release * STEP),
+        slower=slower if brake else _ZEROS,
+        manoeuvres=BRAKE if brake else FREE,
+        boosts=boost,
+    )
+    return _in_lanes(plan, lanes)
+
+
+def _drift(
+    lanes: Lanes,
+    side: int,
+    steps: int,
+    *,
+    boost: int,
+    wait: int = 0,
+    swing: int = 0,
+    is_new: bool = False,
+) -> list[_Plan]:
+    """Plans with one drift: wait for the end of the last, swing away, drift, release."""
+    swings, begin = wait * STEP, (wait + swing) * STEP
+    end = begin + steps * STEP
+    is_swing, is_drift = _between(swings, begin), _between(begin, end)
+    lower, upper = sorted(side * share for share in DRIFT_TURN)
+    now = DRIFT_RIGHT if side > 0 else DRIFT_LEFT
+    plan = _NO_PLAN._replace(
+        least=np.select([is_swing > 0, is_drift > 0], [-side, lower], -1.0),
+        most=np.select([is_swing > 0, is_drift > 0], [-side, upper], 1.0),
+        drifts=is_drift,
+        releases=np.maximum(_between(0.0, swings), _between(end, end + RELEASE_STEPS * STEP)),
+        manoeuvres=FREE if wait or swing else now,
+        boosts=boost,
+        boost_steps=wait + swing + steps,
+        needs_drift=is_new,
+    )
+    return _in_lanes(plan, lanes)
+
+
+def _in_lanes(plan: _Plan, lanes: Lanes) -> list[_Plan]:
+    """The plan in each lane, and for each item."""
+    in_lanes = [
+        plan._replace(lanes=np.where(_MIDDLES < CHANGE_AT, before, after))
+        for before, after in lanes
+    ]
+    return [*in_lanes, *(plan._replace(items=item) for item in range(ITEM_LANES))]
+
+
+def _between(begin: float, end: float) -> FloatArray:
+    """1 for the moments that lie between two times [s], ``(T,)``."""
+    return (np.greater_equal(_MIDDLES, begin) & np.less(_MIDDLES, end)).astype(np.float32)
+
+
+def _without_drift(release: int, lanes: Lanes) -> list[_Plan]:
+    """The plans of a kart that does not drift but still turns for some steps after one."""
+    plans = _free(lanes, release) + _free(FEW_LANES, release, brake=True)
+    for side in (-1, 1):
+        drift = partial(_drift, side=side, steps=BOOST_STEPS[0], boost=0, wait=release, is_new=True)
+        plans += drift(SOME_LANES)
+        for swing in SWINGS:
+            plans += drift(FEW_LANES, swing=swing)
+    return plans
+
+
+def _in_drift(side: int, steps: int, lanes: Lanes) -> list[_Plan]:
+    """The plans of a kart that has drifted to a side for some steps."""
+    small, big = (max(earned - steps, 0) for earned in BOOST_STEPS)
+    earned = 1 if not big else 0 if not small else -1
+    release = min(steps, RELEASE_STEPS)
+    plans = _free(lanes, release, boost=earned) + _free(FEW_LANES, release, brake=True)
+    if small:
+        plans += _drift(lanes, side, small, boost=0)
+    if big:
+        plans += _drift(lanes, side, big, boost=1 if big <= BIG_BOOST_IN_SIGHT else -1)
+    return plans
+
+
 _LONGEST = BOOST_STEPS[1]
 
 
 @lru_cache(maxsize=8)
 def plan_table(changes: int) -> PlanTable:
-    """All plans there are.
+    """The plans of all states.
 
     Args:
         changes: between so many lanes plans may change.
@@ -259,34 +234,15 @@ def plan_table(changes: int) -> PlanTable:
     lanes = all_lanes(changes)
     states = [_without_drift(release, lanes) for release in range(RELEASE_STEPS + 1)]
     states += [_in_drift(side, steps, lanes) for side in (-1, 1) for steps in range(_LONGEST + 1)]
-    most = max(len(plans.items) for plans in states)
-
-    def by_moment(name: str) -> FloatArray:
-        rows = np.zeros((len(states), len(SPANS), most), np.float32)
-        for row, plans in zip(rows, states, strict=True):
-            row[:, : len(plans.items)] = np.stack(getattr(plans, name), axis=1)
-        return rows
-
-    def by_plan(name: str, missing: float) -> FloatArray:
-        rows = np.full((len(states), most), missing, np.float32)
-        for row, plans in zip(rows, states, strict=True):
-            row[: len(plans.items)] = getattr(plans, name)
-        return rows
-
-    return PlanTable(
-        spans=SPANS,
-        least=by_moment("least"),
-        most=by_moment("most"),
-        drifts=by_moment("drifts"),
-        releases=by_moment("releases"),
-        slower=by_moment("slower"),
-        lanes=by_moment("lanes"),
-        items=by_plan("items", -1).astype(np.intp),
-        manoeuvres=by_plan("manoeuvres", -1).astype(np.intp),
-        boosts=by_plan("boosts", -1).astype(np.intp),
-        boost_steps=by_plan("boost_steps", 0),
-        needs_drift=by_plan("needs_drift", 0) > 0,
-    )
+    most = max(map(len, states))
+    rows = [[*plans, *[_NO_PLAN] * (most - len(plans))] for plans in states]
+    columns: dict[str, npt.NDArray[Any]] = {}
+    for name in _Plan._fields:
+        column = np.array([[getattr(plan, name) for plan in plans] for plans in rows])
+        if column.ndim == 3:  # by moments too
+            column = np.ascontiguousarray(column.swapaxes(1, 2))
+        columns[name] = column.astype(_TYPES.get(name, np.float32))
+    return PlanTable(spans=SPANS, **columns)
 
 
 def table_rows(drift_side: IntArray, drift_steps: IntArray, release_steps: IntArray) -> IntArray:

@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.wrappers.racing import surroundings_of
+
 __all__ = ["PursuitDriver", "PursuitParameters", "PursuitState", "control_of"]
 
 FloatArray = npt.NDArray[np.float64]
 
-#: Segments of the road that are looked at.
-_MAX_SEGMENTS = 60
-
-#: Segments that follow one another begin where the last one ended, within this [m].
-_LONGEST_JUMP = 20.0
+#: The curve ahead is looked at so far apart [m].
+_APART = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,25 +83,26 @@ class PursuitDriver:
         """The steering angle [rad], positive to the right, and the speed [m/s] to drive with."""
         rules = self.parameters
         speed = max(float(observation["velocity"][2]), 0.0)
-        points, marks = _road_ahead(observation)
-        ahead = np.array([rules.aim_distance + rules.aim_time * speed])
-        x, _, z = _at(points, marks, ahead)[0]
+        aim = rules.aim_distance + rules.aim_time * speed
+        curve = np.arange(0.0, 12.0 + 1.2 * speed, _APART)
+        _, around = surroundings_of(observation, np.array([aim, *curve], np.float32))
+        points = around.road[0, :, :3].astype(np.float64)
+        x, _, z = points[0].tolist()
         distance = max(math.hypot(x, z), 1.0)
         angle = math.atan2(x, z)
         arc = 2.0 * math.sin(angle) / distance
         if abs(angle) > math.pi / 2:
             arc = math.copysign(1.0, angle)
-        return rules.gain * math.atan(rules.wheel_base * arc), self._speed(points, marks, speed)
+        return rules.gain * math.atan(rules.wheel_base * arc), self._speed(points[1:])
 
-    def _speed(self, points: FloatArray, marks: FloatArray, speed: float) -> float:
-        """The lowest speed that a curve within reach allows."""
+    def _speed(self, points: FloatArray) -> float:
+        """The lowest speed that the curve through some points, a few metres apart, allows."""
         rules = self.parameters
-        ahead = np.arange(0.0, 12.0 + 1.2 * speed, 4.0)
-        steps = np.diff(_at(points, marks, ahead), axis=0)
+        steps = np.diff(points, axis=0)
         turns = np.abs(np.diff(np.unwrap(np.arctan2(steps[:, 0], steps[:, 2]))))
         if not len(turns):
             return rules.top_speed
-        sharpest = max(float(turns.max()) / 4.0, 1e-6)
+        sharpest = max(float(turns.max()) / _APART, 1e-6)
         return float(
             np.clip(math.sqrt(rules.side_accl / sharpest), rules.least_speed, rules.top_speed)
         )
@@ -131,30 +131,3 @@ def control_of(
     first = aim[0] if steering == "steering_angle" else (aim[0] - angle) / step_size
     second = aim[1] if longitudinal == "speed" else 3.0 * (aim[1] - speed)
     return np.array([first, second], np.float32)
-
-
-def _road_ahead(observation: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
-    """Points of the centre line in the kart frame and their distance along it, from the kart on."""
-    starts = np.array(observation["paths_start"][:_MAX_SEGMENTS], np.float64)
-    ends = np.array(observation["paths_end"][:_MAX_SEGMENTS], np.float64)
-    chain = [0]
-    for number in range(1, len(starts)):  # of a fork, the branch that goes on where this one ends
-        gap = np.linalg.norm(starts[number] - ends[chain[-1]])
-        if gap < (0.3 if _follows(starts, ends, chain[-1], number) else _LONGEST_JUMP):
-            chain.append(number)
-    points = np.stack([starts[chain], ends[chain]], axis=1).reshape(-1, 3)
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    marks = np.concatenate([[0.0], np.cumsum(steps)])
-    along = points[1] - points[0]
-    passed = np.clip(-points[0] @ along / max(along @ along, 1e-9), 0.0, 1.0)
-    return points, marks - passed * steps[0]
-
-
-def _follows(starts: FloatArray, ends: FloatArray, last: int, number: int) -> bool:
-    """Whether a segment other than ``number`` begins where ``last`` ends."""
-    gaps = np.linalg.norm(starts[number:] - ends[last], axis=1)
-    return bool((gaps < 0.3).any())
-
-
-def _at(points: FloatArray, marks: FloatArray, wanted: FloatArray) -> FloatArray:
-    return np.stack([np.interp(wanted, marks, column) for column in points.T], axis=1)

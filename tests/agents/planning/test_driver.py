@@ -1,10 +1,13 @@
 """What learned drivers see, remember and do, for many karts at once."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
+import pytest
 
 from stkzoo import race_v0
+from stkzoo.agents import pretrained
 from stkzoo.agents.planning import (
     ALL_LOOKS,
     CHOICES,
@@ -20,6 +23,7 @@ from stkzoo.agents.planning.plans import (
     DRIFT_LEFT,
     DRIFT_RIGHT,
 )
+from stkzoo.agents.pretrained.driver import read_numbers, read_policy
 from stkzoo.wrappers.racing import BatchedRacingView, RoadTable, Surroundings, surroundings_of
 
 STRAIGHT = CHOICES[1] // 2
@@ -79,6 +83,20 @@ def test_karts_see_together_what_each_sees_alone():
             np.testing.assert_allclose(seen.prior[0], view.prior[kart], atol=1e-2)
     assert view.inputs.shape == (3, INPUT_SIZE)
     assert np.isfinite(view.inputs).all()
+
+
+@pytest.mark.parametrize("name", ["ace", "scout"])
+def test_a_kart_decides_alone_as_among_others(name):
+    folder = Path(pretrained.__file__).parent / name
+    policy, rules = read_policy(folder), read_numbers(folder)
+    together = PlanDriver(3, rules)
+    alone = [PlanDriver(1, rules) for _ in range(3)]
+    for _, own, around, *_ in driven_race(60):
+        controls, _ = together.act(policy.best(together.look(own, around)))
+        for kart, driver in enumerate(alone):
+            seen = driver.look(*rows_of(own, around, [kart]))
+            decided, _ = driver.act(policy.best(seen))
+            np.testing.assert_array_equal(decided[0], controls[kart])
 
 
 def test_a_crowd_sees_what_the_full_view_tells():
