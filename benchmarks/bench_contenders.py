@@ -1,4 +1,4 @@
-"""The interpreter of one contender: it answers requests and measures what they take.
+"""The interpreter of one contender: it answers requests and measures their time.
 
 :class:`benchmarks.bench_driver.Contender` starts this module and sends requests by lines of
 JSON; nothing heavy is imported here before it is asked for, so that imports can be timed.
@@ -85,7 +85,7 @@ class _Server:
         return rows
 
     def race(self) -> dict[str, Any]:
-        """What was drawn for the present race."""
+        """Engine seed and karts of the present race."""
         return self._runner.race()
 
     def steps(self, count: int) -> dict[str, list[float | None]]:
@@ -105,7 +105,7 @@ class _Server:
         return self._runner.distances()
 
     def sizes(self) -> dict[str, int]:
-        """How much there is to see."""
+        """Sizes of what there is to observe."""
         return self._runner.sizes()
 
     def profile(self, count: int, top: int) -> str:

@@ -1,4 +1,4 @@
-"""Contenders seen from the program that measures them."""
+"""Contenders, from the side of the program that measures them."""
 
 from __future__ import annotations
 
@@ -197,7 +197,7 @@ def race_together(
         block: steps of one contender before it is the next one's turn.
         seed: of the race and the driving.
         driving: ``heuristic`` repeats recorded sensible driving, ``random`` is erratic.
-        advance: told of every measured step.
+        advance: called with the number of measured steps.
 
     Returns:
         Times by contender, and whether all ran the same race to the last bit.

@@ -5,7 +5,7 @@
 
 First the parts, each timed by itself many times in a race in this process, so with warm
 caches: after a step of the engine's, each costs half as much again. ``update``, ``write`` and
-``motion`` are the engine's: making its world anew, writing that as bytes, and the karts'
+``motion`` are the engine's: rebuilding its world, writing that as bytes, and the karts'
 attributes that the bytes lack. ``read`` has the last two in it and the copying; ``controls`` is
 reading the actions, and ``outcome`` all that the agents get.
 

@@ -31,7 +31,7 @@ class Runner:
         """Makes the environment."""
 
     def reset(self, track: str, seed: int, race: dict[str, Any] | None) -> None:
-        """Starts a race; ``race`` is what :meth:`race` of another contender told."""
+        """Starts a race; ``race`` is what :meth:`race` of another contender returned."""
         raise NotImplementedError
 
     def race(self) -> dict[str, Any]:
@@ -220,7 +220,7 @@ class _StkzooParallel(_StkzooGym):
 
 
 class _Reference(_Gym):
-    """pystk2-gymnasium; a race that stkzoo has drawn is imposed on it."""
+    """pystk2-gymnasium, made to run a race that stkzoo has drawn."""
 
     def load(self) -> None:
         import pystk2_gymnasium
@@ -273,7 +273,7 @@ class _Reference(_Gym):
 
 
 def runner_for(spec: dict[str, Any]) -> Runner:
-    """The contender that the fields of a :class:`benchmarks.bench_driver.Spec` tell of."""
+    """Makes the contender that the fields of a :class:`benchmarks.bench_driver.Spec` describe."""
     if spec["kind"] == "bare":
         return _Bare(spec)
     if spec["kind"] == "reference":

@@ -43,9 +43,10 @@ _SECTIONS: dict[str, tuple[str, Callable[[Any], Sequence[Table]]]] = {
 _HEAD = """# Benchmarks
 
 This page is written by `python -m benchmarks.bench_tables` from `benchmarks/results`;
-`make bench` measures everything anew and writes it. How it is measured, and what each figure
-means, stands in [benchmarks/README.md](../benchmarks/README.md). *Reference* is
-pystk2-gymnasium 0.10.0. Figures are medians, in brackets the 10 and 90 % quantiles.
+`make bench` measures everything again and writes it. See
+[benchmarks/README.md](../benchmarks/README.md) for how it is measured and what each figure
+means. *Reference* is pystk2-gymnasium 0.10.0. Figures are medians, with the 10 and
+90 % quantiles in brackets.
 """
 
 

@@ -137,7 +137,7 @@ def _slots(races: int, karts: int) -> str:
 
 
 def _base_of(spec: Mapping[str, Any]) -> str:
-    """The contender over which another one's gain is told."""
+    """The contender that another one is compared with."""
     return _SINGLE[2] if spec["group"] == "single" else _slots(1, spec["karts"])
 
 

@@ -4,7 +4,7 @@
 
 Each race is drawn by stkzoo (seed, grid places), then run by both on the same actions:
 keys, types, shapes, values, rewards, ends and infos are compared at every step. What may
-differ stands in ``benchmarks.parity_compare.INTENDED``; anything else ends the command
+differ is listed in ``benchmarks.parity_compare.INTENDED``; anything else ends the command
 with exit code 1.
 """
 
