@@ -118,8 +118,7 @@ class RenderSession(ProcessSession):
         if self._process is None:
             self._own(self._start_process())
             self._timeouts[wire.DRAW] = 10 * self._timeout
-        self._send(wire.BEGIN, setup.to_json())
-        self._receive(wire.BEGIN)
+        self._request(wire.BEGIN, setup.to_json())
 
     def draw(
         self,
@@ -152,8 +151,8 @@ class RenderSession(ProcessSession):
         }
         moments = np.ascontiguousarray(poses, np.float32).tobytes()
         self._require_own()
-        self._send(wire.DRAW, json.dumps(wishes).encode(), moments)
-        facts, image, depth, places = self._receive(wire.DRAW)
+        request = json.dumps(wishes).encode()
+        facts, image, depth, places = self._request(wire.DRAW, request, moments)
         self._timeouts[wire.DRAW] = self._timeout
         shape: dict[str, int] = json.loads(facts)
         height, width = shape["height"], shape["width"]
@@ -162,6 +161,14 @@ class RenderSession(ProcessSession):
             np.frombuffer(depth, np.float32).reshape(shape["depths"], height, width),
             np.frombuffer(places, np.float32).reshape(-1, 3),
         )
+
+    def _request(self, kind: bytes, *data: bytes) -> list[bytes]:
+        try:
+            self._send(kind, *data)
+            return self._receive(kind)
+        finally:
+            if self._asked is not None:  # interrupted: its reply would answer the next request
+                self.close()
 
     def _start_process(self) -> RaceProcess:
         try:
