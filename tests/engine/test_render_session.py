@@ -29,7 +29,7 @@ def test_an_interrupted_request_ends_the_process_so_that_no_late_reply_is_read(m
     session._own(_SilentProcess(ours, 1, _NoLog()))
     session._timeouts[wire.DRAW] = 1.0
 
-    def interrupted(kind):
+    def interrupted(_kind):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(session, "_receive", interrupted)
