@@ -193,6 +193,8 @@ class AgentChains:
         if unread or roster.walked:
             self._require_actions(actions, agents)
             for group in unread:
+                if not group.acting:
+                    continue
                 usual = self._in_usual_form(group, actions)
                 group.reader.read(usual, group.acting, rows[group.acting_rows], controls)
             self._walk_actions(roster.walked, actions, rows, controls)

@@ -3,6 +3,7 @@ from __future__ import annotations
 import gc
 import pickle
 import threading
+from types import MappingProxyType
 
 import cloudpickle
 import gymnasium as gym
@@ -364,6 +365,12 @@ def test_an_ignored_agent_drives_nothing_whatever_it_sends(actions, factory):
     race.reset()
     race.step({**actions, "kart_1": STEADY})
     assert race.controls["acceleration"].tolist() == [0.0, 1.0]
+
+
+def test_actions_may_come_in_any_mapping():
+    chains = make_chains(None, None, ai={"kart_0"})
+    controls = decoded(chains, MappingProxyType({"kart_1": STEADY}), ["kart_0", "kart_1"])
+    assert controls["acceleration"].tolist() == [0.0, 1.0]
 
 
 def test_actions_are_checked_before_any_wrapper_sees_one():
