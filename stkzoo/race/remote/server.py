@@ -8,7 +8,6 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
@@ -17,7 +16,7 @@ from stkzoo.race.codec import Limits
 from stkzoo.race.drivers import Driver
 from stkzoo.race.instances import DriverLimits
 from stkzoo.race.remote import protocol
-from stkzoo.race.remote.session import Reply, Session
+from stkzoo.race.remote.session import ClientSession, Reply
 from stkzoo.race.remote.sockets import (
     DEFAULT_ADDRESS,
     ClientAuthenticator,
@@ -31,34 +30,12 @@ __all__ = ["RaceServer"]
 
 _log = logging.getLogger(__name__)
 
-#: The server pings a silent client after this time [s], then less and less often: a paused race
-#: reads nothing, and its queue must not fill up.
-_PING = 2.0
 #: The server ends the session of a client that is silent for this time [s].
 _PATIENCE = 600.0
 #: How long sessions may take to end when the server closes [s].
 _GRACE = 15.0
 _HELLO_LIMITS = Limits(max_bytes=4096, max_depth=2, max_length=16)
 _NUMBERS = itertools.count()
-
-
-@dataclass(slots=True)
-class _Client:
-    """A client that has a session.
-
-    Attributes:
-        session: its driver instances.
-        heard: time of its last message.
-        pinged: time of the last message to it.
-    """
-
-    session: Session
-    heard: float
-    pinged: float
-
-    def needs_ping(self, now: float) -> bool:
-        """Whether it is time to check that it is still there."""
-        return now - max(self.pinged, self.heard) > max(_PING, (now - self.heard) / 3)
 
 
 class RaceServer:
@@ -95,8 +72,8 @@ class RaceServer:
         self._max_sessions, keys = max_sessions, keys or ServerKeys()
         address = full_address(address)
         keys.check(address, insecure)
-        self._clients: dict[bytes, _Client] = {}
-        self._sessions: set[Session] = set()  # including those that are ending
+        self._clients: dict[bytes, ClientSession] = {}
+        self._sessions: set[ClientSession] = set()  # including those that are ending
         self._replies = f"inproc://stkzoo-replies-{next(_NUMBERS)}"
         self._stop = threading.Event()
         with contextlib.ExitStack() as resources:
@@ -189,7 +166,7 @@ class RaceServer:
             self._dismiss(identity)
         elif client is not None:
             client.heard = time.monotonic()
-            if not client.session.put(kind, body):
+            if not client.put(kind, body):
                 self._refuse(identity, "too many messages at once")
         elif kind == protocol.OPEN:
             self._admit(identity, body)
@@ -216,9 +193,8 @@ class RaceServer:
                 identity, f"the server is busy: all of its {self._max_sessions} sessions are taken"
             )
             return
-        session = Session(self._drivers, self._limits, lambda: self._replier(identity))
-        now = time.monotonic()
-        self._clients[identity] = _Client(session, now, now)
+        session = ClientSession(self._drivers, self._limits, lambda: self._replier(identity))
+        self._clients[identity] = session
         session.put(protocol.OPEN, body)
         session.start()
         self._sessions.add(session)
@@ -247,7 +223,7 @@ class RaceServer:
     def _dismiss(self, identity: bytes) -> None:
         client = self._clients.pop(identity, None)
         if client is not None:
-            client.session.end()
+            client.end()
             _log.info("a client left; %d of %d sessions", len(self._clients), self._max_sessions)
 
     @contextlib.contextmanager

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import logging
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -18,10 +19,13 @@ from stkzoo.race.instances import DriverInstance, DriverLimits, DriverRequest
 from stkzoo.race.remote import protocol
 from stkzoo.race.remote.spaces import space_from_data
 
-__all__ = ["Session"]
+__all__ = ["ClientSession"]
 
 _log = logging.getLogger(__name__)
 
+#: The server pings a silent client after this time [s], then less and less often: a paused race
+#: reads nothing, and its queue must not fill up.
+_PING = 2.0
 #: Bounds of the queue of a session that is busy.
 _MAX_WAITING_MESSAGES, _MAX_WAITING_BYTES = 128, 16 << 20
 
@@ -29,7 +33,7 @@ _MAX_WAITING_MESSAGES, _MAX_WAITING_BYTES = 128, 16 << 20
 Reply = Callable[[bytes, bytes], None]
 
 
-class Session(threading.Thread):
+class ClientSession(threading.Thread):
     """The driver instances of one client.
 
     The thread starts them, because some live as long as the thread that started them.
@@ -38,6 +42,10 @@ class Session(threading.Thread):
         drivers: the drivers that the client can use.
         limits: the resources of each instance.
         replier: makes the function that sends to the client; called in the thread.
+
+    Attributes:
+        heard: time of the client's last message.
+        pinged: time of the last message to it.
     """
 
     def __init__(
@@ -48,6 +56,7 @@ class Session(threading.Thread):
     ) -> None:
         super().__init__(name="stkzoo-session", daemon=True)
         self._drivers, self._limits, self._replier = drivers, limits, replier
+        self.heard = self.pinged = time.monotonic()
         self._inbox: deque[tuple[bytes, bytes]] = deque()
         self._waiting = 0
         self._changed = threading.Condition()
@@ -55,6 +64,10 @@ class Session(threading.Thread):
         self._instances: dict[int, DriverInstance] = {}
         self._starting: list[int] = []
         self._used: set[int] = set()
+
+    def needs_ping(self, now: float) -> bool:
+        """Whether it is time to check that the client is still there."""
+        return now - max(self.pinged, self.heard) > max(_PING, (now - self.heard) / 3)
 
     def put(self, kind: bytes, body: bytes) -> bool:
         """Queues a message from the client; ``False`` if too many wait already."""

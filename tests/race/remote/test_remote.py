@@ -9,9 +9,10 @@ import time
 import pytest
 
 from stkzoo.errors import ConfigError, RemoteError
-from stkzoo.race import RaceListener, find_driver, run_race
+from stkzoo.race import DriverLimits, RaceListener, find_driver, run_race
 from stkzoo.race.remote import RaceServer, RemoteDriverGroup
-from stkzoo.race.remote.server import _PATIENCE, _Client
+from stkzoo.race.remote.server import _PATIENCE
+from stkzoo.race.remote.session import ClientSession
 from stkzoo.race.remote.sockets import _QUEUE
 from tests.support.remote_race import server_process, server_thread, write_agent
 
@@ -241,7 +242,8 @@ def test_a_client_that_is_gone_frees_its_place(tmp_path):
 
 def test_a_client_that_pauses_is_not_flooded():
     """What it does not read stays below the length of its queue, or the connection is lost."""
-    client = _Client(session=None, heard=0.0, pinged=0.0)
+    client = ClientSession([], DriverLimits(), None)
+    client.heard = client.pinged = 0.0
     asked = []
     for now in range(int(_PATIENCE)):
         if client.needs_ping(float(now)):
