@@ -61,9 +61,7 @@ NOT_EXPORTED = {
 }
 
 #: Class names that are used twice, and why.
-SHARED_CLASS_NAMES = {
-    "Session": "to be renamed",
-}
+SHARED_CLASS_NAMES: dict[str, str] = {}
 
 
 def layer_of(module):
