@@ -94,6 +94,13 @@ class MlpDriver:
         action_filter = ActionFilter(1, self.hold)
         return lambda view: action_filter.apply(self.best(action_filter.look(view)))
 
+    def seat(self) -> KartPolicy:
+        """What agents that older versions wrote call."""
+        raise ConfigError(
+            "this agent is of another version of stkzoo; make it again from its "
+            "policy.safetensors with python -m stkzoo.agents.training.export"
+        )
+
     def sample(self, observations: FloatArray, random: np.random.Generator) -> IntArray:
         """Choices drawn by their probabilities, ``(A, 5)``."""
         logits = self.logits(observations)

@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+import torch
 from stable_baselines3 import PPO
 
 from stkzoo import Start
@@ -378,6 +379,22 @@ def test_a_kept_policy_knows_how_long_it_holds(tmp_path, policy):
     asked = iter([1, 0, 0, 0, 0])
     seat = driver.new_race()
     assert [int(seat(views(20.0))[0, 2]) for _ in range(5)] == [1, 1, 1, 1, 0]
+
+
+def test_an_agent_of_an_older_version_says_what_to_do(policy):
+    weights = {name: value.numpy() for name, value in policy.state_dict().items()}
+    with pytest.raises(ConfigError, match=r"stkzoo\.agents\.training\.export"):
+        MlpDriver(weights).seat()
+
+
+def test_a_run_of_an_older_version_says_what_to_do(tmp_path):
+    SB3Run(tmp_path, SB3Arguments(**SMALL)).close()
+    state = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
+    facts = json.loads(state["facts"])
+    facts["arguments"]["minibatch"] = facts["arguments"].pop("batch_size")
+    torch.save(state | {"facts": json.dumps(facts)}, tmp_path / "checkpoint.pt")
+    with pytest.raises(ConfigError, match=r"another version of stkzoo.*give another --output"):
+        SB3Run(tmp_path, SB3Arguments(**SMALL))
 
 
 def test_a_driver_does_as_its_policy(policy):

@@ -21,6 +21,7 @@ __all__ = [
     "TrainingRaces",
     "add_arguments",
     "check_resumed",
+    "check_version",
     "differences",
     "keep_arguments",
     "parse_races",
@@ -172,6 +173,19 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
     return ", ".join(f"{n} was {before.get(n)!r}, now {now[n]!r}" for n in changed)
 
 
+def check_version(folder: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Checks that this version of stkzoo wrote the arguments of a run; see :func:`check_resumed`.
+
+    Raises:
+        ConfigError: another version wrote them.
+    """
+    if set(before) != set(now):
+        raise ConfigError(
+            f"the run in {str(folder)!r} is of another version of stkzoo, with other arguments; "
+            "give another --output (and --init with its newest policy to start from that)"
+        )
+
+
 def check_resumed(
     folder: Path, before: Mapping[str, Any], now: Mapping[str, Any], remedy: str = ""
 ) -> None:
@@ -186,12 +200,7 @@ def check_resumed(
     Raises:
         ConfigError: the arguments differ, or another version of stkzoo wrote the files.
     """
-    if unknown := sorted(set(before) ^ set(now)):
-        raise ConfigError(
-            f"the run in {str(folder)!r} is of another version of stkzoo (its arguments differ in "
-            f"{', '.join(unknown)}); give another --output, and its newest policy as --init where "
-            "there is that option"
-        )
+    check_version(folder, before, now)
     if changed := differences(before, now):
         raise ConfigError(
             f"the run in {str(folder)!r} has other arguments: {changed}; give the same, or "

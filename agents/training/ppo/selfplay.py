@@ -41,6 +41,7 @@ from ..common.arguments import (
     QUICK_TRACKS,
     PPOArguments,
     add_arguments,
+    check_version,
     differences,
     parse_races,
     values_of,
@@ -430,11 +431,7 @@ class PPOLearner:
         facts = json.loads(state["facts"])
         self._history = facts["history"]
         now, last = self._chapter(facts["kart_steps"]), self._history[-1]
-        if set(last["arguments"]) != set(now["arguments"]):
-            raise ConfigError(
-                f"the run in {str(self.folder)!r} is of another version of stkzoo; give another "
-                "--output, and --init with its newest policy"
-            )
+        check_version(self.folder, last["arguments"], now["arguments"])
         changed = [differences(last.get(part, {}), now[part]) for part in ("arguments", "rules")]
         if any(changed) and not may_change:
             raise ConfigError(
