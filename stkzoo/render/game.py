@@ -87,15 +87,10 @@ class GameView:
         """
         return self._frames(self._go(snapshot, images=True).images)
 
-    def depths(self, snapshot: Snapshot) -> dict[int, npt.NDArray[np.float32]]:
-        """The depth buffer of each camera, by its kart; near is 0 and far is 1."""
-        depths = self._go(snapshot, images=False, depths=True).depths
-        return dict(zip(self._karts, depths, strict=True))
-
     def frames_and_depths(
         self, snapshot: Snapshot
     ) -> tuple[dict[int, Picture], dict[int, npt.NDArray[np.float32]]]:
-        """Frames and depth buffers of one drawing, ``(H, W, 3)`` and ``(H, W)``, by kart."""
+        """Frames ``(H, W, 3)`` and depth buffers ``(H, W)`` by kart; 0 is near and 1 far."""
         footage = self._go(snapshot, images=True, depths=True)
         depths = [_thinned(depth, self._size) for depth in footage.depths]
         return self._frames(footage.images), dict(zip(self._karts, depths, strict=True))

@@ -111,7 +111,7 @@ class RaceRenderer:
     def pictures_and_depths(
         self, snapshot: Snapshot
     ) -> tuple[dict[int, Picture], dict[int, npt.NDArray[np.float32]]]:
-        """By the game: the pictures, and the depth buffers (:meth:`GameView.depths`), by kart.
+        """By the game: the pictures and depth buffers by kart; 0 is near, 1 far.
 
         Raises:
             ConfigError: the map draws, which has no depth.

@@ -137,9 +137,10 @@ def _full_assets(source: str, replace: bool, progress: Progress) -> Assets:
     wanted = list(attempts) if source == "auto" else [source]
     problems: list[str] = []
     for name in wanted:
-        assets = _attempt(name, attempts[name], progress, problems)
-        if assets is not None:
-            return assets
+        try:
+            return attempts[name](progress)
+        except AssetError as error:
+            problems.append(f"{name}: {error}")
     raise AssetError(
         "the game's data could not be downloaded.\n"
         + "\n".join(problems)
@@ -147,16 +148,6 @@ def _full_assets(source: str, replace: bool, progress: Progress) -> Assets:
         "`stkzoo assets pack --output pack.tar.xz`, here `stkzoo assets install --from "
         "pack.tar.xz`."
     )
-
-
-def _attempt(
-    name: str, fetch: Callable[[Progress], Assets], progress: Progress, problems: list[str]
-) -> Assets | None:
-    try:
-        return fetch(progress)
-    except AssetError as error:
-        problems.append(f"{name}: {error}")
-        return None
 
 
 def _from_debian(progress: Progress) -> Assets:
