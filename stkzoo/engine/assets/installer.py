@@ -139,7 +139,7 @@ def _full_assets(source: str, replace: bool, progress: Progress) -> Assets:
     for name in wanted:
         try:
             return attempts[name](progress)
-        except AssetError as error:
+        except AssetError as error:  # noqa: PERF203 - two rounds at most
             problems.append(f"{name}: {error}")
     raise AssetError(
         "the game's data could not be downloaded.\n"
