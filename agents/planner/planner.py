@@ -126,7 +126,7 @@ class Planner:
 
         Raises:
             ConfigError: the environment has several agents.
-            EngineError: its races cannot be saved and copied.
+            EngineError: its races do not support saved states.
         """
         if len(env.possible_agents) != 1:
             raise ConfigError(

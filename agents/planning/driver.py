@@ -32,7 +32,7 @@ from .parameters import DriverParameters
 from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, FREE, MANOEUVRES
 from .rivals import RIVALS_MIRROR, Rivals, RivalTracker
 from .road import LINE_MARKS, RoadAhead
-from .worth import PlanOptions, PlanScene, has_powerup, weigh
+from .worth import PlanOptions, PlanScene, weigh
 
 __all__ = [
     "ALL_LOOKS",
@@ -136,7 +136,7 @@ def plan_turns(inputs: FloatArray) -> FloatArray:
 
 
 def is_drifting(inputs: FloatArray) -> BoolArray:
-    """Who is in a drift, ``(A,)``."""
+    """Which karts are in a drift, ``(A,)``."""
     return np.asarray(inputs[:, _DRIFT_TIME] > 0)
 
 
@@ -243,7 +243,7 @@ class PlanDriver:
             speed=np.asarray(own["velocity"][:, 2], np.float32),
             max_steer_angle=np.reshape(own["max_steer_angle"], -1),
             is_jumping=np.asarray(own["jumping"]) > 0,
-            has_powerup=has_powerup(np.asarray(own["powerup_type"])),
+            has_powerup=np.asarray(own["powerup_type"]) != PowerupType.NOTHING,
             road=road,
             items=around.items,
             item_types=around.item_types,
@@ -253,7 +253,7 @@ class PlanDriver:
         return self._prior(own, around, scene, self._options)
 
     def forget(self, rows: IntArray) -> None:
-        """Starts some karts anew."""
+        """Resets some karts."""
         self.memory.forget(rows)
         self._tracker.forget(rows)
 
@@ -280,14 +280,14 @@ class PlanDriver:
         return side, np.minimum(np.maximum(turn, -1.0), 1.0)
 
     def act(self, choices: IntArray) -> tuple[FloatArray, BoolArray]:
-        """What the engine is told.
+        """The controls for choices.
 
         Args:
             choices: ``(A, 4)``.
 
         Returns:
             Controls ``(A, 7)``, in the order of ``stkzoo.engine.snapshot.CONTROLS``; and
-            ``(A,)``: who did what was chosen, and not what gets a stuck kart away.
+            ``(A,)``: whose choices count; a stuck kart frees itself instead.
         """
         options = self.options
         side, turn = self.moves(choices)
@@ -341,7 +341,7 @@ class PlanDriver:
         return prior
 
     def _is_useful(self, own: Mapping[str, Any], around: Surroundings) -> BoolArray:
-        """Who has something to fire; the switch would spoil items close ahead."""
+        """Which karts have something to fire; the switch would spoil items close ahead."""
         items = around.items
         is_close = (items[..., 2] > 0) & (squared(items) < self._rules.switch_reach**2)
         is_close &= around.item_types >= 0

@@ -31,8 +31,8 @@ BOOST_STEPS = (11, 31)
 #: ... which last so many steps, half the time in which they fade included.
 BOOST_LASTS = (35, 45)
 
-#: A drift begins with a hop: the next one begins so many steps after this one began at the soonest.
-#: Who asks for it sooner gets it later, to the side to which the kart steers by then.
+#: A drift begins with a hop: the next drift begins at least so many steps after this one began. A
+#: kart that asks sooner gets it later, to the side to which it steers by then.
 DRIFT_APART = 4
 
 #: After a drift the kart goes on turning for as many steps as it has drifted, but no more than

@@ -207,7 +207,7 @@ class DriverMemory:
         return np.asarray(self._of.nitro_steps == 0)
 
     def stuck(self) -> tuple[BoolArray, BoolArray]:
-        """Who backs out now, and who calls the rescue, ``(A,)`` each; it is noted that they do."""
+        """Updates stuck karts: which back out now, and which call the rescue, ``(A,)`` each."""
         of = self._of
         is_lost = of.lost_steps * STEP > self._rules.lost_time
         is_stuck = of.still_steps > self._stuck_steps
@@ -254,12 +254,12 @@ class DriverMemory:
         return begins
 
     def forget(self, rows: IntArray) -> None:
-        """Starts some karts anew."""
+        """Resets some karts."""
         self._all[:, rows] = 0
         self._of.since_fire[rows] = _LONG_AGO
 
     def state(self) -> dict[str, FloatArray]:
-        """All of it by name, for :meth:`restore`."""
+        """The memory by name, for :meth:`restore`."""
         return {name: getattr(self._of, name).copy() for name in _NAMES}
 
     def restore(self, state: Mapping[str, FloatArray]) -> None:

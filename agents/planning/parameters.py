@@ -1,4 +1,4 @@
-"""Every number that the heuristic driver goes by."""
+"""The parameters of the planner."""
 
 from __future__ import annotations
 
@@ -9,58 +9,57 @@ __all__ = ["DriverParameters"]
 
 @dataclass(frozen=True, slots=True)
 class DriverParameters:
-    """How the heuristic driver drives. Plans are weighed in metres of way.
+    """How plans are made and weighed. The worth of a plan is in metres of way.
 
     Attributes:
-        wheel_base: turns the greatest steering angle into a curve [m].
-        aim_distance: how far ahead to aim at standstill [m].
-        aim_time: how much farther for each m/s [s].
-        margin: how far from the road's edge to keep [m].
-        lane_changes: plans may go over from one of so many lanes to another; 0 if to none.
-        greatest_room: how far from the middle of the road to drive at most [m].
-        over_cost: of a second that is spent a metre beyond that [m].
-        late_time: so long after its end a plan goes straight on [s]; it should still be on
-            the road then,
-        late_cost: for each metre beyond costs so much [m].
-        angle_cost: of ending at an angle of a radian to the road [m].
+        wheel_base: turns the maximum steering angle into a curve [m].
+        aim_distance: how far ahead a kart aims at standstill [m].
+        aim_time: how much farther it aims for each m/s [s].
+        margin: distance to keep from the edge of the road [m].
+        lane_changes: number of lanes between which plans change; 0 for none.
+        greatest_room: maximum distance from the middle of the road [m].
+        over_cost: cost of each second spent one metre beyond that distance [m].
+        late_time: a plan goes straight on for this time after its end [s].
+        late_cost: cost of each metre beyond the edge of the road at that time [m].
+        angle_cost: cost of ending at an angle of one radian to the road [m].
         drift_speed: no drift begins below this speed [m/s].
-        brake_speed: nobody brakes below this one [m/s]: the brake then drives backwards.
-        boost_worth: of the boost of a short drift [m].
-        big_boost_worth: of the boost of a long one [m].
-        boost_wait_cost: for each second until the boost begins [m].
-        box_worth: of a bonus box [m],
-        second_box_worth: when the kart has a power-up already [m].
-        small_nitro_worth: of a small bottle of nitro [m].
-        big_nitro_worth: of a big one [m].
-        banana_cost: of a banana [m].
-        gum_cost: of bubble gum [m].
-        item_radius: a good item is hit that is passed as near as this [m].
-        bad_item_radius: a bad one too [m].
-        nitro_wait: time from one burst of nitro to the next [s].
-        nitro_speed: nitro is used above this speed [m/s],
-        nitro_turn: where less than this share of full lock is turned.
-        danger: nitro and power-ups are for plans that cost less than this beyond the edge [m].
-        straight_angle: power-ups are for where the road turns less than this [rad]
-        straight_time: in the next time [s],
-        straight_aim: and the kart is at less than this angle to it [rad].
-        switch_reach: the switch is kept while items are nearer than this [m].
-        fire_every: calls between two shots.
-        crash_drop: who loses so much speed in a call has hit something [m/s], and
-        caution_time: for this time [s] keeps
-        caution_room: so near to the middle of the road [m].
-        stuck_speed: slower than this is standing still [m/s].
-        stuck_time: after standing so long, back out [s].
-        crawl_speed: who is slower than this [m/s]
-        crawl_time: for this time [s] is stuck too.
-        reverse_time: for so long [s].
-        rescue_reverses: after backing out so often without getting away, call the rescue.
-        rescued_reverses: and so often more when the last rescue did not help.
-        free_time: driving so long means having got away [s].
-        lost_room: who is farther than this beyond the edge of the road [m]
-        lost_time: for this time [s] calls the rescue.
-        bump_cost: of running into a slower kart ahead, for each m/s of difference [m]; for
-            learned drivers, who know how fast others are,
-        bump_width: where its middle is nearer than this to the way [m].
+        brake_speed: no plan brakes below this speed, where the brake drives backwards [m/s].
+        boost_worth: worth of the boost of a short drift [m].
+        big_boost_worth: worth of the boost of a long drift [m].
+        boost_wait_cost: cost of each second until the boost begins [m].
+        box_worth: worth of a bonus box [m].
+        second_box_worth: worth of a bonus box to a kart that has a power-up [m].
+        small_nitro_worth: worth of a small bottle of nitro [m].
+        big_nitro_worth: worth of a big bottle [m].
+        banana_cost: cost of a banana [m].
+        gum_cost: cost of bubble gum [m].
+        item_radius: a kart hits a good item that it passes within this distance [m].
+        bad_item_radius: the same for a bad item [m].
+        nitro_wait: minimum time between two bursts of nitro [s].
+        nitro_speed: minimum speed for nitro [m/s].
+        nitro_turn: maximum turn for nitro [share of full lock].
+        danger: maximum cost beyond the edge of the road for nitro and power-ups [m].
+        straight_angle: power-ups are fired where the road turns less than this [rad]
+        straight_time: within this time [s],
+        straight_aim: by karts at less than this angle to the road [rad].
+        switch_reach: the switch is kept while an item is nearer than this [m].
+        fire_every: minimum number of steps between two shots.
+        crash_drop: a kart that loses this much speed in a step has hit something [m/s].
+        caution_time: after that it stays near the middle of the road for this time [s],
+        caution_room: within this distance [m].
+        stuck_speed: a kart below this speed stands still [m/s].
+        stuck_time: it backs out, or calls the rescue, after standing for this time [s].
+        crawl_speed: a kart below this speed crawls [m/s].
+        crawl_time: after crawling for this time it is stuck too [s].
+        reverse_time: how long it backs out [s].
+        rescue_reverses: how often it backs out before it calls the rescue.
+        rescued_reverses: how much more often if the last rescue did not help.
+        free_time: after driving for this time it is free again [s].
+        lost_room: a kart farther than this beyond the edge of the road [m]
+        lost_time: for this time is lost and calls the rescue [s].
+        bump_cost: cost of running into a slower kart ahead for each m/s of difference [m];
+            0 ignores other karts.
+        bump_width: a kart is hit if its middle is within this distance of the way [m].
     """
 
     wheel_base: float = 0.89

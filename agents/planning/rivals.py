@@ -1,4 +1,4 @@
-"""What the karts nearby do, told from where they were a step ago.
+"""How the karts nearby move, estimated from where they were a step ago.
 
 An observation says where others are, not how fast, nor which is which. The kart's own motion is
 known: its velocity, and its turn by how the road has turned before it. With that taken off a
@@ -28,7 +28,7 @@ BoolArray = npt.NDArray[np.bool_]
 RIVALS, _REACH = 4, 25.0
 #: A kart on another level of the track is farther above or below than this [m].
 _LEVEL = 4.0
-#: Nobody is faster [m/s]; who seems to be is somebody else.
+#: A kart that seems faster is another one [m/s].
 _FASTEST = 50.0
 _NOWHERE = np.float32(1e3)
 
@@ -52,7 +52,7 @@ class Rivals:
     drift: FloatArray
 
     def columns(self) -> npt.NDArray[np.float64]:
-        """All of it as one array, ``(A, RIVALS, 5)``, in the order of the attributes."""
+        """The numbers as one array, ``(A, RIVALS, 5)``, in the order of the attributes."""
         columns = np.empty((*self.is_there.shape, 5))
         for number, entry in enumerate(fields(self)):
             columns[..., number] = getattr(self, entry.name)
@@ -83,7 +83,7 @@ class _Moment:
 
     Attributes:
         spots: ``(A, RIVALS, 2)``: the nearest karts, to the right and ahead [m].
-        velocity: ``(A, 2)`` of the kart itself, likewise [m/s].
+        velocity: ``(A, 2)`` of the kart itself, to the right and ahead [m/s].
         headings: ``(A, 36)`` of the road ahead [rad].
     """
 
@@ -163,7 +163,7 @@ class RivalTracker:
         return found
 
     def forget(self, rows: IntArray) -> None:
-        """Starts some karts anew."""
+        """Resets some karts."""
         nothing = _Moment.unknown(len(rows))
         for moment in (self._before, self._now):
             moment.put(rows, nothing)

@@ -17,7 +17,7 @@ FloatArray = npt.NDArray[np.float32]
 MARK_COUNT, MARK_SPACING = 36, 3.0
 LINE_MARKS = (MARK_SPACING * np.arange(MARK_COUNT + 1)).astype(np.float32)
 
-#: A turn is told by so many marks, and is no turn of the kart from this on [rad].
+#: A kart's turn is measured at so many marks; a larger one is a change of the road [rad].
 _TURN_MARKS, _MOST_TURNED = 9, 0.6
 
 

@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo import ItemType, PowerupType
+from stkzoo import ItemType
 from stkzoo.kernel import weigh_plans
 from stkzoo.mdp import squared
 
@@ -28,7 +28,6 @@ __all__ = [
     "NEVER",
     "PlanOptions",
     "PlanScene",
-    "has_powerup",
     "road_columns",
     "rule_columns",
     "weigh",
@@ -42,7 +41,7 @@ BoolArray = npt.NDArray[np.bool_]
 _ITEMS = 8
 #: An item on another level of the track is farther above or below than this [m].
 _LEVEL = 4.0
-#: Items nearer than this cannot be steered for any more, farther ones are out of sight [m].
+#: Items nearer than this are too near to steer for, farther ones are ignored [m].
 _NEAREST, _FARTHEST = 1.0, 60.0
 #: Items this far beyond the edge of the road are not on it [m].
 _BEYOND = 1.0
@@ -51,7 +50,7 @@ _BLUR = 0.5
 
 #: The centres of karts that run into one another are so far apart [m].
 _LENGTH = 1.8
-#: Who is less far ahead is beside [m]; to come nearer at less than this does no harm [m/s].
+#: A rival less far ahead is beside the kart [m]; approaching more slowly does no harm [m/s].
 _BESIDE, _HARMLESS = 0.5, 1.0
 #: For how long rivals go on across the road as they do now [s].
 _CROSSING = 0.5
@@ -237,8 +236,3 @@ def _worths(rules: DriverParameters) -> FloatArray:
     worths[:, ItemType.BANANA] = -rules.banana_cost
     worths[:, ItemType.BUBBLEGUM] = -rules.gum_cost
     return worths
-
-
-def has_powerup(powerup_type: npt.NDArray[np.integer]) -> BoolArray:
-    """Which karts have something to fire, ``(A,)``."""
-    return np.asarray(powerup_type != PowerupType.NOTHING)

@@ -1,4 +1,4 @@
-"""What karts of learned drivers do without deciding, and what they remember of it."""
+"""A stateful filter between a policy's choices and a kart."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["INPUT_MIRROR", "INPUT_SIZE", "ActionFilter", "steering"]
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 
-#: How much a policy with reflexes sees: the view, and what the reflexes remember.
+#: How many numbers a policy sees with the filter: the view, and the filter's memory.
 INPUT_SIZE = SIZE + MEMORY_SIZE
 #: It times this is what would be seen if left were right.
 INPUT_MIRROR = np.concatenate([MIRROR, MEMORY_MIRROR])
@@ -38,29 +38,29 @@ _SKEED, _ENERGY, _LINE, _ROOM, _HEADING = (
     for part in ("skeed_factor", "energy", "line_position", "line_room", "marks_heading")
 )
 #: A drift begins to the side to which the kart steers, if so much and at such a speed [20 m/s];
-#: who steers so much to the other one lets go of it.
+#: steering so much to the other side ends it.
 _DRIFT_SPEED, _OTHER_SIDE = 10.0 / 20.0, 0.3
 #: What lies between two choices of steering belongs to the nearer one.
 _BETWEEN = (STEERS[1:] + STEERS[:-1]) / 2
-#: Who has been so fast has left its place on the grid [20 m/s].
+#: A kart that has been so fast has left its place on the grid [20 m/s].
 _MOVES = 3.0 / 20.0
 
 
 class ActionFilter:
-    """What karts do without deciding, and what they remember of it, which the policy sees too.
+    """Changes a policy's choices by what the karts remember, which the policy sees too.
 
-    - **Drifts are carried through.** A drift pays after a second; who decides anew in each step
-      whether to go on with it, by chance, never comes so far. And the game turns a drifting kart by
-      other shares of full lock than one that does not drift, so that who tries it leaves the road.
-      With reflexes a drift lasts for a while at least, and turns the kart as much as the same
-      choice without one, as far as a drift can. Who steers to the other side lets go of it.
-    - **Nitro is not wasted.** One burst of it works before the next.
-    - **Who is stuck gets away**, as the learned drivers do.
+    - **Drifts last.** A drift pays after a second. A policy that chooses at random in each step
+      whether to go on rarely gets that far, so the filter holds a drift for a minimum time. The
+      game also turns a drifting kart by other shares of full lock; the filter steers so that the
+      kart turns as much as the same choice would without a drift, within a drift's limits. Steering
+      to the other side ends the drift.
+    - **Nitro is not wasted.** One burst ends before the next begins.
+    - **Stuck karts free themselves**, as those of the planner do.
 
     Args:
         karts: how many.
         hold: for how many steps a drift goes on at least; 0 leaves drifts and nitro to the choices.
-        memory: theirs, if somebody else keeps it up to date and never calls :meth:`look`.
+        memory: theirs, if the caller keeps it up to date and never calls :meth:`look`.
     """
 
     def __init__(self, karts: int, hold: int, memory: DriverMemory | None = None) -> None:
@@ -114,7 +114,7 @@ class ActionFilter:
         return done
 
     def forget(self, karts: slice) -> None:
-        """Begins some karts anew."""
+        """Resets some karts."""
         self._memory.forget(np.arange(len(self._has_moved))[karts])
         self._has_moved[karts] = False
 

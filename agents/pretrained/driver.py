@@ -85,7 +85,7 @@ def make_network_actor(
     Args:
         module_dir: the folder.
         observation_space: not needed; an agent's ``get_actor`` is given it.
-        action_space: likewise.
+        action_space: not needed either.
 
     Raises:
         ConfigError: as :func:`read_policy`.
@@ -161,7 +161,7 @@ def make_actor(
     Args:
         module_dir: the folder.
         observation_space: not needed; an agent's ``get_actor`` is given it.
-        action_space: likewise.
+        action_space: not needed either.
 
     Raises:
         ConfigError: as :func:`read_policy`.

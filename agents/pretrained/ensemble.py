@@ -1,7 +1,7 @@
-"""Plans and networks together: what plans are worth, and what networks would do.
+"""An ensemble of plans and networks.
 
-Networks that have learned by self-play know what comes of racing; plans know where the road goes.
-Both say how likely a choice is, and the product decides (a product of experts: Hinton, 2002).
+Networks of self-play know how races go; plans know where the road goes. Both give probabilities of
+choices, and the product decides (a product of experts: Hinton, 2002).
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ def load_weights(path: str | os.PathLike[str], digest: str | None = None) -> dic
         digest: what :func:`digest_of` must give.
 
     Raises:
-        ConfigError: the file cannot be read, is another one, or is no such file.
+        ConfigError: the file is missing, broken, or not the one that the digest names.
     """
     try:
         data = Path(path).read_bytes()

@@ -188,6 +188,15 @@ def test_a_card_whose_weight_is_no_number_is_refused(files, tmp_path):
         read_policy(folder)
 
 
+def test_a_card_of_an_older_version_says_what_to_rename(files, tmp_path):
+    folder = export_policy(files, "wise", tmp_path / "wise", ensemble_weight=1.0)
+    card = json.loads((folder / "card.json").read_text())
+    card["trust"] = card.pop("ensemble_weight")
+    (folder / "card.json").write_text(json.dumps(card))
+    with pytest.raises(ConfigError, match="rename its entry trust to ensemble_weight"):
+        read_policy(folder)
+
+
 def test_a_policy_over_plans_is_no_network_of_an_ensemble(tmp_path):
     file = tmp_path / "plans.safetensors"
     save_weights(file, RacingPolicy.of_plans_alone().weights)

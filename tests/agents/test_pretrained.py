@@ -79,6 +79,13 @@ def test_a_network_that_is_not_the_cards_is_refused(quick_agent):
         new_network_state(quick_agent)
 
 
+def test_an_agent_of_an_older_version_says_what_to_write(quick_agent):
+    module = quick_agent / "pystk_actor.py"
+    module.write_text(module.read_text().replace("new_network_state", "new_seat"))
+    result = run_race([str(quick_agent), "ai"], track="olivermath", max_steps=25)
+    assert "write new_network_state for new_seat" in str(result.agents)
+
+
 def test_weights_come_back_as_they_were(tmp_path):
     save_weights(tmp_path / "w.safetensors", network())
     found = load_weights(tmp_path / "w.safetensors", digest_of(tmp_path / "w.safetensors"))
