@@ -187,8 +187,8 @@ def _as_json(results: Sequence[RaceResult], *, is_series: bool) -> str:
     if not is_series:
         return results[0].to_json()
     races = [json.loads(result.to_json()) for result in results]
-    form = {"type": "race-series", "schema_version": SCHEMA_VERSION, "races": races}
-    return json.dumps(form, indent=2)
+    values = {"type": "race-series", "schema_version": SCHEMA_VERSION, "races": races}
+    return json.dumps(values, indent=2)
 
 
 def _write(text: str, file: Path) -> int:

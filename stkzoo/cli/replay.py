@@ -81,7 +81,7 @@ def _play(replay: Replay, arguments: argparse.Namespace) -> Playback:
 
 def _show(replay: Replay, playback: Playback, *, as_json: bool) -> None:
     if as_json:
-        form = {
+        values = {
             "type": "replay-check",
             "is_exact": playback.is_exact,
             "first_difference": playback.first_difference,
@@ -90,7 +90,7 @@ def _show(replay: Replay, playback: Playback, *, as_json: bool) -> None:
             "recorded_steps": replay.steps,
             "result": json.loads(playback.result.to_json()),
         }
-        print(json.dumps(form, indent=2))
+        print(json.dumps(values, indent=2))
     else:
         from stkzoo.cli._race_report import show_race
 
@@ -123,10 +123,10 @@ def _show_info(replay: Replay, *, as_json: bool) -> None:
     if as_json:
         from dataclasses import asdict
 
-        form = asdict(replay)
-        del form["controls"], form["digests"]
-        form["result"] = json.loads(replay.result.to_json()) if replay.result else None
-        print(json.dumps({**form, "steps": replay.steps}, indent=2))
+        values = asdict(replay)
+        del values["controls"], values["digests"]
+        values["result"] = json.loads(replay.result.to_json()) if replay.result else None
+        print(json.dumps({**values, "steps": replay.steps}, indent=2))
         return
     way = ", reversed" if replay.reverse else ""
     seconds = replay.steps * replay.step_size

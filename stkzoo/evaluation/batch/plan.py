@@ -1,4 +1,4 @@
-"""What the plans of all batches share: checks, the JSON form, and comparison with another plan."""
+"""What the plans of all batches share: checks, JSON, and comparison with another plan."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class BatchPlan(ABC):
     share some.
     """
 
-    #: The ``type`` and ``schema_version`` of the JSON form. The version grows when a plan would
+    #: The ``type`` and ``schema_version`` of the JSON file. The version grows when a plan would
     #: lead to other races.
     kind: ClassVar[str]
     version: ClassVar[int] = 1
@@ -62,9 +62,9 @@ class BatchPlan(ABC):
     def to_json(self) -> str:
         """The plan as JSON."""
         head = {"type": self.kind, "schema_version": self.version}
-        return json.dumps({**head, **self.to_form()}, indent=2)
+        return json.dumps({**head, **self.to_dict()}, indent=2)
 
-    def to_form(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """The plan as JSON values."""
         return asdict(self)
 
@@ -76,8 +76,8 @@ class BatchPlan(ABC):
             ConfigError: the text is something else, or has another version.
         """
         try:
-            form: dict[str, Any] = read_json(text)
-            found = form.pop("type"), form.pop("schema_version")
+            values: dict[str, Any] = read_json(text)
+            found = values.pop("type"), values.pop("schema_version")
         except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
             raise cls._unreadable(error) from error
         if found != (cls.kind, cls.version):
@@ -85,17 +85,17 @@ class BatchPlan(ABC):
                 f"the plan is a {found[0]} of version {found[1]}, expected a {cls.kind} of "
                 f"version {cls.version}; resume it with the stkzoo version that started it"
             )
-        return cls.from_form(form)
+        return cls.from_dict(values)
 
     @classmethod
-    def from_form(cls: type[Plan], form: Mapping[str, Any]) -> Plan:
-        """Reads the output of :meth:`to_form`.
+    def from_dict(cls: type[Plan], values: Mapping[str, Any]) -> Plan:
+        """Reads the output of :meth:`to_dict`.
 
         Raises:
             ConfigError: the values are no such plan.
         """
         try:
-            plan = decode(cls, form)
+            plan = decode(cls, values)
             plan.check()
         except (KeyError, TypeError, AttributeError) as error:
             raise cls._unreadable(error) from error
@@ -121,10 +121,10 @@ class BatchPlan(ABC):
 
     def _comparable(self) -> dict[str, Any]:
         """The values that decide the races, by name."""
-        form = self.to_form()
-        versions, settings = form.pop("versions"), form.pop("settings", {})
-        form |= {name: value for name, value in settings.items() if name not in self.decided}
-        return form | {"engine": versions.get("pystk2"), "stkzoo": versions.get("stkzoo")}
+        values = self.to_dict()
+        versions, settings = values.pop("versions"), values.pop("settings", {})
+        values |= {name: value for name, value in settings.items() if name not in self.decided}
+        return values | {"engine": versions.get("pystk2"), "stkzoo": versions.get("stkzoo")}
 
     @classmethod
     def _unreadable(cls, error: Exception) -> ConfigError:
@@ -147,7 +147,7 @@ def read_plan(kind: type[Plan], folder: Path) -> Plan:
         ) from error
 
 
-def decode(kind: type[T], form: Mapping[str, Any]) -> T:
+def decode(kind: type[T], values: Mapping[str, Any]) -> T:
     """Makes a dataclass of JSON values: lists become tuples, objects become dataclasses.
 
     Raises:
@@ -155,7 +155,7 @@ def decode(kind: type[T], form: Mapping[str, Any]) -> T:
         KeyError: there is no such field.
     """
     hints = typing.get_type_hints(kind)
-    return kind(**{name: _decoded(hints[name], value) for name, value in form.items()})
+    return kind(**{name: _decoded(hints[name], value) for name, value in values.items()})
 
 
 def _decoded(hint: Any, value: Any) -> Any:

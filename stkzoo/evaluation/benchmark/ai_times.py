@@ -28,7 +28,7 @@ from stkzoo.race.settings import RaceSettings
 
 __all__ = ["AI_TIMES_FILE", "AiTime", "AiTimes", "load_ai_times", "measure_ai_times"]
 
-#: Of the JSON form (``docs/schemas/ai-times.schema.json``).
+#: Of the JSON file (``docs/schemas/ai-times.schema.json``).
 _TYPE, _SCHEMA_VERSION = "ai-times", 1
 AI_TIMES_FILE = "ai_times.json"
 _SHIPPED_FILE = Path(__file__).parent / AI_TIMES_FILE
@@ -135,9 +135,9 @@ class AiTimes:
             ConfigError: the text is something else, or has another version.
         """
         try:
-            form = read_json(text)
-            check_schema(form, _TYPE, _SCHEMA_VERSION)
-            return cls(dict(map(_entry, form["times"])), form["versions"])
+            values = read_json(text)
+            check_schema(values, _TYPE, _SCHEMA_VERSION)
+            return cls(dict(map(_entry, values["times"])), values["versions"])
         except (KeyError, TypeError, json.JSONDecodeError) as error:
             raise ConfigError(
                 f"the text has no times of the game's AI ({type(error).__name__}: {error}); "
@@ -145,9 +145,13 @@ class AiTimes:
             ) from error
 
 
-def _entry(form: dict[str, Any]) -> tuple[RaceKey, AiTime]:
-    key = form.pop("track"), form.pop("direction") == direction_name(True), form.pop("difficulty")
-    return key, AiTime(**form)
+def _entry(values: dict[str, Any]) -> tuple[RaceKey, AiTime]:
+    key = (
+        values.pop("track"),
+        values.pop("direction") == direction_name(True),
+        values.pop("difficulty"),
+    )
+    return key, AiTime(**values)
 
 
 def load_ai_times(path: str | os.PathLike[str] | None = None) -> AiTimes:

@@ -57,13 +57,13 @@ class Comparison:
 
     def to_json(self) -> str:
         """The comparison as JSON."""
-        form = {
+        values = {
             "type": "benchmark-comparison",
             "schema_version": 1,
             "interval": {"kind": "bootstrap over pairs of races", "confidence": CONFIDENCE},
             **asdict(self),
         }
-        return json.dumps(form, indent=2, allow_nan=False)
+        return json.dumps(values, indent=2, allow_nan=False)
 
 
 def compare(first: BenchmarkResult, second: BenchmarkResult) -> Comparison:

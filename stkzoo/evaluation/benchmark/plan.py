@@ -112,10 +112,10 @@ class BenchmarkPlan(BatchPlan):
         return (self.agent,)
 
     def _comparable(self) -> dict[str, Any]:
-        form = BatchPlan._comparable(self)  # super() fails in slotted dataclasses
-        del form["split"], form["ai_times"]
+        values = BatchPlan._comparable(self)  # super() fails in slotted dataclasses
+        del values["split"], values["ai_times"]
         directions = [direction_name(reverse) for reverse in self.directions]
-        return form | self._conditions() | {"agent": self.agent.text, "directions": directions}
+        return values | self._conditions() | {"agent": self.agent.text, "directions": directions}
 
     def differing_conditions(self, other: BenchmarkPlan) -> list[str]:
         """The conditions that make two agents' results incomparable, as sentences."""

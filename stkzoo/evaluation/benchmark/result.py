@@ -26,7 +26,7 @@ __all__ = [
     "groups_of",
 ]
 
-#: Of the JSON form (``docs/schemas/benchmark-result.schema.json``).
+#: Of the JSON file (``docs/schemas/benchmark-result.schema.json``).
 SCHEMA_VERSION = 1
 _TYPE = "benchmark-result"
 
@@ -113,7 +113,7 @@ class RaceOutcome:
     def _ratio(self, kart: KartOutcome) -> float:
         return self.limit if kart.time is None else min(kart.time / self.ai_time, self.limit)
 
-    def to_form(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """The outcome as JSON values; the rest follows from the plan."""
         return {
             "number": self.race.number,
@@ -129,12 +129,12 @@ class RaceOutcome:
         }
 
     @classmethod
-    def from_form(
-        cls, form: Mapping[str, Any], race: BenchmarkRace, ai_time: float, limit: float
+    def from_dict(
+        cls, values: Mapping[str, Any], race: BenchmarkRace, ai_time: float, limit: float
     ) -> RaceOutcome:
-        """Reads the output of :meth:`to_form`."""
-        karts = tuple(KartOutcome(**kart) for kart in form["karts"])
-        return cls(race, form["status"], ai_time, limit, karts)
+        """Reads the output of :meth:`to_dict`."""
+        karts = tuple(KartOutcome(**kart) for kart in values["karts"])
+        return cls(race, values["status"], ai_time, limit, karts)
 
 
 def _kart(row: AgentResult, rank: int) -> KartOutcome:
@@ -236,7 +236,7 @@ class BenchmarkResult:
 
     def to_json(self) -> str:
         """The result as JSON (``docs/schemas/benchmark-result.schema.json``)."""
-        races = ",\n    ".join(json.dumps(outcome.to_form()) for outcome in self.outcomes)
+        races = ",\n    ".join(json.dumps(outcome.to_dict()) for outcome in self.outcomes)
         head = {
             "type": _TYPE,
             "schema_version": SCHEMA_VERSION,
@@ -244,7 +244,7 @@ class BenchmarkResult:
             "is_complete": self.is_complete,
             "interval": {"kind": "bootstrap over races", "confidence": CONFIDENCE},
             "groups": [asdict(group) for group in self.groups],
-            "plan": self.plan.to_form(),
+            "plan": self.plan.to_dict(),
         }
         text = json.dumps(head, indent=2, allow_nan=False)[:-2]
         return text + f',\n  "races": [\n    {races}\n  ]\n}}'
@@ -257,11 +257,11 @@ class BenchmarkResult:
             ConfigError: the text is something else, or has another version.
         """
         try:
-            form = read_json(text)
-            check_schema(form, _TYPE, SCHEMA_VERSION)
-            plan = BenchmarkPlan.from_form(form["plan"])
+            values = read_json(text)
+            check_schema(values, _TYPE, SCHEMA_VERSION)
+            plan = BenchmarkPlan.from_dict(values["plan"])
             races = {race.number: race for race in plan.races()}
-            outcomes = [_outcome(entry, races[entry["number"]], plan) for entry in form["races"]]
+            outcomes = [_outcome(entry, races[entry["number"]], plan) for entry in values["races"]]
         except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
             raise ConfigError(
                 f"the text is no benchmark result ({type(error).__name__}: {error}); expected the "
@@ -323,11 +323,18 @@ def _figures(outcomes: Sequence[RaceOutcome]) -> dict[str, Estimate | None]:
     }
 
 
-def _outcome(form: Mapping[str, Any], race: BenchmarkRace, plan: BenchmarkPlan) -> RaceOutcome:
-    found = form["track"], form["reverse"], form["form"], form["end"], form["index"], form["seed"]
+def _outcome(values: Mapping[str, Any], race: BenchmarkRace, plan: BenchmarkPlan) -> RaceOutcome:
+    found = (
+        values["track"],
+        values["reverse"],
+        values["form"],
+        values["end"],
+        values["index"],
+        values["seed"],
+    )
     if found != (*race.kind, race.index, race.seed):
         raise ConfigError(
             f"race {race.number} of the benchmark result is {found}, expected "
             f"{(*race.kind, race.index, race.seed)}; another version of stkzoo wrote it"
         )
-    return RaceOutcome.from_form(form, race, plan.ai_time(race.track, race.reverse), plan.limit)
+    return RaceOutcome.from_dict(values, race, plan.ai_time(race.track, race.reverse), plan.limit)

@@ -53,7 +53,7 @@ def check_demonstrations(demos: Demonstrations, race: int = 0) -> DemoCheck:
         ConfigError: there is no such race, or the game's AI drove it. The AI decides twelve times
             per step and gets boosts that agents do not, so its races are not replayable.
     """
-    plan = DemoPlan.from_form(demos.plan)
+    plan = DemoPlan.from_dict(demos.plan)
     numbers = [number for number, facts in enumerate(demos.facts) if facts.race == race]
     orders = [order for order in plan.orders() if order.number == race]
     if not numbers or not orders:

@@ -196,7 +196,7 @@ class Demonstrations:
         }
         return tree_of("observations", seen), tree_of("actions", self.columns)
 
-    def to_form(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """The file's ``about``, as JSON values."""
         head = {"type": _KIND, "schema_version": _VERSION}
         return {**head, **self.plan, "episodes": [asdict(facts) for facts in self.facts]}
@@ -222,7 +222,7 @@ def save_demonstrations(demos: Demonstrations, path: str | os.PathLike[str]) -> 
     arrays: dict[str, Any] = {
         **demos.columns,
         "lengths": demos.lengths,
-        "about": np.array(json.dumps(demos.to_form())),
+        "about": np.array(json.dumps(demos.to_dict())),
     }
     try:
         with atomic_write(path) as part, part.open("wb") as file:
@@ -263,7 +263,7 @@ def _read(arrays: Columns) -> Demonstrations:
         raise ValueError(f"it is {found[0]} of version {found[1]}")
     known = [entry.name for entry in fields(EpisodeFacts)]
     facts = tuple(
-        EpisodeFacts(**{name: form[name] for name in known}) for form in about.pop("episodes")
+        EpisodeFacts(**{name: values[name] for name in known}) for values in about.pop("episodes")
     )
     lengths = arrays.pop("lengths").astype(np.int64)
     demos = Demonstrations(about, facts, lengths, arrays)

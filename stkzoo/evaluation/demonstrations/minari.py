@@ -76,7 +76,7 @@ def to_minari(demos: Demonstrations, dataset_id: str) -> Any:
     dataset.storage.update_episode_metadata(
         [
             {name: value for name, value in episode.items() if value is not None}
-            for episode in demos.to_form()["episodes"]
+            for episode in demos.to_dict()["episodes"]
         ]
     )
     return dataset

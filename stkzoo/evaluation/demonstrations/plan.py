@@ -143,8 +143,8 @@ class DemoPlan(BatchPlan):
         return (self.agent,)
 
     def _comparable(self) -> dict[str, Any]:
-        form = BatchPlan._comparable(self)  # super() fails in slotted dataclasses
-        return form | {"agent": self.agent.text}
+        values = BatchPlan._comparable(self)  # super() fails in slotted dataclasses
+        return values | {"agent": self.agent.text}
 
 
 def plan_demonstrations(

@@ -85,7 +85,7 @@ def record_plan(
         if batch.errors:
             raise BatchError(batch.errors, len(orders), None)
         joined = join([results[order.number] for order in orders])
-        demos = replace(joined, plan=batch.plan.to_form())
+        demos = replace(joined, plan=batch.plan.to_dict())
         save_demonstrations(demos, target)
     shutil.rmtree(parts, ignore_errors=True)
     return demos
@@ -94,7 +94,7 @@ def record_plan(
 def _load_same(plan: DemoPlan, target: Path) -> Demonstrations:
     """The data set that exists already, if its plan is the same."""
     demos = load_demonstrations(target)
-    if differences := DemoPlan.from_form(demos.plan).differences(plan):
+    if differences := DemoPlan.from_dict(demos.plan).differences(plan):
         raise ConfigError(
             f"{target} has other demonstrations: {'; '.join(differences)}. Choose another file, or "
             "delete it"

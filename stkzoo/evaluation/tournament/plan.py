@@ -76,9 +76,9 @@ class TournamentPlan(BatchPlan):
         return self.entrants
 
     def _comparable(self) -> dict[str, Any]:
-        form = BatchPlan._comparable(self)  # super() fails in slotted dataclasses
-        del form["entrants"]
-        return form | {"agents": [entrant.text for entrant in self.entrants]}
+        values = BatchPlan._comparable(self)  # super() fails in slotted dataclasses
+        del values["entrants"]
+        return values | {"agents": [entrant.text for entrant in self.entrants]}
 
     def as_of_now(self) -> TournamentPlan:
         """The plan with the present software and agents' files."""

@@ -14,7 +14,7 @@ from stkzoo.race.result import AgentResult, RaceResult
 
 __all__ = ["SCHEMA_VERSION", "RaceSummary", "Standing", "TournamentResult", "tournament_result"]
 
-#: Of the JSON form (``docs/schemas/tournament-result.schema.json``).
+#: Of the JSON file (``docs/schemas/tournament-result.schema.json``).
 SCHEMA_VERSION = 1
 
 
@@ -92,7 +92,7 @@ class TournamentResult:
     def to_json(self) -> str:
         """The result as JSON (``docs/schemas/tournament-result.schema.json``)."""
         everybody = range(len(self.standings))
-        form = {
+        values = {
             "type": "tournament-result",
             "schema_version": SCHEMA_VERSION,
             "is_complete": self.is_complete,
@@ -107,9 +107,9 @@ class TournamentResult:
             "ahead": self.ahead,
             "payoff": [[self.payoff(one, two) for two in everybody] for one in everybody],
             "races": [asdict(race) for race in self.races],
-            "plan": self.plan.to_form(),
+            "plan": self.plan.to_dict(),
         }
-        return json.dumps(form, indent=2, allow_nan=False)
+        return json.dumps(values, indent=2, allow_nan=False)
 
 
 def tournament_result(plan: TournamentPlan, results: Mapping[int, RaceResult]) -> TournamentResult:
