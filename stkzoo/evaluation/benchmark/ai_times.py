@@ -146,12 +146,9 @@ class AiTimes:
 
 
 def _entry(values: dict[str, Any]) -> tuple[RaceKey, AiTime]:
-    key = (
-        values.pop("track"),
-        values.pop("direction") == direction_name(True),
-        values.pop("difficulty"),
-    )
-    return key, AiTime(**values)
+    track, difficulty = values.pop("track"), values.pop("difficulty")
+    is_reversed = values.pop("direction") == direction_name(True)
+    return (track, is_reversed, difficulty), AiTime(**values)
 
 
 def load_ai_times(path: str | os.PathLike[str] | None = None) -> AiTimes:

@@ -324,14 +324,8 @@ def _figures(outcomes: Sequence[RaceOutcome]) -> dict[str, Estimate | None]:
 
 
 def _outcome(values: Mapping[str, Any], race: BenchmarkRace, plan: BenchmarkPlan) -> RaceOutcome:
-    found = (
-        values["track"],
-        values["reverse"],
-        values["form"],
-        values["end"],
-        values["index"],
-        values["seed"],
-    )
+    names = ("track", "reverse", "form", "end", "index", "seed")
+    found = tuple(values[name] for name in names)
     if found != (*race.kind, race.index, race.seed):
         raise ConfigError(
             f"race {race.number} of the benchmark result is {found}, expected "
