@@ -33,8 +33,49 @@ def run_python(code):
     return done.stdout.strip()
 
 
-def on_stkzoo(code):
-    return run_python(TAKE_OVER + PRELUDE + textwrap.dedent(code))
+#: Imports once what all cases need, and runs each case in a process that is forked from there.
+SERVER = f"""{TAKE_OVER}{PRELUDE}
+import json, os, sys
+
+names = dict(globals())
+for line in sys.stdin:
+    case = json.loads(line)
+    if os.fork() == 0:
+        for number, file in enumerate(case["output"], 1):
+            os.dup2(os.open(file, os.O_WRONLY | os.O_CREAT), number)
+        exec(case["code"], names)
+        sys.exit()
+    print(os.waitstatus_to_exitcode(os.wait()[1]), flush=True)
+"""
+
+
+@pytest.fixture(scope="module")
+def server():
+    command = [sys.executable, "-W", "error", "-c", SERVER]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        yield process
+        process.stdin.close()
+
+
+@pytest.fixture
+def on_stkzoo(server, tmp_path):
+    """Runs a case after the common imports; what it prints."""
+
+    def run(code):
+        output = [tmp_path / "stdout", tmp_path / "stderr"]
+        for file in output:
+            file.unlink(missing_ok=True)
+        case = {"code": textwrap.dedent(code), "output": [str(file) for file in output]}
+        server.stdin.write(json.dumps(case) + "\n")
+        server.stdin.flush()
+        code = int(server.stdout.readline())
+        said, errors = (file.read_text() for file in output)
+        assert code == 0, errors
+        return said.strip()
+
+    return run
 
 
 def on_reference(code):
@@ -112,7 +153,7 @@ def test_installing_twice_is_harmless():
     assert run_python(f"{TAKE_OVER}print(stkzoo.compat.install())") == "True"
 
 
-def test_a_race_of_several_agents_runs():
+def test_a_race_of_several_agents_runs(on_stkzoo):
     code = """
     from pystk2_gymnasium.envs import AgentSpec, STKRaceMultiEnv
 
@@ -136,7 +177,7 @@ def test_a_race_of_several_agents_runs():
     ]
 
 
-def test_fields_of_a_spec_may_be_set_after_construction():
+def test_fields_of_a_spec_may_be_set_after_construction(on_stkzoo):
     code = """
     from pystk2_gymnasium.definitions import AgentSpec, CameraMode
 
@@ -154,7 +195,7 @@ def test_fields_of_a_spec_may_be_set_after_construction():
     assert on_stkzoo(code) == "[0, 1] sara_the_racer"
 
 
-def test_a_hash_that_users_give_to_specs_does_no_harm():
+def test_a_hash_that_users_give_to_specs_does_no_harm(on_stkzoo):
     code = """
     from pystk2_gymnasium.envs import AgentSpec, STKRaceMultiEnv
 
@@ -168,7 +209,7 @@ def test_a_hash_that_users_give_to_specs_does_no_harm():
     assert on_stkzoo(code) == "[1, 0]"
 
 
-def test_camera_modes_of_pystk2_are_understood():
+def test_camera_modes_of_pystk2_are_understood(on_stkzoo):
     code = """
     import pystk2
     from pystk2_gymnasium import AgentSpec
@@ -182,7 +223,7 @@ def test_camera_modes_of_pystk2_are_understood():
     assert on_stkzoo(code) == "raced"
 
 
-def test_the_race_can_be_read_from_the_unwrapped_environment():
+def test_the_race_can_be_read_from_the_unwrapped_environment(on_stkzoo):
     code = """
     env = gym.make("supertuxkart/multi-full-v0", agents=[pystk2_gymnasium.AgentSpec()] ,
                    num_kart=3, track="lighthouse")
@@ -208,7 +249,7 @@ def test_the_race_can_be_read_from_the_unwrapped_environment():
     ]
 
 
-def test_a_world_of_an_earlier_step_is_not_changed_by_later_ones():
+def test_a_world_of_an_earlier_step_is_not_changed_by_later_ones(on_stkzoo):
     code = """
     env = gym.make("supertuxkart/full-v0", num_kart=2, track="lighthouse")
     env.reset(seed=1)
@@ -222,7 +263,7 @@ def test_a_world_of_an_earlier_step_is_not_changed_by_later_ones():
     assert on_stkzoo(code) == "True True"
 
 
-def test_tracks_are_known_before_a_race():
+def test_tracks_are_known_before_a_race(on_stkzoo):
     code = """
     from pystk2_gymnasium.envs import BaseSTKRaceEnv, STKRaceEnv
 
@@ -252,7 +293,7 @@ def test_tracks_are_known_before_a_race():
         ),
     ],
 )
-def test_agents_have_chains_of_wrappers_of_their_own(wrap, observation, chosen):
+def test_agents_have_chains_of_wrappers_of_their_own(on_stkzoo, wrap, observation, chosen):
     code = f"""
     from pystk2_gymnasium import AgentSpec, MonoAgentWrapperAdapter
     from pystk2_gymnasium.stk_wrappers import (
@@ -281,7 +322,7 @@ def test_agents_have_chains_of_wrappers_of_their_own(wrap, observation, chosen):
     ]
 
 
-def test_a_users_own_wrapper_of_actions_and_observations_runs():
+def test_a_users_own_wrapper_of_actions_and_observations_runs(on_stkzoo):
     code = """
     import copy
     from pystk2_gymnasium.definitions import ActionObservationWrapper
@@ -309,7 +350,7 @@ def test_a_users_own_wrapper_of_actions_and_observations_runs():
     assert on_stkzoo(code) == "True 0"
 
 
-def test_a_failing_wrapper_is_an_agent_exception_with_its_key():
+def test_a_failing_wrapper_is_an_agent_exception_with_its_key(on_stkzoo):
     code = """
     from pystk2_gymnasium import AgentException, AgentSpec, MonoAgentWrapperAdapter
 
@@ -331,7 +372,7 @@ def test_a_failing_wrapper_is_an_agent_exception_with_its_key():
     assert on_stkzoo(code) == "1 True"
 
 
-def test_spaces_can_be_flattened_by_hand():
+def test_spaces_can_be_flattened_by_hand(on_stkzoo):
     code = """
     from pystk2_gymnasium.wrappers import SpaceFlattener
 
@@ -349,7 +390,7 @@ def test_spaces_can_be_flattened_by_hand():
     ]
 
 
-def test_phases_are_those_of_observations():
+def test_phases_are_those_of_observations(on_stkzoo):
     code = """
     from pystk2_gymnasium.envs import Phase
 
@@ -365,7 +406,7 @@ def test_phases_are_those_of_observations():
     assert on_stkzoo(code) == "READY_PHASE SET_PHASE GO_PHASE RACE_PHASE"
 
 
-def test_an_ai_agent_shows_its_action():
+def test_an_ai_agent_shows_its_action(on_stkzoo):
     code = """
     env = gym.make("supertuxkart/full-v0", track="lighthouse",
                    agent=pystk2_gymnasium.AgentSpec(use_ai=True))
@@ -379,7 +420,7 @@ def test_an_ai_agent_shows_its_action():
 
 
 @pytest.mark.parametrize("env_id", ["supertuxkart/simple-v0", "supertuxkart/full-v0"])
-def test_vector_environments_are_made(env_id):
+def test_vector_environments_are_made(on_stkzoo, env_id):
     code = f"""
     from pystk2_gymnasium import make_stkrace_vec
 
@@ -406,12 +447,12 @@ for kind in (np.float32, np.float64):
 """
 
 
-def test_rotations_are_those_of_the_reference():
+def test_rotations_are_those_of_the_reference(on_stkzoo):
     code = "from pystk2_gymnasium.utils import rotate, rotate_batch\n" + ROTATIONS
     assert on_stkzoo(code) == on_reference(code)
 
 
-def test_enumerations_have_the_size_that_the_reference_tells():
+def test_enumerations_have_the_size_that_the_reference_tells(on_stkzoo):
     code = """
     from enum import Enum
     import pystk2
@@ -427,7 +468,7 @@ def test_enumerations_have_the_size_that_the_reference_tells():
     assert on_stkzoo(code) == on_reference(code)
 
 
-def test_steps_stand_for_the_numbers_of_the_reference():
+def test_steps_stand_for_the_numbers_of_the_reference(on_stkzoo):
     code = """
     from gymnasium import spaces
     from pystk2_gymnasium.utils import Discretizer
