@@ -2,8 +2,24 @@
 
 import os
 import signal
+from pathlib import Path
 
 import pytest
+
+TESTS = Path(__file__).parent
+#: Folders and files whose tests are all slow; elsewhere each slow test is marked.
+SLOW = (
+    "benchmarks",
+    "chaos",
+    "compat/test_compat.py",
+    "docs/test_agents_page.py",
+    "docs/test_examples.py",
+    "docs/test_tutorials.py",
+    "env/test_all_tracks.py",
+    "packaging/test_packaging.py",
+    "parity",
+    "race/remote/test_hostile.py",
+)
 
 # The tests share the cores among them; small networks are quicker on one.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -18,3 +34,11 @@ def pytest_xdist_auto_num_workers():
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count()
+
+
+def pytest_collection_modifyitems(items):
+    """Marks the tests of slow folders, which ``make test-fast`` leaves out."""
+    for item in items:
+        name = item.path.as_posix().removeprefix(f"{TESTS.as_posix()}/")
+        if name.startswith(SLOW):
+            item.add_marker(pytest.mark.slow)

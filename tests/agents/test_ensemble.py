@@ -156,6 +156,7 @@ def test_networks_become_an_agent(files, tmp_path, capsys):
     assert (mine.driver, mine.errors) == ("wise", ())
 
 
+@pytest.mark.slow
 def test_agents_are_compared_with_policies(files, tmp_path):
     one = export_policy(files[:1], "one", tmp_path / "one", ensemble_weight=0.0)
     quick = export_policy(files[0], "quick", tmp_path / "quick")

@@ -27,26 +27,31 @@ def times(results, driver):
     return [row.finish_time for result in results for row in result.agents if row.driver == driver]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("track", ["olivermath", "minigolf", "zengarden"])
 def test_finishes_alone(track):
     assert run_race(["heuristic"], track=track, seed=5).is_finished
 
 
+@pytest.mark.slow
 def test_finishes_the_other_way_round():
     assert run_race(["heuristic"], track="lighthouse", reverse=True, seed=5).is_finished
 
 
+@pytest.mark.slow
 def test_is_far_ahead_of_chance():
     result = run_race(["random", "heuristic"], track="olivermath", seed=1, max_steps=300)
     distances = {row.driver: row.distance for row in result.agents}
     assert distances["heuristic"] > 3 * distances["random"]
 
 
+@pytest.mark.slow
 def test_is_on_average_faster_than_the_median_bot():
     results = races()
     assert statistics.mean(times(results, "heuristic")) < statistics.median(times(results, "ai"))
 
 
+@pytest.mark.slow
 def test_acts_within_its_space_on_every_step():
     with race_v0.parallel_env(num_kart=2, track="minigolf", max_cycles=None) as env:
         observations, _ = env.reset(seed=4)

@@ -58,6 +58,7 @@ def quick_agent(tmp_path):
     return export_policy(run / "policy-000000123.safetensors", "quick", tmp_path / "quick")
 
 
+@pytest.mark.slow
 def test_a_network_without_plans_becomes_an_agent_too(quick_agent):
     card = json.loads((quick_agent / "card.json").read_text())
     assert card["runs"][0]["history"] == [
@@ -203,6 +204,7 @@ def test_exporting_spares_other_folders(tmp_path, capsys):
         export_policy(file, "a b", tmp_path / "other")
 
 
+@pytest.mark.slow
 def test_an_exported_folder_races_as_any_agent(agent):
     result = run_race([str(agent), "ai"], track="olivermath", seed=1, max_steps=60)
     mine = next(row for row in result.agents if row.agent == "kart_0")
@@ -216,6 +218,7 @@ def test_an_unknown_learned_driver_is_told_of_those_there_are():
     assert all(name in str(error.value) for name in LEARNED)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LEARNED)
 def test_a_shipped_driver_reaches_the_finish(name):
     result = run_race([name], track="lighthouse", seed=3, difficulty=3)
@@ -249,6 +252,7 @@ def test_before_go_it_waits_with_full_throttle_and_then_it_drives(agent):
         assert env.snapshot.karts[0]["speed"] > 5
 
 
+@pytest.mark.slow
 def test_a_learned_driver_races_the_heuristic_and_the_hardest_ai():
     drivers = [LEARNED[0], "heuristic", "ai:3"]
     result = run_race(drivers, track="olivermath", seed=1, max_steps=40)

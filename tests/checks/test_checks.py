@@ -479,6 +479,7 @@ BROKEN = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("broken", "name", "why"), BROKEN, ids=[f"{b.__name__}-{n}" for b, n, _ in BROKEN]
 )
@@ -524,6 +525,7 @@ RACE_CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("view", "name"), RACE_CASES)
 def test_the_race_passes(view, name):
     outcome = run_check(CHECKS[name], functools.partial(race_v0.parallel_env, view=view))
@@ -539,6 +541,7 @@ def _command(*arguments):
     )
 
 
+@pytest.mark.slow
 def test_the_command_prints_a_line_for_each_view_and_check():
     run = _command(
         "stkzoo.race_v0:parallel_env",
@@ -557,6 +560,7 @@ def test_the_command_prints_a_line_for_each_view_and_check():
     assert (run.returncode, run.stderr) == (0, "")
 
 
+@pytest.mark.slow
 def test_the_command_takes_all_registered_views_by_default():
     run = _command(
         "stkzoo.race_v0:parallel_env", "--json", "--check", "render_without_a_mode_warns"

@@ -17,6 +17,7 @@ from tests.support.processes import wait_until
 SCHEMA = SCHEMAS / "race-result.schema.json"
 
 
+@pytest.mark.slow
 def test_an_agent_that_fails_exits_with_3(capsys, tmp_path):
     """D27: the reference exits with 0."""
     file = tmp_path / "result.json"
@@ -26,6 +27,7 @@ def test_an_agent_that_fails_exits_with_3(capsys, tmp_path):
     assert RaceResult.from_json(file.read_text()).has_errors
 
 
+@pytest.mark.slow
 def test_raise_shows_the_agents_traceback_and_exits_with_3(capsys):
     words = ["race", "ai", str(AGENTS / "hostile" / "once.py"), "--track", "olivermath"]
     assert main([*words, "--error-handling", "raise"]) == 3
@@ -33,6 +35,7 @@ def test_raise_shows_the_agents_traceback_and_exits_with_3(capsys):
     assert 'raise ZeroDivisionError("the third")' in shown
 
 
+@pytest.mark.slow
 def test_several_races_are_summed_up(capsys, tmp_path):
     file = tmp_path / "results.json"
     words = ["race", "heuristic", "ai", "--track", "olivermath", "--seed", "5", "--races", "2"]
@@ -43,6 +46,7 @@ def test_several_races_are_summed_up(capsys, tmp_path):
     assert [race["seed"] for race in written["races"]] == [5, 6]
 
 
+@pytest.mark.slow
 def test_an_interrupt_ends_the_race_with_what_there_is(tmp_path):
     file, log = tmp_path / "result.json", tmp_path / "log"
     agent = tmp_path / "pystk_actor.py"
@@ -75,6 +79,7 @@ def test_no_part_of_a_result_is_left_when_it_cannot_be_written(tmp_path, capsys)
     assert list(tmp_path.parent.glob(".*.part")) == []
 
 
+@pytest.mark.slow
 def test_the_references_own_words_are_understood(tmp_path, capsys):
     adapter = tmp_path / "adapter.py"
     adapter.write_text("def create_actor(get_actor, *rest): return get_actor(*rest)")
@@ -87,6 +92,7 @@ def test_the_references_own_words_are_understood(tmp_path, capsys):
     assert "Plain" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_command_shows_the_race(capsys):
     assert main(["race", "heuristic", "ai", "--track", "olivermath", "--seed", "1"]) == 0
     shown = capsys.readouterr().out
@@ -94,22 +100,26 @@ def test_command_shows_the_race(capsys):
     assert [line.split()[0] for line in shown.splitlines()[2:4]] == ["1", "2"]
 
 
+@pytest.mark.slow
 def test_demo_says_where_to_go_next(capsys):
     assert main(["race", "--demo", "--track", "olivermath"]) == 0
     assert "Where to go next" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_command_writes_json(tmp_path):
     file = tmp_path / "result.json"
     assert main(["race", "ai", "--track", "olivermath", "--output", str(file)]) == 0
     assert RaceResult.from_json(file.read_text()).agents[0].driver == "ai"
 
 
+@pytest.mark.slow
 def test_command_writes_only_json_to_stdout_on_request(capsys):
     assert main(["race", "ai", "--track", "olivermath", "--output", "-"]) == 0
     assert json.loads(capsys.readouterr().out)["track"] == "olivermath"
 
 
+@pytest.mark.slow
 def test_command_fills_the_race_up(capsys):
     words = ["race", "heuristic", "--num-karts", "3", "--track", "olivermath", "--output", "-"]
     assert main(words) == 0
@@ -146,6 +156,7 @@ def test_command_without_the_games_data_exits_with_1(monkeypatch, tmp_path, caps
     assert "Traceback" not in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_result_that_cannot_be_written_exits_with_1(tmp_path, capsys):
     file = tmp_path / "missing" / "result.json"
     assert main(["race", "ai", "--track", "olivermath", "--output", str(file)]) == 1

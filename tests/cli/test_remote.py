@@ -14,6 +14,7 @@ from tests.support.remote_race import server_process, write_agent
 RACE = ["--track", "lighthouse", "--seed", "3", "--max-steps", "12"]
 
 
+@pytest.mark.slow
 def test_a_race_with_keys_of_remote_and_local_drivers(tmp_path, capsys):
     agent = write_agent(tmp_path, "ada")
     (server, server_public), (course, course_public) = (
@@ -32,6 +33,7 @@ def test_a_race_with_keys_of_remote_and_local_drivers(tmp_path, capsys):
     assert names == {"kart_0": "ada", "kart_1": "heuristic", "kart_2": "ai"}
 
 
+@pytest.mark.slow
 def test_an_agent_that_fails_on_its_server_shows_in_the_exit_code(tmp_path, capsys):
     agent = write_agent(tmp_path, "bad", act="raise KeyError('oops')")
     with server_process(agent) as (_, address):
@@ -39,6 +41,7 @@ def test_an_agent_that_fails_on_its_server_shows_in_the_exit_code(tmp_path, caps
     assert "oops" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_no_server_is_a_failure_in_words(capsys):
     client = ["race-client", "--server", "127.0.0.1:9", "--connect-timeout", "0.5"]
     assert main(client) == 1
@@ -66,6 +69,7 @@ def test_bad_usage_is_told(words, text, capsys):
     assert text in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_a_server_ends_when_it_is_asked_to(tmp_path, how):
     agent = write_agent(tmp_path, "ada")

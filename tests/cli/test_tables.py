@@ -27,6 +27,7 @@ def test_tracks_shows_what_the_race_has(capsys):
     assert 30 < other["time"] < 45
 
 
+@pytest.mark.slow
 def test_tracks_of_a_split_are_shown(capsys):
     assert main(["tracks", "--split", "test", "--difficulty", "0"]) == 0
     shown = capsys.readouterr().out
@@ -39,6 +40,7 @@ def test_a_track_that_is_not_there_is_named_with_the_nearest(capsys):
     assert "Did you mean 'lighthouse'?" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_map_is_drawn(tmp_path, capsys):
     file = tmp_path / "map.png"
     assert main(["tracks", "lighthouse", "--map", str(file)]) == 0
@@ -133,6 +135,7 @@ def test_every_command_teaches_by_examples():
             assert len(lines) >= 2, f"stkzoo {' '.join(words)} --help has no example"
 
 
+@pytest.mark.slow
 def test_every_example_of_the_helps_is_understood():
     for _, parser in every_parser(build_parser()):
         for line in (parser.epilog or "").splitlines():

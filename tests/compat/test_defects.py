@@ -80,6 +80,7 @@ def finished_race():
 # ------------------------------------------------------------------------------------ D01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kinds", ["pp", "ppp", "app", "pap", "ppa", "papa", "aappp"])
 def test_d01_actions_reach_the_kart_of_their_agent(kinds):
     players = [f"kart_{i}" for i, kind in enumerate(kinds) if kind == "p"]
@@ -150,6 +151,7 @@ def test_d02_a_lower_place_stands_further_ahead():
         assert min(p[2] for p in observations["kart_0"]["karts_position"]) > 0
 
 
+@pytest.mark.slow
 def test_d03_a_seed_gives_the_same_places_whatever_came_before():
     with race_v0.parallel_env(agents=3, num_kart=5, track=SHORT_TRACK) as env:
         drawn = set()
@@ -246,6 +248,7 @@ def snapshots_of(distances, finish_steps, lap_length):
         yield Snapshot.of(header[0], karts, np.zeros(0, ITEM_DTYPE))
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(race_histories())
 def test_d06_a_better_finish_never_earns_less_under_the_placement_reward(history):
@@ -266,6 +269,7 @@ def test_d06_a_better_finish_never_earns_less_under_the_placement_reward(history
     assert all(better >= worse - 1e-9 for better, worse in pairwise(by_rank))
 
 
+@pytest.mark.slow
 def test_d06_the_placement_reward_pays_a_real_race_in_the_order_of_its_finish():
     agents = specs("aaaa")
     with race_v0.parallel_env(
@@ -324,6 +328,7 @@ def test_d08_flattened_views_have_exactly_two_keys(view):
     assert set(env.observation_space) == set(observation) == {"continuous", "discrete"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "view", ["flattened_continuous_actions", "flattened_multidiscrete", "flattened_discrete"]
 )
@@ -343,6 +348,7 @@ def test_d08_sb3_acts_on_flattened_views(view):
 # ------------------------------------------------------------------------------------ D09
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env_id", SINGLE_IDS)
 def test_d09_observations_of_ai_agents_are_in_their_space(env_id):
     env = gym.make(env_id, agent=AgentSpec(use_ai=True), track=SHORT_TRACK)
@@ -366,6 +372,7 @@ def test_d09_observations_of_mixed_agents_are_in_their_spaces():
 # ------------------------------------------------------------------------------------ D10
 
 
+@pytest.mark.slow
 def test_d10_a_seed_gives_the_same_race_to_the_finish_with_bots():
     def trajectory(env):
         env.reset(seed=3)
@@ -596,6 +603,7 @@ def test_d16_segments_come_nearest_first_along_the_track(name):
     assert np.diff(reachable, axis=1).min() > -1e-2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cocoa_temple", "stk_enterprise"])
 def test_d16_the_five_segments_of_the_simple_view_are_the_nearest(name):
     env = gym.make("supertuxkart/simple-v0", agent=AgentSpec(use_ai=True), num_kart=1, track=name)
@@ -666,6 +674,7 @@ def test_the_centre_line_is_seen_where_it_is(start, end, vector, distance):
 # ------------------------------------------------------------------------------------ D17
 
 
+@pytest.mark.slow
 def test_d17_no_compiler_is_loaded_for_a_race():
     code = (
         "import sys, gymnasium, stkzoo\n"

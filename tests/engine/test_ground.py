@@ -322,6 +322,7 @@ def race_of_bots(track, reverse, steps):
         env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("track", "reverse"), [("stk_enterprise", False), ("volcano_island", True), ("minigolf", False)]
 )

@@ -58,6 +58,7 @@ def test_every_race_of_a_session_is_a_first_race(session):
     assert trajectory(session) == trajectory(session)
 
 
+@pytest.mark.slow
 def test_forked_spawned_and_local_first_races_are_the_same(root, session, monkeypatch):
     forked = trajectory(session)
     monkeypatch.setenv("STKZOO_START_METHOD", "spawn")
@@ -92,6 +93,7 @@ def test_a_crash_report_carries_the_games_last_lines(session):
     assert "Segmentation fault" in caught.value.log
 
 
+@pytest.mark.slow
 def test_a_stopped_game_times_out_and_is_ended(root):
     session = WorkerSession(root, timeout=0.3)
     session.start(SETUP)
@@ -113,6 +115,7 @@ def test_a_step_after_the_crash_says_reset(session):
         session.step(full_throttle())
 
 
+@pytest.mark.slow
 def test_others_do_not_notice_a_crash(root, session):
     other = WorkerSession(root)
     expected = trajectory(other)
@@ -127,6 +130,7 @@ def test_others_do_not_notice_a_crash(root, session):
     other.close()
 
 
+@pytest.mark.slow
 def test_a_killed_fork_server_is_replaced(root, session):
     expected = trajectory(session)
     fork_server = fork_client.start_fork_server(root)
@@ -143,6 +147,7 @@ def test_an_engine_error_carries_the_games_own_traceback(session):
         session.start(RaceSetup("not_a_track", (PLAYER,)))
 
 
+@pytest.mark.slow
 def test_sessions_in_threads_do_not_disturb_each_other(root, session):
     expected = trajectory(session)
     results = []
@@ -188,6 +193,7 @@ PROGRAM = """
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "ending",
     [
@@ -217,6 +223,7 @@ def test_a_killed_fork_server_takes_its_races_along(root, session):
     assert wait_until(lambda: not process_exists(pid))
 
 
+@pytest.mark.slow
 def test_a_forked_copy_of_the_program_starts_its_own_race(root):
     code = f"""
         import os
@@ -244,6 +251,7 @@ def test_a_forked_copy_of_the_program_starts_its_own_race(root):
     assert run_program(code).stdout.split("\n")[:3] == ["child: True", "child: 0", "parent: 0"]
 
 
+@pytest.mark.slow
 def test_the_games_chatter_stays_off_the_terminal(root):
     code = f"""
         from pathlib import Path
@@ -260,6 +268,7 @@ def test_the_games_chatter_stays_off_the_terminal(root):
     assert (program.returncode, program.stdout, program.stderr) == (0, "", "")
 
 
+@pytest.mark.slow
 def test_a_second_race_in_this_process_is_refused_while_the_first_lives(root):
     code = f"""
         from pathlib import Path
@@ -278,6 +287,7 @@ def test_a_second_race_in_this_process_is_refused_while_the_first_lives(root):
     assert run_program(code).stdout.split() == ["ApiOrderError", "True", "0"]
 
 
+@pytest.mark.slow
 def test_quick_restarts_leave_no_process_behind(root, session):
     for _ in range(30):
         session.start(RaceSetup("olivermath", (PLAYER,)))

@@ -46,6 +46,7 @@ def run(*arguments, program=PROGRAM):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("track", "num_kart"), [("olivermath", 6), ("zengarden", 3)])
 def test_the_block_says_what_the_attributes_say_in_a_whole_race(track, num_kart):
     program = run(track, str(num_kart))
@@ -53,10 +54,12 @@ def test_the_block_says_what_the_attributes_say_in_a_whole_race(track, num_kart)
     assert program.stdout.split()[3] == "True"
 
 
+@pytest.mark.slow
 def test_items_that_come_and_go_are_read():
     assert run("olivermath", "6").stdout.split()[2] == "True"
 
 
+@pytest.mark.slow
 def test_an_engine_whose_block_is_laid_out_otherwise_is_read_by_attribute():
     program = """
         import sys

@@ -31,6 +31,7 @@ def report(tmp_path_factory):
     return {result["track"]: result for result in json.loads(output.read_text())["tracks"]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("track", SHORT_TRACKS)
 def test_all_agents_finish_the_race_that_is_compared(report, track):
     assert report[track]["finished"] == 3
@@ -66,6 +67,7 @@ def race(env, seed=5, max_steps=None):
     return trace(play(env, seed, max_steps=max_steps))
 
 
+@pytest.mark.slow
 def test_a_seed_repeats_after_the_worker_was_killed_in_mid_race():
     with make() as env:
         expected = race(env)
@@ -79,6 +81,7 @@ def test_a_seed_repeats_after_the_worker_was_killed_in_mid_race():
         assert first_difference(expected, race(env)) is None
 
 
+@pytest.mark.slow
 def test_a_spawned_process_drives_the_same_race_as_a_forked_one(monkeypatch):
     with make() as env:
         forked = race(env)
@@ -87,6 +90,7 @@ def test_a_spawned_process_drives_the_same_race_as_a_forked_one(monkeypatch):
         assert first_difference(forked, race(env)) is None
 
 
+@pytest.mark.slow
 def test_the_game_in_this_process_drives_the_same_first_race():
     with make() as env:
         expected = race(env)
@@ -98,6 +102,7 @@ def first_race_in_this_process():
         return race(env)
 
 
+@pytest.mark.slow
 def test_an_episode_of_other_options_leaves_no_trace():
     with make() as env:
         expected = race(env, max_steps=60)
@@ -105,6 +110,7 @@ def test_an_episode_of_other_options_leaves_no_trace():
         assert first_difference(expected, race(env, max_steps=60)) is None
 
 
+@pytest.mark.slow
 def test_the_reward_does_not_change_the_race():
     with make() as plain, make(reward="placement") as other:
         for _ in zip(play(plain, 8), play(other, 8), strict=True):

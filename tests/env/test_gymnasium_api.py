@@ -48,6 +48,7 @@ def race(env, steps=30, seed=7):
     return prints
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings(UNBOUNDED)
 @pytest.mark.parametrize("env_id", IDS)
 def test_check_env_passes_without_another_warning(env_id):
@@ -103,6 +104,7 @@ def test_a_deep_copy_drives_the_same_race(env_id):
         assert race(again) == race(env)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["sync", "async"])
 @pytest.mark.parametrize("env_id", VECTOR_IDS)
 def test_make_vec_drives_two_races_at_once(env_id, mode):
@@ -118,6 +120,7 @@ def test_make_vec_drives_two_races_at_once(env_id, mode):
     envs.close()
 
 
+@pytest.mark.slow
 def test_sync_and_async_vectors_drive_the_same_races():
     make = [lambda: gym.make("supertuxkart/flattened_discrete-v0", **OPTIONS)] * 2
     results = []
@@ -131,6 +134,7 @@ def test_sync_and_async_vectors_drive_the_same_races():
     assert results[0] == results[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env_id", ["supertuxkart/full-v0", "supertuxkart/flattened-v0"])
 def test_make_stkrace_vec_drives_two_races_at_once(env_id):
     envs = make_stkrace_vec(2, env_id, env_kwargs=OPTIONS)

@@ -34,6 +34,7 @@ make = functools.partial(race_v0.parallel_env, num_kart=3, track="olivermath")
 make_aec = functools.partial(race_v0.env, num_kart=3, track="olivermath")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("view", BUILT_IN_VIEWS)
 def test_parallel_api(view):
     with make(view=view) as env:
@@ -45,6 +46,7 @@ def test_parallel_seeds(view):
     parallel_seed_test(functools.partial(make, view=view, max_cycles=60), num_cycles=100)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings(NOT_AN_ARRAY, DICT_OBSERVATIONS, DICT_ACTIONS, UNBOUNDED)
 @pytest.mark.parametrize("factory", [race_v0.env, race_v0.raw_env])
 @pytest.mark.parametrize("view", BUILT_IN_VIEWS)
@@ -54,6 +56,7 @@ def test_aec_api(view, factory):
     env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factory", [race_v0.env, race_v0.raw_env])
 def test_aec_seeds(factory):
     make_short = functools.partial(factory, num_kart=3, track="olivermath", max_cycles=60)

@@ -30,6 +30,7 @@ def pid_of(env):
     return env._session.pid
 
 
+@pytest.mark.slow
 def test_three_environments_stepped_in_turn_race_as_if_alone():
     with make_env() as env:
         alone = [play(env, seed) for seed in (1, 2, 3)]
@@ -43,6 +44,7 @@ def test_three_environments_stepped_in_turn_race_as_if_alone():
     assert [repr(trace) for trace in traces] == alone
 
 
+@pytest.mark.slow
 def test_a_killed_game_concerns_its_own_environment_only():
     with make_env() as broken, make_env() as other, make_env() as third:
         expected = play(third, 2)
@@ -89,6 +91,7 @@ def test_calls_in_the_wrong_order_are_named():
         env.step({"kart_0": 0})
 
 
+@pytest.mark.slow
 def test_in_this_process_the_first_race_is_that_of_a_worker():
     code = """
         import hashlib, sys

@@ -156,6 +156,7 @@ def test_tracks_can_be_driven_the_other_way_round():
         assert env.infos(["kart_0"])["kart_0"]["distance"] > 303.0
 
 
+@pytest.mark.slow
 def test_the_same_seed_and_start_are_the_same_race():
     def play(env, seed):
         env.reset(seed=seed, options={"start": RandomStart(speed=(5.0, 15.0))})
@@ -392,6 +393,7 @@ def test_the_benchmark_of_starts_counts_what_it_tries():
     assert summary([row, row])["starts"] == 4
 
 
+@pytest.mark.slow
 def test_a_random_start_that_is_refused_is_drawn_again():
     wish = RandomStart(share=(0.3, 0.3), offset=(-20.0, 20.0))
     with race() as env:
@@ -405,6 +407,7 @@ def test_a_random_start_that_is_refused_is_drawn_again():
             env.reset(seed=1, options={"start": beside})
 
 
+@pytest.mark.slow
 def test_a_random_start_is_found_where_one_draw_in_twelve_fits():
     wish = RandomStart(offset=(-60.0, 0.0))
     with race() as env:

@@ -78,6 +78,7 @@ def fork_server_pid():
     return fork_client.start_fork_server(find_assets().root)._process.pid
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("track", ["olivermath", "zengarden"])
 @pytest.mark.parametrize("agents", [2, SPECS], ids=["bots", "ai-agents"])
 def test_a_restored_race_is_the_original_to_its_end(track, agents):
@@ -438,6 +439,7 @@ def test_as_many_states_as_allowed_and_no_more():
         env.save_state()
 
 
+@pytest.mark.slow
 def test_states_that_nobody_refers_to_do_not_count():
     with make(max_snapshots=2) as env:
         started(env)
@@ -519,6 +521,7 @@ def test_states_are_lost_with_a_killed_fork_server_and_say_so(env):
     assert len(drive(started(env))) == 30
 
 
+@pytest.mark.slow
 def test_many_states_leave_no_process_and_no_open_file_behind(env):
     started(env).save_state().close()
     before = children_of(fork_server_pid())
@@ -596,6 +599,7 @@ PROGRAM = """
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "ending",
     [
@@ -670,6 +674,7 @@ def race_of(env, act, seed=2):
     return infos["kart_0"]["distance"], infos["kart_0"]["finish_time"]
 
 
+@pytest.mark.slow
 def test_the_planner_gets_further_than_the_driver_that_it_is_made_of():
     with make("olivermath", agents=1, max_cycles=150, max_paths=20) as env:
         base, _ = race_of(env, heuristic.create_state().drive)

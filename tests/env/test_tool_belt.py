@@ -398,6 +398,7 @@ def test_the_random_stream_is_gymnasiums(view):
         assert env.unwrapped.np_random.bit_generator.state != drawn
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("view", EVERY)
 def test_check_env_remarks_on_nothing_but_endless_bounds(view):
     with make(view, **DRAWN) as env, warnings.catch_warnings(record=True) as caught:

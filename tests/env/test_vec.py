@@ -91,6 +91,7 @@ def info_of(infos, slot):
 # ---------------------------------------------------------------------- the same races
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("prefetch", [False, True])
 @pytest.mark.parametrize("view", ["flattened_discrete", "simple"])
 def test_slots_are_the_agents_of_races_driven_alone(view, prefetch):
@@ -372,6 +373,7 @@ def test_a_hanging_game_is_replaced():
     envs.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("prefetch", [False, True])
 def test_a_killed_fork_server_is_replaced(prefetch):
     envs = make(2, prefetch=prefetch)
@@ -564,6 +566,7 @@ def test_what_is_dropped_leaves_no_process():
     assert all(map(is_gone, everybody))
 
 
+@pytest.mark.slow
 def test_a_program_that_is_killed_leaves_no_process():
     code = """
         import sys, time

@@ -48,6 +48,7 @@ def small(tmp_path_factory):
 # ------------------------------------------------------------------ what comes out
 
 
+@pytest.mark.slow
 def test_the_agent_drives_the_planned_races(small):
     folder, result, heard = small
     assert [progress.done for progress in heard] == list(range(7))
@@ -105,6 +106,7 @@ def test_the_plot_is_a_picture(small, tmp_path):
     assert "lighthouse" in (tmp_path / "both.svg").read_text()
 
 
+@pytest.mark.slow
 def test_two_agents_meet_the_same_conditions(small, tmp_path):
     """The AI under another name does what the AI does: all differences are exactly none."""
     _, heuristic, _ = small
@@ -116,6 +118,7 @@ def test_two_agents_meet_the_same_conditions(small, tmp_path):
     assert compare(heuristic, one).difference().figures["time_ratio"].value != 0.0
 
 
+@pytest.mark.slow
 def test_an_agent_that_fails_is_last_and_told(tmp_path):
     agent = str(AGENTS / "hostile" / "once.py")
     options = {**SMALL, "forms": ["PA"], "seeds": 1}
@@ -131,6 +134,7 @@ def test_an_agent_that_fails_is_last_and_told(tmp_path):
 # ------------------------------------------------------------------ interruptions
 
 
+@pytest.mark.slow
 def test_a_killed_benchmark_goes_on_to_the_same_result(small, tmp_path):
     _, whole, _ = small
     folder = tmp_path / "heuristic"
@@ -165,6 +169,7 @@ def test_a_killed_benchmark_goes_on_to_the_same_result(small, tmp_path):
 # ------------------------------------------------------------------ the race's end, rescues
 
 
+@pytest.mark.slow
 def test_a_race_is_over_when_those_who_are_awaited_have_finished():
     options = {"track": "olivermath", "difficulty": 3, "start_positions": [1, 2, 3]}
     result = run_race(["ai", "random", "ai"], wait_for=[2], **options)
@@ -174,6 +179,7 @@ def test_a_race_is_over_when_those_who_are_awaited_have_finished():
     assert by_agent["kart_1"].finish_time is None
 
 
+@pytest.mark.slow
 def test_nobody_waits_for_those_who_have_failed():
     drivers = [str(AGENTS / "hostile" / "unloadable.py"), "ai"]
     result = run_race(drivers, wait_for=[0], track="lighthouse")
@@ -240,6 +246,7 @@ def test_the_shipped_times_are_of_every_track_both_ways_at_every_difficulty():
     assert AiTimes.from_json(times.to_json()) == times
 
 
+@pytest.mark.slow
 def test_measuring_again_finds_the_shipped_times(tmp_path):
     options = {"tracks": "olivermath", "seeds": 1, "difficulties": (2,), "jobs": 1}
     times = measure_ai_times(tmp_path / "ai", **options)
@@ -277,6 +284,7 @@ def test_the_command_shows_the_figures_and_compares(small, tmp_path, capsys):
     assert picture.read_bytes()[:4] == b"\x89PNG"
 
 
+@pytest.mark.slow
 def test_the_command_exits_with_3_when_the_agent_failed(tmp_path, capsys):
     words = ["--split", "lighthouse", "--forms", "PA", "--seeds", "1", "--directions", "forward"]
     agent = str(AGENTS / "hostile" / "unloadable.py")

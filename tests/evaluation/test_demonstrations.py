@@ -48,6 +48,7 @@ def whole(tmp_path_factory):
     )
 
 
+@pytest.mark.slow
 def test_a_data_set_has_what_was_seen_and_done(driven):
     _, demos = driven
     assert len(demos) == 4
@@ -85,6 +86,7 @@ def test_a_file_has_no_pickles_and_is_read_as_it_was(driven):
         np.testing.assert_array_equal(again.columns[name], column)
 
 
+@pytest.mark.slow
 def test_what_was_recorded_drives_the_same_race_again(driven):
     _, demos = driven
     for race in (0, 1):
@@ -93,6 +95,7 @@ def test_what_was_recorded_drives_the_same_race_again(driven):
         assert found.steps == 120
 
 
+@pytest.mark.slow
 def test_actions_one_step_late_do_not_drive_the_same_race(driven):
     _, demos = driven
     late = {**demos.columns, "controls": np.roll(demos.columns["controls"], 1, axis=0)}
@@ -110,6 +113,7 @@ def test_the_views_action_is_the_nearest_to_what_was_done(driven):
     assert np.abs(as_told[:, 1] - controls[:, 1]).max() <= 0.1
 
 
+@pytest.mark.slow
 def test_the_ais_action_is_what_it_did_until_the_next_observation():
     """Against the environment, stepped by quarters of a step."""
     recorder = DemoRecorder(1, DemoView("racing"), substeps=4)
@@ -144,6 +148,7 @@ def ai_race(step_size, steps):
             yield observations["kart_0"]
 
 
+@pytest.mark.slow
 def test_races_of_the_ai_end_at_the_finish(whole):
     assert all(episode.is_finished for episode in whole)
     assert {episode.facts.rank for episode in whole} == {1, 2}
@@ -152,6 +157,7 @@ def test_races_of_the_ai_end_at_the_finish(whole):
         check_demonstrations(whole)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("view", ["simple", "flattened_discrete", "box_continuous"])
 def test_other_views_are_recorded_in_their_own_spaces(view, tmp_path):
     how = {**SHORT, "karts": 1, "max_steps": 25}
@@ -196,6 +202,7 @@ def test_other_demonstrations_are_not_overwritten(driven):
 COMMAND = ["pursuit", "--tracks", "lighthouse", "--karts", "1", "--max-steps", "40", "--jobs", "1"]
 
 
+@pytest.mark.slow
 def test_recording_goes_on_after_a_kill(tmp_path):
     file = tmp_path / "d.npz"
     words = ["demos", *COMMAND, "--seeds", "4", "--output", str(file)]
@@ -227,6 +234,7 @@ def _wait_for(happened, seconds=120.0):
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 def test_the_command_records_and_checks(tmp_path, capsys):
     file = tmp_path / "d.npz"
     assert main(["demos", *COMMAND, "--output", str(file), "--check"]) == 0
@@ -256,6 +264,7 @@ def test_bad_arguments_are_told(words, text, capsys):
     assert text in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_an_agent_that_fails_makes_no_demonstrations(tmp_path, capsys):
     bad = tmp_path / "bad.py"
     bad.write_text(
@@ -324,6 +333,7 @@ def test_minari_reads_the_same(driven, tmp_path, monkeypatch):
         to_minari(demos, "supertuxkart/pursuit-v0")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="the command's own folder")
 def test_the_command_writes_minari(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))

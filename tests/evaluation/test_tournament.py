@@ -59,6 +59,7 @@ def races_in(folder):
 # ------------------------------------------------------------------ what comes out
 
 
+@pytest.mark.slow
 def test_all_races_are_run_with_the_planned_grids(small):
     folder, result, _ = small
     plan = result.plan
@@ -106,6 +107,7 @@ def test_progress_is_told_of_every_race(small):
     assert heard[-1].last.steps == 40
 
 
+@pytest.mark.slow
 def test_a_finished_tournament_runs_nothing_again(small):
     folder, result, _ = small
     stamps = [file.stat().st_mtime_ns for file in sorted((folder / "races").iterdir())]
@@ -125,6 +127,7 @@ def test_the_plot_is_a_picture(small, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["cup.svg"]
 
 
+@pytest.mark.slow
 def test_the_number_of_jobs_changes_nothing(tmp_path):
     one = run_tournament(THREE, output=tmp_path / "one", jobs=1, **SMALL)
     two = run_tournament(THREE, output=tmp_path / "two", jobs=3, **SMALL)
@@ -140,6 +143,7 @@ def test_better_agents_are_rated_better():
     assert all(rating.low < rating.value < rating.high for rating in ratings)
 
 
+@pytest.mark.slow
 def test_more_races_make_the_interval_narrower():
     races = [[0, 1], [0, 1], [1, 0], [0, 1]]
     few, many = rate(races * 2, 2)[0], rate(races * 25, 2)[0]
@@ -153,6 +157,7 @@ def test_who_never_raced_has_the_rating_of_a_stranger():
     assert rating.low < 23 < 27 < rating.high
 
 
+@pytest.mark.slow
 def test_an_agent_that_always_wins_is_not_rated_without_doubt():
     few, many = rate([[0, 1]] * 4, 2), rate([[0, 1]] * 100, 2)
     assert few[0].low < few[0].value - 3
@@ -160,6 +165,7 @@ def test_an_agent_that_always_wins_is_not_rated_without_doubt():
     assert many[0].low > many[1].high
 
 
+@pytest.mark.slow
 def test_a_missing_library_is_told_before_the_first_race(tmp_path):
     code = """
         import sys
@@ -184,6 +190,7 @@ def test_a_missing_library_is_told_before_the_first_race(tmp_path):
 SIX = ("heuristic", "ai", "random", "heuristic@:second", "ai@:rival", "random@:dice")
 
 
+@pytest.mark.slow
 def test_races_killed_at_half_and_resumed_are_all_races(tmp_path):
     folder = tmp_path / "league"
     command = [sys.executable, "-m", "stkzoo", "tournament", *SIX, "--output", str(folder)]
@@ -216,6 +223,7 @@ def test_races_killed_at_half_and_resumed_are_all_races(tmp_path):
     assert all(row.rating.low < row.rating.value < row.rating.high for row in result.standings)
 
 
+@pytest.mark.slow
 def test_a_resumed_tournament_comes_to_the_same(tmp_path):
     whole = run_tournament(THREE, output=tmp_path / "whole", **SMALL)
 
@@ -234,6 +242,7 @@ def test_a_resumed_tournament_comes_to_the_same(tmp_path):
     assert run_tournament(THREE, output=tmp_path / "parts", **SMALL) == whole
 
 
+@pytest.mark.slow
 def test_ctrl_c_says_how_to_go_on(tmp_path):
     folder = tmp_path / "cup"
     command = [sys.executable, "-m", "stkzoo", "tournament", "ai", "heuristic"]
@@ -248,6 +257,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
     assert wait_until(lambda: not any(map(process_exists, workers)))
 
 
+@pytest.mark.slow
 def test_a_race_whose_process_is_killed_is_run_again():
     plan = plan_tournament(["ai", "heuristic"], tracks=["lighthouse"], races=2, max_steps=300)
     outcomes = run_in_parallel(plan.orders(), 1, 100)
@@ -264,6 +274,7 @@ def cmdline(pid):
     return Path(f"/proc/{pid}/cmdline").read_text()
 
 
+@pytest.mark.slow
 def test_an_agent_that_ends_its_race_process_is_told_and_the_others_go_on(tmp_path):
     """With --inline an agent can do that."""
     settings = {**SMALL, "inline": True, "races": 3, "per_race": 2}
@@ -275,12 +286,14 @@ def test_an_agent_that_ends_its_race_process_is_told_and_the_others_go_on(tmp_pa
     assert len(races_in(tmp_path / "cup")) == 1
 
 
+@pytest.mark.slow
 def test_a_race_that_never_ends_is_ended(tmp_path):
     settings = {**SMALL, "races": 1, "per_race": 2, "max_steps": 10**6, "race_timeout": 3.0}
     with pytest.raises(BatchError, match="it was not over after 3 s"):
         run_tournament(["random", "random@:r"], output=tmp_path / "cup", **settings)
 
 
+@pytest.mark.slow
 def test_two_programs_do_not_run_one_tournament(tmp_path):
     folder = tmp_path / "cup"
 
@@ -302,6 +315,7 @@ def test_another_tournament_in_the_folder_is_refused(small):
         run_tournament(agents, output=folder, tracks=["lighthouse"], races=9)
 
 
+@pytest.mark.slow
 def test_an_agent_that_was_changed_meanwhile_is_told(tmp_path):
     agent, folder = tmp_path / "mine", tmp_path / "cup"
     shutil.copytree(AGENTS / "plain", agent)
@@ -334,6 +348,7 @@ def test_files_of_a_module_count_too():
     assert list(fingerprint("this")) == ["this.py"]
 
 
+@pytest.mark.slow
 def test_a_damaged_race_is_told(tmp_path):
     folder = tmp_path / "cup"
     run_tournament(THREE, output=folder, **SMALL)
@@ -378,6 +393,7 @@ def test_agents_of_one_file_name_are_called_by_their_paths():
     assert [entrant.label for entrant in plan_tournament(paths).entrants] == paths
 
 
+@pytest.mark.slow
 def test_the_command_shows_a_table_and_exits_with_3_when_an_agent_failed(tmp_path, capsys):
     folder = str(tmp_path / "cup")
     agents = ["ai", str(AGENTS / "hostile" / "once.py")]

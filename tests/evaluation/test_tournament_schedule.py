@@ -23,6 +23,7 @@ def shapes(draw):
     return agents, tracks, draw(st.integers(1, 60)), draw(st.integers(2, min(agents, 8)))
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(shapes(), st.integers(0, 1000))
 def test_nobody_is_favoured(shape, seed):

@@ -152,6 +152,7 @@ def test_a_twin_takes_what_the_stub_says(name):
         assert ours[bool(is_new) :] == theirs[bool(is_new) :], function.name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("view", "track"),
     list(zip(CHAINS, itertools.cycle(TRACKS), strict=False)),
@@ -540,6 +541,7 @@ def twin_of(track):
     return track_graph.TrackGraph(*arrays, track.length)
 
 
+@pytest.mark.slow
 def test_the_order_ahead_is_the_same_on_every_track_and_segment():
     for name in SPLITS["all"]:
         with race_v0.parallel_env(num_kart=1, track=name) as env:

@@ -197,6 +197,7 @@ def test_agents_may_have_rewards_of_their_own():
             assert rewards[agent] == pytest.approx(sum(terms))
 
 
+@pytest.mark.slow
 def test_episode_sums_add_up_over_a_whole_race():
     agents = [AgentSpec(use_ai=True), AgentSpec(use_ai=True)]
     with race_v0.parallel_env(agents=agents, num_kart=2, track="olivermath") as env:

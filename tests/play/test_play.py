@@ -134,6 +134,7 @@ def test_a_view_that_hides_what_a_key_means_says_so():
         del VIEWS["keyless"], gym.registry["supertuxkart/keyless-v0"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("view", ["flattened_discrete", "full"])
 def test_play_with_keys_pressed_from_what_is_seen_finishes_a_lap(view):
     fingers, ends = Fingers(), []
@@ -213,6 +214,7 @@ class Driving(RaceListener):
 WINDOW = {"backend": "map", "size": (160, 120), "track": "lighthouse", "seed": 3}
 
 
+@pytest.mark.slow
 def test_the_person_drives_the_first_kart_against_others():
     result = play_race(["ai", "random"], rate=60, max_steps=300, listeners=[Driving()], **WINDOW)
     assert [agent.driver for agent in sorted(result.agents, key=lambda a: a.agent)] == [
@@ -234,6 +236,7 @@ def test_leaving_ends_the_race(leaving):
     assert driving.steps == 6
 
 
+@pytest.mark.slow
 def test_a_pause_lasts_until_the_key_is_pressed_again():
     import threading
 
@@ -261,6 +264,7 @@ def test_keys_are_let_go_when_the_window_loses_the_focus():
     screen.close()
 
 
+@pytest.mark.slow
 def test_what_was_driven_is_a_dataset_that_drives_the_same_race_again(tmp_path):
     path = tmp_path / "me.npz"
     play_race(
@@ -356,6 +360,7 @@ def test_the_package_does_not_load_pygame():
     assert done.stdout == "False\n"
 
 
+@pytest.mark.slow
 def test_the_command_plays_and_records(tmp_path, capsys):
     arguments = ["play", "ai", "--track", "lighthouse", "--seed", "1", "--map", "--max-steps", "8"]
     window = ["--width", "160", "--height", "120"]

@@ -64,6 +64,7 @@ def assert_same(one, other):
         assert one == other
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(messages)
 def test_a_message_comes_out_as_it_went_in(message):

@@ -40,6 +40,7 @@ def failing_driver(step):
     return Driver.of_actor("clumsy", make_actor)
 
 
+@pytest.mark.slow
 def test_ranks_are_given_once_each(result):
     assert [row.rank for row in result.agents] == [1, 2, 3, 4]
 
@@ -60,21 +61,25 @@ def test_result_survives_json(result):
     assert RaceResult.from_json(result.to_json()) == result
 
 
+@pytest.mark.slow
 def test_same_seed_is_the_same_race(result):
     again = run_race(["heuristic", "ai", "ai", "random"], track="olivermath", seed=3, max_steps=400)
     assert again == result
 
 
+@pytest.mark.slow
 def test_other_seed_is_another_race(result):
     other = run_race(["heuristic", "ai", "ai", "random"], track="olivermath", seed=4, max_steps=400)
     assert [row.reward for row in other.agents] != [row.reward for row in result.agents]
 
 
+@pytest.mark.slow
 def test_everybody_drives_all_laps():
     result = run_race(["ai", "ai"], track="olivermath", laps=2, seed=1)
     assert [row.laps for row in result.agents] == [2, 2]
 
 
+@pytest.mark.slow
 def test_whoever_never_moves_does_not_hang_the_race():
     def stand(_, action_space, __):
         action = {key: space.sample() * 0 for key, space in action_space.items()}
@@ -208,6 +213,7 @@ def test_failing_driver_is_named():
     assert caught.value.key == "kart_1"
 
 
+@pytest.mark.slow
 def test_a_failing_driver_costs_only_its_own_race():
     result = run_race(["ai", failing_driver(5)], track="olivermath", seed=1)
     winner, loser = result.agents
@@ -216,6 +222,7 @@ def test_a_failing_driver_costs_only_its_own_race():
     assert 'ZeroDivisionError("no way")' in loser.errors[0].trace
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "status"),
     [
@@ -232,6 +239,7 @@ def test_why_a_race_was_over_is_said(settings, status):
     assert result.is_finished == (status == "finished")
 
 
+@pytest.mark.slow
 def test_a_race_of_many_laps_is_not_cut_short():
     """D26: it takes longer than the 1500 steps after which the reference stops."""
     result = run_race(["ai"], track="candela_city", laps=4, seed=1)
@@ -239,6 +247,7 @@ def test_a_race_of_many_laps_is_not_cut_short():
     assert (result.status, result.agents[0].laps) == ("finished", 4)
 
 
+@pytest.mark.slow
 def test_the_reward_is_the_sum_over_the_race():
     """D27."""
     ear = Ear()

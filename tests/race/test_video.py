@@ -91,6 +91,7 @@ def test_a_dead_ffmpeg_is_told_and_leaves_nothing(tmp_path):
     writer.abort()
 
 
+@pytest.mark.slow
 def test_an_ffmpeg_that_hangs_is_ended(tmp_path, monkeypatch):
     monkeypatch.setattr(encoder, "_STALL_LIMIT", 0.3)
     writer = VideoWriter(tmp_path / "race.mp4", 10)
@@ -101,6 +102,7 @@ def test_an_ffmpeg_that_hangs_is_ended(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_told_and_leaves_nothing(tmp_path):
     code = """
 import resource, signal, sys
@@ -201,6 +203,7 @@ def test_an_end_card_holds_many_results(size):
     assert end_card("lighthouse", "results", rows, None, size).shape == (size[1], size[0], 3)
 
 
+@pytest.mark.slow
 def test_a_film_lasts_as_long_as_the_race(tmp_path):
     path = tmp_path / "race.mp4"
     video = RaceVideo(path, backend="map", size=(160, 120), sub_steps=3, card_seconds=1.0)
@@ -210,6 +213,7 @@ def test_a_film_lasts_as_long_as_the_race(tmp_path):
     assert len(pictures) == 1 + 3 * result.steps + 30
 
 
+@pytest.mark.slow
 def test_filming_changes_no_race(tmp_path):
     video = RaceVideo(tmp_path / "race.mp4", backend="map", size=(160, 120), sub_steps=4)
     settings = {"track": "lighthouse", "seed": 1, "max_steps": 60}

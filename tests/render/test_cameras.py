@@ -49,6 +49,7 @@ def drawings(monkeypatch):
     return drawn
 
 
+@pytest.mark.slow
 def test_every_agent_sees_its_own_camera_and_one_drawing_serves_all(drawings):
     with race(**ON_MAP) as env:
         steps = list(drive(env, 20))
@@ -59,6 +60,7 @@ def test_every_agent_sees_its_own_camera_and_one_drawing_serves_all(drawings):
     assert len({image.tobytes() for image in images}) == 3
 
 
+@pytest.mark.slow
 def test_the_picture_is_that_of_the_present_moment():
     with race(**ON_MAP) as env:
         for number, observations in enumerate(drive(env, 30)):
@@ -83,6 +85,7 @@ def test_the_rate_is_chosen(drawings, every):
             assert images[number + 1] == images[number]
 
 
+@pytest.mark.slow
 def test_cameras_change_no_race_and_nothing_else_in_an_observation():
     with race(**ON_MAP) as env, race_v0.parallel_env(**RACE, view="flattened_discrete") as plain:
         for seen, bare in zip(drive(env, 20), drive(plain, 20), strict=True):
@@ -158,6 +161,7 @@ def test_gymnasiums_picture_wrappers_go_around_it_in_a_view():
     assert observations["kart_2"].shape == (4, 48, 64)
 
 
+@pytest.mark.slow
 def test_saved_states_come_back_with_their_pictures():
     with race(**ON_MAP, every=3) as env:
         for _ in drive(env, 10):
@@ -174,6 +178,7 @@ def test_saved_states_come_back_with_their_pictures():
             assert alike.mean() > 0.97  # trails begin anew
 
 
+@pytest.mark.slow
 def test_many_races_have_cameras():
     envs = stkzoo.RaceVectorEnv(2, num_kart=2, track="lighthouse", view=partial(filmed, **ON_MAP))
     observations, _ = envs.reset(seed=1)

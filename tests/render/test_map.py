@@ -25,6 +25,7 @@ def count(picture, colour, near=30):
     return int((away < near).sum())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(640, 480), (84, 84), (333, 127), (1280, 720), (200, 600)])
 def test_a_picture_has_the_size_that_was_asked_for(race, size):
     scene, snapshots = race

@@ -75,6 +75,7 @@ def test_gymnasium_ids_render(name):
     env.close()
 
 
+@pytest.mark.slow
 def test_gymnasiums_checker_renders_without_a_complaint(monkeypatch):
     env = gym.make(
         "supertuxkart/flattened_discrete-v0", track="lighthouse", render_mode="rgb_array", **MAP
@@ -412,6 +413,7 @@ def test_missing_pictures_are_named(monkeypatch):
             env.render()
 
 
+@pytest.mark.slow
 def test_drawing_without_pillow_names_the_extra():
     code = (
         "import sys; sys.modules['PIL'] = None\nfrom stkzoo.render.pictures import pillow\npillow()"
@@ -424,6 +426,7 @@ def test_drawing_without_pillow_names_the_extra():
 # ------------------------------------------------------------------ Gymnasium's recorders
 
 
+@pytest.mark.slow
 def test_record_video_makes_a_file(tmp_path):
     env = gym.make(
         "supertuxkart/flattened_discrete-v0",
@@ -444,6 +447,7 @@ def test_record_video_makes_a_file(tmp_path):
     assert video.stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_save_video_makes_a_file(tmp_path):
     env = gym.make(
         "supertuxkart/flattened_discrete-v0",

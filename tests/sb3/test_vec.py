@@ -117,6 +117,7 @@ def test_it_is_a_vec_env():
     envs.close()
 
 
+@pytest.mark.slow
 def test_it_gives_what_the_gymnasium_form_gives():
     envs, races = make(), RaceVectorEnv(2, **OPTIONS)
     envs.seed(7)
@@ -132,6 +133,7 @@ def test_it_gives_what_the_gymnasium_form_gives():
     races.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flat", [False, True])
 def test_infos_tell_the_end(flat):
     envs = make(flat_observations=flat)
@@ -151,6 +153,7 @@ def test_infos_tell_the_end(flat):
     envs.close()
 
 
+@pytest.mark.slow
 def test_an_agent_that_finishes_is_done_and_not_truncated():
     envs = RaceVecEnv(1, **BOTS)
     (_, _, done, infos), _ = idle_start(envs)
@@ -162,6 +165,7 @@ def test_an_agent_that_finishes_is_done_and_not_truncated():
     envs.close()
 
 
+@pytest.mark.slow
 def test_idle_steps_are_episodes_of_nothing():
     envs = RaceVecEnv(1, **BOTS)
     (_, _, ended, _), (observations, rewards, done, infos) = idle_start(envs)
@@ -184,6 +188,7 @@ def test_evaluation_counts_races_and_not_idle_steps():
     envs.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "view", ["flattened_multidiscrete", "flattened_discrete", "flattened_continuous_actions"]
 )
@@ -226,6 +231,7 @@ def test_a_seed_is_for_one_reset():
     envs.close()
 
 
+@pytest.mark.slow
 def test_set_options_are_for_one_reset():
     envs = make()
     envs.set_options({"track": "zengarden"})
@@ -334,6 +340,7 @@ def test_no_idle_step_of_a_race_is_learnt_from():
     envs.close()
 
 
+@pytest.mark.slow
 def test_nothing_but_this_module_imports_stable_baselines3():
     code = "import stkzoo, stkzoo.env.vec.env, sys; print(*sys.modules)"
     loaded = subprocess.run(

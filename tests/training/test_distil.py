@@ -71,6 +71,7 @@ def run(tmp_path_factory):
     return folder, distill.run(SMALL, folder)
 
 
+@pytest.mark.slow
 def test_a_run_drives_by_plans_then_by_the_network(run):
     folder, log = run
     assert [line["driver"] for line in log] == ["the plans", "the network"]
@@ -81,6 +82,7 @@ def test_a_run_drives_by_plans_then_by_the_network(run):
     assert (driver.inputs, driver.hold) == (INPUT_SIZE, 1)
 
 
+@pytest.mark.slow
 def test_its_network_is_compared_with_the_plans_in_the_same_races(run):
     folder, log = run
     drivers = [match_driver(folder / "policy.safetensors"), match_driver("prior")]
@@ -92,6 +94,7 @@ def test_its_network_is_compared_with_the_plans_in_the_same_races(run):
     assert np.mean([outcome.ratio for outcome in plans]) < 1.0
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_with_its_round(run, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         calls = iter([distill._alone])

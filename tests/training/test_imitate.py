@@ -41,6 +41,7 @@ def examples(count=4000):
     return observations, np.stack(actions, axis=1)
 
 
+@pytest.mark.slow
 def test_a_network_learns_what_follows_from_what_it_sees():
     observations, actions = examples()
     network = make_network((64,), seed=0)
@@ -148,6 +149,7 @@ def test_bad_arguments_are_told(words, text, tmp_path, capsys):
     assert text in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_demonstrations_of_another_view_are_refused(tmp_path, capsys):
     file = tmp_path / "d.npz"
     record_demonstrations(

@@ -127,6 +127,7 @@ def test_payoffs_are_shares_of_common_matches():
     assert payoff("main-002", "nobody", MATCHES) == (0.5, 0)
 
 
+@pytest.mark.slow
 def test_a_match_is_driven_to_its_end():
     """Policies that differ in nothing but a leaning towards the brake."""
     plans = RacingPolicy.of_plans_alone()
@@ -187,6 +188,7 @@ def test_weights_of_another_network_are_refused(tmp_path):
         League(tmp_path / "league", arguments)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
 def test_after_a_kill_the_turn_is_played_again_as_it_was(tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"

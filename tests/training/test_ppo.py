@@ -57,6 +57,7 @@ def last_policy(folder):
     return load_weights(max(folder.glob("policy-*.safetensors")))
 
 
+@pytest.mark.slow
 def test_it_learns_and_ends(tmp_path):
     command = [sys.executable, "-m", "stkzoo.agents.training.ppo.selfplay"]
     command += words(tmp_path / "run", 150, learning_rate=0.01)
@@ -72,6 +73,7 @@ def test_it_learns_and_ends(tmp_path):
     assert list((tmp_path / "run").glob("events.out.tfevents.*"))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
 def test_after_a_kill_it_goes_on_as_if_nothing_had_been(tmp_path):
     assert learn(tmp_path / "whole", 480) == 0
@@ -84,6 +86,7 @@ def test_after_a_kill_it_goes_on_as_if_nothing_had_been(tmp_path):
     assert all((ours[name] == theirs[name]).all() for name in theirs)
 
 
+@pytest.mark.slow
 def test_other_arguments_are_refused_unless_they_may_change(tmp_path, capsys):
     assert learn(tmp_path, 40) == 0
     assert learn(tmp_path, 80, learning_rate=0.001) != 0
@@ -93,6 +96,7 @@ def test_other_arguments_are_refused_unless_they_may_change(tmp_path, capsys):
     assert [part["arguments"]["learning_rate"] for part in history] == [0.0003, 0.001]
 
 
+@pytest.mark.slow
 def test_a_run_keeps_to_the_numbers_of_its_plans(tmp_path, capsys):
     assert learn(tmp_path, 40) == 0
     state = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
@@ -193,6 +197,7 @@ def test_advantages_end_where_races_end(tmp_path):
         learner.close()
 
 
+@pytest.mark.slow
 def test_policies_are_compared_in_the_same_races():
     prior = match_driver("prior")
     once, again = evaluate([prior, prior], ["olivermath"], 1, bots=1)
@@ -202,6 +207,7 @@ def test_policies_are_compared_in_the_same_races():
     assert all(outcome.is_won == (outcome.rank == 1) for outcome in once)
 
 
+@pytest.mark.slow
 def test_plans_go_by_the_numbers_of_their_run(tmp_path):
     arguments = SelfPlayArguments(**SMALL | {"plans": BY_HAND})
     learner = PPOLearner(tmp_path, arguments)

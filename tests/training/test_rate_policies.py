@@ -59,6 +59,7 @@ def test_everybody_races_equally_often_and_everywhere():
     assert draw_match(names, 5) == matches[5]
 
 
+@pytest.mark.slow
 def test_the_better_ones_are_rated_higher_and_more_races_are_added(run, tmp_path, capsys):
     words = [str(run), "--every=0", f"--output={tmp_path / 'out'}"]
     assert main([*words, "--matches=1"]) == 0
@@ -95,6 +96,7 @@ def test_too_few_policies_are_refused(run, tmp_path, capsys):
     assert "expected 4 or more" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_policies_of_stable_baselines_are_rated_too(tmp_path):
     """From nothing to one that goes straight on, which standing still does not beat."""
     folder = tmp_path / "from_nothing"
@@ -127,6 +129,7 @@ def test_runs_of_all_scripts_are_rated_together(run):
     assert match.order(finishes)[-1] == "network"  # it does not know where to drive
 
 
+@pytest.mark.slow
 def test_a_driver_with_two_karts_counts_by_the_better_one():
     def choose(pedal):
         return network_driver(lambda seen: np.tile([10, pedal, 0, 0, 0], (len(seen), 1)))

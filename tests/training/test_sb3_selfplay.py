@@ -147,6 +147,7 @@ def pools():
     return OpponentPool(4, [bot_name(difficulty) for difficulty in range(4)]), OpponentPool(4)
 
 
+@pytest.mark.slow
 def test_rivals_drive_without_teaching(monkeypatch, policy):
     monkeypatch.setattr(sb3_races, "SHORT_RACE", 12)
     bots, snapshots = pools()
@@ -179,6 +180,7 @@ def test_rivals_drive_without_teaching(monkeypatch, policy):
         envs.close()
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_races(policy):
     bots, snapshots = pools()
     snapshots.add("past")
@@ -199,6 +201,7 @@ def test_the_same_seed_gives_the_same_races(policy):
         envs.close()
 
 
+@pytest.mark.slow
 def test_pace_and_places_of_a_whole_race():
     """Full throttle from the grid, straight on; the AI leaves it behind."""
     bots, snapshots = pools()
@@ -218,6 +221,7 @@ def test_pace_and_places_of_a_whole_race():
         envs.close()
 
 
+@pytest.mark.slow
 def test_the_way_goes_on_behind_the_finish(monkeypatch):
     """Towards the learner a finish is a race that is cut short, with a last view."""
     near_finish = Start(share=0.97, speed=15.0)
@@ -437,6 +441,7 @@ def test_other_weights_are_refused(tmp_path, policy):
         initial_weights(tmp_path / "wide", policy)
 
 
+@pytest.mark.slow
 def test_a_policy_becomes_an_agent(tmp_path, policy):
     save_driver(tmp_path / "policy.safetensors", policy)
     agent = export_policy(tmp_path / "policy.safetensors", "me", tmp_path / "agent")
@@ -449,6 +454,7 @@ def test_a_policy_becomes_an_agent(tmp_path, policy):
 # ---------------------------------------------------------------------- runs
 
 
+@pytest.mark.slow
 def test_values_are_learned_before_the_policy(tmp_path):
     assert learn(tmp_path, 40, warm_up=1_000_000, keep_every=10) == 0
     first = load_weights(tmp_path / "policy-000000000.safetensors")
@@ -457,6 +463,7 @@ def test_values_are_learned_before_the_policy(tmp_path):
         assert (array == first[name]).all() != is_value, name
 
 
+@pytest.mark.slow
 def test_it_learns_evaluates_and_ends(tmp_path):
     evaluation = {"evaluation_races": 1, "evaluation_tracks": "olivermath"}
     command = [sys.executable, "-m", "stkzoo.agents.training.sb3.selfplay"]
@@ -480,6 +487,7 @@ def test_it_learns_evaluates_and_ends(tmp_path):
     assert (tmp_path / "agent" / "pystk_actor.py").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
 def test_after_a_kill_it_goes_on_as_if_nothing_had_been(tmp_path):
     assert learn(tmp_path / "whole", 270) == 0
@@ -509,11 +517,13 @@ def test_a_run_begins_with_given_weights(tmp_path):
     assert all((ours[name] == theirs[name]).all() for name in theirs)
 
 
+@pytest.mark.slow
 def test_supersuit_gives_the_same_learner_plain_races(tmp_path):
     assert learn(tmp_path, 60, supersuit=True, races="2x2", snapshot_share=0.5) == 0
     assert log_of(tmp_path)[-1]["kart_steps"] >= 60
 
 
+@pytest.mark.slow
 def test_a_policy_is_judged_against_what_it_was(tmp_path, policy):
     for steps in (0, 10, 20):
         save_driver(tmp_path / f"policy-{steps:09d}.safetensors", policy)
@@ -526,6 +536,7 @@ def test_a_policy_is_judged_against_what_it_was(tmp_path, policy):
     assert max(rate_orders(evaluation.orders).items(), key=lambda item: item[1].value)[0] == "bot:0"
 
 
+@pytest.mark.slow
 def test_buffers_leave_rivals_out():
     """The rows of :class:`ActiveRolloutBuffer` are those that ``kart_steps`` counts."""
     bots, snapshots = pools()
@@ -552,6 +563,7 @@ def test_buffers_leave_rivals_out():
         envs.close()
 
 
+@pytest.mark.slow
 def test_curves_are_drawn(tmp_path):
     lines = [{"kart_steps": 1000 * n, "pace": 0.1 * n, "beats_bots": 0.5} for n in range(1, 5)]
     (tmp_path / "log.jsonl").write_text("\n".join(map(json.dumps, lines)))

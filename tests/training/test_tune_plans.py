@@ -38,6 +38,7 @@ def test_a_point_outside_is_moved_inside():
         )
 
 
+@pytest.mark.slow
 def test_bad_numbers_drive_badly_and_each_set_as_if_it_were_alone():
     good, bad = DriverParameters(), replace(DriverParameters(), aim_time=0.1, greatest_room=2.5)
     places = [("lighthouse", False, 1), ("olivermath", False, 1)]
@@ -47,12 +48,14 @@ def test_bad_numbers_drive_badly_and_each_set_as_if_it_were_alone():
     assert drive_all([bad], 0, places) == [told[1]]
 
 
+@pytest.mark.slow
 def test_test_tracks_are_refused(tmp_path, capsys):
     with pytest.raises(SystemExit, match="2"):
         tune_plans.main([f"--output={tmp_path}", "--tracks=zengarden"])
     assert "invalid choice: 'zengarden'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_tuning_goes_on_where_it_was(tmp_path, monkeypatch):
     """The races stand aside: how well a set drives is how near its numbers are to the present."""
     present = np.array(to_unit(DriverParameters()))
@@ -74,6 +77,7 @@ def test_tuning_goes_on_where_it_was(tmp_path, monkeypatch):
     assert DriverParameters(**json.loads((parts / "best.json").read_text()))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
 def test_nothing_goes_on_when_tuning_is_killed(tmp_path):
     with subprocess.Popen(command(tmp_path, 50)) as program:

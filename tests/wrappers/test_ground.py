@@ -83,6 +83,7 @@ def test_the_ground_is_seen_where_it_is(ahead):
 # ------------------------------------------------------------------ in races
 
 
+@pytest.mark.slow
 def test_only_who_asks_sees_the_ground():
     views = {"kart_1": "ground"}
     with race_v0.parallel_env(num_kart=3, track="hacienda", view=views) as env:

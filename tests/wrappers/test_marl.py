@@ -46,6 +46,7 @@ def test_a_box_view_has_the_numbers_and_a_one_for_each_choice(view):
             assert sorted(vector[begin:end]) == [0.0] * (end - begin - 1) + [1.0]
 
 
+@pytest.mark.slow
 def test_a_box_view_shows_what_the_flattened_view_shows():
     views = {}
     for view in ("flattened_discrete", "box_discrete"):
@@ -77,6 +78,7 @@ def numbers_of(action):
     return {"fire": (action // 20) % 2, "nitro": (action // 40) % 2}
 
 
+@pytest.mark.slow
 def test_the_mask_tells_what_nitro_and_fire_can_do_through_a_whole_race():
     seen = set()
     with race(agents=1, num_kart=2, view="masked_discrete", max_cycles=600) as env:
@@ -103,6 +105,7 @@ def steer_home(vector):
     return 4 + 160 * int(np.clip(round(3 + 6 * angle), 0, 6))
 
 
+@pytest.mark.slow
 def test_masked_buttons_change_nothing_in_the_game():
     ends = []
     for buttons in (0, 20, 40, 60):  # none, fire, nitro, both: nothing to use at the start
@@ -140,6 +143,7 @@ def test_masks_need_discrete_actions():
 # ------------------------------------------------------------------ partial observations
 
 
+@pytest.mark.slow
 def test_who_is_far_away_or_behind_is_not_seen():
     def near(env):
         return PartialObservations(env, radius=20.0, angle=math.pi, of=["karts", "items"])
@@ -217,6 +221,7 @@ def test_team_rewards_are_shared_by_the_share():
         assert len(set(own.values())) > 1
 
 
+@pytest.mark.slow
 def test_those_who_have_left_a_team_earn_nothing_for_it():
     one = {"kart_0": 0.99, "kart_1": 0.1}
     options = {"num_kart": 2, "view": "flattened_discrete", "track": "olivermath"}
@@ -346,6 +351,7 @@ def test_channels_that_cannot_be_are_refused(options, text):
 # ------------------------------------------------------------------ together
 
 
+@pytest.mark.slow
 def test_channels_around_teams_keep_pettingzoos_contract():
     def view(env):
         return FlattenerWrapper(VIEWS["simple"](env))

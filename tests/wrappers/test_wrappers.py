@@ -74,6 +74,7 @@ def without_text(obs):
     return {key: value for key, value in obs.items() if key != "kart_type"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("view", FIXED_SIZE)
 def test_observations_equal_those_of_the_reference(view):
     ours, theirs = wrap(kart_env(), view), wrap_as_reference(kart_env(), view)
@@ -94,6 +95,7 @@ def test_constant_size_equals_the_reference_for_other_sizes(mask):
         assert_same(ours.observation(obs), theirs.observation(obs))
 
 
+@pytest.mark.slow
 def test_polar_equals_the_reference_on_lists():
     ours = PolarObservations(kart_env())
     theirs = reference_stk.PolarObservations(kart_env())
@@ -303,6 +305,7 @@ def test_numbers_beyond_the_ends_are_the_ends(number, step):
     assert Discretizer(spaces.Box(-1, 1, (1,)), 7).discretize(number) == step
 
 
+@pytest.mark.slow
 @given(
     npst.arrays(np.float32, (3, 2), elements=st.floats(-1, 1, width=32)),
     npst.arrays(np.int64, (3, 4), elements=st.integers(0, 1)),

@@ -30,6 +30,7 @@ def drive_alone(track, reverse=False):
             observation = env.step({"kart_0": action})[0]["kart_0"]
 
 
+@pytest.mark.slow
 def test_drifts_earn_boosts_in_the_game():
     calls = list(drive_alone("lighthouse"))
     ends = [
@@ -42,6 +43,7 @@ def test_drifts_earn_boosts_in_the_game():
     assert statistics.median(gains) > 0.5  # m/s; without a boost the speed is not above 0
 
 
+@pytest.mark.slow
 def test_drifts_do_not_begin_too_soon_after_one_another():
     drifts = [action["drift"] for *_, action in drive_alone("stk_enterprise", reverse=True)]
     begins = np.flatnonzero(np.diff(drifts, prepend=0) == 1)
@@ -88,6 +90,7 @@ def turns_of(env, controls):
     return np.diff(np.unwrap(headings))
 
 
+@pytest.mark.slow
 def test_full_lock_turns_as_fast_as_reckoned(fast_kart):
     env, lock = fast_kart
     for side in (-1, 1):

@@ -36,6 +36,7 @@ def load(source):
         return load_agent(find_files(str(source)).place(life))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("track", ["lighthouse", "snowmountain", "sandtrack"])
 def test_agents_of_all_forms_race_to_the_finish(track, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(AGENTS / "module_home")
@@ -50,6 +51,7 @@ def test_agents_of_all_forms_race_to_the_finish(track, tmp_path, monkeypatch):
     assert names_of(result) == {name.title() for name in FORMS} | {"Zipped", "Module"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inline", [True, False])
 def test_agents_whose_modules_bear_the_same_names_do_not_collide(inline, tmp_path):
     """D20: both are a package stk_actor with a module driving."""
@@ -102,16 +104,19 @@ def test_a_package_is_an_agent_without_a_module_of_the_usual_name():
     assert load(ROOT / "agents" / "heuristic").name == "heuristic"
 
 
+@pytest.mark.slow
 def test_a_name_can_be_given_to_every_driver():
     drivers = ["ai@:Bot", f"{AGENTS / 'plain'}@:Mine"]
     assert names_of(run_race(drivers, track="lighthouse", max_steps=2)) == {"Bot", "Mine"}
 
 
+@pytest.mark.slow
 def test_an_agent_without_a_name_is_called_by_its_file():
     driver = str(AGENTS / "module_home" / "bare_module_agent.py")
     assert names_of(run_race([driver], track="lighthouse", max_steps=2)) == {"bare_module_agent"}
 
 
+@pytest.mark.slow
 def test_an_adapter_makes_the_actors(tmp_path):
     adapter = tmp_path / "adapter.py"
     adapter.write_text(
@@ -129,6 +134,7 @@ def test_an_adapter_makes_the_actors(tmp_path):
     assert result.agents[0].errors == ()
 
 
+@pytest.mark.slow
 def test_what_is_unpacked_is_removed_after_the_race(tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)

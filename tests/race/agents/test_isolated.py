@@ -38,6 +38,7 @@ def hostile_race():
     return race(*good, *map(hostile, names), agent_memory=2048)
 
 
+@pytest.mark.slow
 def test_good_agents_finish_beside_hostile_ones(hostile_race):
     rows = by_driver(hostile_race)
     assert hostile_race.status == "finished"
@@ -72,6 +73,7 @@ def test_a_traceback_shows_the_agents_own_lines(hostile_race):
     assert "agent_process" not in trace
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("handling", ["retire", "restart", "catch"])
 def test_a_race_of_lost_agents_ends(handling):
     drivers = map(hostile, ("closes", "forger", "unloadable", "no_actor"))
@@ -81,6 +83,7 @@ def test_a_race_of_lost_agents_ends(handling):
     assert result.steps < 10
 
 
+@pytest.mark.slow
 def test_what_keeps_an_agent_from_loading_is_told():
     result = race("ai", *map(hostile, ("unloadable", "no_actor")), max_steps=5)
     told = {row.driver: row.errors[0] for row in result.agents if row.errors}
@@ -90,24 +93,28 @@ def test_what_keeps_an_agent_from_loading_is_told():
     assert "FileNotFoundError: weights.pth" in told["no_actor"].message
 
 
+@pytest.mark.slow
 def test_an_agent_that_never_loads_is_not_waited_for():
     result = race("ai", hostile("sleeps"), start_timeout=2.0, max_steps=5)
     assert "its start took longer than 2 s" in by_driver(result)["sleeps"].errors[0].message
     assert result.steps == 5
 
 
+@pytest.mark.slow
 def test_what_an_agent_prints_disturbs_nothing():
     result = race(hostile("noisy"), max_steps=40)
     assert not result.has_errors
     assert result.agents[0].distance > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["closes", "forger"])
 def test_an_agent_that_breaks_its_connection_is_out(name):
     result = race(hostile(name), "ai", max_steps=5)
     assert by_driver(result)[name].num_errors == 1
 
 
+@pytest.mark.slow
 def test_raise_ends_the_race_with_the_error():
     with pytest.raises(AgentError, match=r"driver 'once' of kart_1 failed: ZeroDivision") as caught:
         race("ai", hostile("once"), error_handling="raise", max_steps=20)
@@ -115,27 +122,32 @@ def test_raise_ends_the_race_with_the_error():
     assert 'raise ZeroDivisionError("the third")' in caught.value.trace
 
 
+@pytest.mark.slow
 def test_raise_ends_the_race_when_an_agent_is_too_late():
     with pytest.raises(AgentTimeout, match=r"took longer than 0.3 s"):
         race(hostile("loop"), error_handling="raise", action_timeout=0.3)
 
 
+@pytest.mark.slow
 def test_retire_takes_an_agent_out_at_its_first_error():
     row = by_driver(race("ai", hostile("once"), max_steps=20))["once"]
     assert (row.status, row.num_errors, row.errors[0].step) == ("retired", 1, 2)
 
 
+@pytest.mark.slow
 def test_catch_lets_an_agent_go_on_after_an_error():
     result = race(hostile("once"), error_handling="catch", max_steps=20)
     assert (result.agents[0].status, result.agents[0].num_errors) == ("racing", 1)
 
 
+@pytest.mark.slow
 def test_restart_starts_an_agent_anew_as_often_as_it_may():
     result = race(hostile("once"), error_handling="restart", max_restarts=2, max_steps=50)
     assert [failure.step for failure in result.agents[0].errors] == [2, 5, 8]
     assert result.agents[0].status == "retired"
 
 
+@pytest.mark.slow
 def test_an_endless_loop_is_started_anew_when_errors_are_caught():
     result = race(
         hostile("loop"), error_handling="catch", max_restarts=1, action_timeout=0.3, max_steps=9
@@ -144,6 +156,7 @@ def test_an_endless_loop_is_started_anew_when_errors_are_caught():
     assert result.agents[0].status == "retired"
 
 
+@pytest.mark.slow
 def test_a_random_agent_repeats_with_the_seed():
     files = str(AGENTS / "module_home" / "bare_module_agent.py")
     results = [race(files, hostile("once"), error_handling="catch", max_steps=60) for _ in "ab"]
@@ -151,6 +164,7 @@ def test_a_random_agent_repeats_with_the_seed():
     assert race(files, hostile("once"), error_handling="catch", seed=2, max_steps=60) != results[0]
 
 
+@pytest.mark.slow
 def test_isolated_and_inline_agents_drive_the_same_race():
     drivers = [str(AGENTS / name) for name in ("plain", "alpha", "beta", "wrapped", "weights")]
     isolated = race(*drivers, max_steps=120)
@@ -158,11 +172,13 @@ def test_isolated_and_inline_agents_drive_the_same_race():
     assert min(row.distance for row in isolated.agents) > 10
 
 
+@pytest.mark.slow
 def test_an_inline_agent_that_is_too_late_is_ended():
     result = race(hostile("loop"), "ai", inline=True, action_timeout=0.3, max_steps=9)
     assert "its action took longer than 0.3 s" in by_driver(result)["loop"].errors[0].message
 
 
+@pytest.mark.slow
 def test_nothing_of_an_agent_outlives_its_race(monkeypatch, tmp_path):
     pids = tmp_path / "pids"
     monkeypatch.setenv("STKZOO_TEST_PIDS", str(pids))
@@ -171,6 +187,7 @@ def test_nothing_of_an_agent_outlives_its_race(monkeypatch, tmp_path):
         assert wait_until(lambda pid=pid: not process_exists(pid))
 
 
+@pytest.mark.slow
 def test_an_agent_dies_with_a_race_that_is_killed(tmp_path):
     pids = tmp_path / "pids"
     code = f"""

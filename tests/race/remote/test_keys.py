@@ -55,6 +55,7 @@ def test_others_get_nothing(closed_server, stranger):
         assert len(group.drivers) == 1
 
 
+@pytest.mark.slow
 def test_a_message_without_keys_gets_no_answer(closed_server):
     with raw_client(closed_server[0]) as socket:
         for _ in range(20):

@@ -40,6 +40,7 @@ class Watcher(RaceListener):
             self._deed()
 
 
+@pytest.mark.slow
 def test_a_race_over_two_servers_to_the_finish_is_the_same_as_here():
     with (
         server_process("heuristic") as (_, first),
@@ -53,6 +54,7 @@ def test_a_race_over_two_servers_to_the_finish_is_the_same_as_here():
     assert essence(result) == essence(run_race(["heuristic", "heuristic", "ai"], **TRACK))
 
 
+@pytest.mark.slow
 def test_one_server_with_several_agents_in_any_order_of_seats(tmp_path):
     names = ["ada", "bob", "eve"]
     agents = [write_agent(tmp_path, name) for name in names]
@@ -65,6 +67,7 @@ def test_one_server_with_several_agents_in_any_order_of_seats(tmp_path):
             assert not any(row.errors for row in result.agents)
 
 
+@pytest.mark.slow
 def test_servers_in_another_order_serve_the_next_race(tmp_path):
     one, two = write_agent(tmp_path, "one"), write_agent(tmp_path, "two")
     with server_process(one) as (_, first), server_process(two) as (_, second):
@@ -74,6 +77,7 @@ def test_servers_in_another_order_serve_the_next_race(tmp_path):
             assert not any(row.errors for row in result.agents)
 
 
+@pytest.mark.slow
 def test_a_server_killed_in_the_race_costs_its_own_karts_only():
     with (
         server_process("heuristic") as (process, first),
@@ -89,6 +93,7 @@ def test_a_server_killed_in_the_race_costs_its_own_karts_only():
     assert not other.errors
 
 
+@pytest.mark.slow
 def test_a_server_that_stands_still_costs_its_own_karts_only():
     with (
         server_process("heuristic") as (process, first),
@@ -101,6 +106,7 @@ def test_a_server_that_stands_still_costs_its_own_karts_only():
     assert not rows(result)["kart_1"].errors
 
 
+@pytest.mark.slow
 def test_a_server_restarted_in_the_race_drives_on(tmp_path):
     agent = write_agent(tmp_path, "ada")
     with server_process(agent) as (process, address), RemoteDriverGroup([address]) as group:
@@ -125,6 +131,7 @@ def test_a_server_restarted_in_the_race_drives_on(tmp_path):
     assert len(rows(result)["kart_0"].errors) == 1
 
 
+@pytest.mark.slow
 def test_a_server_restarted_between_races_serves_the_next(tmp_path):
     agent = write_agent(tmp_path, "ada")
     with server_process(agent) as (_, address):
@@ -135,6 +142,7 @@ def test_a_server_restarted_between_races_serves_the_next(tmp_path):
     assert not any(row.errors for row in result.agents)
 
 
+@pytest.mark.slow
 def test_a_slow_agent_is_ended_and_the_others_of_its_server_race_on(tmp_path):
     slow = write_agent(tmp_path, "slow", act="import time; time.sleep(3600)")
     good = write_agent(tmp_path, "good")
@@ -147,6 +155,7 @@ def test_a_slow_agent_is_ended_and_the_others_of_its_server_race_on(tmp_path):
     assert not rows(result)["kart_1"].errors
 
 
+@pytest.mark.slow
 def test_the_client_may_give_agents_less_time_than_the_server_does(tmp_path):
     slow = write_agent(tmp_path, "slow", act="import time; time.sleep(60)")
     with server_process(slow) as (_, address), RemoteDriverGroup([address]) as group:
@@ -154,6 +163,7 @@ def test_the_client_may_give_agents_less_time_than_the_server_does(tmp_path):
     assert "longer than 0.3 s" in rows(result)["kart_0"].errors[0].message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("act", "text"),
     [("raise KeyError('oops')", "oops"), ("import os; os._exit(1)", "exit status 1")],
@@ -168,6 +178,7 @@ def test_an_agent_that_fails_does_not_spoil_its_server(tmp_path, act, text):
             assert not rows(result)["kart_1"].errors
 
 
+@pytest.mark.slow
 def test_an_agent_that_cannot_be_loaded_costs_only_itself(tmp_path):
     bad, good = write_agent(tmp_path, "bad"), write_agent(tmp_path, "good")
     with open(os.path.join(bad, "pystk_actor.py"), "w") as file:
@@ -178,6 +189,7 @@ def test_an_agent_that_cannot_be_loaded_costs_only_itself(tmp_path):
     assert not rows(result)["kart_1"].errors
 
 
+@pytest.mark.slow
 def test_two_races_at_once_on_one_server():
     with (
         server_thread([find_driver("heuristic")]) as server,
@@ -195,6 +207,7 @@ def test_two_races_at_once_on_one_server():
     assert essence(outer) == essence(inner[0])
 
 
+@pytest.mark.slow
 def test_a_busy_server_says_so():
     with (
         server_thread([find_driver("heuristic")], max_sessions=1) as server,
@@ -216,6 +229,7 @@ def test_a_busy_server_says_so():
             assert not any(row.errors for row in again.agents)
 
 
+@pytest.mark.slow
 def test_a_client_that_is_gone_frees_its_place(tmp_path):
     agent = write_agent(tmp_path, "ada")
     code = (
@@ -253,6 +267,7 @@ def test_a_client_that_pauses_is_not_flooded():
     assert 5 < len(asked) < _QUEUE
 
 
+@pytest.mark.slow
 def test_no_server_is_told_before_the_race():
     with pytest.raises(RemoteError, match="did not connect in time"):
         RemoteDriverGroup(["127.0.0.1:9"], connect_timeout=0.5)

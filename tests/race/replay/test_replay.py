@@ -78,6 +78,7 @@ def repacked(path, **changes):
 # ------------------------------------------------------------------ the same race
 
 
+@pytest.mark.slow
 def test_every_position_of_500_steps_is_the_same(recorded):
     path, result, positions = recorded
     again = Positions()
@@ -88,6 +89,7 @@ def test_every_position_of_500_steps_is_the_same(recorded):
     assert (playback.steps, playback.result) == (500, result)
 
 
+@pytest.mark.slow
 def test_a_fresh_process_says_so_too(recorded):
     command = [sys.executable, "-m", "stkzoo", "replay", recorded[0]]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
@@ -99,6 +101,7 @@ def test_a_replay_is_small(recorded):
     assert recorded[0].stat().st_size < 200_000
 
 
+@pytest.mark.slow
 def test_a_replay_of_a_replay_is_the_same_file(recorded, tmp_path):
     again = tmp_path / "again.stkz"
     play_replay(load_replay(recorded[0]), listeners=[ReplayWriter(again)])
@@ -351,6 +354,7 @@ def test_a_race_that_never_started_leaves_the_older_file(small):
 # ------------------------------------------------------------------ the command
 
 
+@pytest.mark.slow
 def test_an_interrupted_race_leaves_a_partial_replay(tmp_path):
     path, agent = tmp_path / "race.stkz", tmp_path / "pystk_actor.py"
     agent.write_text(
@@ -389,6 +393,7 @@ def test_one_replay_for_several_races_is_bad_usage(tmp_path, capsys):
     assert "--replay keeps one race" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_replay_becomes_a_video(small, tmp_path):
     video = tmp_path / "race.mp4"
     size = ["--screen-width", "160", "--screen-height", "90", "--render-sub-steps", "1"]

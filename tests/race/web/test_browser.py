@@ -49,6 +49,7 @@ def stands_still(reader):
     return all(step_of(reader) == step for _ in range(30))
 
 
+@pytest.mark.slow
 def test_step_run_and_pause_are_clicked_and_standings_move(reader, tmp_path):
     with WatchedRace(["ai", "random", "heuristic", "ai"], track="lighthouse") as race:
         open_on_the_grid(reader, race)
@@ -81,6 +82,7 @@ def test_step_run_and_pause_are_clicked_and_standings_move(reader, tmp_path):
     assert [text for text in reader.errors() if "WebSocket" not in text] == []
 
 
+@pytest.mark.slow
 def test_keys_do_what_buttons_do(reader):
     with WatchedRace() as race:
         open_on_the_grid(reader, race)
@@ -101,6 +103,7 @@ def test_keys_do_what_buttons_do(reader):
         assert reader.run("return document.getElementById('agent').value") != chosen
 
 
+@pytest.mark.slow
 def test_an_agents_observation_is_a_tree_that_opens(reader):
     with WatchedRace(["ai", "random@:Rolf"]) as race:
         open_on_the_grid(reader, race)
@@ -115,6 +118,7 @@ def test_an_agents_observation_is_a_tree_that_opens(reader):
         assert len(reader.all("#tree details[open]")) == 2
 
 
+@pytest.mark.slow
 def test_two_viewers_see_the_same(reader):
     with WatchedRace() as race:
         open_on_the_grid(reader, race)
@@ -131,6 +135,7 @@ def test_two_viewers_see_the_same(reader):
         reader.until(lambda: step_of(reader) == 1)
 
 
+@pytest.mark.slow
 def test_page_comes_back_for_the_next_race(reader):
     with WatchedRace() as race:
         open_on_the_grid(reader, race)
@@ -162,6 +167,7 @@ def test_page_fits_the_screen_and_everything_has_a_name(reader, width, is_dark):
         assert reader.errors() == []
 
 
+@pytest.mark.slow
 def test_a_drivers_name_is_text(reader, tmp_path):
     name = "<img src=x onerror=document.title=1>"
     (tmp_path / "pystk_actor.py").write_text(

@@ -144,6 +144,7 @@ def test_a_viewer_is_told_the_race_then_its_past_then_its_present():
     assert {len(column) for column in moment["karts"].values()} == {3}
 
 
+@pytest.mark.slow
 def test_pause_step_and_run_do_what_they_say():
     async def scenario(one):
         await one.send("speed", value=None)
@@ -284,6 +285,7 @@ def test_race_goes_on_when_its_viewers_leave():
         assert race.join().steps == 400
 
 
+@pytest.mark.slow
 def test_a_viewer_that_takes_nothing_holds_nobody_up_and_is_let_go(monkeypatch):
     monkeypatch.setattr("stkzoo.race.web.viewer._PATIENCE", 0.5)
 
@@ -319,6 +321,7 @@ def test_a_failing_agent_is_told(tmp_path):
         assert "no way" in race.watch(scenario)["kart_1"]
 
 
+@pytest.mark.slow
 def test_page_can_stay_after_the_race():
     async def scenario(one):
         await one.send("run")
@@ -555,6 +558,7 @@ def test_command_shows_where_the_page_is_and_ends_by_itself(capsys, tmp_path):
     assert lines[0].startswith("live page: http://127.0.0.1:")
 
 
+@pytest.mark.slow
 def test_command_stays_until_ctrl_c_and_reports_all_the_same(tmp_path):
     file = tmp_path / "result.json"
     words = ["race", "ai", "--track", "olivermath", "--max-steps", "5", "--output", str(file)]
