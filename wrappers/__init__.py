@@ -6,16 +6,16 @@ many; :mod:`stkzoo.views` runs them for all agents of a race.
 """
 
 from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
+from stkzoo.wrappers.actions import (
+    DiscreteActionsWrapper,
+    Discretizer,
+    FlattenMultiDiscreteActions,
+    OnlyContinuousActionsWrapper,
+)
 from stkzoo.wrappers.adapter import MonoAgentWrapperAdapter
 from stkzoo.wrappers.camera import CameraObservations
-from stkzoo.wrappers.constant_size import ConstantSizedObservations
-from stkzoo.wrappers.continuous_actions import OnlyContinuousActionsWrapper
-from stkzoo.wrappers.discrete_actions import DiscreteActionsWrapper, Discretizer
-from stkzoo.wrappers.flatten_multidiscrete import FlattenMultiDiscreteActions
-from stkzoo.wrappers.flattener import FlattenerWrapper
-from stkzoo.wrappers.joined import JoinedObservations
-from stkzoo.wrappers.polar import PolarObservations
-from stkzoo.wrappers.space_flattener import SpaceFlattener
+from stkzoo.wrappers.flattening import FlattenerWrapper, JoinedObservations, SpaceFlattener
+from stkzoo.wrappers.observations import ConstantSizedObservations, PolarObservations
 
 __all__ = [
     "ActionObservationWrapper",

@@ -1,4 +1,4 @@
-"""What the wrappers ask of the arguments and spaces they are constructed with."""
+"""What wrappers share: checks of arguments and spaces, and the base of other forms of actions."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import numpy as np
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError
+from stkzoo.views.bases import ActionObservationWrapper
 
-__all__ = ["dict_space", "observed_action", "whole_number", "with_observed_action"]
+__all__ = ["ActionFormWrapper", "dict_space", "observed_action", "whole_number"]
 
 
 def whole_number(name: str, value: object, minimum: int) -> int:
@@ -48,11 +49,23 @@ def observed_action(space: spaces.Space[Any]) -> spaces.Space[Any] | None:
     return space.spaces.get("action") if isinstance(space, spaces.Dict) else None
 
 
-def with_observed_action(
-    space: spaces.Space[Any], action_space: spaces.Space[Any]
-) -> spaces.Space[Any]:
-    """The observation space with the AI's ``action``, where there is one, in another space."""
-    if not isinstance(space, spaces.Dict) or "action" not in space.spaces:
-        return space
-    entries = copy.deepcopy(space.spaces)
-    return spaces.Dict({**entries, "action": copy.deepcopy(action_space)})
+class ActionFormWrapper(ActionObservationWrapper):
+    """Another form of actions, also of the game AI's own ``action`` where it is observed."""
+
+    def _change_action_space(self, space: spaces.Space[Any]) -> None:
+        self.action_space = space
+        seen = self.env.observation_space
+        self._has_action = isinstance(seen, spaces.Dict) and "action" in seen.spaces
+        if isinstance(seen, spaces.Dict) and self._has_action:
+            parts = {**copy.deepcopy(seen.spaces), "action": copy.deepcopy(space)}
+            self.observation_space = spaces.Dict(parts)
+
+    def observed_action(self, action: Any) -> Any:
+        """This wrapper's form of an action of the wrapped environment."""
+        raise NotImplementedError
+
+    def observation(self, observation: Any) -> Any:
+        """The observation with the AI's ``action``, if it has one, in this wrapper's form."""
+        if not self._has_action:
+            return observation
+        return {**observation, "action": self.observed_action(observation["action"])}

@@ -9,11 +9,10 @@ from typing import Any
 import gymnasium as gym
 
 from stkzoo.errors import unknown_name
-from stkzoo.wrappers.constant_size import ConstantSizedObservations
 from stkzoo.wrappers.control.parameters import CarParameters
 from stkzoo.wrappers.control.wrapper import ControlWrapper
-from stkzoo.wrappers.flattener import FlattenerWrapper
-from stkzoo.wrappers.polar import PolarObservations
+from stkzoo.wrappers.flattening import FlattenerWrapper
+from stkzoo.wrappers.observations import ConstantSizedObservations, PolarObservations
 
 __all__ = ["ControlView"]
 

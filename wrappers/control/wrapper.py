@@ -12,8 +12,8 @@ import numpy as np
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError, unknown_name
-from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
-from stkzoo.wrappers.arguments import dict_space, observed_action, with_observed_action
+from stkzoo.views.bases import CompiledWrapper
+from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space
 from stkzoo.wrappers.control.car_action import CarAction
 from stkzoo.wrappers.control.parameters import CarParameters
 
@@ -29,7 +29,7 @@ BUTTONS = ("drift", "fire", "nitro", "rescue")
 _PEDALS = ("acceleration", "steer", "brake")
 
 
-class ControlWrapper(ActionObservationWrapper, CompiledWrapper):
+class ControlWrapper(ActionFormWrapper, CompiledWrapper):
     """Steers by ``control`` (2,), as :class:`CarAction` says, and buttons beside it.
 
     The action is a dict of ``control`` and the chosen buttons (0 or 1); buttons that were
@@ -79,9 +79,8 @@ class ControlWrapper(ActionObservationWrapper, CompiledWrapper):
         self._idle = _idle_buttons(dict_space(env.action_space, "actions", "ControlWrapper"))
         _check_observations(dict_space(env.observation_space, "observations", "ControlWrapper"))
         own = {button: spaces.Discrete(2) for button in self.buttons}
-        self.action_space = spaces.Dict({"control": copy.deepcopy(self.car_action.space), **own})
-        self._has_action = observed_action(env.observation_space) is not None
-        self.observation_space = with_observed_action(env.observation_space, self.action_space)
+        control = copy.deepcopy(self.car_action.space)
+        self._change_action_space(spaces.Dict({"control": control, **own}))
         self._start(self.step_size)
 
     def compile_into(self, plan: ViewPlan) -> bool:

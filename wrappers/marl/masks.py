@@ -14,7 +14,7 @@ from gymnasium import spaces
 from stkzoo.errors import ConfigError
 from stkzoo.names import PowerupType
 from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
-from stkzoo.wrappers.flattener import FlattenerWrapper
+from stkzoo.wrappers.flattening import FlattenerWrapper
 
 if TYPE_CHECKING:
     from stkzoo.views.plan import ViewPlan

@@ -13,8 +13,8 @@ from gymnasium import spaces
 
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
-from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
-from stkzoo.wrappers.arguments import dict_space, observed_action, with_observed_action
+from stkzoo.views.bases import CompiledWrapper
+from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space, observed_action
 from stkzoo.wrappers.racing.batched_view import racing_view_of
 from stkzoo.wrappers.racing.features import LOOKS, Surroundings, line_places, racing_features
 from stkzoo.wrappers.racing.layout import SIZE
@@ -179,7 +179,7 @@ def _road(paths: dict[str, FloatArray], looks: FloatArray) -> FloatArray:
     return road
 
 
-class RacingActions(ActionObservationWrapper, CompiledWrapper):
+class RacingActions(ActionFormWrapper, CompiledWrapper):
     """The game's actions as a few choices: steering, pedal, drift, nitro, fire.
 
     The pedal is go, coast, brake or rescue; the brake also drives backwards. :data:`CHOICES` says
@@ -202,9 +202,7 @@ class RacingActions(ActionObservationWrapper, CompiledWrapper):
                 f"RacingActions needs the game's own actions, but found {space!r}. "
                 "Put it around the full view's."
             )
-        self.action_space = spaces.MultiDiscrete(np.array(CHOICES))
-        self._has_action = observed_action(env.observation_space) is not None
-        self.observation_space = with_observed_action(env.observation_space, self.action_space)
+        self._change_action_space(spaces.MultiDiscrete(np.array(CHOICES)))
 
     def compile_into(self, plan: ViewPlan) -> bool:
         """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
@@ -236,11 +234,9 @@ class RacingActions(ActionObservationWrapper, CompiledWrapper):
             **{key: value if value.ndim else int(value) for key, value in buttons.items()},
         }
 
-    def observation(self, observation: Any) -> Any:
-        """The observation with the AI's ``action`` as choices, if it has one."""
-        if not self._has_action:
-            return observation
-        return {**observation, "action": choices_of_action(observation["action"])}
+    def observed_action(self, action: Mapping[str, Any]) -> npt.NDArray[np.int64]:
+        """The choices nearest to an action."""
+        return choices_of_action(action)
 
 
 def choices_of_action(action: Mapping[str, Any]) -> npt.NDArray[np.int64]:

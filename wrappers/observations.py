@@ -1,4 +1,4 @@
-"""Lists of changing length as arrays of one size."""
+"""Observations of fixed size, in polar coordinates."""
 
 from __future__ import annotations
 
@@ -11,19 +11,21 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError
+from stkzoo.mdp.geometry import to_polar
 from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import dict_space, whole_number
 
 if TYPE_CHECKING:
     from stkzoo.views.plan import ViewPlan
 
-__all__ = ["ConstantSizedObservations"]
+__all__ = ["ConstantSizedObservations", "PolarObservations"]
 
 _LISTS = {
     "paths": ("paths_width", "paths_distance", "paths_start", "paths_end"),
     "items": ("items_position", "items_type"),
     "karts": ("karts_position",),
 }
+_POSITIONS = ("center_path", "items_position", "karts_position", "paths_end", "paths_start")
 
 
 class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
@@ -104,6 +106,49 @@ class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledW
                 mask = np.zeros(changed[keys[0]].shape[:-1], np.int8)
                 mask[..., :length] = 1
                 changed[f"{group}_mask"] = mask
+        return changed
+
+
+class PolarObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
+    """Turns positions in the kart frame into two angles and a distance.
+
+    ``(x, y, z)`` [m], x right, y up, z forward, becomes ``(atan2(x, z), atan2(y, z),
+    norm)`` [rad, rad, m], float32: 0 is straight ahead, a positive first angle is to the
+    right, a positive second one above. Padding (zeros) stays zero. Keys: ``center_path``,
+    ``items_position``, ``karts_position``, ``paths_start`` and ``paths_end``, those that
+    the environment has; lists stay tuples.
+
+    Raises:
+        ConfigError: the environment has none of these keys.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        space = dict_space(env.observation_space, "observations", "PolarObservations")
+        self._keys = tuple(key for key in _POSITIONS if key in space.spaces)
+        if not self._keys:
+            raise ConfigError(
+                f"PolarObservations found no positions among {', '.join(space.spaces)}; "
+                f"it changes {', '.join(_POSITIONS)}."
+            )
+
+    def compile_into(self, plan: ViewPlan) -> bool:
+        """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
+        if plan.is_polar or plan.is_flat or plan.observer:
+            return False
+        plan.is_polar = True
+        return True
+
+    def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
+        """The observation with polar positions; ``(..., 3)`` arrays keep their shape."""
+        changed = dict(observation)
+        for key in self._keys:
+            value = observation[key]
+            if not isinstance(value, tuple):
+                changed[key] = to_polar(np.asarray(value, np.float32))
+            elif value:
+                changed[key] = tuple(to_polar(np.asarray(value, np.float32)))
         return changed
 
 

@@ -1,4 +1,4 @@
-"""Acceleration and steering in steps."""
+"""Other forms of actions: no buttons, steps instead of numbers, one number for all choices."""
 
 from __future__ import annotations
 
@@ -11,18 +11,70 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError
-from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
-from stkzoo.wrappers.arguments import (
-    dict_space,
-    observed_action,
-    whole_number,
-    with_observed_action,
-)
+from stkzoo.views.bases import CompiledWrapper
+from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space, whole_number
 
 if TYPE_CHECKING:
     from stkzoo.views.plan import ViewPlan
 
-__all__ = ["DiscreteActionsWrapper", "Discretizer"]
+__all__ = [
+    "DiscreteActionsWrapper",
+    "Discretizer",
+    "FlattenMultiDiscreteActions",
+    "OnlyContinuousActionsWrapper",
+]
+
+
+class OnlyContinuousActionsWrapper(ActionFormWrapper, CompiledWrapper):
+    """Keeps the continuous parts of an action; no button is ever pressed.
+
+    The game AI's own ``action``, where the observation carries it, loses its buttons too.
+
+    Attributes:
+        discrete_actions: the space of what is left out.
+
+    Raises:
+        ConfigError: the environment's actions have no continuous part.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        space = dict_space(env.action_space, "actions", "OnlyContinuousActionsWrapper")
+        parts = copy.deepcopy(space.spaces)
+        self._boxes: dict[str, spaces.Space[Any]] = {
+            key: part for key, part in parts.items() if isinstance(part, spaces.Box)
+        }
+        if not self._boxes:
+            raise ConfigError(
+                f"OnlyContinuousActionsWrapper found only discrete actions ({', '.join(parts)}); "
+                "it does not go together with DiscreteActionsWrapper."
+            )
+        self.discrete_actions = spaces.Dict(
+            {key: part for key, part in parts.items() if isinstance(part, spaces.Discrete)}
+        )
+        self._change_action_space(spaces.Dict(self._boxes))
+
+    def compile_into(self, plan: ViewPlan) -> bool:
+        """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
+        if plan.has_action or "" in plan.leaves:
+            return False
+        plan.leaves = {key: plan.leaves[key] for key in self._boxes}
+        return True
+
+    def action(self, action: dict[str, Any]) -> dict[str, Any]:
+        """The action with all buttons 0."""
+        key, box = next(iter(self._boxes.items()))
+        shape = np.shape(action[key])
+        lead = shape[: max(len(shape) - len(box.shape or ()), 0)]
+        return {
+            **action,
+            **{key: np.zeros(lead, np.int64) if lead else 0 for key in self.discrete_actions},
+        }
+
+    def observed_action(self, action: dict[str, Any]) -> dict[str, Any]:
+        """The continuous part of an action."""
+        return {key: action[key] for key in self._boxes}
 
 
 class Discretizer:
@@ -79,7 +131,7 @@ class Discretizer:
         return self.max_value - self.min_value
 
 
-class DiscreteActionsWrapper(ActionObservationWrapper, CompiledWrapper):
+class DiscreteActionsWrapper(ActionFormWrapper, CompiledWrapper):
     """Makes ``acceleration`` and ``steer`` a choice among evenly spaced steps.
 
     The game AI's own ``action``, where the observation carries it, is given as the
@@ -109,9 +161,7 @@ class DiscreteActionsWrapper(ActionObservationWrapper, CompiledWrapper):
         self.d_steer = Discretizer(_required(space, "steer"), steer_steps)
         self._discretizers = {"acceleration": self.d_acceleration, "steer": self.d_steer}
         steps = {key: spaces.Discrete(d.values) for key, d in self._discretizers.items()}
-        self.action_space = spaces.Dict({**copy.deepcopy(space.spaces), **steps})
-        self._has_action = observed_action(env.observation_space) is not None
-        self.observation_space = with_observed_action(env.observation_space, self.action_space)
+        self._change_action_space(spaces.Dict({**copy.deepcopy(space.spaces), **steps}))
 
     def compile_into(self, plan: ViewPlan) -> bool:
         """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
@@ -133,15 +183,13 @@ class DiscreteActionsWrapper(ActionObservationWrapper, CompiledWrapper):
             changed[key] = numbers.astype(np.float32)[..., None]
         return changed
 
-    def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
-        """The observation with the AI's ``action`` in steps, if it has one."""
-        if not self._has_action:
-            return observation
-        changed = dict(observation["action"])
+    def observed_action(self, action: dict[str, Any]) -> dict[str, Any]:
+        """The action in steps."""
+        changed = dict(action)
         for key, discretizer in self._discretizers.items():
             steps = discretizer.nearest_steps(np.asarray(changed[key])[..., 0])
             changed[key] = steps if steps.ndim else int(steps)
-        return {**observation, "action": changed}
+        return changed
 
 
 def _required(space: spaces.Dict, key: str) -> spaces.Space[Any]:
@@ -150,3 +198,48 @@ def _required(space: spaces.Dict, key: str) -> spaces.Space[Any]:
             f"DiscreteActionsWrapper needs {key!r} among the actions {', '.join(space.spaces)}."
         )
     return space[key]
+
+
+class FlattenMultiDiscreteActions(ActionFormWrapper, CompiledWrapper):
+    """Numbers all combinations of a ``MultiDiscrete`` action.
+
+    The first choice varies fastest: number 1 differs from number 0 in the first choice.
+    The game AI's own ``action``, where the observation carries it, becomes its number.
+
+    Raises:
+        ConfigError: the environment's action space is no ``MultiDiscrete`` vector.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        space = env.action_space
+        if not isinstance(space, spaces.MultiDiscrete) or space.nvec.ndim != 1:
+            raise ConfigError(
+                f"FlattenMultiDiscreteActions needs a MultiDiscrete action space, but found "
+                f"{space!r}. Put DiscreteActionsWrapper and FlattenerWrapper inside it."
+            )
+        self.nvec: npt.NDArray[np.int64] = space.nvec.astype(np.int64)
+        self._start: npt.NDArray[np.int64] = space.start.astype(np.int64)
+        self._strides = np.concatenate([[1], np.cumprod(self.nvec)[:-1]]).astype(np.int64)
+        self._change_action_space(spaces.Discrete(int(np.prod(self.nvec))))
+
+    def compile_into(self, plan: ViewPlan) -> bool:
+        """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
+        if plan.has_action or not plan.has_choices:
+            return False
+        plan.number_choices(self.action(np.arange(np.prod(self.nvec))))
+        return True
+
+    def action(self, action: Any) -> npt.NDArray[np.int64]:
+        """The choices ``(..., m)`` int64 that a number ``(...)`` stands for."""
+        numbers = np.asarray(action, np.int64)[..., None]
+        choices = numbers // self._strides
+        # The last choice takes no remainder: a number that is too large stays too large.
+        choices[..., :-1] %= self.nvec[:-1]
+        return np.asarray(choices + self._start)
+
+    def observed_action(self, action: Any) -> Any:
+        """The number of the choices ``(..., m)``."""
+        numbers = (np.asarray(action) - self._start) @ self._strides
+        return numbers if np.ndim(numbers) else int(numbers)

@@ -1,0 +1,281 @@
+"""Observations and actions as plain vectors."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from stkzoo.errors import ConfigError
+from stkzoo.views.bases import CompiledWrapper
+from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space
+
+if TYPE_CHECKING:
+    from stkzoo.views.plan import ViewPlan
+
+__all__ = ["FlattenerWrapper", "JoinedObservations", "SpaceFlattener"]
+
+
+class SpaceFlattener:
+    """Flattens the entries of a ``Dict`` space, in the order of their keys.
+
+    ``Box`` entries go to ``"continuous"``, ``Discrete`` and ``MultiDiscrete`` entries to
+    ``"discrete"``. A space with entries of one sort only gives the plain ``Box`` or
+    ``MultiDiscrete``. ``Text`` entries and a game AI's ``action`` are left out.
+
+    Attributes:
+        space: the flattened space.
+        vectors: the spaces of its vectors by name.
+        parts: the entries of each vector by key, sorted.
+        continuous_keys: the keys of the ``Box`` entries, sorted.
+        discrete_keys: the keys of the other entries, sorted.
+        only_continuous: whether ``space`` is a plain ``Box``.
+        only_discrete: whether ``space`` is a plain ``MultiDiscrete``.
+
+    Args:
+        space: the space to flatten.
+
+    Raises:
+        ConfigError: an entry of another kind, or no entry at all.
+    """
+
+    def __init__(self, space: spaces.Dict) -> None:
+        boxes: dict[str, spaces.Space[Any]] = {}
+        choices: dict[str, spaces.Space[Any]] = {}
+        for key, part in sorted(space.spaces.items()):
+            if key == "action" or isinstance(part, spaces.Text):
+                continue
+            if isinstance(part, spaces.Box):
+                boxes[key] = part
+            elif isinstance(part, (spaces.Discrete, spaces.MultiDiscrete)):
+                choices[key] = part
+            else:
+                raise ConfigError(_cannot_flatten(key, part))
+        if not boxes and not choices:
+            raise ConfigError(f"nothing to flatten in {space!r}; expected numbers or choices.")
+        self.continuous_keys, self.discrete_keys = list(boxes), list(choices)
+        self.only_continuous, self.only_discrete = not choices, not boxes
+        self.parts: dict[str, dict[str, spaces.Space[Any]]] = {}
+        self.vectors: dict[str, spaces.Space[Any]] = {}
+        if boxes:
+            self.parts["continuous"], self.vectors["continuous"] = boxes, _joined_boxes(boxes)
+        if choices:
+            self.parts["discrete"], self.vectors["discrete"] = choices, _joined_choices(choices)
+        self.space = _sole(self.vectors) if len(self.vectors) == 1 else spaces.Dict(self.vectors)
+
+    def flatten_parts(self, value: Mapping[str, Any]) -> dict[str, npt.NDArray[Any]]:
+        """The vectors, ``(..., n)`` float32 and ``(..., m)`` int64, of a value of the space."""
+        return {
+            name: _joined(value, parts, self.vectors[name].dtype)
+            for name, parts in self.parts.items()
+        }
+
+    def flatten(self, value: Mapping[str, Any]) -> Any:
+        """A value of the given space as a value of ``self.space``."""
+        vectors = self.flatten_parts(value)
+        return _sole(vectors) if len(vectors) == 1 else vectors
+
+    def unflatten(self, flat: Any) -> dict[str, Any]:
+        """A value of ``self.space`` as a value of the given space, without what was left out."""
+        value: dict[str, Any] = {}
+        for name, parts in self.parts.items():
+            vector = flat if len(self.parts) == 1 else flat[name]
+            value.update(_entries(np.asarray(vector), parts))
+        return value
+
+
+class FlattenerWrapper(ActionFormWrapper, CompiledWrapper):
+    """Joins all numbers into one vector and all choices into another.
+
+    The observation becomes ``{"continuous": (n,) float32, "discrete": (m,) int64}``, the
+    entries in the order of their keys; ``kart_type``, a text, is left out. An action with
+    numbers and choices becomes a dict of the same two keys; one with numbers only a plain
+    ``Box``, one with choices only a plain ``MultiDiscrete``. The game AI's own ``action``,
+    where the observation carries it, stays beside the two keys, in the flattened action
+    space.
+
+    Args:
+        env: an environment whose observations have a fixed size.
+        flatten_observations: ``False`` flattens only the actions.
+
+    Raises:
+        ConfigError: a space that is no ``Dict``, or an entry that cannot be flattened.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], flatten_observations: bool = True) -> None:
+        gym.utils.RecordConstructorArgs.__init__(
+            self, flatten_observations=bool(flatten_observations)
+        )
+        super().__init__(env)
+        self.flatten_observations = bool(flatten_observations)
+        self.action_flattener = SpaceFlattener(
+            dict_space(env.action_space, "actions", "FlattenerWrapper")
+        )
+        self._change_action_space(self.action_flattener.space)
+        if self.flatten_observations:
+            self.observation_flattener = SpaceFlattener(
+                dict_space(env.observation_space, "observations", "FlattenerWrapper")
+            )
+            self.observation_space = self.observation_flattener.space
+            if self._has_action:
+                parts = {"action": copy.deepcopy(self.action_space)}
+                self.observation_space = spaces.Dict(parts | self.observation_flattener.vectors)
+
+    def compile_into(self, plan: ViewPlan) -> bool:
+        """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
+        is_seen = not self.flatten_observations or (
+            len(plan.sizes) == 3 and not (plan.is_flat or plan.sees_ground or plan.observer)
+        )
+        if plan.has_action or not is_seen or "" in plan.leaves:
+            return False
+        if self.flatten_observations:
+            seen = self.observation_flattener
+            plan.names, plan.is_flat = (*seen.continuous_keys, *seen.discrete_keys), True
+        leaves = {
+            name: tuple(entry for key in parts for entry in plan.leaves[key])
+            for name, parts in self.action_flattener.parts.items()
+        }
+        plan.leaves = leaves if len(leaves) > 1 else {"": next(iter(leaves.values()))}
+        return True
+
+    def observation(self, observation: dict[str, Any]) -> Any:
+        """The observation as vectors, ``(..., n)`` and ``(..., m)``."""
+        if not self.flatten_observations:
+            return super().observation(dict(observation))
+        if not self._has_action:
+            return self.observation_flattener.flatten(observation)
+        action = self.observed_action(observation["action"])
+        return {"action": action, **self.observation_flattener.flatten_parts(observation)}
+
+    def observed_action(self, action: dict[str, Any]) -> Any:
+        """The action as vectors."""
+        return self.action_flattener.flatten(action)
+
+    def action(self, action: Any) -> dict[str, Any]:
+        """The action as a dict of its parts."""
+        return self.action_flattener.unflatten(action)
+
+
+class JoinedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
+    """Joins the ``continuous`` and ``discrete`` vectors of a flattened view into one.
+
+    The observation becomes ``(n + v,)`` float32: the ``n`` numbers as they are, then one place
+    for each of the ``v`` values of all choices, 1 for the value that holds and 0 for the others.
+    If the view has further entries (``action_mask``, or ``action`` of the game's AI), it stays a
+    dict, with the vector under ``observation`` beside them.
+
+    Args:
+        env: an environment in a flattened view.
+
+    Raises:
+        ConfigError: the environment's observations have no such two vectors.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        parts = getattr(env.observation_space, "spaces", {})
+        numbers, choices = parts.get("continuous"), parts.get("discrete")
+        if not isinstance(numbers, spaces.Box) or not isinstance(choices, spaces.MultiDiscrete):
+            raise ConfigError(
+                "JoinedObservations needs a flattened view, with a Box under 'continuous' and a "
+                f"MultiDiscrete under 'discrete', but found {env.observation_space!r}. Put "
+                "FlattenerWrapper inside it."
+            )
+        sizes = np.asarray(choices.nvec, np.int64)
+        self._sizes = tuple(sizes.tolist())
+        self._count = int(sizes.sum())
+        self._places = np.concatenate([[0], np.cumsum(sizes)[:-1]]) - choices.start
+        bounds = (
+            np.concatenate([numbers.low, np.zeros(self._count, np.float32)]),
+            np.concatenate([numbers.high, np.ones(self._count, np.float32)]),
+        )
+        joined = spaces.Box(*bounds, dtype=np.float32)
+        rest = {key: part for key, part in parts.items() if key not in ("continuous", "discrete")}
+        self.observation_space = (
+            spaces.Dict({"observation": joined, **copy.deepcopy(rest)}) if rest else joined
+        )
+        self._keys = tuple(getattr(self.observation_space, "spaces", ()))
+
+    def compile_into(self, plan: ViewPlan) -> bool:
+        """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
+        if not plan.is_flat or plan.joined:
+            return False
+        plan.joined = self._sizes
+        return True
+
+    def observation(self, observation: Any) -> Any:
+        """The observation as one vector, ``(..., n + v)``, and what stands beside it."""
+        choices = np.asarray(observation["discrete"], np.int64) + self._places
+        ones = np.zeros((*choices.shape[:-1], self._count), np.float32)
+        np.put_along_axis(ones, choices, 1.0, axis=-1)
+        joined = np.concatenate([observation["continuous"], ones], axis=-1, dtype=np.float32)
+        if not self._keys:
+            return joined
+        seen = {**observation, "observation": joined}
+        return {key: seen[key] for key in self._keys}
+
+
+def _sole(by_name: Mapping[str, Any]) -> Any:
+    (value,) = by_name.values()
+    return value
+
+
+def _joined_boxes(parts: Mapping[str, Any]) -> spaces.Box:
+    low, high = (
+        np.concatenate([getattr(box, bound).ravel() for box in parts.values()]).astype(np.float32)
+        for bound in ("low", "high")
+    )
+    return spaces.Box(low, high, dtype=np.float32)
+
+
+def _joined_choices(parts: Mapping[str, Any]) -> spaces.MultiDiscrete:
+    counts: list[int] = []
+    starts: list[int] = []
+    for part in parts.values():
+        counts.extend(np.ravel(part.n if isinstance(part, spaces.Discrete) else part.nvec))
+        starts.extend(np.ravel(part.start))
+    return spaces.MultiDiscrete(counts, dtype=np.int64, start=starts)
+
+
+def _joined(
+    value: Mapping[str, Any], parts: Mapping[str, spaces.Space[Any]], dtype: Any
+) -> npt.NDArray[Any]:
+    """Entries ``(..., *shape)`` side by side as ``(..., n)``; a bare number is one entry."""
+    columns = []
+    for key, part in parts.items():
+        array, shape = np.asarray(value[key], dtype), part.shape or ()
+        lead = array.shape[: max(array.ndim - len(shape), 0)]
+        columns.append(array.reshape(*lead, math.prod(shape)))
+    return np.concatenate(columns, axis=-1)
+
+
+def _entries(array: npt.NDArray[Any], parts: Mapping[str, spaces.Space[Any]]) -> dict[str, Any]:
+    """``(..., n)`` cut up into ``(..., *shape)``, one piece for each part."""
+    shapes = {key: part.shape or () for key, part in parts.items()}
+    ends = np.cumsum([math.prod(shape) for shape in shapes.values()]).tolist()
+    if array.ndim == 0 or array.shape[-1] != ends[-1]:
+        raise ValueError(
+            f"got an array of shape {array.shape} for {', '.join(parts)}; "
+            f"expected {ends[-1]} values on its last axis."
+        )
+    pieces = np.split(array, ends[:-1], axis=-1)
+    return {
+        key: piece.reshape((*array.shape[:-1], *shape))[()]
+        for (key, shape), piece in zip(shapes.items(), pieces, strict=True)
+    }
+
+
+def _cannot_flatten(key: str, part: spaces.Space[Any]) -> str:
+    advice = (
+        "Put ConstantSizedObservations inside this wrapper."
+        if isinstance(part, spaces.Sequence)
+        else "Leave it out, or turn it into a Box, with a wrapper of your own."
+    )
+    return f"cannot flatten {key!r}, which is {part!r}. {advice}"
