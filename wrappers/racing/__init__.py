@@ -1,16 +1,11 @@
 """The racing view: a fixed-size driver's view of the race, and a few choices to act by."""
 
 from stkzoo.wrappers.racing.batched_view import BatchedRacingView
-from stkzoo.wrappers.racing.features import (
-    ABSENT,
-    LOOKS,
-    Surroundings,
-    racing_features,
-)
+from stkzoo.wrappers.racing.features import racing_features
 from stkzoo.wrappers.racing.ground import GroundAhead, GroundTable, ground_table
 from stkzoo.wrappers.racing.layout import MIRROR, PARTS, PLACES, SIZE
 from stkzoo.wrappers.racing.road import RoadTable, road_line
-from stkzoo.wrappers.racing.surroundings import KartColumns, RoadSurroundings
+from stkzoo.wrappers.racing.surroundings import ABSENT, LOOKS, Surroundings, surroundings_of
 from stkzoo.wrappers.racing.wrapper import (
     BRAKE,
     CHOICES,
@@ -20,7 +15,6 @@ from stkzoo.wrappers.racing.wrapper import (
     RacingObservations,
     choices_of_action,
     controls_of_choices,
-    surroundings_of,
 )
 
 __all__ = [
@@ -37,10 +31,8 @@ __all__ = [
     "BatchedRacingView",
     "GroundAhead",
     "GroundTable",
-    "KartColumns",
     "RacingActions",
     "RacingObservations",
-    "RoadSurroundings",
     "RoadTable",
     "Surroundings",
     "choices_of_action",

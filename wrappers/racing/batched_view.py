@@ -15,10 +15,10 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.kernel import RacingObserver
-from stkzoo.wrappers.racing.features import KERNEL_TABLES, LOOKS, Surroundings
+from stkzoo.wrappers.racing.features import KERNEL_TABLES
 from stkzoo.wrappers.racing.layout import SIZE
 from stkzoo.wrappers.racing.road import RoadTable
-from stkzoo.wrappers.racing.surroundings import RoadSurroundings
+from stkzoo.wrappers.racing.surroundings import LOOKS, Known, RoadArrays, surroundings_in
 
 if TYPE_CHECKING:
     from stkzoo.engine.track import TrackMap
@@ -37,10 +37,8 @@ class BatchedRacingView:
     """
 
     def __init__(self, roads: Sequence[RoadTable]) -> None:
-        self._roads = tuple(roads)
-        self._observers = [
-            RacingObserver((road.lines, road.starts, road.along), *KERNEL_TABLES) for road in roads
-        ]
+        self._roads = [(road.lines, road.starts, road.along) for road in roads]
+        self._observers = [RacingObserver(road, *KERNEL_TABLES) for road in self._roads]
 
     def observe(
         self,
@@ -71,7 +69,7 @@ class BatchedRacingView:
         roads: Sequence[int],
         karts: Sequence[IntArray],
         looks: FloatArray = LOOKS,
-    ) -> tuple[dict[str, npt.NDArray[np.generic]], Surroundings]:
+    ) -> Known:
         """What some karts of each race know of themselves, and what is around them.
 
         Args:
@@ -80,11 +78,14 @@ class BatchedRacingView:
             karts: likewise.
             looks: where their road is looked at [m].
         """
-        return self._surroundings.look(snapshots, roads, karts, looks)
+        first = np.cumsum([0, *(len(lines) for lines, _, _ in self._roads)])
+        return surroundings_in(self._joined, snapshots, first[np.asarray(roads)], karts, looks)
 
     @functools.cached_property
-    def _surroundings(self) -> RoadSurroundings:
-        return RoadSurroundings(self._roads)
+    def _joined(self) -> RoadArrays:
+        """The tables of all tracks as one."""
+        lines, starts, along = map(np.concatenate, zip(*self._roads, strict=True))
+        return lines, starts, along
 
 
 @functools.lru_cache(maxsize=64)

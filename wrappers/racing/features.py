@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,27 +23,13 @@ from stkzoo.wrappers.racing.layout import (
     TYPES_BAD,
     TYPES_GOOD,
 )
-from stkzoo.wrappers.racing.road import NUM_POINTS, STEP
+from stkzoo.wrappers.racing.road import STEP
+from stkzoo.wrappers.racing.surroundings import BEYOND, LOOKS, Surroundings
 
-__all__ = [
-    "ABSENT",
-    "KERNEL_TABLES",
-    "LOOKS",
-    "Surroundings",
-    "line_places",
-    "racing_features",
-]
+__all__ = ["KERNEL_TABLES", "racing_features"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[Any]
-
-#: Stands for the type of an item that is not there.
-ABSENT = -1
-
-#: Where the line is looked at: beside the kart and at the marks; and a little farther, for its
-#: heading [m].
-_BEYOND = 3.0
-LOOKS = np.concatenate([[0.0], MARKS, MARKS + _BEYOND]).astype(np.float32)
 
 _KART_REACH, _ITEM_REACH = 60.0, 60.0  # [m]
 _ITEM_LEAST_AHEAD, _ITEM_LEVEL = 0.5, 6.0  # [m]
@@ -67,52 +52,12 @@ def _kernel_tables() -> tuple[tuple[Any, ...], ...]:
     attachments = np.full(len(_ATTACHMENT_ROWS), -1, np.int8)
     attachments[list(ATTACHMENTS)] = range(len(ATTACHMENTS))
     columns = NUM_POWERUPS, POWERUP_COUNT_LIMIT, len(ATTACHMENTS), len(TYPES_GOOD)
-    lengths = STEP, _BEYOND, _KART_REACH, _ITEM_REACH, _ITEM_LEAST_AHEAD, _ITEM_LEVEL
+    lengths = STEP, BEYOND, _KART_REACH, _ITEM_REACH, _ITEM_LEAST_AHEAD, _ITEM_LEVEL
     return (MARKS, items, attachments), (*columns, KARTS, GOODS, BADS), lengths
 
 
 #: What the kernel's ``Racing`` takes after a road's ``(lines, starts, along)``.
 KERNEL_TABLES = _kernel_tables()
-
-
-@dataclass(frozen=True, slots=True)
-class Surroundings:
-    """What is around A karts, each in its own frame: x right, y up, z forward [m].
-
-    Attributes:
-        road: ``(A, L, 4)``: the line's points and room, first of all at :data:`LOOKS`.
-        karts: ``(A, K, 3)``: the other karts; not finite where there is none.
-        items: ``(A, M, 3)``.
-        item_types: ``(A, M)`` numbers of :class:`~stkzoo.names.ItemType`, or :data:`ABSENT`.
-    """
-
-    road: FloatArray
-    karts: FloatArray
-    items: FloatArray
-    item_types: IntArray
-
-
-def line_places(
-    starts: FloatArray, along: FloatArray, looks: FloatArray
-) -> tuple[IntArray, FloatArray]:
-    """Which points of its line a kart looks at.
-
-    Args:
-        starts: ``(A, 3)``: where the karts' own segments start, in frames in which the kart
-            is at the origin.
-        along: ``(A, 3)``: from there to the segments' ends.
-        looks: ``(L,)``: how far ahead of the kart [m].
-
-    Returns:
-        ``(A, L)`` each: number of the point before, and how far it is on the way to the
-        next, from 0 to 1.
-    """
-    squares = squared(along)
-    share = -(starts * along).sum(-1) / np.where(squares > 0, squares, 1)
-    passed = np.clip(share, 0, 1) * np.sqrt(squares)
-    places = (passed[:, None] + looks) / np.float32(STEP)
-    before = np.minimum(places.astype(np.intp), NUM_POINTS - 2)
-    return before, (places - before).astype(np.float32)
 
 
 def racing_features(own: Mapping[str, Any], around: Surroundings) -> FloatArray:
@@ -161,7 +106,7 @@ def _write_road(view: FloatArray, road: FloatArray) -> None:
 
 def _write_karts(view: FloatArray, karts: FloatArray) -> None:
     squares = squared(karts)
-    near, there = _nearest(karts, squares, squares < _KART_REACH**2, KARTS)
+    near, there, _ = _nearest(karts, squares, squares < _KART_REACH**2, KARTS)
     _write_places(view, "karts", near, there)
 
 
@@ -175,7 +120,7 @@ def _write_items(view: FloatArray, around: Surroundings) -> None:
     )
     worth = _WORTH[types]
     for name, sign, count in (("goods", 1, GOODS), ("bads", -1, BADS)):
-        seen, there, order = _nearest_with_order(items, squares, is_seen & (worth == sign), count)
+        seen, there, order = _nearest(items, squares, is_seen & (worth == sign), count)
         _write_places(view, name, seen, there)
         view[:, PLACES[f"{name}_beside"]] = seen[..., 0] / 5.0
         if name == "goods":
@@ -192,13 +137,6 @@ def _write_places(view: FloatArray, name: str, points: FloatArray, there: FloatA
 
 
 def _nearest(
-    points: FloatArray, squares: FloatArray, is_seen: npt.NDArray[np.bool_], count: int
-) -> tuple[FloatArray, FloatArray]:
-    near, there, _ = _nearest_with_order(points, squares, is_seen, count)
-    return near, there
-
-
-def _nearest_with_order(
     points: FloatArray, squares: FloatArray, is_seen: npt.NDArray[np.bool_], count: int
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """The nearest points that are seen, zeros where there are fewer; and their order.

@@ -1,178 +1,200 @@
-"""What karts of many races know of themselves and what is around them, from snapshots."""
+"""What karts know of themselves and what is around them, from observations or from snapshots."""
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.snapshot import KART_DTYPE, Snapshot
-from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
+from stkzoo.mdp.geometry import rotation_matrices, squared, to_kart_frame
 from stkzoo.mdp.spaces import POWERUP_COUNT_LIMIT
-from stkzoo.wrappers.racing.features import ABSENT, LOOKS, Surroundings, line_places
+from stkzoo.wrappers.racing.layout import MARKS
+from stkzoo.wrappers.racing.road import MAX_SEGMENTS, NUM_POINTS, STEP, road_line
 
-__all__ = ["KartColumns", "RoadLines", "RoadSurroundings"]
+__all__ = [
+    "ABSENT",
+    "BEYOND",
+    "LOOKS",
+    "Known",
+    "RoadArrays",
+    "Surroundings",
+    "line_places",
+    "surroundings_in",
+    "surroundings_of",
+]
 
 FloatArray = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.intp]
+IntArray = npt.NDArray[Any]
 
-_WORDS = KART_DTYPE.itemsize // 4
+#: Stands for the type of an item that is not there.
+ABSENT = -1
+
+#: Where the line is looked at: beside the kart and at the marks; and a little farther, for its
+#: heading [m].
+BEYOND = 3.0
+LOOKS = np.concatenate([[0.0], MARKS, MARKS + BEYOND]).astype(np.float32)
+
+_NUMBERS = ("max_steer_angle", "skeed_factor", "energy", "attachment_time_left", "shield_time")
+_OWN = ("velocity", *_NUMBERS, "jumping", "powerup_type", "powerup_count", "attachment")
 
 
 @dataclass(frozen=True, slots=True)
-class KartColumns:
-    """Records of karts, all their numbers as columns.
+class Surroundings:
+    """What is around A karts, each in its own frame: x right, y up, z forward [m].
 
     Attributes:
-        numbers: ``(A, W)`` float32: the records' words.
-        choices: ``(A, W)`` int32: the same words.
+        road: ``(A, L, 4)``: the line's points and room, first of all at :data:`LOOKS`.
+        karts: ``(A, K, 3)``: the other karts; not finite where there is none.
+        items: ``(A, M, 3)``.
+        item_types: ``(A, M)`` numbers of :class:`~stkzoo.names.ItemType`, or :data:`ABSENT`.
     """
 
-    numbers: FloatArray
-    choices: npt.NDArray[np.int32]
-
-    @classmethod
-    def of(cls, karts: Sequence[npt.NDArray[np.void]]) -> KartColumns:
-        """The records of several races, one after another."""
-        words = np.concatenate([k.view(np.float32).reshape(-1, _WORDS) for k in karts])
-        return cls(words, words.view(np.int32))
-
-    def number(self, field: str) -> FloatArray:
-        """A field of float32: ``(A,)``, or ``(A, n)`` for a vector."""
-        return self.numbers[:, _place(field)]
-
-    def choice(self, field: str) -> npt.NDArray[np.int32]:
-        """A field of int32: ``(A,)``."""
-        return self.choices[:, _place(field)]
+    road: FloatArray
+    karts: FloatArray
+    items: FloatArray
+    item_types: IntArray
 
 
-@functools.cache
-def _place(field: str) -> slice | int:
-    """Where a field stands among a record's words."""
-    layout = dict(KART_DTYPE.fields or {})
-    part, offset, *_ = layout[field]
-    begin, width = offset // 4, part.itemsize // 4
-    return slice(begin, begin + width) if part.shape else begin
+#: ``lines``, ``starts`` and ``along`` of a :class:`~stkzoo.wrappers.racing.RoadTable`.
+RoadArrays: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+
+#: What a kart knows of itself, entries of the ``full`` view in batch form; and what is around it.
+Known: TypeAlias = tuple[dict[str, npt.NDArray[Any]], Surroundings]
 
 
-class RoadLines(Protocol):
-    """The lines ahead of a track's segments; a :class:`RoadTable` has them."""
-
-    lines: FloatArray
-    starts: FloatArray
-    along: FloatArray
-
-
-class RoadSurroundings:
-    """Looks around for karts of races on some tracks.
+def line_places(
+    starts: FloatArray, along: FloatArray, looks: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Which points of its line a kart looks at.
 
     Args:
-        roads: the tracks' tables.
+        starts: ``(A, 3)``: where the karts' own segments start, in frames in which the kart
+            is at the origin.
+        along: ``(A, 3)``: from there to the segments' ends.
+        looks: ``(L,)``: how far ahead of the kart [m].
+
+    Returns:
+        ``(A, L)`` each: number of the point before, and how far it is on the way to the
+        next, from 0 to 1.
     """
-
-    def __init__(self, roads: Sequence[RoadLines]) -> None:
-        if not roads:
-            return
-        self._lines = np.concatenate([road.lines for road in roads])
-        self._starts = np.concatenate([road.starts for road in roads])
-        self._along = np.concatenate([road.along for road in roads])
-        sizes = [len(road.lines) for road in roads]
-        self._offsets = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.intp)
-
-    def look(
-        self,
-        snapshots: Sequence[Snapshot],
-        roads: Sequence[int],
-        karts: Sequence[IntArray],
-        looks: FloatArray = LOOKS,
-    ) -> tuple[dict[str, npt.NDArray[np.generic]], Surroundings]:
-        """What some karts of each race know of themselves, and what is around them.
-
-        Args:
-            snapshots: each race's moment.
-            roads: the number of each race's track, among those of the constructor.
-            karts: which karts, in each race: indices in grid order.
-            looks: where their road is looked at [m].
-        """
-        counts = [len(who) for who in karts]
-        race = np.repeat(np.arange(len(snapshots)), counts)
-        columns = KartColumns.of([s.karts[who] for s, who in zip(snapshots, karts, strict=True)])
-        locations = columns.number("location")
-        matrices = rotation_matrices(np.ascontiguousarray(columns.number("rotation")))
-        nodes = columns.choice("node") + self._offsets[np.asarray(roads)][race]
-        items, types = self._items(snapshots, race, locations, matrices)
-        around = Surroundings(
-            road=self._road(nodes, locations, matrices, looks),
-            karts=self._others(snapshots, karts, race, locations, matrices),
-            items=items,
-            item_types=types,
-        )
-        return _own(columns), around
-
-    def _road(
-        self, nodes: IntArray, locations: FloatArray, matrices: FloatArray, looks: FloatArray
-    ) -> FloatArray:
-        before, share = line_places(self._starts[nodes] - locations, self._along[nodes], looks)
-        first = self._lines[nodes[:, None], before]
-        second = self._lines[nodes[:, None], before + 1]
-        points = first + (second - first) * share[..., None]
-        seen = to_kart_frame(points[..., :3], locations, matrices)
-        return np.concatenate([seen, points[..., 3:]], axis=-1)
-
-    @staticmethod
-    def _others(
-        snapshots: Sequence[Snapshot],
-        karts: Sequence[IntArray],
-        race: IntArray,
-        locations: FloatArray,
-        matrices: FloatArray,
-    ) -> FloatArray:
-        most = max(len(s.karts) for s in snapshots)
-        places = np.full((len(snapshots), most, 3), np.inf, np.float32)
-        for row, snapshot in enumerate(snapshots):
-            places[row, : len(snapshot.karts)] = snapshot.karts["location"]
-        others = places[race]
-        is_there = np.isfinite(others[..., 0])
-        is_there[np.arange(len(race)), np.concatenate(karts)] = False
-        seen = to_kart_frame(np.where(is_there[..., None], others, 0), locations, matrices)
-        seen[~is_there] = np.inf
-        return seen
-
-    @staticmethod
-    def _items(
-        snapshots: Sequence[Snapshot], race: IntArray, locations: FloatArray, matrices: FloatArray
-    ) -> tuple[FloatArray, npt.NDArray[np.int64]]:
-        most = max(1, *(len(s.items) for s in snapshots))
-        places = np.zeros((len(snapshots), most, 3), np.float32)
-        types = np.full((len(snapshots), most), ABSENT, np.int64)
-        for row, snapshot in enumerate(snapshots):
-            count = len(snapshot.items)
-            places[row, :count] = snapshot.items["location"]
-            types[row, :count] = snapshot.items["type"]
-        return to_kart_frame(places[race], locations, matrices), types[race]
+    squares = squared(along)
+    share = -(starts * along).sum(-1) / np.where(squares > 0, squares, 1)
+    passed = np.clip(share, 0, 1) * np.sqrt(squares)
+    places = (passed[:, None] + looks) / np.float32(STEP)
+    before = np.minimum(places.astype(np.intp), NUM_POINTS - 2)
+    return before, (places - before).astype(np.float32)
 
 
-def _own(columns: KartColumns) -> dict[str, npt.NDArray[np.generic]]:
-    """The entries of the ``full`` view that a kart knows of itself, in batch form."""
-    numbers = {
-        key: columns.number(key)[:, None]
-        for key in (
-            "max_steer_angle",
-            "skeed_factor",
-            "energy",
-            "attachment_time_left",
-            "shield_time",
-        )
+def _points_ahead(
+    lines: FloatArray,
+    nodes: IntArray,
+    starts: FloatArray,
+    along: FloatArray,
+    looks: FloatArray,
+) -> FloatArray:
+    """The points ``(A, L, 4)`` of the lines ``nodes`` at :func:`line_places`."""
+    before, share = line_places(starts, along, looks)
+    first, second = lines[nodes[:, None], before], lines[nodes[:, None], before + 1]
+    points: FloatArray = first + (second - first) * share[..., None]
+    return points
+
+
+def surroundings_of(observation: Mapping[str, Any], looks: FloatArray = LOOKS) -> Known:
+    """What karts know of themselves and what is around them, from the ``full`` view.
+
+    Args:
+        observation: of one kart, or in batch form.
+        looks: where the road is looked at [m].
+    """
+    lead = np.shape(observation["velocity"])[:-1]
+    batch = observation if lead else {key: [value] for key, value in observation.items()}
+    paths = {
+        key: _rows(batch[key], width, MAX_SEGMENTS)
+        for key, width in (("paths_start", 3), ("paths_end", 3), ("paths_width", 1))
     }
-    return {
-        **numbers,
-        "velocity": columns.number("velocity_lc"),
-        "jumping": columns.choice("jumping"),
-        "powerup_type": columns.choice("powerup_type"),
-        "powerup_count": np.minimum(columns.choice("powerup_num"), POWERUP_COUNT_LIMIT),
-        "attachment": columns.choice("attachment_type"),
+    items = _rows(batch["items_position"], 3)
+    types = np.asarray(batch["items_type"], np.int64).reshape(items.shape[:2])
+    around = Surroundings(_road(paths, looks), _rows(batch["karts_position"], 3), items, types)
+    own = {key: np.asarray(batch[key]) for key in _OWN}
+    return own, around
+
+
+def _rows(lists: Any, width: int, limit: int | None = None) -> FloatArray:
+    """Lists of vectors, one list an agent, as ``(A, n, width)``."""
+    if isinstance(lists, np.ndarray):
+        return lists[:, :limit]
+    parts = [np.concatenate(rows[:limit]) if len(rows) else () for rows in lists]
+    return np.array(parts, np.float32).reshape(len(lists), -1, width)
+
+
+def _road(paths: dict[str, FloatArray], looks: FloatArray) -> FloatArray:
+    if paths["paths_start"].shape[1] == 0:  # such as the space's own blank observation
+        paths = {
+            key: np.zeros((len(rows), 1, rows.shape[2]), np.float32) for key, rows in paths.items()
+        }
+    starts, ends, widths = paths["paths_start"], paths["paths_end"], paths["paths_width"][..., 0]
+    lines = np.stack(list(map(road_line, starts, ends, widths)))
+    return _points_ahead(
+        lines, np.arange(len(lines)), starts[:, 0], ends[:, 0] - starts[:, 0], looks
+    )
+
+
+def surroundings_in(
+    road: RoadArrays,
+    snapshots: Sequence[Snapshot],
+    first_nodes: IntArray,
+    karts: Sequence[IntArray],
+    looks: FloatArray = LOOKS,
+) -> Known:
+    """What some karts of each race know of themselves, and what is around them.
+
+    Args:
+        road: of one track, or of several one after the other.
+        snapshots: each race's moment.
+        first_nodes: where the segments of each race's track begin in ``road``.
+        karts: which karts, in each race: indices in grid order.
+        looks: where their road is looked at [m].
+    """
+    race = np.repeat(np.arange(len(snapshots)), [len(who) for who in karts])
+    chosen = [s.karts[who].tobytes() for s, who in zip(snapshots, karts, strict=True)]
+    records = np.frombuffer(b"".join(chosen), KART_DTYPE)
+    locations = records["location"]
+    matrices = rotation_matrices(np.ascontiguousarray(records["rotation"]))
+    lines, starts, along = road
+    nodes = records["node"] + first_nodes[race]
+    points = _points_ahead(lines, nodes, starts[nodes] - locations, along[nodes], looks)
+    seen = to_kart_frame(points[..., :3], locations, matrices)
+    others = _padded([s.karts["location"] for s in snapshots], np.inf)[race]
+    is_there = np.isfinite(others[..., 0])
+    is_there[np.arange(len(race)), np.concatenate(karts)] = False
+    rivals = to_kart_frame(np.where(is_there[..., None], others, 0), locations, matrices)
+    rivals[~is_there] = np.inf
+    items = _padded([s.items["location"] for s in snapshots], 0)[race]
+    around = Surroundings(
+        road=np.concatenate([seen, points[..., 3:]], axis=-1),
+        karts=rivals,
+        items=to_kart_frame(items, locations, matrices),
+        item_types=_padded([s.items["type"].astype(np.int64) for s in snapshots], ABSENT)[race],
+    )
+    own = {
+        **{key: records[key][:, None] for key in _NUMBERS},
+        "velocity": records["velocity_lc"],
+        "jumping": records["jumping"],
+        "powerup_type": records["powerup_type"],
+        "powerup_count": np.minimum(records["powerup_num"], POWERUP_COUNT_LIMIT),
+        "attachment": records["attachment_type"],
     }
+    return own, around
+
+
+def _padded(parts: Sequence[npt.NDArray[Any]], blank: float) -> npt.NDArray[Any]:
+    """Each race's rows, filled up to those of the race that has most."""
+    most = max(1, *map(len, parts))
+    padded = np.full((len(parts), most, *parts[0].shape[1:]), blank, parts[0].dtype)
+    for row, part in zip(padded, parts, strict=True):
+        row[: len(part)] = part
+    return padded

@@ -16,9 +16,10 @@ from stkzoo.errors import ConfigError
 from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space, observed_action
 from stkzoo.wrappers.racing.batched_view import racing_view_of
-from stkzoo.wrappers.racing.features import LOOKS, Surroundings, line_places, racing_features
+from stkzoo.wrappers.racing.features import racing_features
 from stkzoo.wrappers.racing.layout import SIZE
-from stkzoo.wrappers.racing.road import MAX_SEGMENTS, road_line
+from stkzoo.wrappers.racing.road import MAX_SEGMENTS
+from stkzoo.wrappers.racing.surroundings import surroundings_of
 
 if TYPE_CHECKING:
     from stkzoo.kernel import KartObserver
@@ -33,7 +34,6 @@ __all__ = [
     "RacingObservations",
     "choices_of_action",
     "controls_of_choices",
-    "surroundings_of",
 ]
 
 FloatArray = npt.NDArray[np.float32]
@@ -94,15 +94,11 @@ class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
 
     def observation(self, observation: dict[str, Any]) -> Any:
         """The vector ``(..., SIZE)``, and the AI's action if it is there."""
-        vector = self._vector(observation)
+        lead = np.shape(observation["velocity"])[:-1]
+        vector = racing_features(*surroundings_of(observation)).reshape(*lead, SIZE)
         if not self._has_action:
             return vector
         return {"action": observation["action"], "observation": vector}
-
-    @staticmethod
-    def _vector(observation: dict[str, Any]) -> FloatArray:
-        lead = np.shape(observation["velocity"])[:-1]
-        return racing_features(*surroundings_of(observation)).reshape(*lead, SIZE)
 
 
 class _RacingObserver:
@@ -119,64 +115,6 @@ class _RacingObserver:
             seen = self._full.observe(*source.course, source.snapshot.data, karts)
             return [racing_features(*surroundings_of(one))[0] for one in seen]
         return list(racing_view_of(track).observe([source.snapshot], [0], [karts]))
-
-
-def surroundings_of(
-    observation: Mapping[str, Any], looks: FloatArray = LOOKS
-) -> tuple[dict[str, npt.NDArray[Any]], Surroundings]:
-    """What karts know of themselves and what is around them, from the ``full`` view.
-
-    Args:
-        observation: of one kart, or in batch form.
-        looks: where the road is looked at [m].
-    """
-    lead = np.shape(observation["velocity"])[:-1]
-    batch = observation if lead else {key: [value] for key, value in observation.items()}
-    paths = {
-        key: _rows(batch[key], width, MAX_SEGMENTS)
-        for key, width in (("paths_start", 3), ("paths_end", 3), ("paths_width", 1))
-    }
-    items = _rows(batch["items_position"], 3)
-    types = np.asarray(batch["items_type"], np.int64).reshape(items.shape[:2])
-    around = Surroundings(_road(paths, looks), _rows(batch["karts_position"], 3), items, types)
-    own = {key: np.asarray(batch[key]) for key in _OWN}
-    return own, around
-
-
-_OWN = (
-    "velocity",
-    "max_steer_angle",
-    "skeed_factor",
-    "energy",
-    "attachment_time_left",
-    "shield_time",
-    "jumping",
-    "powerup_type",
-    "powerup_count",
-    "attachment",
-)
-
-
-def _rows(lists: Any, width: int, limit: int | None = None) -> FloatArray:
-    """Lists of vectors, one list an agent, as ``(A, n, width)``."""
-    if isinstance(lists, np.ndarray):
-        return lists[:, :limit]
-    parts = [np.concatenate(rows[:limit]) if len(rows) else () for rows in lists]
-    return np.array(parts, np.float32).reshape(len(lists), -1, width)
-
-
-def _road(paths: dict[str, FloatArray], looks: FloatArray) -> FloatArray:
-    if paths["paths_start"].shape[1] == 0:  # such as the space's own blank observation
-        paths = {
-            key: np.zeros((len(rows), 1, rows.shape[2]), np.float32) for key, rows in paths.items()
-        }
-    starts, ends, widths = paths["paths_start"], paths["paths_end"], paths["paths_width"][..., 0]
-    lines = np.stack(list(map(road_line, starts, ends, widths)))
-    before, share = line_places(starts[:, 0], ends[:, 0] - starts[:, 0], looks)
-    rows = np.arange(len(lines))[:, None]
-    first, second = lines[rows, before], lines[rows, before + 1]
-    road: FloatArray = first + (second - first) * share[..., None]
-    return road
 
 
 class RacingActions(ActionFormWrapper, CompiledWrapper):

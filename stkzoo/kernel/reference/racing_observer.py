@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.wrappers.racing.features import racing_features
-from stkzoo.wrappers.racing.surroundings import RoadSurroundings
+from stkzoo.wrappers.racing.surroundings import surroundings_in
 
 __all__ = ["RacingObserver"]
 
@@ -40,9 +39,9 @@ class RacingObserver:
         lines, starts, along = road
         if not len(lines) == len(starts) == len(along) or not len(lines):
             raise ValueError("the road's arrays do not fit together")
-        table = SimpleNamespace(lines=lines, starts=starts, along=along)
-        self._surroundings = RoadSurroundings([table])
+        self._road = road
 
     def observe(self, data: bytes, who: npt.NDArray[np.intp], out: FloatArray) -> None:
         """Writes the view of each kart of ``who`` into a row of ``out``."""
-        out[:] = racing_features(*self._surroundings.look([Snapshot(data)], [0], [who]))
+        first = np.zeros(1, np.intp)
+        out[:] = racing_features(*surroundings_in(self._road, [Snapshot(data)], first, [who]))
