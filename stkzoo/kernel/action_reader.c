@@ -233,18 +233,8 @@ static void reader_dealloc(PyObject *object)
 }
 
 static PyMethodDef reader_methods[] = {
-    {"read", (PyCFunction)(void (*)(void))reader_read, METH_FASTCALL,
-     "Actions into rows of controls; whether all could be read."},
+    FAST_METHOD("read", reader_read, "Actions into rows of controls; whether all could be read."),
     {NULL, NULL, 0, NULL},
 };
 
-PyTypeObject ActionReaderType = {
-    PyVarObject_HEAD_INIT(NULL, 0)
-    .tp_name = "stkzoo.kernel._kernel.ActionReader",
-    .tp_basicsize = sizeof(ActionReader),
-    .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_doc = "How actions of one space become controls.",
-    .tp_new = reader_new,
-    .tp_dealloc = reader_dealloc,
-    .tp_methods = reader_methods,
-};
+KERNEL_TYPE(ActionReader, reader, "How actions of one space become controls.")

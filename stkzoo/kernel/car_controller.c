@@ -203,18 +203,8 @@ static void controller_dealloc(PyObject *object)
 }
 
 static PyMethodDef controller_methods[] = {
-    {"drive", (PyCFunction)(void (*)(void))controller_drive, METH_FASTCALL,
-     "What was asked for, replaced by controls."},
+    FAST_METHOD("drive", controller_drive, "What was asked for, replaced by controls."),
     {NULL, NULL, 0, NULL},
 };
 
-PyTypeObject CarControllerType = {
-    PyVarObject_HEAD_INIT(NULL, 0)
-    .tp_name = "stkzoo.kernel._kernel.CarController",
-    .tp_basicsize = sizeof(CarController),
-    .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_doc = "Physical actions as controls.",
-    .tp_new = controller_new,
-    .tp_dealloc = controller_dealloc,
-    .tp_methods = controller_methods,
-};
+KERNEL_TYPE(CarController, controller, "Physical actions as controls.")

@@ -460,13 +460,4 @@ static PyMethodDef stepper_methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-PyTypeObject GameStepperType = {
-    PyVarObject_HEAD_INIT(NULL, 0)
-    .tp_name = "stkzoo.kernel._kernel.GameStepper",
-    .tp_basicsize = sizeof(GameStepper),
-    .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_doc = "A race of the engine, stepped and read in one go.",
-    .tp_new = stepper_new,
-    .tp_dealloc = stepper_dealloc,
-    .tp_methods = stepper_methods,
-};
+KERNEL_TYPE(GameStepper, stepper, "A race of the engine, stepped and read in one go.")

@@ -169,27 +169,19 @@ static npy_intp shown(const KartObserver *observer, const Scene *scene, int grou
     return observer->sizes[group] < 0 || there < observer->sizes[group] ? there : observer->sizes[group];
 }
 
-static void find_items(const KartObserver *observer, Scene *scene, float *keys)
+/* Finds the nearest items or karts. */
+static void find_near(const KartObserver *observer, Scene *scene, int group, float *keys)
 {
-    const npy_intp limit = shown(observer, scene, ITEMS);
+    const npy_intp limit = shown(observer, scene, group);
+    const npy_intp there = group == ITEMS ? scene->header->num_items : scene->header->num_kart;
     npy_intp count = 0;
-    for (npy_intp i = 0; i < scene->header->num_items; i++) {
-        see(scene, scene->items[i].location, scene->seen[ITEMS] + 3 * i);
-        count = insert(scene->seen[ITEMS], keys, scene->nearest[ITEMS], count, limit, (int)i);
+    for (npy_intp i = 0; i < there; i++) {
+        if (group == KARTS && scene->karts + i == scene->me) continue;
+        see(scene, group == ITEMS ? scene->items[i].location : scene->karts[i].location,
+            scene->seen[group] + 3 * i);
+        count = insert(scene->seen[group], keys, scene->nearest[group], count, limit, (int)i);
     }
-    scene->num_nearest[ITEMS] = count;
-}
-
-static void find_karts(const KartObserver *observer, Scene *scene, float *keys)
-{
-    const npy_intp limit = shown(observer, scene, KARTS);
-    npy_intp count = 0;
-    for (npy_intp i = 0; i < scene->header->num_kart; i++) {
-        if (scene->karts + i == scene->me) continue;
-        see(scene, scene->karts[i].location, scene->seen[KARTS] + 3 * i);
-        count = insert(scene->seen[KARTS], keys, scene->nearest[KARTS], count, limit, (int)i);
-    }
-    scene->num_nearest[KARTS] = count;
+    scene->num_nearest[group] = count;
 }
 
 /* ---------------------------------------------------------------- entries */
@@ -577,8 +569,8 @@ static int look(const KartObserver *observer, Scene *scene, npy_intp kart, float
     if (!(scene->ahead = nodes_ahead(scene->course->track, scene->me->node))) return -1;
     rotation_matrix(scene->me, scene->matrix);
     if (observer->needs[OWN]) find_center_path(scene);
-    if (observer->needs[ITEMS]) find_items(observer, scene, keys);
-    if (observer->needs[KARTS]) find_karts(observer, scene, keys);
+    if (observer->needs[ITEMS]) find_near(observer, scene, ITEMS, keys);
+    if (observer->needs[KARTS]) find_near(observer, scene, KARTS, keys);
     return 0;
 }
 
@@ -750,18 +742,8 @@ static void observer_dealloc(PyObject *self)
 }
 
 static PyMethodDef observer_methods[] = {
-    {"observe", (PyCFunction)(void (*)(void))observer_observe, METH_FASTCALL,
-     "One observation for each kart, in a list."},
+    FAST_METHOD("observe", observer_observe, "One observation for each kart, in a list."),
     {NULL, NULL, 0, NULL},
 };
 
-PyTypeObject KartObserverType = {
-    PyVarObject_HEAD_INIT(NULL, 0)
-    .tp_name = "stkzoo.kernel._kernel.KartObserver",
-    .tp_basicsize = sizeof(KartObserver),
-    .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_doc = "What is shown to agents of one observer.",
-    .tp_new = observer_new,
-    .tp_dealloc = observer_dealloc,
-    .tp_methods = observer_methods,
-};
+KERNEL_TYPE(KartObserver, observer, "What is shown to agents of one observer.")

@@ -66,6 +66,18 @@ const npy_int32 *nodes_ahead(TrackGraph *track, npy_intp node);
    NULL with an exception set if it is none. */
 void *numbers_of(PyObject *object, const char *name, int type, npy_intp *count);
 
+/* A row of a table of methods: one that takes its arguments as an array. */
+#define FAST_METHOD(NAME, FUNCTION, DOC)                                                         \
+    {NAME, (PyCFunction)(void (*)(void))FUNCTION, METH_FASTCALL, DOC}
+
+/* A type of this module, from PREFIX_new, PREFIX_dealloc and PREFIX_methods. */
+#define KERNEL_TYPE(TYPE, PREFIX, DOC)                                                            \
+    PyTypeObject TYPE##Type = {                                                                   \
+        PyVarObject_HEAD_INIT(NULL, 0).tp_name = "stkzoo.kernel._kernel." #TYPE,                  \
+        .tp_basicsize = sizeof(TYPE), .tp_flags = Py_TPFLAGS_DEFAULT, .tp_doc = DOC,              \
+        .tp_new = PREFIX##_new, .tp_dealloc = PREFIX##_dealloc, .tp_methods = PREFIX##_methods,   \
+    };
+
 PyObject *join_rows(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
 PyObject *weigh_plans(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
 

@@ -97,11 +97,9 @@ static PyObject *layouts(PyObject *Py_UNUSED(module), PyObject *Py_UNUSED(none))
 }
 
 static PyMethodDef methods[] = {
-    {"join_rows", (PyCFunction)(void (*)(void))join_rows, METH_FASTCALL,
-     "The bytes of arrays that are alike."},
+    FAST_METHOD("join_rows", join_rows, "The bytes of arrays that are alike."),
     {"layouts", layouts, METH_NOARGS, "Where the fields of the records are."},
-    {"weigh_plans", (PyCFunction)(void (*)(void))weigh_plans, METH_FASTCALL,
-     "The best plan of each manoeuvre, for some karts."},
+    FAST_METHOD("weigh_plans", weigh_plans, "The best plan of each manoeuvre, for some karts."),
     {NULL, NULL, 0, NULL},
 };
 

@@ -285,18 +285,8 @@ static void racing_dealloc(PyObject *self)
 }
 
 static PyMethodDef racing_methods[] = {
-    {"observe", (PyCFunction)(void (*)(void))racing_observe, METH_FASTCALL,
-     "The view of each of some karts, as rows of an array."},
+    FAST_METHOD("observe", racing_observe, "The view of each of some karts, as rows of an array."),
     {NULL, NULL, 0, NULL},
 };
 
-PyTypeObject RacingObserverType = {
-    PyVarObject_HEAD_INIT(NULL, 0)
-    .tp_name = "stkzoo.kernel._kernel.RacingObserver",
-    .tp_basicsize = sizeof(RacingObserver),
-    .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_doc = "The view racing on a track.",
-    .tp_new = racing_new,
-    .tp_dealloc = racing_dealloc,
-    .tp_methods = racing_methods,
-};
+KERNEL_TYPE(RacingObserver, racing, "The view racing on a track.")

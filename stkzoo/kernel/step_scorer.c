@@ -316,18 +316,9 @@ static void scorer_dealloc(PyObject *object)
 }
 
 static PyMethodDef scorer_methods[] = {
-    {"score", (PyCFunction)(void (*)(void))scorer_score, METH_FASTCALL, "Rewards and ends."},
-    {"infos", (PyCFunction)(void (*)(void))scorer_infos, METH_FASTCALL, "Infos by agent."},
+    FAST_METHOD("score", scorer_score, "Rewards and ends."),
+    FAST_METHOD("infos", scorer_infos, "Infos by agent."),
     {NULL, NULL, 0, NULL},
 };
 
-PyTypeObject StepScorerType = {
-    PyVarObject_HEAD_INIT(NULL, 0)
-    .tp_name = "stkzoo.kernel._kernel.StepScorer",
-    .tp_basicsize = sizeof(StepScorer),
-    .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_doc = "What a race's steps mean for some agents.",
-    .tp_new = scorer_new,
-    .tp_dealloc = scorer_dealloc,
-    .tp_methods = scorer_methods,
-};
+KERNEL_TYPE(StepScorer, scorer, "What a race's steps mean for some agents.")

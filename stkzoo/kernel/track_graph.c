@@ -183,13 +183,4 @@ static PyMethodDef track_methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-PyTypeObject TrackGraphType = {
-    PyVarObject_HEAD_INIT(NULL, 0)
-    .tp_name = "stkzoo.kernel._kernel.TrackGraph",
-    .tp_basicsize = sizeof(TrackGraph),
-    .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_doc = "A track's segments.",
-    .tp_new = track_new,
-    .tp_dealloc = track_dealloc,
-    .tp_methods = track_methods,
-};
+KERNEL_TYPE(TrackGraph, track, "A track's segments.")

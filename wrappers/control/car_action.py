@@ -12,17 +12,23 @@ from gymnasium.vector.utils import batch_space
 
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import CarController
-from stkzoo.wrappers.control.longitudinal import LongitudinalAction, LongitudinalActionEnum
+from stkzoo.wrappers.control.kinds import (
+    LongitudinalAction,
+    LongitudinalActionEnum,
+    SteerAction,
+    SteerActionEnum,
+    SteeringAngleAction,
+)
 from stkzoo.wrappers.control.parameters import CarParameters
 from stkzoo.wrappers.control.pedals import PEDALS, Pedals
-from stkzoo.wrappers.control.steering import SteerAction, SteerActionEnum, SteeringAngleAction
 
 __all__ = ["CarAction", "from_single_to_multi_action_space"]
 
 FloatArray = npt.NDArray[np.floating[Any]]
 
-_LONGITUDINAL = tuple(kind.value for kind in LongitudinalActionEnum)
-_STEERING = tuple(kind.value for kind in SteerActionEnum)
+_KINDS: dict[str, LongitudinalActionEnum | SteerActionEnum] = {
+    kind.value: kind for kinds in (LongitudinalActionEnum, SteerActionEnum) for kind in kinds
+}
 
 
 class CarAction:
@@ -199,22 +205,21 @@ def _kinds(control_input: object) -> tuple[LongitudinalActionEnum, SteerActionEn
     is_list = isinstance(names, Sequence) and all(isinstance(name, str) for name in names)
     if not is_list or not 1 <= len(names) <= 2:  # type: ignore[arg-type]
         raise ConfigError(f"control_input is {control_input!r}, {_EXPECTED}")
-    along = [name for name in names if name in _LONGITUDINAL]  # type: ignore[attr-defined]
-    across = [name for name in names if name not in _LONGITUDINAL]  # type: ignore[attr-defined]
-    steering = SteerActionEnum.STEERING_ANGLE
-    longitudinal = LongitudinalActionEnum.SPEED
-    for name in across:
-        if name not in _STEERING:
+    found: dict[type, Any] = {}
+    for name in names:  # type: ignore[attr-defined]
+        if name not in _KINDS:
             raise ConfigError(f"control_input has {name!r}, {_EXPECTED}")
-        steering = SteerActionEnum.from_string(name)
-    for name in along:
-        longitudinal = LongitudinalActionEnum.from_string(name)
-    if len(along) > 1 or len(across) > 1:
-        raise ConfigError(f"control_input is {control_input!r}, two of one kind; {_EXPECTED}")
-    return longitudinal, steering
+        kind = _KINDS[name]
+        if type(kind) in found:
+            raise ConfigError(f"control_input is {control_input!r}, two of one kind; {_EXPECTED}")
+        found[type(kind)] = kind
+    return (
+        found.get(LongitudinalActionEnum, LongitudinalActionEnum.SPEED),
+        found.get(SteerActionEnum, SteerActionEnum.STEERING_ANGLE),
+    )
 
 
 _EXPECTED = (
-    f"expected one of {', '.join(_LONGITUDINAL)} and one of {', '.join(_STEERING)}, "
-    "such as ['speed', 'steering_angle']"
+    f"expected one of {', '.join(kind.value for kind in LongitudinalActionEnum)} and one of "
+    f"{', '.join(kind.value for kind in SteerActionEnum)}, such as ['speed', 'steering_angle']"
 )

@@ -1,10 +1,11 @@
-"""One agent that acts in physical units."""
+"""One agent that acts in physical units, and the views of such agents."""
 
 from __future__ import annotations
 
 import copy
 import math
 from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -16,17 +17,20 @@ from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space
 from stkzoo.wrappers.control.car_action import CarAction
 from stkzoo.wrappers.control.parameters import CarParameters
+from stkzoo.wrappers.flattening import FlattenerWrapper
+from stkzoo.wrappers.observations import ConstantSizedObservations, PolarObservations
 
 if TYPE_CHECKING:
     from stkzoo.kernel import CarController
     from stkzoo.views.plan import ViewPlan
 
-__all__ = ["BUTTONS", "ControlWrapper"]
+__all__ = ["BUTTONS", "ControlView", "ControlWrapper"]
 
 #: The game's own buttons that can stand beside the two numbers.
 BUTTONS = ("drift", "fire", "nitro", "rescue")
 
 _PEDALS = ("acceleration", "steer", "brake")
+_OBSERVED = ("full", "simple", "flattened")
 
 
 class ControlWrapper(ActionFormWrapper, CompiledWrapper):
@@ -150,6 +154,48 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
         self._memory[0] = controls[1] * max_angle
         buttons = {button: int(done[button]) for button in self.buttons}
         return {**observation, "action": {"control": read, **buttons}}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControlView:
+    """A view for ``view=`` and ``stkzoo.register_view``: a function that wraps one kart.
+
+    Attributes:
+        observe: what the agent sees: as in the view ``"full"``, ``"simple"`` or
+            ``"flattened"``. With ``"flattened"`` the action is a plain ``Box(2)`` without
+            buttons, else a dict of ``continuous`` and ``discrete``.
+        control_input: see :class:`~stkzoo.wrappers.control.ControlWrapper`, as for all that
+            follow.
+        normalize_act: whether both numbers go from -1 to 1.
+        buttons: the game's own buttons beside them.
+        kart: whose limits to take, as in ``AgentSpec.kart``.
+        step_size: that of the race [s].
+    """
+
+    observe: str = "simple"
+    control_input: str | Sequence[str] = ("speed", "steering_angle")
+    normalize_act: bool = False
+    buttons: Sequence[str] = ()
+    kart: str = ""
+    step_size: float = 0.1
+
+    def __post_init__(self) -> None:
+        if self.observe not in _OBSERVED:
+            raise unknown_name("view to observe", self.observe, _OBSERVED)
+
+    def __call__(self, env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+        """The environment, wrapped."""
+        if self.observe != "full":
+            env = PolarObservations(ConstantSizedObservations(env))
+        wrapped = ControlWrapper(
+            env,
+            control_input=self.control_input,
+            normalize_act=self.normalize_act,
+            buttons=self.buttons,
+            parameters=CarParameters.of_kart(self.kart),
+            step_size=self.step_size,
+        )
+        return FlattenerWrapper(wrapped) if self.observe == "flattened" else wrapped
 
 
 def _checked_buttons(buttons: object) -> tuple[str, ...]:
