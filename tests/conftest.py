@@ -16,6 +16,7 @@ SLOW = (
     "docs/test_examples.py",
     "docs/test_tutorials.py",
     "env/test_all_tracks.py",
+    "env/test_determinism.py",
     "packaging/test_packaging.py",
     "parity",
     "race/remote/test_hostile.py",
@@ -27,6 +28,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as after `make test &`; it is inherited
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+#: Fixtures that run whole races or training; tests that need them are slow too.
+SLOW_FIXTURES = {"imitated", "small", "whole"}
+
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers():
@@ -37,8 +41,8 @@ def pytest_xdist_auto_num_workers():
 
 
 def pytest_collection_modifyitems(items):
-    """Marks the tests of slow folders, which ``make test-fast`` leaves out."""
+    """Marks the tests of slow folders and fixtures, which ``make test-fast`` leaves out."""
     for item in items:
         name = item.path.as_posix().removeprefix(f"{TESTS.as_posix()}/")
-        if name.startswith(SLOW):
+        if name.startswith(SLOW) or SLOW_FIXTURES & {*getattr(item, "fixturenames", ())}:
             item.add_marker(pytest.mark.slow)

@@ -75,7 +75,7 @@ def test_a_broken_mesh_is_named(tmp_path, damage):
         file.write_bytes(b"XX" + data[2:])
     elif damage == "version":
         file.write_bytes(b"SP\x12" + data[3:])
-    with pytest.raises(AssetError, match=r"a\.spm.*no mesh"):
+    with pytest.raises(AssetError, match=r"a\.spm.*is not a mesh"):
         read_mesh(file)
 
 
