@@ -16,8 +16,6 @@ from stkzoo.checks.runner import CHECKS, CheckResult, run_check
 from stkzoo.errors import ConfigError, StkzooError, unknown_name
 from stkzoo.views import VIEWS
 
-__all__ = ["main"]
-
 _BAD_USAGE = 2
 
 

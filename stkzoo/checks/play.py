@@ -21,27 +21,6 @@ from pettingzoo import ParallelEnv
 from stkzoo.config import AgentSpec
 from stkzoo.errors import ConfigError, StkzooError
 
-__all__ = [
-    "PARTS",
-    "CheckFailed",
-    "EnvFactory",
-    "NotApplicable",
-    "Policy",
-    "RandomPolicy",
-    "Step",
-    "Trace",
-    "bind",
-    "check_equal",
-    "fingerprint",
-    "first_difference",
-    "load_factory",
-    "play",
-    "short_race",
-    "takes",
-    "trace",
-    "whole_race",
-]
-
 
 class CheckFailed(StkzooError):
     """The environment breaks a rule; the text says where, and what was expected."""

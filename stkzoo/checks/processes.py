@@ -17,8 +17,6 @@ import cloudpickle  # type: ignore[import-untyped]
 
 from stkzoo.checks.play import CheckFailed, NotApplicable
 
-__all__ = ["FreshRun", "descendants", "main", "run_fresh"]
-
 _TIMEOUT = 600.0
 _CHILD = "import sys; from stkzoo.checks.processes import main; main(sys.argv[1])"
 

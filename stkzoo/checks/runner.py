@@ -10,8 +10,6 @@ from typing import TypeAlias
 from stkzoo.checks import api_usage, determinism, endings, memory, spaces
 from stkzoo.checks.play import CheckFailed, EnvFactory, NotApplicable
 
-__all__ = ["CHECKS", "Check", "CheckResult", "run_check"]
-
 Check: TypeAlias = Callable[[EnvFactory], None]
 
 #: Every check by its name without ``check_``.

@@ -30,8 +30,6 @@ from stkzoo.engine.process import (
 )
 from stkzoo.errors import EngineCrashed, EngineError, EngineTimeout
 
-__all__ = ["ForkServerClient", "can_fork", "start_fork_server", "start_race_process"]
-
 
 def can_fork() -> bool:
     """Whether races are forked from a fork server (Linux), not spawned."""

@@ -31,8 +31,6 @@ from stkzoo.engine import process_clone
 from stkzoo.engine.race import init_engine
 from stkzoo.engine.worker import serve
 
-__all__ = ["READY", "main"]
-
 #: The fork server's first packet: the engine has started.
 READY = b"ready"
 

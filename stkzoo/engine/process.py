@@ -25,20 +25,6 @@ from stkzoo._os import LockedTemporaryDirectory
 from stkzoo.engine import wire
 from stkzoo.errors import ConfigError, EngineCrashed, EngineError, EngineTimeout
 
-__all__ = [
-    "DRAWING_START_TIMEOUT",
-    "SELF_DESTRUCT_SECONDS",
-    "START_TIMEOUT",
-    "Log",
-    "RaceProcess",
-    "SpawnedProcess",
-    "describe_end",
-    "engine_environment",
-    "explain_os_errors",
-    "spawn_interpreter",
-    "start_render_process",
-]
-
 #: Time limit for a process to start, and for a race to be ready on the grid [s].
 START_TIMEOUT = 60.0
 #: The same for the render process: without a graphics card, shaders take minutes.

@@ -19,8 +19,6 @@ import signal
 import socket
 from typing import Any
 
-__all__ = ["die_with", "fork_beside", "move_to"]
-
 _PR_SET_PDEATHSIG = 1
 _CLONE_PARENT = 0x8000
 #: Number of the system call ``clone``; with these arguments both platforms call it alike.

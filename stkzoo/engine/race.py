@@ -20,8 +20,6 @@ from stkzoo.kernel import GameStepper
 from stkzoo.kernel.reference import game_stepper
 from stkzoo.names import AttachmentType, ItemType, Phase, PowerupType
 
-__all__ = ["GameRace", "RaceStart", "init_engine"]
-
 #: More steps than any race needs before the engine shows READY (31 at 0.1 s).
 _MAX_WARMUP_STEPS = 100_000
 

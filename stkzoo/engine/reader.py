@@ -22,8 +22,6 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import ITEM_DTYPE, KART_DTYPE
 
-__all__ = ["BY_ATTRIBUTE", "block_plans"]
-
 _INT = struct.Struct("<i")
 #: World time, then the number of players, each a flag, a kart id and "has no camera".
 _PLAYERS_AT, _PLAYER_SIZE = 4, 6

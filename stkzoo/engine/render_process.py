@@ -24,8 +24,6 @@ from stkzoo.engine import wire
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.worker import connected, describe, set_alarm
 
-__all__ = ["MirroredRace", "main"]
-
 #: Numbers of a pose: location [m], rotation (w, x, y, z), speed [m/s].
 _POSE_SIZE = 8
 #: So many laps that no kart finishes: a finished kart cannot be moved.

@@ -19,8 +19,6 @@ from stkzoo.engine.session import ProcessSession
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.errors import ConfigError, EngineCrashed
 
-__all__ = ["TICK", "Footage", "RenderSession", "check_graphics_libraries", "has_graphics_card"]
-
 #: Game time of one move of the drawn karts [s].
 TICK = 1 / 60
 

@@ -28,8 +28,6 @@ from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import ApiOrderError, EngineCrashed, EngineError, EngineTimeout
 
-__all__ = ["LocalSession", "ProcessSession", "Session", "WorkerSession"]
-
 Controls = npt.NDArray[np.float32]
 
 

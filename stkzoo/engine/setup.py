@@ -7,8 +7,6 @@ from dataclasses import asdict, dataclass
 
 from stkzoo.config import Start
 
-__all__ = ["KartSetup", "RaceSetup"]
-
 
 @dataclass(frozen=True, slots=True)
 class KartSetup:

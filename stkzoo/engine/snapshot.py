@@ -16,8 +16,6 @@ import numpy.typing as npt
 
 from stkzoo.kernel import layouts
 
-__all__ = ["CONTROLS", "CONTROL_DTYPE", "HEADER_DTYPE", "ITEM_DTYPE", "KART_DTYPE", "Snapshot"]
-
 #: The parts of a kart's control, in the order of the control arrays' last axis.
 CONTROLS = ("acceleration", "steer", "brake", "drift", "fire", "nitro", "rescue")
 

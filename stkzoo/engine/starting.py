@@ -19,8 +19,6 @@ from stkzoo.config import Start
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.errors import ConfigError
 
-__all__ = ["CentreLine", "put_karts"]
-
 FloatArray = npt.NDArray[np.float64]
 
 _TICK = 1 / 120  # of the engine [s]

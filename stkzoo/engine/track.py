@@ -12,8 +12,6 @@ import numpy.typing as npt
 
 from stkzoo.kernel import TrackGraph
 
-__all__ = ["TrackMap", "decode_track", "encode_track"]
-
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 

@@ -13,22 +13,6 @@ import struct
 import threading
 from collections.abc import Sequence
 
-__all__ = [
-    "ACT",
-    "BEGIN",
-    "DRAW",
-    "ERROR",
-    "FORK",
-    "OK",
-    "QUIT",
-    "complete",
-    "pair",
-    "receive",
-    "receive_files",
-    "send",
-    "send_files",
-]
-
 #: Requests: start a race (JSON), advance it (control array), end, and clone the process. To
 #: clone, the process sends an empty reply, receives a connection and a log for the clone
 #: (:func:`send_files`), and replies with the clone's process id. The clone sends an empty

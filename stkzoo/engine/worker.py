@@ -19,8 +19,6 @@ from stkzoo.engine import process_clone, wire
 from stkzoo.engine.race import GameRace, init_engine
 from stkzoo.engine.setup import RaceSetup
 
-__all__ = ["connected", "describe", "main", "serve", "set_alarm"]
-
 
 @contextlib.contextmanager
 def connected(port: int, graphics: str = "none") -> Iterator[socket.socket]:

@@ -11,19 +11,6 @@ from typing import Any
 from stkzoo._os import atomic_write
 from stkzoo.errors import ConfigError
 
-__all__ = [
-    "BLUE",
-    "GREY",
-    "INK",
-    "PALETTE",
-    "draw_intervals",
-    "new_figure",
-    "require_matplotlib",
-    "save_figure",
-    "shorten",
-    "style_axes",
-]
-
 INK, BLUE, GREY = "#22303c", "#2f6db5", "#8a949c"
 #: Colours of several series in one plot.
 PALETTE = (BLUE, "#d1762b", "#3b8f5a", "#8a5bb0", "#b23b4e", "#5b6f7d")

@@ -18,8 +18,6 @@ import numpy as np
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.statistics import percentile_interval
 
-__all__ = ["Rating", "rate", "require_openskill"]
-
 #: The model updates race by race, so a rating is the mean over this many orders of the races.
 _ORDERS = 30
 #: Bootstrap draws for the interval; fewer when there are many races.

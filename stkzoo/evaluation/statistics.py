@@ -9,8 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["CONFIDENCE", "Estimate", "estimate_known", "estimate_mean", "percentile_interval"]
-
 #: Coverage of every interval that stkzoo reports.
 CONFIDENCE = 0.95
 _DRAWS = 2000

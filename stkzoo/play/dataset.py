@@ -17,8 +17,6 @@ from stkzoo.race import RaceListener, RaceProgress, RaceResult
 from stkzoo.views import VIEWS, sees_ground
 from stkzoo.views.agent_chain import AgentChain
 
-__all__ = ["DatasetWriter"]
-
 _AGENT = "kart_0"
 
 

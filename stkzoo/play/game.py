@@ -17,8 +17,6 @@ from stkzoo.race import ActorMaker, Driver, RaceListener, RaceProgress, RaceResu
 from stkzoo.render.renderer import BACKENDS, RaceRenderer
 from stkzoo.views import VIEWS
 
-__all__ = ["play_race"]
-
 #: A step is a whole number of the game's ticks of 1/60 s.
 RATES = (10, 12, 15, 20, 30, 60)
 

@@ -13,8 +13,6 @@ import numpy.typing as npt
 from stkzoo.env.keyboard import KEYS
 from stkzoo.errors import ConfigError
 
-__all__ = ["PlayScreen"]
-
 _TITLE = "stkzoo play"
 _BAR = 30  # [pixels]
 _BAR_COLOUR, _TEXT_COLOUR, _FAINT_COLOUR = (20, 24, 32), (235, 240, 245), (150, 160, 175)

@@ -13,8 +13,6 @@ from stkzoo.render.palette import readable_on, rgb
 from stkzoo.render.pictures import font_of, grid_of, pillow
 from stkzoo.render.scene import RaceStanding, Scene, clock, standings
 
-__all__ = ["ResultRow", "end_card", "with_labels"]
-
 Picture = npt.NDArray[np.uint8]
 
 #: One line of the end card: rank, name, colour as ``"#rrggbb"``, time or what came instead.

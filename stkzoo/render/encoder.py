@@ -18,8 +18,6 @@ import numpy.typing as npt
 
 from stkzoo.errors import ConfigError, StkzooError
 
-__all__ = ["FORMATS", "VideoError", "VideoWriter", "check_video_path"]
-
 _H264 = ("-c:v", "libx264", "-preset", "veryfast", "-crf", "21", "-pix_fmt", "yuv420p")
 _VP9 = ("-c:v", "libvpx-vp9", "-deadline", "realtime", "-cpu-used", "6")
 _GIF = "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=bayer"

@@ -19,8 +19,6 @@ from stkzoo.render.motion import game_time, poses_between
 from stkzoo.render.pictures import resized
 from stkzoo.render.scene import Scene
 
-__all__ = ["GameView"]
-
 Picture = npt.NDArray[np.uint8]
 
 #: After a longer way the karts are put in place at once, and the cameras given time [s].

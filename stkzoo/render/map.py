@@ -16,8 +16,6 @@ from stkzoo.render.panel import draw_panel, panel_width
 from stkzoo.render.pictures import font_of, pillow
 from stkzoo.render.scene import Scene
 
-__all__ = ["MapView", "RoadOutline", "road_outline"]
-
 if TYPE_CHECKING:
     from PIL.Image import Image
 

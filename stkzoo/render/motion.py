@@ -7,8 +7,6 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
 
-__all__ = ["game_time", "pose_of", "poses_between", "snapshots_between"]
-
 FloatArray = npt.NDArray[np.float32]
 
 #: A kart that is this much farther on than it drove was put there by the game [m].

@@ -5,8 +5,6 @@ from __future__ import annotations
 import colorsys
 from functools import lru_cache
 
-__all__ = ["Colour", "race_palette", "readable_on", "rgb"]
-
 #: Red, green and blue, 0 to 255.
 Colour = tuple[int, int, int]
 

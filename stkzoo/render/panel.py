@@ -12,8 +12,6 @@ from stkzoo.render.scene import RaceStanding, Scene, clock, standings
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-__all__ = ["draw_panel", "panel_width"]
-
 _PANEL, _LINE, _TEXT, _FAINT = (27, 34, 46), (52, 63, 82), (233, 238, 245), (148, 160, 180)
 _NARROWEST = 320
 

@@ -12,8 +12,6 @@ import numpy.typing as npt
 
 from stkzoo.errors import ConfigError
 
-__all__ = ["font_of", "grid_of", "pillow", "resized", "tiled"]
-
 if TYPE_CHECKING:
     from PIL import ImageFont
 

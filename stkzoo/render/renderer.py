@@ -18,8 +18,6 @@ from stkzoo.render.map import MapView
 from stkzoo.render.pictures import tiled
 from stkzoo.render.scene import Scene
 
-__all__ = ["BACKENDS", "RaceRenderer", "camera_karts"]
-
 logger = logging.getLogger(__name__)
 
 Picture = npt.NDArray[np.uint8]

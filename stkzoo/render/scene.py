@@ -9,8 +9,6 @@ from stkzoo.engine.snapshot import Snapshot
 from stkzoo.engine.track import TrackMap
 from stkzoo.render.palette import race_palette
 
-__all__ = ["RaceStanding", "Scene", "clock", "standings"]
-
 
 @dataclass(frozen=True)
 class Scene:

@@ -27,8 +27,6 @@ from stkzoo.engine.assets.staging import Progress, check_space
 from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, check_files, write_marker
 from stkzoo.errors import AssetError
 
-__all__ = ["PACKAGE", "fetch_debian", "fetch_upstream", "unpack_package"]
-
 _LOOK_EVERY = 0.1  # [s]
 
 

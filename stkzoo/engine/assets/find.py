@@ -16,23 +16,6 @@ from stkzoo.engine.assets.overlay import SYSTEM_FOLDERS, system_overlay
 from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, Assets, load_assets
 from stkzoo.errors import AssetError
 
-__all__ = [
-    "CACHE_VARIABLE",
-    "DATADIR_VARIABLE",
-    "Place",
-    "PlaceReport",
-    "cache_folder",
-    "environment_place",
-    "find_assets",
-    "find_assets_or_none",
-    "full_folder",
-    "headless_folder",
-    "overlay_folder",
-    "places",
-    "pystk2_cache_folder",
-    "survey",
-]
-
 #: The engine's own variable: the folder that holds ``data``.
 DATADIR_VARIABLE = "SUPERTUXKART_DATADIR"
 

@@ -25,15 +25,6 @@ from stkzoo.engine.assets.staging import Progress, check_space, link_or_copy
 from stkzoo.engine.assets.tree import MARKER, check_files, read_marker, write_marker
 from stkzoo.errors import AssetError
 
-__all__ = [
-    "PLACEHOLDER_JPEG",
-    "PLACEHOLDER_PNG",
-    "SUMS",
-    "build_headless",
-    "read_archive",
-    "write_archive",
-]
-
 _SOUND = {".flac", ".mp3", ".oga", ".ogg", ".wav"}
 _JPEG = {".jpeg", ".jpg"}
 

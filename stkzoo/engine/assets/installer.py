@@ -29,8 +29,6 @@ from stkzoo.engine.assets.staging import (
 from stkzoo.engine.assets.tree import MARKER, Assets, load_assets
 from stkzoo.errors import AssetError, unknown_name
 
-__all__ = ["SOURCES", "clean", "install", "pack"]
-
 #: Where :func:`install` can get the data.
 SOURCES = ("auto", "debian", "upstream")
 

@@ -14,8 +14,6 @@ from stkzoo.engine.assets.staging import discard, fresh_folder, link_or_copy, pu
 from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, MARKER, read_marker, write_marker
 from stkzoo.errors import AssetError
 
-__all__ = ["SYSTEM_FOLDERS", "adapt", "system_overlay"]
-
 #: Where distributions install the game's data.
 SYSTEM_FOLDERS = (
     Path("/usr/share/games/supertuxkart/data"),

@@ -13,18 +13,6 @@ from pathlib import Path
 from stkzoo.engine.assets.tree import MARKER
 from stkzoo.errors import AssetError
 
-__all__ = [
-    "Progress",
-    "check_space",
-    "clear_leftovers",
-    "discard",
-    "fresh_folder",
-    "link_or_copy",
-    "lock",
-    "publish",
-    "staging_folder",
-]
-
 
 class Progress:
     """Receives the progress of long work and ignores it; the command line draws bars.

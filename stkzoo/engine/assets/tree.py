@@ -11,19 +11,6 @@ from typing import Any
 
 from stkzoo.errors import AssetError
 
-__all__ = [
-    "ENGINE_DATA_VERSION",
-    "MARKER",
-    "Assets",
-    "Marker",
-    "check_files",
-    "check_shape",
-    "load_assets",
-    "read_catalog",
-    "read_marker",
-    "write_marker",
-]
-
 #: The engine starts only where an empty file ``data/supertuxkart.<this>`` lies.
 ENGINE_DATA_VERSION = "1.5"
 

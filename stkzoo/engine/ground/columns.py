@@ -15,8 +15,6 @@ from stkzoo.engine.track import TrackMap
 from stkzoo.errors import ConfigError
 from stkzoo.names import GroundKind
 
-__all__ = ["Ground", "Spots", "ground_of"]
-
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]

@@ -16,8 +16,6 @@ import numpy.typing as npt
 
 from stkzoo.errors import AssetError
 
-__all__ = ["Part", "read_mesh"]
-
 _VERSION, _WITH_JOINTS = 1, 1
 _NORMALS, _COLOURS, _TANGENTS = 1, 2, 4
 _BOX = 24

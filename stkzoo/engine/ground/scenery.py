@@ -13,8 +13,6 @@ import numpy.typing as npt
 from stkzoo.engine.assets.tree import parse_xml
 from stkzoo.engine.ground.mesh import Part, read_mesh
 
-__all__ = ["Faces", "read_scenery"]
-
 FloatArray = npt.NDArray[np.float64]
 
 #: Objects that karts drive through, or that move.

@@ -17,8 +17,6 @@ from stkzoo.race.agents.files import find_files
 from stkzoo.race.drivers import driver_names, find_driver
 from stkzoo.race.settings import RaceSettings
 
-__all__ = ["NAME_MARK", "Entrant", "find_entrants", "fingerprint"]
-
 #: Separates a driver's source from its name.
 NAME_MARK = "@:"
 _MOST_FILES = 1000

@@ -15,8 +15,6 @@ from stkzoo.race.result import RaceResult
 from stkzoo.race.runner import run_race
 from stkzoo.race.settings import RaceSettings
 
-__all__ = ["BatchOrder", "RaceOrder", "load_orders", "write_file"]
-
 Result = TypeVar("Result")
 
 

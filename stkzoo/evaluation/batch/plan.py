@@ -19,17 +19,6 @@ from stkzoo.evaluation.batch.order import BatchOrder
 from stkzoo.race.result import read_json
 from stkzoo.race.settings import RaceSettings
 
-__all__ = [
-    "PLAN_FILE",
-    "BatchPlan",
-    "check_directions",
-    "choose_settings",
-    "decode",
-    "describe_differences",
-    "find_tracks",
-    "read_plan",
-]
-
 #: The file of a plan in its batch's folder.
 PLAN_FILE = "plan.json"
 _MAX_SHOWN = 80

@@ -17,8 +17,6 @@ from stkzoo._os import remove_stale_directories
 from stkzoo.evaluation.batch.order import BatchOrder
 from stkzoo.race.agents.failures import OutputTail
 
-__all__ = ["OrderOutcome", "run_in_parallel"]
-
 #: How often a race is tried whose process dies.
 _TRIES = 2
 _END_TIMEOUT = 5.0  # [s]

@@ -20,16 +20,6 @@ from stkzoo.evaluation.batch.plan import PLAN_FILE, BatchPlan, read_plan
 from stkzoo.evaluation.batch.pool import run_in_parallel
 from stkzoo.race.result import RaceResult
 
-__all__ = [
-    "RACE_TIMEOUT",
-    "Batch",
-    "BatchError",
-    "BatchProgress",
-    "ProgressListener",
-    "RunOptions",
-    "open_batch",
-]
-
 RACE_TIMEOUT = 3600.0  # [s]
 _MAX_ERRORS_SHOWN = 3
 

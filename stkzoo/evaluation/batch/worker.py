@@ -19,8 +19,6 @@ from typing import Any
 from stkzoo.errors import StkzooError
 from stkzoo.evaluation.batch.plan import decode
 
-__all__ = ["serve"]
-
 
 def serve() -> None:
     """Runs orders until the input is closed."""

@@ -26,8 +26,6 @@ from stkzoo.evaluation.benchmark.races import FRONT, direction_name, race_seed
 from stkzoo.race.result import RaceResult, check_schema, read_json, versions_now
 from stkzoo.race.settings import RaceSettings
 
-__all__ = ["AI_TIMES_FILE", "AiTime", "AiTimes", "load_ai_times", "measure_ai_times"]
-
 #: Of the JSON file (``docs/schemas/ai-times.schema.json``).
 _TYPE, _SCHEMA_VERSION = "ai-times", 1
 AI_TIMES_FILE = "ai_times.json"

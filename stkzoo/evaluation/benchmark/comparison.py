@@ -10,8 +10,6 @@ from stkzoo.errors import ConfigError
 from stkzoo.evaluation.benchmark.result import FIGURES, BenchmarkResult, RaceOutcome, groups_of
 from stkzoo.evaluation.statistics import CONFIDENCE, Estimate, estimate_known
 
-__all__ = ["Comparison", "GroupDifference", "compare"]
-
 Pair = tuple[RaceOutcome, RaceOutcome]
 
 

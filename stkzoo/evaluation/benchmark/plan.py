@@ -30,8 +30,6 @@ from stkzoo.evaluation.benchmark.races import (
 from stkzoo.race.result import versions_now
 from stkzoo.race.settings import RaceSettings
 
-__all__ = ["BenchmarkPlan", "plan_benchmark"]
-
 #: A race ends after this multiple of the AI's median time.
 _LIMIT = 3.0
 _MAX_SEEDS = 10_000

@@ -18,8 +18,6 @@ from stkzoo.evaluation.plotting import (
     style_axes,
 )
 
-__all__ = ["plot_benchmark"]
-
 #: The part of a row's height over which the agents are spread.
 _SPREAD = 0.5
 

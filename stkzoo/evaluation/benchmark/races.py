@@ -10,16 +10,6 @@ from dataclasses import dataclass
 
 from stkzoo.errors import ConfigError
 
-__all__ = [
-    "DECIDED",
-    "FORMS",
-    "BenchmarkForm",
-    "BenchmarkRace",
-    "direction_name",
-    "make_races",
-    "race_seed",
-]
-
 #: The race forms of the protocol.
 FORMS = ("PAAAA", "PPAAA", "P")
 #: Fields of :class:`~stkzoo.race.RaceSettings` that the protocol decides.

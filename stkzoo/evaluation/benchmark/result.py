@@ -14,18 +14,6 @@ from stkzoo.evaluation.benchmark.races import BenchmarkRace, direction_name
 from stkzoo.evaluation.statistics import CONFIDENCE, Estimate, estimate_known
 from stkzoo.race.result import AgentResult, RaceResult, check_schema, read_json
 
-__all__ = [
-    "FIGURES",
-    "SCHEMA_VERSION",
-    "BenchmarkResult",
-    "FigureKind",
-    "KartOutcome",
-    "RaceGroup",
-    "RaceOutcome",
-    "benchmark_result",
-    "groups_of",
-]
-
 #: Of the JSON file (``docs/schemas/benchmark-result.schema.json``).
 SCHEMA_VERSION = 1
 _TYPE = "benchmark-result"

@@ -21,8 +21,6 @@ from stkzoo.evaluation.benchmark.plot import plot_benchmark
 from stkzoo.evaluation.benchmark.result import BenchmarkResult, benchmark_result
 from stkzoo.evaluation.plotting import require_matplotlib
 
-__all__ = ["load_benchmark", "run_benchmark", "run_benchmark_plan"]
-
 _RESULT, _PLOT = "result.json", "benchmark.png"
 
 

@@ -18,8 +18,6 @@ from stkzoo.race.drivers import Driver, find_driver
 from stkzoo.race.replay import action_of
 from stkzoo.race.runner import run_race
 
-__all__ = ["DemoCheck", "check_demonstrations"]
-
 
 @dataclass(frozen=True, slots=True)
 class DemoCheck:

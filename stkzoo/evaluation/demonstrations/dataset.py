@@ -32,17 +32,6 @@ from stkzoo._os import atomic_write
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
 
-__all__ = [
-    "Columns",
-    "DemoEpisode",
-    "Demonstrations",
-    "EpisodeFacts",
-    "columns_of",
-    "join",
-    "load_demonstrations",
-    "save_demonstrations",
-]
-
 _KIND, _VERSION = "demonstrations", 1
 #: What reading a damaged file can raise.
 _DAMAGES = (

@@ -13,8 +13,6 @@ from stkzoo.errors import ConfigError
 from stkzoo.evaluation.demonstrations.dataset import DemoEpisode, Demonstrations
 from stkzoo.evaluation.demonstrations.recorder import DemoView
 
-__all__ = ["require_minari", "to_minari"]
-
 _HOME = "https://supertuxkart.net"
 
 

@@ -28,8 +28,6 @@ from stkzoo.race.result import versions_now
 from stkzoo.race.runner import run_race
 from stkzoo.race.settings import RaceSettings
 
-__all__ = ["DECIDED", "DemoOrder", "DemoPlan", "plan_demonstrations"]
-
 #: Fields of :class:`~stkzoo.race.RaceSettings` that the plan sets for each race.
 DECIDED = ("track", "reverse", "seed", "error_handling", "max_restarts")
 

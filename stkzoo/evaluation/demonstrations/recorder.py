@@ -24,8 +24,6 @@ from stkzoo.race.result import RaceResult
 from stkzoo.views import VIEWS, sees_ground
 from stkzoo.views.agent_chain import AgentChain
 
-__all__ = ["STEP", "DemoRecorder", "DemoView"]
-
 #: Time from one observation to the next [s].
 STEP = 0.1
 #: Buttons that count as pressed if pressed at any moment of a step; the others need half of it.

@@ -28,8 +28,6 @@ from stkzoo.evaluation.demonstrations.dataset import (
 )
 from stkzoo.evaluation.demonstrations.plan import DemoPlan, plan_demonstrations
 
-__all__ = ["record_demonstrations", "record_plan"]
-
 _ENDING = ".npz"
 
 

@@ -14,8 +14,6 @@ from stkzoo.evaluation.tournament.schedule import ScheduledRace, make_schedule
 from stkzoo.race.result import versions_now
 from stkzoo.race.settings import RaceSettings
 
-__all__ = ["DECIDED", "TournamentPlan", "plan_tournament"]
-
 #: Fields of :class:`~stkzoo.race.RaceSettings` that the plan sets for each race.
 DECIDED = ("track", "seed")
 

@@ -17,8 +17,6 @@ from stkzoo.evaluation.plotting import (
 )
 from stkzoo.evaluation.tournament.result import TournamentResult
 
-__all__ = ["plot_tournament"]
-
 
 def plot_tournament(result: TournamentResult, path: str | os.PathLike[str]) -> None:
     """Plots a tournament into a file, atomically.

@@ -12,8 +12,6 @@ from stkzoo.evaluation.statistics import CONFIDENCE
 from stkzoo.evaluation.tournament.plan import TournamentPlan
 from stkzoo.race.result import AgentResult, RaceResult
 
-__all__ = ["SCHEMA_VERSION", "RaceSummary", "Standing", "TournamentResult", "tournament_result"]
-
 #: Of the JSON file (``docs/schemas/tournament-result.schema.json``).
 SCHEMA_VERSION = 1
 

@@ -22,14 +22,6 @@ from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament
 from stkzoo.evaluation.tournament.plot import plot_tournament
 from stkzoo.evaluation.tournament.result import TournamentResult, tournament_result
 
-__all__ = [
-    "load_tournament",
-    "resume_tournament",
-    "resumed_plan",
-    "run_tournament",
-    "run_tournament_plan",
-]
-
 _RESULT, _PLOT = "result.json", "tournament.png"
 
 

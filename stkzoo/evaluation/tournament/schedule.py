@@ -8,8 +8,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-__all__ = ["ScheduledRace", "make_schedule"]
-
 #: Swaps tried to even out who meets whom, a place in a race; and at most.
 _TRIES, _MOST_TRIES = 60, 200_000
 

@@ -25,8 +25,6 @@ from stkzoo.race.agents.failures import printable
 from stkzoo.race.replay.record import DIGEST_SIZE, Replay, ReplayAgent
 from stkzoo.race.result import RaceResult
 
-__all__ = ["FORMAT", "ReplayError", "load_replay", "save_replay"]
-
 #: Version of the format; grows when an older reader would fail.
 FORMAT = 1
 

@@ -17,8 +17,6 @@ from stkzoo.race.replay.record import Replay, action_of, next_digest
 from stkzoo.race.result import RaceResult, versions_now
 from stkzoo.race.runner import run_race
 
-__all__ = ["Playback", "play_replay"]
-
 _DIFFERS = "differs"
 _RACE_FACTS = ("track", "reverse", "laps", "difficulty", "seed", "race_length", "steps")
 _AGENT_FACTS = ("start_position", "rank", "finish_time", "laps", "distance", "reward")

@@ -13,8 +13,6 @@ import numpy.typing as npt
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.race.result import RaceResult
 
-__all__ = ["DIGEST_SIZE", "Replay", "ReplayAgent", "action_of", "controls_of", "next_digest"]
-
 #: Bytes of one digest.
 DIGEST_SIZE = 8
 

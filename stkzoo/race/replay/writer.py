@@ -22,8 +22,6 @@ from stkzoo.race.replay.record import (
 )
 from stkzoo.race.result import RaceResult, versions_now
 
-__all__ = ["ReplayWriter"]
-
 
 class ReplayWriter(RaceListener):
     """Writes a replay of the race that it listens to.

@@ -9,8 +9,6 @@ from typing import Any
 
 from stkzoo.errors import ConfigError
 
-__all__ = ["SPEEDS", "RaceControl"]
-
 #: Multiples of real time; ``None`` for no limit.
 SPEEDS: tuple[float | None, ...] = (1.0, 2.0, 4.0, None)
 

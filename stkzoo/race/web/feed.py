@@ -12,8 +12,6 @@ import numpy.typing as npt
 
 from stkzoo.race.web.messages import encoded, plain
 
-__all__ = ["COLUMNS", "RaceFeed", "TraceLog", "ViewerState"]
-
 #: ``gap`` is the distance behind the leader [m]; ``throttle`` is the acceleration, 0 to 1, or -1
 #: while the kart brakes; ``reward`` is the sum since the start.
 COLUMNS = ("speed", "rank", "gap", "reward", "steer", "throttle")

@@ -19,8 +19,6 @@ from stkzoo.render.map import road_outline
 from stkzoo.render.palette import readable_on
 from stkzoo.render.scene import Scene
 
-__all__ = ["control_rows", "encoded", "moment_message", "plain", "race_message", "trace_row"]
-
 FloatArray = npt.NDArray[np.float32]
 
 #: Entries of a list that the page shows, beside its length.

@@ -18,8 +18,6 @@ from stkzoo.render.scene import Scene
 if TYPE_CHECKING:
     from stkzoo.race.web.server import LiveServer
 
-__all__ = ["LivePage", "RaceBroadcast"]
-
 
 class RaceBroadcast:
     """A page that shows a race from its snapshots, independent of its drivers.

@@ -22,8 +22,6 @@ from stkzoo.race.web.control import RaceControl
 from stkzoo.race.web.feed import RaceFeed
 from stkzoo.race.web.viewer import PROTOCOL_VERSION, Viewer
 
-__all__ = ["LiveServer"]
-
 logger = logging.getLogger(__name__)
 
 _FILES = Path(__file__).parent / "static"

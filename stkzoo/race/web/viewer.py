@@ -15,8 +15,6 @@ from stkzoo.race.web.control import RaceControl
 from stkzoo.race.web.feed import RaceFeed, ViewerState
 from stkzoo.race.web.messages import encoded
 
-__all__ = ["PROTOCOL_VERSION", "Viewer"]
-
 logger = logging.getLogger(__name__)
 
 #: Version of the messages; grows when a page of an older version would fail.
