@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import os
 import shutil
 import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+
+from stkzoo.errors import ConfigError, StkzooError
 
 try:
     import fcntl
@@ -21,7 +24,9 @@ __all__ = [
     "LockedTemporaryDirectory",
     "atomic_write",
     "cpu_count",
+    "file_digest",
     "remove_stale_directories",
+    "write_whole",
 ]
 
 #: Glob pattern of the files that :func:`atomic_write` has not finished.
@@ -66,6 +71,40 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise
     with contextlib.suppress(OSError):  # some systems cannot flush folders
         _flush(folder)
+
+
+@contextlib.contextmanager
+def write_whole(
+    path: str | os.PathLike[str], noun: str = "", error_type: type[StkzooError] = ConfigError
+) -> Iterator[Path]:
+    """:func:`atomic_write` with an error for users.
+
+    Args:
+        path: the file.
+        noun: what it is, such as ``"the plot"``.
+        error_type: the class of the error.
+
+    Raises:
+        StkzooError: of ``error_type``; the file cannot be written.
+    """
+    try:
+        with atomic_write(path) as part:
+            yield part
+    except OSError as error:
+        raise error_type(f"{noun} {path} cannot be written: {error}".lstrip()) from error
+
+
+def file_digest(path: Path, digest: hashlib._Hash | hashlib.blake2b) -> str:
+    """The digest of a file's content, as hexadecimal digits.
+
+    Args:
+        path: the file.
+        digest: a new object of :mod:`hashlib`.
+    """
+    with path.open("rb") as stream:
+        while block := stream.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
 
 
 def _flush(path: Path) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from stkzoo._os import atomic_write
+from stkzoo._os import write_whole
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.tracks import SPLITS, TEST_TRACKS
 
@@ -176,10 +176,7 @@ def _draw(names: Sequence[str], file: Path) -> int:
         assert snapshot is not None  # noqa: S101
         picture = MapView(scene, (1024, 768), panel=False).draw(snapshot)
     image, formats = pillow().Image.fromarray(picture), pillow().Image.registered_extensions()
-    try:
-        with atomic_write(file) as part:
-            image.save(part, format=formats[file.suffix.lower()])
-    except OSError as error:
-        raise ConfigError(f"{file} cannot be written: {error}") from error
+    with write_whole(file) as part:
+        image.save(part, format=formats[file.suffix.lower()])
     print(file)
     return 0

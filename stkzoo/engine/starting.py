@@ -116,6 +116,11 @@ class _Place:
         self.stand = self.point
         self.ahead = np.array([math.sin(yaw + start.heading), 0.0, math.cos(yaw + start.heading)])
 
+    def is_near(self, kart: Any) -> bool:
+        """Whether a kart of the game stands here."""
+        x, y, z = np.asarray(kart.location, np.float64) - self.point
+        return math.hypot(x, z) <= _REACH and abs(y) <= _HEIGHT_REACH
+
 
 class _Mover:
     """Moves karts and the game, tick by tick."""
@@ -209,17 +214,11 @@ def _set_down(mover: _Mover, places: list[_Place]) -> None:
             place.stand = np.array([place.point[0], height, place.point[2]])
     for place in places:
         kart = mover.world.karts[place.kart]
-        away = np.asarray(kart.location, np.float64) - place.point
-        if math.hypot(away[0], away[2]) > _REACH or abs(away[1]) > _HEIGHT_REACH:
+        if not place.is_near(kart):
             raise _no_ground(place)
         if mover.drives(place.kart):
             w, x, y, z = map(float, kart.rotation)
-            place.rotation = [
-                -x,
-                -y,
-                -z,
-                w,
-            ]  # the game reads it as world to kart
+            place.rotation = [-x, -y, -z, w]  # the game reads it as world to kart
 
 
 def _run_up(mover: _Mover, places: list[_Place]) -> None:
@@ -252,10 +251,8 @@ def _check(mover: _Mover, places: list[_Place]) -> None:
     for place in places:
         kart = mover.world.karts[place.kart]
         nose = np.asarray(kart.front, np.float64) - np.asarray(kart.location, np.float64)
-        if nose @ place.ahead < _FACING * np.linalg.norm(nose):
-            raise _no_ground(place)
-        away = np.asarray(kart.location, np.float64) - place.point
-        if math.hypot(away[0], away[2]) > _REACH or abs(away[1]) > _HEIGHT_REACH:
+        faces_ahead = nose @ place.ahead >= _FACING * np.linalg.norm(nose)
+        if not faces_ahead or not place.is_near(kart):
             raise _no_ground(place)
         if place.distance > 1.0 and kart.finished_laps != 0:
             raise ConfigError(

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from stkzoo._os import atomic_write
+from stkzoo._os import write_whole
 from stkzoo.errors import ConfigError
 
 INK, BLUE, GREY = "#22303c", "#2f6db5", "#8a949c"
@@ -90,8 +90,8 @@ def save_figure(figure: Any, path: str | os.PathLike[str]) -> None:
         ConfigError: the file cannot be written.
     """
     file = Path(path)
-    try:
-        with atomic_write(file) as part:
+    with write_whole(file, "the plot") as part:
+        try:
             figure.savefig(part, format=file.suffix[1:] or "png", dpi=110)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"the plot {file} cannot be written: {error}") from error
+        except ValueError as error:  # of an unknown format
+            raise ConfigError(f"the plot {file} cannot be written: {error}") from error

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import string
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo.names import AttachmentType, GroundKind, ItemType, Phase, PowerupType
@@ -14,6 +16,7 @@ __all__ = [
     "GROUND_LANES",
     "GROUND_MARKS",
     "POWERUP_COUNT_LIMIT",
+    "columns_of",
     "kart_action_space",
     "kart_observation_space",
     "shows_ground",
@@ -104,3 +107,17 @@ def kart_observation_space(use_ai: bool = False, sees_ground: bool = False) -> s
 def shows_ground(space: spaces.Space[Any]) -> bool:
     """Whether a space is of observations that tell of the ground beside the road."""
     return isinstance(space, spaces.Dict) and "ground_kind" in space.spaces
+
+
+def columns_of(
+    name: str, space: spaces.Space[Any], values: Sequence[Any]
+) -> dict[str, npt.NDArray[Any]]:
+    """Values with time as the leading axis; a dict's entries are ``name/key``."""
+    parts = getattr(space, "spaces", None)
+    if not isinstance(parts, Mapping):
+        shape = space.shape or ()
+        return {name: np.array(values, space.dtype).reshape(len(values), *shape)}
+    columns: dict[str, npt.NDArray[Any]] = {}
+    for key, part in parts.items():
+        columns |= columns_of(f"{name}/{key}", part, [value[key] for value in values])
+    return columns

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Space
 
 import stkzoo
-from stkzoo._os import atomic_write
+from stkzoo._os import write_whole
 from stkzoo.errors import ConfigError
-from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.mdp.spaces import columns_of, kart_action_space, kart_observation_space
 from stkzoo.race import RaceListener, RaceProgress, RaceResult
 from stkzoo.views import VIEWS, sees_ground
 from stkzoo.views.agent_chain import AgentChain
@@ -97,31 +96,17 @@ class DatasetWriter(RaceListener):
         ends = np.zeros(steps, np.bool_)
         ends[-1] = True
         never = np.zeros(steps, np.bool_)
-        arrays = {
-            **_columns(
+        arrays: dict[str, Any] = {
+            **columns_of(
                 "observations",
                 self._chain.observation_space,
                 [*self._observations[:steps], self._last],
             ),
-            **_columns("actions", self._chain.action_space, self._actions[:steps]),
+            **columns_of("actions", self._chain.action_space, self._actions[:steps]),
             "rewards": np.array(self._rewards),
             "terminations": ends if self._is_finished else never,
             "truncations": never if self._is_finished else ends,
             "about": np.array(json.dumps(self._about)),
         }
-        try:
-            with atomic_write(self._path) as part, part.open("wb") as file:
-                np.savez_compressed(file, **arrays)
-        except OSError as error:
-            raise ConfigError(f"the dataset cannot be written: {error}") from error
-
-
-def _columns(name: str, space: Space[Any], values: list[Any]) -> dict[str, Any]:
-    """Values of a space as arrays by name, with time as leading axis."""
-    parts = getattr(space, "spaces", None)
-    if not isinstance(parts, dict):
-        return {name: np.array(values, getattr(space, "dtype", None))}
-    columns: dict[str, Any] = {}
-    for key, part in parts.items():
-        columns |= _columns(f"{name}/{key}", part, [value[key] for value in values])
-    return columns
+        with write_whole(self._path, "the dataset") as part, part.open("wb") as file:
+            np.savez_compressed(file, **arrays)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import version
 from typing import Any
@@ -21,8 +22,10 @@ __all__ = [
     "AgentFailure",
     "AgentResult",
     "RaceResult",
-    "check_schema",
+    "json_with_rows",
+    "read_document",
     "read_json",
+    "reading",
     "versions_now",
 ]
 
@@ -165,16 +168,36 @@ class RaceResult:
         Raises:
             ConfigError: the text is something else, or of a later version.
         """
-        try:
-            document = read_json(text)
-            check_schema(document, "race-result", SCHEMA_VERSION)
+        with reading("the text is not a race result", "a file from `stkzoo race --output`"):
+            document = read_document(text, "race-result", SCHEMA_VERSION)
             agents = tuple(_agent_of(entry) for entry in document["agents"])
             return cls(**{**_known(cls, document), "agents": agents})
-        except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
-            raise ConfigError(
-                f"the text is not a race result ({type(error).__name__}: {error}); expected a file "
-                "from `stkzoo race --output`"
-            ) from error
+
+
+@contextlib.contextmanager
+def reading(problem: str, expected: str) -> Iterator[None]:
+    """Explains the error of a block that reads a JSON document.
+
+    Args:
+        problem: what the error says first, such as ``"the text is not a race result"``.
+        expected: what the text should have been.
+
+    Raises:
+        ConfigError: an entry is missing or has the wrong type, or the text is not JSON.
+    """
+    try:
+        yield
+    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+        raise ConfigError(
+            f"{problem} ({type(error).__name__}: {error}); expected {expected}"
+        ) from error
+
+
+def json_with_rows(head: Mapping[str, Any], name: str, rows: Iterable[Mapping[str, Any]]) -> str:
+    """A JSON object with one more entry, a list with an object on each line."""
+    lines = ",\n    ".join(map(json.dumps, rows))
+    text = json.dumps(head, indent=2, allow_nan=False)[:-2]
+    return f'{text},\n  "{name}": [\n    {lines}\n  ]\n}}'
 
 
 def read_json(text: str) -> Any:
@@ -198,24 +221,27 @@ def _finite(text: str) -> float:
     return number
 
 
-def check_schema(document: dict[str, Any], kind: str, version: int) -> None:
-    """Checks the type and version of a JSON document.
+def read_document(text: str, kind: str, version: int) -> dict[str, Any]:
+    """The value of a JSON text of a type and version.
 
     Args:
-        document: the content of a file.
+        text: the content of a file.
         kind: the expected ``type``.
         version: the expected ``schema_version``.
 
     Raises:
         ConfigError: it is something else, or of another version.
         KeyError: it has no type or version.
+        json.JSONDecodeError: see :func:`read_json`.
     """
+    document: dict[str, Any] = read_json(text)
     found = document["type"], document["schema_version"]
     if found != (kind, version):
         raise ConfigError(
             f"the file is a {found[0]} of version {found[1]}, expected a {kind} of version "
             f"{version}; another version of stkzoo wrote it"
         )
+    return document
 
 
 def _agent_of(document: dict[str, Any]) -> AgentResult:

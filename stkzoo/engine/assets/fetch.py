@@ -13,17 +13,16 @@ import os
 import shutil
 import subprocess
 import sys
-import tarfile
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import IO
 
+from stkzoo._os import file_digest
 from stkzoo.engine.assets.find import DATADIR_VARIABLE, pystk2_cache_folder
 from stkzoo.engine.assets.overlay import adapt
-from stkzoo.engine.assets.staging import Progress, check_space
+from stkzoo.engine.assets.staging import Progress, check_space, discard, fresh_folder
 from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, check_files, write_marker
 from stkzoo.errors import AssetError
 
@@ -102,7 +101,6 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 PACKAGE = "supertuxkart-data"
 
 _INSIDE = PurePosixPath("usr/share/games/supertuxkart/data")
-_BLOCK = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -221,25 +219,21 @@ def unpack_package(package: Path, target: Path, progress: Progress) -> None:
         AssetError: the package is broken or holds other content.
     """
     wanted = _read_sums(package)
-    progress.begin(f"unpacking {package.name}", package.stat().st_size)
-    command = ["dpkg-deb", "--fsys-tarfile", "-"]
-    with (
-        package.open("rb") as raw,
-        subprocess.Popen(  # noqa: S603 - a fixed program, no shell
-            command, stdin=raw, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-        ) as process,
-    ):
-        found: dict[str, str] = {}
-        try:
-            found = _unpack_stream(process.stdout, target / "data", raw, progress)
-        except (tarfile.TarError, OSError) as error:
-            process.kill()
-            raise AssetError(f"{package} cannot be unpacked: {error}.") from error
-        finally:
-            process.communicate()
-    if process.returncode != 0:
-        raise AssetError(f"{package} is broken: dpkg-deb ended with {process.returncode}.")
-    _compare(wanted, found, package)
+    progress.begin(f"unpacking {package.name}")
+    whole = fresh_folder(target, "package")
+    command = ["dpkg-deb", "--extract", str(package.absolute()), str(whole)]
+    _run(command, folder=target, name=f"{package} cannot be unpacked: dpkg-deb")
+    data = (whole / _INSIDE).replace(target / "data")
+    discard(whole)
+    wrong = sorted(name for name, digest in wanted.items() if _md5(data / name) != digest)
+    if wrong:
+        raise AssetError(
+            f"{package} unpacked to {len(wrong)} wrong or missing files, such as {wrong[0]!r}."
+        )
+
+
+def _md5(path: Path) -> str:
+    return file_digest(path, hashlib.md5(usedforsecurity=False)) if path.is_file() else ""
 
 
 def _read_sums(package: Path) -> dict[str, str]:
@@ -254,44 +248,6 @@ def _read_sums(package: Path) -> dict[str, str]:
     if not sums:
         raise AssetError(f"{package} holds no files in {_INSIDE}.")
     return sums
-
-
-def _unpack_stream(
-    stream: IO[bytes] | None, data: Path, raw: IO[bytes], progress: Progress
-) -> dict[str, str]:
-    found = {}
-    with tarfile.open(fileobj=stream, mode="r|", bufsize=_BLOCK) as archive:
-        for member in archive:
-            path = PurePosixPath(member.name)
-            if not path.is_relative_to(_INSIDE) or ".." in path.parts:
-                continue
-            name = path.relative_to(_INSIDE).as_posix()
-            if member.isdir():
-                (data / name).mkdir(parents=True, exist_ok=True)
-            elif member.issym():
-                (data / name).symlink_to(member.linkname)
-            elif member.isreg():
-                found[name] = _write_file(archive, member, data / name)
-                progress.reach(os.lseek(raw.fileno(), 0, os.SEEK_CUR))
-    return found
-
-
-def _write_file(archive: tarfile.TarFile, member: tarfile.TarInfo, goal: Path) -> str:
-    source = archive.extractfile(member)
-    digest = hashlib.md5(usedforsecurity=False)
-    with goal.open("wb") as sink:
-        while source is not None and (block := source.read(_BLOCK)):
-            digest.update(block)
-            sink.write(block)
-    return digest.hexdigest()
-
-
-def _compare(wanted: dict[str, str], found: dict[str, str], package: Path) -> None:
-    wrong = sorted(name for name, digest in wanted.items() if found.get(name) != digest)
-    if wrong:
-        raise AssetError(
-            f"{package} unpacked to {len(wrong)} wrong or missing files, such as {wrong[0]!r}."
-        )
 
 
 _ARCHIVE = f"SuperTuxKart-{ENGINE_DATA_VERSION}-src.tar.gz"

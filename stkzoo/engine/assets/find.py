@@ -168,15 +168,12 @@ def _take_named(place: Place, graphics: bool) -> Assets:
 
 def _first_usable(graphics: bool) -> tuple[Assets | None, list[str]]:
     problems: list[str] = []
-    for place in places():
-        try:
-            assets = place.look()
-        except AssetError as error:
-            _LOGGER.warning("skipping the %s: %s", place.source, error)
-            problems.append(f"In the {place.source}: {error}")
-            continue
-        if assets is not None and not (graphics and assets.headless):
-            return assets, problems
+    for place in map(_report, places()):
+        if place.problem:
+            _LOGGER.warning("skipping the %s: %s", place.source, place.problem)
+            problems.append(f"In the {place.source}: {place.problem}")
+        elif place.assets is not None and not (graphics and place.assets.headless):
+            return place.assets, problems
     return None, problems
 
 

@@ -20,7 +20,7 @@ from lzma import LZMAError
 from pathlib import Path, PurePosixPath
 from typing import Final
 
-from stkzoo._os import atomic_write
+from stkzoo._os import file_digest, write_whole
 from stkzoo.engine.assets.staging import Progress, check_space, link_or_copy
 from stkzoo.engine.assets.tree import MARKER, check_files, read_marker, write_marker
 from stkzoo.errors import AssetError
@@ -119,7 +119,6 @@ class _Placeholders:
 #: First member of an archive: lines that ``sha256sum --check`` understands.
 SUMS = "SHA256SUMS"
 
-_BLOCK = 1 << 20
 _PRESET: Final = 6
 
 #: An archive that unpacks to more than this is not one of ours [bytes].
@@ -141,25 +140,14 @@ def write_archive(root: Path, file: Path, progress: Progress) -> None:
         AssetError: the folder of ``file`` cannot be written.
     """
     names = sorted(path.relative_to(root).as_posix() for path in _regular_files(root))
-    sums = "".join(f"{_sha256(root / name)}  {name}\n" for name in names)
-    try:
-        with atomic_write(file) as part:
-            _write_members(root, names, sums.encode(), part, progress)
-    except OSError as error:
-        raise AssetError(f"the archive {file} cannot be written: {error}.") from error
+    sums = "".join(f"{file_digest(root / name, hashlib.sha256())}  {name}\n" for name in names)
+    with write_whole(file, "the archive", AssetError) as part:
+        _write_members(root, names, sums.encode(), part, progress)
 
 
 def _regular_files(root: Path) -> Iterator[Path]:
     yield root / MARKER
     yield from (path for path in (root / "data").rglob("*") if path.is_file())
-
-
-def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as stream:
-        while block := stream.read(_BLOCK):
-            digest.update(block)
-    return digest.hexdigest()
 
 
 def _write_members(

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 
+from stkzoo._os import file_digest
 from stkzoo.errors import ConfigError
 from stkzoo.race.agents.failures import printable
 from stkzoo.race.agents.files import find_files
@@ -147,11 +148,7 @@ def _files(home: Path) -> Iterator[Path]:
 
 
 def _digest(file: Path) -> str:
-    sum_so_far = hashlib.blake2b(digest_size=_DIGEST_SIZE)
     try:
-        with file.open("rb") as stream:
-            while block := stream.read(1 << 20):
-                sum_so_far.update(block)
+        return file_digest(file, hashlib.blake2b(digest_size=_DIGEST_SIZE))
     except OSError:
         return "unreadable"
-    return sum_so_far.hexdigest()

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from stkzoo._os import atomic_write
+from stkzoo._os import write_whole
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.entrants import NAME_MARK
 from stkzoo.race.result import RaceResult
@@ -93,7 +93,8 @@ class RaceOrder(BatchOrder[RaceResult]):
 
     def store(self, folder: Path, text: str) -> RaceResult:
         """Stores the result, atomically."""
-        write_file(self._file(folder), text + "\n")
+        with write_whole(self._file(folder)) as part:
+            part.write_text(text + "\n", encoding="utf-8")
         return RaceResult.from_json(text)
 
     def _file(self, folder: Path) -> Path:
@@ -116,16 +117,3 @@ def load_orders(orders: Sequence[BatchOrder[Result]], folder: Path) -> dict[int,
     """
     stored = {order.number: order.load(folder) for order in orders}
     return {number: result for number, result in stored.items() if result is not None}
-
-
-def write_file(file: Path, text: str) -> None:
-    """Writes a text file atomically, also across a power cut.
-
-    Raises:
-        ConfigError: the file cannot be written.
-    """
-    try:
-        with atomic_write(file) as part:
-            part.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{file} cannot be written: {error}") from error

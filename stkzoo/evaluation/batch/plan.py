@@ -7,6 +7,7 @@ import types
 import typing
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -16,7 +17,7 @@ from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.evaluation.batch.entrants import Entrant
 from stkzoo.evaluation.batch.order import BatchOrder
-from stkzoo.race.result import read_json
+from stkzoo.race.result import read_json, reading
 from stkzoo.race.settings import RaceSettings
 
 #: The file of a plan in its batch's folder.
@@ -64,11 +65,9 @@ class BatchPlan(ABC):
         Raises:
             ConfigError: the text is something else, or has another version.
         """
-        try:
+        with cls._reading():
             values: dict[str, Any] = read_json(text)
             found = values.pop("type"), values.pop("schema_version")
-        except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
-            raise cls._unreadable(error) from error
         if found != (cls.kind, cls.version):
             raise ConfigError(
                 f"the plan is a {found[0]} of version {found[1]}, expected a {cls.kind} of "
@@ -83,12 +82,10 @@ class BatchPlan(ABC):
         Raises:
             ConfigError: the values are no such plan.
         """
-        try:
+        with cls._reading():
             plan = decode(cls, values)
             plan.check()
-        except (KeyError, TypeError, AttributeError) as error:
-            raise cls._unreadable(error) from error
-        return plan
+            return plan
 
     def check(self) -> None:  # noqa: B027 - not all plans have numbers to check
         """Checks the numbers on which the count of races depends.
@@ -116,10 +113,8 @@ class BatchPlan(ABC):
         return values | {"engine": versions.get("pystk2"), "stkzoo": versions.get("stkzoo")}
 
     @classmethod
-    def _unreadable(cls, error: Exception) -> ConfigError:
-        return ConfigError(
-            f"the plan of the {cls.noun} cannot be read ({type(error).__name__}: {error})"
-        )
+    def _reading(cls) -> AbstractContextManager[None]:
+        return reading(f"the plan of the {cls.noun} cannot be read", f"a {PLAN_FILE} of stkzoo")
 
 
 def read_plan(kind: type[Plan], folder: Path) -> Plan:

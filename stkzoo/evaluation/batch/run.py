@@ -11,21 +11,33 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Generic, TypeVar
+from typing import IO, Generic, Protocol, TypeVar
 
-from stkzoo._os import PART_FILES, cpu_count
+from stkzoo._os import PART_FILES, cpu_count, write_whole
 from stkzoo.errors import ConfigError, StkzooError, check_whole
-from stkzoo.evaluation.batch.order import BatchOrder, load_orders, write_file
+from stkzoo.evaluation.batch.order import BatchOrder, load_orders
 from stkzoo.evaluation.batch.plan import PLAN_FILE, BatchPlan, read_plan
 from stkzoo.evaluation.batch.pool import run_in_parallel
+from stkzoo.evaluation.plotting import require_matplotlib
 from stkzoo.race.result import RaceResult
 
+#: The file of the result in a batch's folder.
+RESULT_FILE = "result.json"
 RACE_TIMEOUT = 3600.0  # [s]
 _MAX_ERRORS_SHOWN = 3
+
+
+class BatchSummary(Protocol):
+    """The result of a batch."""
+
+    def to_json(self) -> str:
+        """The result as JSON."""
+
 
 Plan = TypeVar("Plan", bound=BatchPlan)
 Result = TypeVar("Result")
 Summary = TypeVar("Summary")
+Writable = TypeVar("Writable", bound=BatchSummary)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +145,8 @@ class Batch(Generic[Plan]):
         Raises:
             ConfigError: it cannot be written.
         """
-        write_file(self.folder / name, text + "\n")
+        with write_whole(self.folder / name) as part:
+            part.write_text(text + "\n", encoding="utf-8")
 
 
 @contextmanager
@@ -154,6 +167,40 @@ def open_batch(plan: Plan, folder: str | os.PathLike[str]) -> Iterator[Batch[Pla
             for part in place.glob(PART_FILES):  # left by a program that was killed while it wrote
                 part.unlink(missing_ok=True)
         yield Batch(path, _keep_plan(plan, path))
+
+
+def run_batch(
+    plan: Plan,
+    output: str | os.PathLike[str],
+    options: RunOptions,
+    summarize: Callable[[Plan, Mapping[int, RaceResult]], Writable],
+    plot: Callable[[Writable, Path], None] | None = None,
+) -> Writable:
+    """Runs a batch of races, or resumes it, and writes its ``result.json`` and plot.
+
+    Args:
+        plan: the batch.
+        output: its folder.
+        options: how to run it.
+        summarize: makes the result of the races that have been run.
+        plot: draws the result into a file; ``None`` for no plot.
+
+    Raises:
+        ConfigError: see :func:`open_batch`; or matplotlib is missing.
+        BatchError: some races could not be run; it has the result of the others.
+    """
+    if plot is not None:
+        require_matplotlib(plan.noun, "leave the plot out (--no-plot)")
+    with open_batch(plan, output) as batch:
+        orders = batch.plan.orders()
+        results = batch.run(orders, options)
+        result = summarize(batch.plan, results)
+        batch.write(RESULT_FILE, result.to_json())
+        if plot is not None and results:
+            plot(result, batch.folder / f"{plan.noun}.png")
+    if batch.errors:
+        raise BatchError(batch.errors, len(orders), result)
+    return result
 
 
 @contextmanager
@@ -187,9 +234,8 @@ def _lock(file: IO[str]) -> bool:
 
 def _keep_plan(plan: Plan, folder: Path) -> Plan:
     """Writes the plan, or returns the one in the folder if it leads to the same races."""
-    file = folder / PLAN_FILE
-    if not file.exists():
-        write_file(file, plan.to_json() + "\n")
+    if not (folder / PLAN_FILE).exists():
+        Batch(folder, plan).write(PLAN_FILE, plan.to_json())
         return plan
     started = read_plan(type(plan), folder)
     if differences := started.differences(plan):

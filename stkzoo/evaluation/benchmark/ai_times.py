@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
 import os
 import statistics
@@ -23,7 +22,13 @@ from stkzoo.evaluation.batch.run import (
     open_batch,
 )
 from stkzoo.evaluation.benchmark.races import FRONT, direction_name, race_seed
-from stkzoo.race.result import RaceResult, check_schema, read_json, versions_now
+from stkzoo.race.result import (
+    RaceResult,
+    json_with_rows,
+    read_document,
+    reading,
+    versions_now,
+)
 from stkzoo.race.settings import RaceSettings
 
 #: Of the JSON file (``docs/schemas/ai-times.schema.json``).
@@ -110,20 +115,17 @@ class AiTimes:
 
     def to_json(self) -> str:
         """The times as JSON, one per line."""
-        lines = [
-            json.dumps(
-                {
-                    "track": track,
-                    "direction": direction_name(reverse),
-                    "difficulty": difficulty,
-                    **asdict(time),
-                }
-            )
+        rows = [
+            {
+                "track": track,
+                "direction": direction_name(reverse),
+                "difficulty": difficulty,
+                **asdict(time),
+            }
             for (track, reverse, difficulty), time in self.by_race.items()
         ]
         head = {"type": _TYPE, "schema_version": _SCHEMA_VERSION, "versions": dict(self.versions)}
-        rows = ",\n    ".join(lines)
-        return json.dumps(head, indent=2)[:-2] + f',\n  "times": [\n    {rows}\n  ]\n}}'
+        return json_with_rows(head, "times", rows)
 
     @classmethod
     def from_json(cls, text: str) -> AiTimes:
@@ -132,15 +134,10 @@ class AiTimes:
         Raises:
             ConfigError: the text is something else, or has another version.
         """
-        try:
-            values = read_json(text)
-            check_schema(values, _TYPE, _SCHEMA_VERSION)
+        what = "the text has no times of the game's AI"
+        with reading(what, "the output of `stkzoo benchmark --baseline`"):
+            values = read_document(text, _TYPE, _SCHEMA_VERSION)
             return cls(dict(map(_entry, values["times"])), values["versions"])
-        except (KeyError, TypeError, json.JSONDecodeError) as error:
-            raise ConfigError(
-                f"the text has no times of the game's AI ({type(error).__name__}: {error}); "
-                "expected the output of `stkzoo benchmark --baseline`"
-            ) from error
 
 
 def _entry(values: dict[str, Any]) -> tuple[RaceKey, AiTime]:

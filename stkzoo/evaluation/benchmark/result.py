@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -12,7 +11,13 @@ from stkzoo.errors import ConfigError
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan
 from stkzoo.evaluation.benchmark.races import BenchmarkRace, direction_name
 from stkzoo.evaluation.statistics import CONFIDENCE, Estimate, estimate_known
-from stkzoo.race.result import AgentResult, RaceResult, check_schema, read_json
+from stkzoo.race.result import (
+    AgentResult,
+    RaceResult,
+    json_with_rows,
+    read_document,
+    reading,
+)
 
 #: Of the JSON file (``docs/schemas/benchmark-result.schema.json``).
 SCHEMA_VERSION = 1
@@ -224,7 +229,6 @@ class BenchmarkResult:
 
     def to_json(self) -> str:
         """The result as JSON (``docs/schemas/benchmark-result.schema.json``)."""
-        races = ",\n    ".join(json.dumps(outcome.to_dict()) for outcome in self.outcomes)
         head = {
             "type": _TYPE,
             "schema_version": SCHEMA_VERSION,
@@ -234,8 +238,7 @@ class BenchmarkResult:
             "groups": [asdict(group) for group in self.groups],
             "plan": self.plan.to_dict(),
         }
-        text = json.dumps(head, indent=2, allow_nan=False)[:-2]
-        return text + f',\n  "races": [\n    {races}\n  ]\n}}'
+        return json_with_rows(head, "races", [outcome.to_dict() for outcome in self.outcomes])
 
     @classmethod
     def from_json(cls, text: str) -> BenchmarkResult:
@@ -244,18 +247,12 @@ class BenchmarkResult:
         Raises:
             ConfigError: the text is something else, or has another version.
         """
-        try:
-            values = read_json(text)
-            check_schema(values, _TYPE, SCHEMA_VERSION)
+        with reading("the text is no benchmark result", "the result.json of `stkzoo benchmark`"):
+            values = read_document(text, _TYPE, SCHEMA_VERSION)
             plan = BenchmarkPlan.from_dict(values["plan"])
             races = {race.number: race for race in plan.races()}
             outcomes = [_outcome(entry, races[entry["number"]], plan) for entry in values["races"]]
-        except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
-            raise ConfigError(
-                f"the text is no benchmark result ({type(error).__name__}: {error}); expected the "
-                "result.json of `stkzoo benchmark`"
-            ) from error
-        return cls(plan, tuple(outcomes))
+            return cls(plan, tuple(outcomes))
 
 
 def benchmark_result(plan: BenchmarkPlan, results: Mapping[int, RaceResult]) -> BenchmarkResult:

@@ -11,17 +11,14 @@ from stkzoo.evaluation.batch.order import load_orders
 from stkzoo.evaluation.batch.plan import PLAN_FILE, read_plan
 from stkzoo.evaluation.batch.run import (
     RACE_TIMEOUT,
-    BatchError,
+    RESULT_FILE,
     ProgressListener,
     RunOptions,
-    open_batch,
+    run_batch,
 )
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, plan_benchmark
 from stkzoo.evaluation.benchmark.plot import plot_benchmark
 from stkzoo.evaluation.benchmark.result import BenchmarkResult, benchmark_result
-from stkzoo.evaluation.plotting import require_matplotlib
-
-_RESULT, _PLOT = "result.json", "benchmark.png"
 
 
 def run_benchmark(
@@ -62,18 +59,7 @@ def run_benchmark_plan(
     plan: BenchmarkPlan, output: str | os.PathLike[str], options: RunOptions, *, plot: bool = True
 ) -> BenchmarkResult:
     """Runs a planned benchmark, or resumes it; see :func:`run_benchmark`."""
-    if plot:
-        require_matplotlib("benchmark", "leave the plot out (--no-plot)")
-    with open_batch(plan, output) as batch:
-        orders = batch.plan.orders()
-        results = batch.run(orders, options)
-        result = benchmark_result(batch.plan, results)
-        batch.write(_RESULT, result.to_json())
-        if plot and results:
-            plot_benchmark(result, batch.folder / _PLOT)
-    if batch.errors:
-        raise BatchError(batch.errors, len(orders), result)
-    return result
+    return run_batch(plan, output, options, benchmark_result, plot_benchmark if plot else None)
 
 
 def load_benchmark(path: str | os.PathLike[str]) -> BenchmarkResult:
@@ -89,11 +75,11 @@ def load_benchmark(path: str | os.PathLike[str]) -> BenchmarkResult:
     if (place / PLAN_FILE).exists():
         plan = read_plan(BenchmarkPlan, place)
         return benchmark_result(plan, load_orders(plan.orders(), place))
-    file = place / _RESULT if place.is_dir() else place
+    file = place / RESULT_FILE if place.is_dir() else place
     try:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(
-            f"{path} has no benchmark ({error}); expected the --output of one, or its {_RESULT}"
+            f"{path} has no benchmark ({error}); expected the --output of one, or its {RESULT_FILE}"
         ) from error
     return BenchmarkResult.from_json(text)

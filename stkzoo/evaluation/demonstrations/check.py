@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
 
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.demonstrations.dataset import Demonstrations
 from stkzoo.evaluation.demonstrations.plan import DemoPlan
 from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
-from stkzoo.race.drivers import Driver, find_driver
-from stkzoo.race.replay import action_of
+from stkzoo.race.drivers import find_driver
+from stkzoo.race.replay import recorded_driver
 from stkzoo.race.runner import run_race
 
 
@@ -63,7 +61,7 @@ def check_demonstrations(demos: Demonstrations, race: int = 0) -> DemoCheck:
         )
     view = DemoView(plan.view)
     recorder = DemoRecorder(plan.karts, view, race=race)
-    drivers = [_again(demos[number].controls) for number in numbers]
+    drivers = [recorded_driver("recorded", demos[number].controls) for number in numbers]
     settings = replace(orders[0].settings, inline=True)
     run_race(
         [*drivers, *plan.rivals],
@@ -81,14 +79,6 @@ def check_demonstrations(demos: Demonstrations, race: int = 0) -> DemoCheck:
     found = [first for first in firsts if first is not None]
     steps = sum(len(demos[number]) for number in numbers)
     return DemoCheck(race, steps, min(found) if found else None)
-
-
-def _again(controls: npt.NDArray[np.float32]) -> Driver:
-    def make_actor(_: spaces.Space[Any], __: spaces.Space[Any], ___: int) -> Callable[..., Any]:
-        rows = iter(controls)
-        return lambda _: action_of(next(rows))
-
-    return Driver.of_actor("recorded", make_actor)
 
 
 def _first_difference(one: Any, two: Any) -> int | None:

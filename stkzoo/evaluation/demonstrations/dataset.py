@@ -26,9 +26,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Space
 
-from stkzoo._os import atomic_write
+from stkzoo._os import write_whole
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
 
@@ -44,20 +43,8 @@ _BY_STEP = ("actions", "controls", "rewards")
 Columns = dict[str, npt.NDArray[Any]]
 
 
-def columns_of(name: str, space: Space[Any], values: Sequence[Any]) -> Columns:
-    """Values with time as the leading axis; a dict's entries are ``name/key``."""
-    parts = getattr(space, "spaces", None)
-    if not isinstance(parts, Mapping):
-        shape = space.shape or ()
-        return {name: np.array(values, space.dtype).reshape(len(values), *shape)}
-    columns: Columns = {}
-    for key, part in parts.items():
-        columns |= columns_of(f"{name}/{key}", part, [value[key] for value in values])
-    return columns
-
-
 def tree_of(name: str, columns: Mapping[str, npt.NDArray[Any]]) -> Any:
-    """The inverse of :func:`columns_of`: the array ``name``, or the dict of all ``name/key``.
+    """The inverse of ``columns_of``: the array ``name``, or the dict of all ``name/key``.
 
     Raises:
         KeyError: there is neither.
@@ -213,11 +200,8 @@ def save_demonstrations(demos: Demonstrations, path: str | os.PathLike[str]) -> 
         "lengths": demos.lengths,
         "about": np.array(json.dumps(demos.to_dict())),
     }
-    try:
-        with atomic_write(path) as part, part.open("wb") as file:
-            np.savez_compressed(file, **arrays)
-    except OSError as error:
-        raise ConfigError(f"the demonstrations {path} cannot be written: {error}") from error
+    with write_whole(path, "the demonstrations") as part, part.open("wb") as file:
+        np.savez_compressed(file, **arrays)
 
 
 def load_demonstrations(path: str | os.PathLike[str]) -> Demonstrations:

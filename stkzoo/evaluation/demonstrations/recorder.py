@@ -14,10 +14,9 @@ from stkzoo.evaluation.demonstrations.dataset import (
     Columns,
     Demonstrations,
     EpisodeFacts,
-    columns_of,
     join,
 )
-from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.mdp.spaces import columns_of, kart_action_space, kart_observation_space
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.replay import action_of, controls_of
 from stkzoo.race.result import RaceResult

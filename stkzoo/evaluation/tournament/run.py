@@ -11,18 +11,14 @@ from stkzoo.evaluation.batch.order import load_orders
 from stkzoo.evaluation.batch.plan import read_plan
 from stkzoo.evaluation.batch.run import (
     RACE_TIMEOUT,
-    BatchError,
     ProgressListener,
     RunOptions,
-    open_batch,
+    run_batch,
 )
-from stkzoo.evaluation.plotting import require_matplotlib
 from stkzoo.evaluation.ratings import require_openskill
 from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament
 from stkzoo.evaluation.tournament.plot import plot_tournament
 from stkzoo.evaluation.tournament.result import TournamentResult, tournament_result
-
-_RESULT, _PLOT = "result.json", "tournament.png"
 
 
 def run_tournament(
@@ -92,17 +88,7 @@ def run_tournament_plan(
 ) -> TournamentResult:
     """Runs a planned tournament, or resumes it; see :func:`run_tournament`."""
     require_openskill()
-    if plot:
-        require_matplotlib("tournament", "leave the plot out (--no-plot)")
-    with open_batch(plan, output) as batch:
-        results = batch.run(batch.plan.orders(), options)
-        result = tournament_result(batch.plan, results)
-        batch.write(_RESULT, result.to_json())
-        if plot and results:
-            plot_tournament(result, batch.folder / _PLOT)
-    if batch.errors:
-        raise BatchError(batch.errors, batch.plan.races, result)
-    return result
+    return run_batch(plan, output, options, tournament_result, plot_tournament if plot else None)
 
 
 def load_tournament(folder: str | os.PathLike[str]) -> TournamentResult:

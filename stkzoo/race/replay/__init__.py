@@ -12,7 +12,7 @@
 from __future__ import annotations
 
 from stkzoo.race.replay.file import ReplayError, load_replay, save_replay
-from stkzoo.race.replay.playback import Playback, play_replay
+from stkzoo.race.replay.playback import Playback, play_replay, recorded_driver
 from stkzoo.race.replay.record import Replay, ReplayAgent, action_of, controls_of
 from stkzoo.race.replay.writer import ReplayWriter
 
@@ -26,5 +26,6 @@ __all__ = [
     "controls_of",
     "load_replay",
     "play_replay",
+    "recorded_driver",
     "save_replay",
 ]

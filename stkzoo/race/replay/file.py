@@ -11,13 +11,13 @@ import stat
 import zipfile
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 from zipfile import ZIP_DEFLATED, ZIP_STORED
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._os import atomic_write
+from stkzoo._os import write_whole
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError, StkzooError
@@ -35,18 +35,10 @@ _MAX_FILE = 64 << 20  # [bytes]
 _MAX_MEMBER = {_ABOUT: 8 << 20, _CONTROLS: 256 << 20, _DIGESTS: 16 << 20}
 _MAX_KARTS, _MAX_TRACKS, _MAX_INTEGER = 256, 10_000, 2**63
 #: Types of the plain fields.
-_FIELDS: dict[str, type[Any]] = {
-    "track": str,
-    "reverse": bool,
-    "laps": int,
-    "difficulty": int,
-    "step_size": float,
-    "seed": int,
-    "num_tracks": int,
-    "engine_seed": int,
-    "status": str,
-}
-_AGENT_FIELDS: dict[str, type[Any]] = {"name": str, "source": str, "is_game_ai": bool}
+_FIELDS, _AGENT_FIELDS = (
+    {name: kind for name, kind in get_type_hints(record).items() if kind in (bool, int, float, str)}
+    for record in (Replay, ReplayAgent)
+)
 #: Fields that are options of the environment too.
 _SETTINGS = ("track", "reverse", "laps", "difficulty", "max_paths", "step_size")
 #: A fixed date in the zip makes equal replays equal files.
@@ -75,15 +67,14 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> None:
         _CONTROLS: replay.controls.astype("<f4").tobytes(),
         _DIGESTS: replay.digests.tobytes(),
     }
-    file = Path(path)
-    try:
-        with atomic_write(file) as part, zipfile.ZipFile(part, "w") as archive:
-            for member, data in members.items():
-                entry = zipfile.ZipInfo(member, _DATE)
-                entry.compress_type = ZIP_DEFLATED
-                archive.writestr(entry, data)
-    except OSError as error:
-        raise ReplayError(f"the replay {file} cannot be written: {error}") from error
+    with (
+        write_whole(path, "the replay", ReplayError) as part,
+        zipfile.ZipFile(part, "w") as archive,
+    ):
+        for member, data in members.items():
+            entry = zipfile.ZipInfo(member, _DATE)
+            entry.compress_type = ZIP_DEFLATED
+            archive.writestr(entry, data)
 
 
 def load_replay(path: str | os.PathLike[str]) -> Replay:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo.engine.assets import find_assets
@@ -121,11 +123,18 @@ def _driver(replay: Replay, number: int) -> Driver:
     if agent.is_game_ai:
         return Driver(agent.name, None, agent.source)
 
+    driver = recorded_driver(agent.name, replay.controls[:, number])
+    return replace(driver, source=agent.source)
+
+
+def recorded_driver(name: str, controls: npt.NDArray[np.float32]) -> Driver:
+    """A driver that repeats recorded controls ``(T, 7)``, whatever it sees."""
+
     def make_actor(_: spaces.Space[Any], __: spaces.Space[Any], ___: int) -> Callable[..., Any]:
-        rows = iter(replay.controls[:, number])
+        rows = iter(controls)
         return lambda _: action_of(next(rows))
 
-    return replace(Driver.of_actor(agent.name, make_actor), source=agent.source)
+    return Driver.of_actor(name, make_actor)
 
 
 class _Comparison(RaceListener):
