@@ -26,6 +26,7 @@ __all__ = [
     "cpu_count",
     "file_digest",
     "remove_stale_directories",
+    "try_lock",
     "write_whole",
 ]
 
@@ -92,6 +93,20 @@ def write_whole(
             yield part
     except OSError as error:
         raise error_type(f"{noun} {path} cannot be written: {error}".lstrip()) from error
+
+
+def try_lock(descriptor: int) -> bool:
+    """Locks an open file for this process, unless another one has locked it.
+
+    The system releases the lock when the process ends, however it ends. A system without such
+    locks locks nothing.
+    """
+    if fcntl is not None:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return False
+    return True
 
 
 def file_digest(path: Path, digest: hashlib._Hash | hashlib.blake2b) -> str:

@@ -21,7 +21,9 @@ from stkzoo.checks.determinism import *  # noqa: F403
 from stkzoo.checks.endings import *  # noqa: F403
 from stkzoo.checks.memory import *  # noqa: F403
 from stkzoo.checks.play import (
+    Check,
     CheckFailed,
+    CheckResult,
     EnvFactory,
     NotApplicable,
     RandomPolicy,
@@ -30,10 +32,18 @@ from stkzoo.checks.play import (
     first_difference,
     load_factory,
     play,
+    run_check,
     trace,
 )
-from stkzoo.checks.runner import CHECKS, Check, CheckResult, run_check
 from stkzoo.checks.spaces import *  # noqa: F403
+
+#: Every check by its name without ``check_``.
+CHECKS: dict[str, Check] = {
+    name.removeprefix("check_"): check
+    for module in (spaces, endings, memory, api_usage, determinism)
+    for name, check in vars(module).items()
+    if name in module.__all__
+}
 
 __all__ = [
     "CHECKS",

@@ -11,8 +11,8 @@ from dataclasses import asdict
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from stkzoo.checks.play import EnvFactory, bind, load_factory, takes
-from stkzoo.checks.runner import CHECKS, CheckResult, run_check
+from stkzoo.checks import CHECKS
+from stkzoo.checks.play import CheckResult, EnvFactory, bind, load_factory, run_check, takes
 from stkzoo.errors import ConfigError, StkzooError, unknown_name
 from stkzoo.views import VIEWS
 

@@ -11,6 +11,7 @@ import functools
 import hashlib
 import importlib
 import inspect
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
@@ -329,3 +330,42 @@ def _update_all(digest: Any, values: Sequence[Any]) -> None:
     else:
         for value in values:
             _update(digest, value)
+
+
+Check: TypeAlias = Callable[[EnvFactory], None]
+
+
+@dataclass(frozen=True, slots=True)
+class CheckResult:
+    """The result of one check.
+
+    Attributes:
+        status: ``"passed"``, ``"failed"`` or ``"not applicable"``.
+        why: what is wrong, or why the check does not apply; empty if passed.
+        seconds: duration [s].
+    """
+
+    status: str
+    why: str
+    seconds: float
+
+
+def run_check(check: Check, make_env: EnvFactory) -> CheckResult:
+    """Runs a check; an exception becomes a failure.
+
+    Args:
+        check: a function that takes the factory.
+        make_env: makes the environment.
+    """
+    start = time.perf_counter()
+    status, why = "failed", ""
+    try:
+        check(make_env)
+        status = "passed"
+    except NotApplicable as reason:
+        status, why = "not applicable", str(reason)
+    except CheckFailed as failure:
+        why = str(failure)
+    except Exception as error:  # noqa: BLE001 - a broken environment may raise anything
+        why = f"{type(error).__name__}: {error}"
+    return CheckResult(status, why, time.perf_counter() - start)

@@ -7,7 +7,6 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import platformdirs
@@ -51,138 +50,6 @@ def pystk2_cache_folder() -> Path:
 
 
 @dataclass(frozen=True)
-class Place:
-    """One place to look at.
-
-    Attributes:
-        source: its short name, as in :attr:`Assets.source`.
-        path: the folder in question.
-        look: returns the assets, ``None`` if nothing is there, or raises
-            :class:`~stkzoo.errors.AssetError` if what is there cannot be used.
-    """
-
-    source: str
-    path: Path
-    look: Callable[[], Assets | None]
-
-
-def environment_place() -> Place | None:
-    """The folder that the user's environment names, ``None`` if it names none."""
-    value = os.environ.get(DATADIR_VARIABLE)
-    if not value:
-        return None
-    path = Path(value)
-    return Place("environment", path, partial(_look_named, path))
-
-
-def _look_named(path: Path) -> Assets:
-    try:
-        return load_assets(path.absolute(), "environment")
-    except AssetError as error:
-        raise AssetError(
-            f"the environment variable {DATADIR_VARIABLE} is {str(path)!r}, but {error} "
-            f"Unset it and run `stkzoo assets install`, or point it to a folder that "
-            f"holds the game's 'data'."
-        ) from error
-
-
-def places() -> Iterator[Place]:
-    """All places in order: the one the environment names, then the machine's own."""
-    named = environment_place()
-    if named is not None:
-        yield named
-    headless, full = headless_folder(), full_folder()
-    yield Place("headless pack", headless, partial(_look_made, headless, "headless pack"))
-    yield Place("stkzoo cache", full, partial(_look_made, full, "stkzoo cache"))
-    downloaded = pystk2_cache_folder() / ENGINE_DATA_VERSION
-    yield Place("pystk2 cache", downloaded, partial(_look_downloaded, downloaded))
-    for folder in SYSTEM_FOLDERS:
-        yield Place("system", folder, partial(_look_system, folder))
-
-
-def _look_made(root: Path, source: str) -> Assets | None:
-    return load_assets(root, source) if root.is_dir() else None
-
-
-def _look_downloaded(root: Path) -> Assets | None:
-    if not root.is_dir():
-        return None
-    if not (root / "__downloaded__.txt").is_file():
-        raise AssetError(f"the download of pystk2 in {root} was never finished.")
-    return load_assets(root, "pystk2 cache")
-
-
-def _look_system(data: Path) -> Assets | None:
-    if not data.is_dir():
-        return None
-    return load_assets(system_overlay(data, overlay_folder()), "system")
-
-
-_LOGGER = logging.getLogger(__name__)
-
-_REMEDY = "Run `stkzoo assets install`."
-
-
-def find_assets(*, graphics: bool = False) -> Assets:
-    """Finds the game's data on this machine, in a few milliseconds.
-
-    The order is: the folder in ``SUPERTUXKART_DATADIR``, the headless pack and
-    the full data in stkzoo's cache, the cache of ``pystk2``, a system install.
-
-    Args:
-        graphics: the game must draw, which a headless pack cannot.
-
-    Raises:
-        AssetError: there is none, or what the environment names cannot be used; the
-            message names the command that fixes it.
-    """
-    named = environment_place()
-    if named is not None:
-        return _take_named(named, graphics)
-    found, problems = _first_usable(graphics)
-    if found is not None:
-        return found
-    raise AssetError(_missing_text(graphics, problems))
-
-
-def find_assets_or_none(*, graphics: bool = False) -> Assets | None:
-    """Like :func:`find_assets`, but ``None`` where the machine has none.
-
-    Raises:
-        AssetError: what the environment names cannot be used.
-    """
-    named = environment_place()
-    return _take_named(named, graphics) if named is not None else _first_usable(graphics)[0]
-
-
-def _take_named(place: Place, graphics: bool) -> Assets:
-    assets = place.look()
-    if assets is None or (graphics and assets.headless):
-        raise AssetError(
-            f"the environment variable SUPERTUXKART_DATADIR is {str(place.path)!r}, a headless "
-            f"pack, which has no pictures to draw with. Unset it and run "
-            f"`stkzoo assets install`."
-        )
-    return assets
-
-
-def _first_usable(graphics: bool) -> tuple[Assets | None, list[str]]:
-    problems: list[str] = []
-    for place in map(_report, places()):
-        if place.problem:
-            _LOGGER.warning("skipping the %s: %s", place.source, place.problem)
-            problems.append(f"In the {place.source}: {place.problem}")
-        elif place.assets is not None and not (graphics and place.assets.headless):
-            return place.assets, problems
-    return None, problems
-
-
-def _missing_text(graphics: bool, problems: list[str]) -> str:
-    what = "the game's full data, which drawing needs," if graphics else "the game's data"
-    return "\n".join([f"{what} is not on this machine. {_REMEDY}", *problems])
-
-
-@dataclass(frozen=True)
 class PlaceReport:
     """What one place holds.
 
@@ -209,13 +76,114 @@ class PlaceReport:
         return sum(sizes.values())
 
 
+def named_place() -> PlaceReport | None:
+    """The folder that the user's environment names, ``None`` if it names none."""
+    value = os.environ.get(DATADIR_VARIABLE)
+    if not value:
+        return None
+    path = Path(value)
+    try:
+        return PlaceReport("environment", path, load_assets(path.absolute(), "environment"))
+    except AssetError as error:
+        problem = (
+            f"the environment variable {DATADIR_VARIABLE} is {str(path)!r}, but {error} "
+            f"Unset it and run `stkzoo assets install`, or point it to a folder that "
+            f"holds the game's 'data'."
+        )
+        return PlaceReport("environment", path, None, problem)
+
+
+def _own_places() -> Iterator[PlaceReport]:
+    """The machine's own places, in order; each is looked at when it is its turn."""
+    yield _look("headless pack", headless_folder())
+    yield _look("stkzoo cache", full_folder())
+    yield _look("pystk2 cache", pystk2_cache_folder() / ENGINE_DATA_VERSION, _downloaded)
+    for folder in SYSTEM_FOLDERS:
+        yield _look("system", folder, _overlaid)
+
+
+def _look(source: str, path: Path, root_of: Callable[[Path], Path] = Path) -> PlaceReport:
+    try:
+        assets = load_assets(root_of(path), source) if path.is_dir() else None
+    except AssetError as error:
+        return PlaceReport(source, path, None, str(error))
+    return PlaceReport(source, path, assets)
+
+
+def _downloaded(root: Path) -> Path:
+    if not (root / "__downloaded__.txt").is_file():
+        raise AssetError(f"the download of pystk2 in {root} was never finished.")
+    return root
+
+
+def _overlaid(data: Path) -> Path:
+    return system_overlay(data, overlay_folder())
+
+
+_LOGGER = logging.getLogger(__name__)
+
+_REMEDY = "Run `stkzoo assets install`."
+
+
+def find_assets(*, graphics: bool = False) -> Assets:
+    """Finds the game's data on this machine, in a few milliseconds.
+
+    The order is: the folder in ``SUPERTUXKART_DATADIR``, the headless pack and
+    the full data in stkzoo's cache, the cache of ``pystk2``, a system install.
+
+    Args:
+        graphics: the game must draw, which a headless pack cannot.
+
+    Raises:
+        AssetError: there is none, or what the environment names cannot be used; the
+            message names the command that fixes it.
+    """
+    found, problems = _first_usable(graphics)
+    if found is None:
+        raise AssetError(_missing_text(graphics, problems))
+    return found
+
+
+def find_assets_or_none(*, graphics: bool = False) -> Assets | None:
+    """Like :func:`find_assets`, but ``None`` where the machine has none.
+
+    Raises:
+        AssetError: what the environment names cannot be used.
+    """
+    return _first_usable(graphics)[0]
+
+
+def _first_usable(graphics: bool) -> tuple[Assets | None, list[str]]:
+    if (named := named_place()) is not None:
+        return _named_assets(named, graphics), []
+    problems: list[str] = []
+    for place in _own_places():
+        if place.problem:
+            _LOGGER.warning("skipping the %s: %s", place.source, place.problem)
+            problems.append(f"In the {place.source}: {place.problem}")
+        elif place.assets is not None and not (graphics and place.assets.headless):
+            return place.assets, problems
+    return None, problems
+
+
+def _named_assets(place: PlaceReport, graphics: bool) -> Assets:
+    if place.assets is None:
+        raise AssetError(place.problem)
+    if graphics and place.assets.headless:
+        raise AssetError(
+            f"the environment variable SUPERTUXKART_DATADIR is {str(place.path)!r}, a headless "
+            f"pack, which has no pictures to draw with. Unset it and run "
+            f"`stkzoo assets install`."
+        )
+    return place.assets
+
+
+def _missing_text(graphics: bool, problems: list[str]) -> str:
+    what = "the game's full data, which drawing needs," if graphics else "the game's data"
+    return "\n".join([f"{what} is not on this machine. {_REMEDY}", *problems])
+
+
 def survey() -> list[PlaceReport]:
     """Looks at every place, in the order of :func:`find_assets`."""
-    return [_report(place) for place in places()]
-
-
-def _report(place: Place) -> PlaceReport:
-    try:
-        return PlaceReport(place.source, place.path, place.look())
-    except AssetError as error:
-        return PlaceReport(place.source, place.path, None, str(error))
+    named = named_place()
+    return [*([named] if named else []), *_own_places()]

@@ -10,11 +10,11 @@ from stkzoo.engine.assets.fetch import fetch_debian, fetch_upstream
 from stkzoo.engine.assets.find import (
     DATADIR_VARIABLE,
     cache_folder,
-    environment_place,
     find_assets,
     find_assets_or_none,
     full_folder,
     headless_folder,
+    named_place,
     overlay_folder,
 )
 from stkzoo.engine.assets.headless import build_headless, read_archive, write_archive
@@ -67,7 +67,7 @@ def install(
         clear_leftovers(cache_folder())
         if archive is not None:
             _take_archive(archive, progress)
-        elif environment_place() is not None and not replace:
+        elif named_place() is not None and not replace:
             progress.note(f"{DATADIR_VARIABLE} names the data; there is nothing to download")
         else:
             full = _full_assets(source, replace, progress)

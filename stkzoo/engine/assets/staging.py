@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from stkzoo._os import try_lock
 from stkzoo.engine.assets.tree import MARKER
 from stkzoo.errors import AssetError
 
@@ -36,14 +37,9 @@ class Progress:
         """Something worth a line happened."""
 
 
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
-
-
 _PREFIX = ".stkzoo-"
 _LOCK = ".stkzoo-lock"
+_LOCK_POLL = 0.2  # [s]
 
 #: Age after which a folder made outside the lock counts as left behind [s].
 _STALE = 600.0
@@ -76,13 +72,10 @@ def lock(cache: Path, progress: Progress) -> Iterator[None]:
 def _acquire(path: Path, progress: Progress) -> int:
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        if fcntl is None:
-            return descriptor
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        if not try_lock(descriptor):
             progress.note("another stkzoo uses the same cache: waiting for it to end")
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            while not try_lock(descriptor):
+                time.sleep(_LOCK_POLL)
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(descriptor), path.stat()):
                 return descriptor

@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
-from stkzoo._os import PART_FILES, cpu_count, write_whole
+from stkzoo._os import PART_FILES, cpu_count, try_lock, write_whole
 from stkzoo.errors import ConfigError, StkzooError, check_whole
 from stkzoo.evaluation.batch.order import BatchOrder, load_orders
 from stkzoo.evaluation.batch.plan import PLAN_FILE, BatchPlan, read_plan
@@ -211,25 +211,12 @@ def _locked(folder: Path, noun: str) -> Iterator[None]:
     except OSError as error:
         raise ConfigError(f"the {noun}'s folder {folder} cannot be used: {error}") from error
     with lock:
-        if not _lock(lock):
+        if not try_lock(lock.fileno()):
             raise ConfigError(
                 f"another program runs the {noun} in {folder}; wait until it ends, or choose "
                 "another folder"
             )
         yield
-
-
-def _lock(file: IO[str]) -> bool:
-    """Locks a file; the system frees it when this process ends, however it ends."""
-    try:
-        import fcntl
-    except ImportError:  # Windows
-        return True
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True
 
 
 def _keep_plan(plan: Plan, folder: Path) -> Plan:
