@@ -16,7 +16,7 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from stkzoo.evaluation.batch.order import write_file
+from stkzoo._os import write_text
 
 ROOT = Path(__file__).parent.parent
 EXAMPLES = ROOT / "examples" / "ecosystem"
@@ -149,7 +149,7 @@ def main() -> int:
         if not outcome.passed:
             print(outcome.said)
     ordered = [outcomes[e.library] for e in LIBRARIES if e.library in outcomes]
-    write_file(RESULTS, json.dumps(ordered, indent=1) + "\n")
+    write_text(RESULTS, json.dumps(ordered, indent=1) + "\n")
     _write_table(ordered)
     return 0 if all(outcomes[e.library]["passed"] for e in chosen) else 1
 
@@ -226,7 +226,7 @@ def _write_table(outcomes: list[dict[str, object]]) -> None:
     before, _, after = PAGE.read_text().partition(MARK)
     rest = after.partition(MARK)[2]
     page = f"{before}{MARK}\n\n" + "\n".join(lines) + f"\n\n{MARK}{rest}"
-    write_file(PAGE, page)
+    write_text(PAGE, page)
 
 
 def _versions(outcomes: list[dict[str, object]]) -> str:

@@ -16,10 +16,10 @@ import numpy as np
 from PIL import Image
 
 from stkzoo import race_v0
+from stkzoo._os import write_text
 from stkzoo.engine.ground import Ground
 from stkzoo.engine.track import TrackMap
 from stkzoo.evaluation import AiTimes, BatchProgress, load_ai_times, measure_ai_times
-from stkzoo.evaluation.batch.order import write_file
 from stkzoo.names import GroundKind
 from stkzoo.tracks import SPLITS, TEST_TRACKS
 
@@ -236,10 +236,10 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.measure:
         times = measure_ai_times(arguments.measure, jobs=arguments.jobs, on_race=_tell)
-        write_file(AI_TIMES, times.to_json() + "\n")
+        write_text(AI_TIMES, times.to_json() + "\n")
     PICTURES.mkdir(parents=True, exist_ok=True)
     facts = {track: survey(track) for track in SPLITS["all"]}
-    write_file(PAGE, page(facts, load_ai_times()))
+    write_text(PAGE, page(facts, load_ai_times()))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from stkzoo.evaluation.batch.order import write_file
+from stkzoo._os import write_text
 
 ROOT = Path(__file__).parent.parent
 SOURCES = ROOT / "examples" / "tutorials"
@@ -43,7 +43,7 @@ def main() -> int:
     folder.mkdir(parents=True, exist_ok=True)
     for name in names:
         begun = time.monotonic()
-        write_file(folder / f"{name}.ipynb", executed(name, short=arguments.short))
+        write_text(folder / f"{name}.ipynb", executed(name, short=arguments.short))
         print(f"{name}: {time.monotonic() - begun:.0f} s", flush=True)
     return 0
 

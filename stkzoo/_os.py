@@ -27,6 +27,7 @@ __all__ = [
     "file_digest",
     "remove_stale_directories",
     "try_lock",
+    "write_text",
     "write_whole",
 ]
 
@@ -93,6 +94,12 @@ def write_whole(
             yield part
     except OSError as error:
         raise error_type(f"{noun} {path} cannot be written: {error}".lstrip()) from error
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Writes a text file whole; see :func:`write_whole`."""
+    with write_whole(path) as part:
+        part.write_text(text, encoding="utf-8")
 
 
 def try_lock(descriptor: int) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from stkzoo._os import write_whole
+from stkzoo._os import write_text
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.entrants import NAME_MARK
 from stkzoo.race.result import RaceResult
@@ -93,8 +93,7 @@ class RaceOrder(BatchOrder[RaceResult]):
 
     def store(self, folder: Path, text: str) -> RaceResult:
         """Stores the result, atomically."""
-        with write_whole(self._file(folder)) as part:
-            part.write_text(text + "\n", encoding="utf-8")
+        write_text(self._file(folder), text + "\n")
         return RaceResult.from_json(text)
 
     def _file(self, folder: Path) -> Path:

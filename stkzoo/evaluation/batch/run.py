@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
-from stkzoo._os import PART_FILES, cpu_count, try_lock, write_whole
+from stkzoo._os import PART_FILES, cpu_count, try_lock, write_text
 from stkzoo.errors import ConfigError, StkzooError, check_whole
 from stkzoo.evaluation.batch.order import BatchOrder, load_orders
 from stkzoo.evaluation.batch.plan import PLAN_FILE, BatchPlan, read_plan
@@ -145,8 +145,7 @@ class Batch(Generic[Plan]):
         Raises:
             ConfigError: it cannot be written.
         """
-        with write_whole(self.folder / name) as part:
-            part.write_text(text + "\n", encoding="utf-8")
+        write_text(self.folder / name, text + "\n")
 
 
 @contextmanager
