@@ -81,16 +81,18 @@ def parts(view: str, karts: int, track: str, repeats: int = 400) -> dict[str, fl
             env.step(actions)
         race: Any = env._session._race  # type: ignore[attr-defined]
         episode: Any = env._episode
-        data, outcome = episode.snapshot.data, episode._outcome_for(env.agents, env._chains)
+        now, agents, chains = episode.snapshot, env.agents, env._chains
         return {
             "update": _median(race._world.update, repeats),
             "write": _median(race._world.__getstate__, repeats),
             "motion": _median(
                 lambda: [(k.angular_velocity, k.speed) for k in race._world.karts], repeats
             ),
-            "read": _median(lambda: race._engine.read(True), repeats),
+            "read": _median(lambda: race._stepper.read(True), repeats),
             "controls": _median(lambda: env.decode(actions), repeats),
-            "outcome": _median(lambda: outcome.step(data, data, False, 1), repeats),
+            "score": _median(lambda: episode._record.score(now, now, agents, False), repeats),
+            "observe": _median(lambda: chains.observe(agents, episode), repeats),
+            "infos": _median(lambda: episode.infos(agents), repeats),
         }
 
 
