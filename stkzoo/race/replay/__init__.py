@@ -11,9 +11,16 @@
 
 from __future__ import annotations
 
-from stkzoo.race.replay.file import ReplayError, load_replay, save_replay
+from stkzoo.race.replay.file import (
+    Replay,
+    ReplayAgent,
+    ReplayError,
+    action_of,
+    controls_of,
+    load_replay,
+    save_replay,
+)
 from stkzoo.race.replay.playback import Playback, play_replay, recorded_driver
-from stkzoo.race.replay.record import Replay, ReplayAgent, action_of, controls_of
 from stkzoo.race.replay.writer import ReplayWriter
 
 __all__ = [

@@ -14,8 +14,7 @@ from gymnasium import spaces
 from stkzoo.engine.assets import find_assets
 from stkzoo.race.drivers import Driver
 from stkzoo.race.listeners import RaceListener, RaceProgress
-from stkzoo.race.replay.file import ReplayError
-from stkzoo.race.replay.record import Replay, action_of, next_digest
+from stkzoo.race.replay.file import Replay, ReplayError, action_of, next_digest
 from stkzoo.race.result import RaceResult, versions_now
 from stkzoo.race.runner import run_race
 

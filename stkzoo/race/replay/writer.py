@@ -12,13 +12,13 @@ from stkzoo.engine.assets import find_assets
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
 from stkzoo.race.listeners import RaceListener, RaceProgress
-from stkzoo.race.replay.file import save_replay
-from stkzoo.race.replay.record import (
+from stkzoo.race.replay.file import (
     DIGEST_SIZE,
     Replay,
     ReplayAgent,
     controls_of,
     next_digest,
+    save_replay,
 )
 from stkzoo.race.result import RaceResult, versions_now
 

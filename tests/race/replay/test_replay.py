@@ -15,7 +15,7 @@ from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceListener, RaceSettings, run_race
 from stkzoo.race.replay import ReplayError, ReplayWriter, load_replay, play_replay
-from stkzoo.race.replay.record import DIGEST_SIZE
+from stkzoo.race.replay.file import DIGEST_SIZE
 from tests.support.paths import AGENTS
 from tests.support.processes import wait_until
 
