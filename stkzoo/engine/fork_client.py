@@ -78,10 +78,7 @@ class ForkServerClient:
     def fork(self) -> RaceProcess:
         """A new child that has run no race yet."""
         with contextlib.ExitStack() as on_failure, self._lock:
-            ours, theirs = wire.pair()
-            log = Log()
-            on_failure.callback(ours.close)
-            on_failure.callback(log.close)
+            ours, theirs, log = _connection_and_log(on_failure)
             with theirs:
                 answer = self._ask({"do": "fork"}, [theirs.fileno(), log.fileno()])
             if answer["pid"] is None:
@@ -177,9 +174,13 @@ class _ForkedProcess(RaceProcess):
 
     def fork(self) -> RaceProcess:
         with contextlib.ExitStack() as on_failure:
-            ours, theirs, log = _connection_and_log()
-            on_failure.callback(ours.close)
-            on_failure.callback(log.close)
+            try:
+                ours, theirs, log = _connection_and_log(on_failure)
+            except OSError as error:
+                raise EngineError(
+                    f"there is no room for a clone of the game's process: {error}; close() some "
+                    "saved states, or raise the system's limit on open files (ulimit -n)"
+                ) from error
             with theirs:
                 wire.send(self.connection, wire.FORK)
                 self.reply()
@@ -197,21 +198,16 @@ class _ForkedProcess(RaceProcess):
         return _ForkedProcess(ours, pid, log, self._fork_server)
 
 
-def _connection_and_log() -> tuple[socket.socket, socket.socket, Log]:
-    """What a clone of a process needs: both ends of a connection, and a log."""
-    try:
-        with contextlib.ExitStack() as on_failure:
-            ends = wire.pair()
-            for end in ends:
-                on_failure.callback(end.close)
-            log = Log()
-            on_failure.pop_all()
-    except OSError as error:
-        raise EngineError(
-            f"there is no room for a clone of the game's process: {error}; close() some saved "
-            "states, or raise the system's limit on open files (ulimit -n)"
-        ) from error
-    return *ends, log
+def _connection_and_log(
+    on_failure: contextlib.ExitStack,
+) -> tuple[socket.socket, socket.socket, Log]:
+    """What a new process needs: both ends of a connection, and a log; closed on a failure."""
+    ours, theirs = wire.pair()
+    on_failure.callback(ours.close)
+    on_failure.callback(theirs.close)
+    log = Log()
+    on_failure.callback(log.close)
+    return ours, theirs, log
 
 
 _fork_servers: dict[Path, ForkServerClient] = {}
