@@ -4,6 +4,7 @@ import ast
 import functools
 import importlib
 import os
+import re
 import subprocess
 import sys
 from collections import defaultdict
@@ -131,6 +132,12 @@ def test_imports_point_down(path):
         if name.split(".")[0] == "stkzoo" and name != "stkzoo" and layer_of(name) > layer_of(module)
     ]
     assert above == []
+
+
+def test_the_architecture_page_lists_the_layers():
+    page = (ROOT.parent / "docs" / "architecture.md").read_text("utf-8")
+    rows = re.findall(r"^\| (\w+) \|", page.split("## Layers")[1].split("## ")[0], re.MULTILINE)
+    assert rows[1:] == [name for name, _ in reversed(LAYERS)]
 
 
 @each_module
