@@ -20,6 +20,7 @@ from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+import stkzoo.views
 from benchmarks.bench_driver import Times
 
 __all__ = [
@@ -44,19 +45,8 @@ RESULTS = Path(__file__).parent / "results"
 KARTS = (1, 3, 10, 20)
 #: The views that pystk2-gymnasium has too.
 REFERENCE_VIEWS = ("full", "simple", "flattened", "flattened_discrete")
-#: All views that need no pictures.
-VIEWS = (
-    *REFERENCE_VIEWS,
-    "flattened_continuous_actions",
-    "flattened_multidiscrete",
-    "box_discrete",
-    "box_continuous",
-    "masked_discrete",
-    "racing",
-    "control",
-    "flattened_control",
-    "ground",
-)
+#: All views that need no pictures, those of the reference first.
+VIEWS = tuple(sorted(stkzoo.views.VIEWS, key=lambda view: view not in REFERENCE_VIEWS))
 
 #: Tables are not squeezed into less, even where the terminal is narrower.
 _TABLE_WIDTH = 200
