@@ -23,7 +23,9 @@ text alone, and pickled.
 from __future__ import annotations
 
 import difflib
+import importlib
 from collections.abc import Iterable
+from typing import Any
 
 __all__ = [
     "ActionError",
@@ -40,6 +42,7 @@ __all__ = [
     "RemoteError",
     "StkzooError",
     "check_whole",
+    "import_extra",
     "unknown_name",
 ]
 
@@ -142,6 +145,26 @@ def check_whole(name: str, value: object, low: int, high: int | None = None) -> 
     if not is_whole or value < low or (high is not None and value > high):  # type: ignore[operator]
         bounds = f"of {low} or more" if high is None else f"from {low} to {high}"
         raise ConfigError(f"{name} is {value!r}, expected a whole number {bounds}")
+
+
+def import_extra(module: str, needs: str, extra: str, alternative: str = "") -> Any:
+    """Imports a module of a library that one of stkzoo's extras installs.
+
+    Args:
+        module: its name.
+        needs: subject and verb of the error, such as ``"the plot needs"``.
+        extra: the extra.
+        alternative: what the user can do without it, such as ``"pass --no-plot"``.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        remedy = f"pip install 'stkzoo[{extra}]'" + (alternative and f", or {alternative}")
+        library = module.partition(".")[0]
+        raise ConfigError(f"{needs} the library {library} ({error}); {remedy}") from error
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> ConfigError:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from stkzoo._os import write_whole
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, import_extra
 
 INK, BLUE, GREY = "#22303c", "#2f6db5", "#8a949c"
 #: Colours of several series in one plot.
@@ -27,11 +26,7 @@ def require_matplotlib(extra: str = "benchmark", alternative: str = "") -> Any:
     Raises:
         ConfigError: matplotlib is not installed.
     """
-    try:
-        return importlib.import_module("matplotlib.figure")
-    except ImportError as error:
-        remedy = f"pip install 'stkzoo[{extra}]'" + (alternative and f", or {alternative}")
-        raise ConfigError(f"the plot needs the library matplotlib ({error}); {remedy}") from error
+    return import_extra("matplotlib.figure", "the plot needs", extra, alternative)
 
 
 def new_figure(width: float, height: float) -> Any:

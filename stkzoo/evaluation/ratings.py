@@ -7,7 +7,6 @@ place among the others, and so on.
 
 from __future__ import annotations
 
-import importlib
 import random
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo.errors import ConfigError
+from stkzoo.errors import import_extra
 from stkzoo.evaluation.statistics import percentile_interval
 
 #: The model updates race by race, so a rating is the mean over this many orders of the races.
@@ -52,12 +51,7 @@ def require_openskill() -> Any:
     Raises:
         ConfigError: openskill is not installed.
     """
-    try:
-        return importlib.import_module("openskill.models")
-    except ImportError as error:
-        raise ConfigError(
-            f"ratings need the library openskill ({error}); pip install 'stkzoo[tournament]'"
-        ) from error
+    return import_extra("openskill.models", "ratings need", "tournament")
 
 
 def rate(races: Sequence[Sequence[int]], num_agents: int, seed: int = 0) -> list[Rating]:

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.env.keyboard import KEYS
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, import_extra
 
 _TITLE = "stkzoo play"
 _BAR = 30  # [pixels]
@@ -108,12 +108,7 @@ def _load_pygame() -> Any:
         ConfigError: pygame is not installed, or there is no display.
     """
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-    try:
-        import pygame
-    except ImportError:
-        raise ConfigError(
-            "the window needs pygame, which is not installed; run `pip install 'stkzoo[play]'`"
-        ) from None
+    pygame = import_extra("pygame", "the window needs", "play")
     # Without a display SDL would draw into an invisible window.
     if sys.platform == "linux" and not _has_display():
         raise ConfigError(

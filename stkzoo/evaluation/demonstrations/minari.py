@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import warnings
 from typing import Any
 
 import numpy as np
 
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, import_extra
 from stkzoo.evaluation.demonstrations.dataset import DemoEpisode, Demonstrations
 from stkzoo.evaluation.demonstrations.recorder import DemoView
 
@@ -22,13 +21,7 @@ def require_minari() -> Any:
     Raises:
         ConfigError: Minari is not installed.
     """
-    try:
-        return importlib.import_module("minari")
-    except ImportError as error:
-        raise ConfigError(
-            f"this format needs the library minari ({error}); pip install 'stkzoo[demos]', or "
-            "write npz"
-        ) from error
+    return import_extra("minari", "this format needs", "demos", "write npz")
 
 
 def to_minari(demos: Demonstrations, dataset_id: str) -> Any:
