@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import operator
 from collections.abc import Iterable
 from typing import Any
 
@@ -129,8 +130,8 @@ class ProtocolError(RemoteError):
     """The other end of a network connection sent an invalid message."""
 
 
-def check_whole(name: str, value: object, low: int, high: int | None = None) -> None:
-    """Checks that a value is a whole number within bounds.
+def check_whole(name: str, value: object, low: int, high: int | None = None) -> int:
+    """Checks that a value is a whole number within bounds, and returns it as Python's own.
 
     Args:
         name: what the value is for, such as ``"jobs"``.
@@ -141,10 +142,14 @@ def check_whole(name: str, value: object, low: int, high: int | None = None) -> 
     Raises:
         ConfigError: it is not.
     """
-    is_whole = isinstance(value, int) and not isinstance(value, bool)
-    if not is_whole or value < low or (high is not None and value > high):  # type: ignore[operator]
+    try:
+        number = low - 1 if isinstance(value, bool) else operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        number = low - 1
+    if number < low or (high is not None and number > high):
         bounds = f"of {low} or more" if high is None else f"from {low} to {high}"
         raise ConfigError(f"{name} is {value!r}, expected a whole number {bounds}")
+    return number
 
 
 def import_extra(module: str, needs: str, extra: str, alternative: str = "") -> Any:

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, check_whole
 from stkzoo.views.bases import CompiledWrapper
-from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space, whole_number
+from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space
 
 if TYPE_CHECKING:
     from stkzoo.views.plan import ViewPlan
@@ -102,7 +102,7 @@ class Discretizer:
     def __init__(self, space: spaces.Space[Any], values: int) -> None:
         if not isinstance(space, spaces.Box) or space.shape != (1,) or not space.is_bounded():
             raise ConfigError(f"cannot make steps of {space!r}; expected a bounded Box of (1,).")
-        self.values = whole_number("number of steps", values, 2)
+        self.values = check_whole("number of steps", values, 2)
         self.min_value = float(space.low[0])
         self.max_value = float(space.high[0])
         self.space = spaces.Discrete(self.values)
@@ -150,8 +150,8 @@ class DiscreteActionsWrapper(ActionFormWrapper, CompiledWrapper):
     def __init__(
         self, env: gym.Env[Any, Any], *, acceleration_steps: int = 5, steer_steps: int = 7
     ) -> None:
-        acceleration_steps = whole_number("acceleration_steps", acceleration_steps, 2)
-        steer_steps = whole_number("steer_steps", steer_steps, 2)
+        acceleration_steps = check_whole("acceleration_steps", acceleration_steps, 2)
+        steer_steps = check_whole("steer_steps", steer_steps, 2)
         gym.utils.RecordConstructorArgs.__init__(
             self, acceleration_steps=acceleration_steps, steer_steps=steer_steps
         )

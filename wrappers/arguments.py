@@ -5,24 +5,12 @@ from __future__ import annotations
 import copy
 from typing import Any
 
-import numpy as np
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError
 from stkzoo.views.bases import ActionObservationWrapper
 
-__all__ = ["ActionFormWrapper", "dict_space", "observed_action", "whole_number"]
-
-
-def whole_number(name: str, value: object, minimum: int) -> int:
-    """Returns ``value`` as an ``int`` of at least ``minimum``.
-
-    Raises:
-        ConfigError: it is no whole number, or too small.
-    """
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:
-        raise ConfigError(f"{name} is {value!r}; expected a whole number of at least {minimum}.")
-    return int(value)
+__all__ = ["ActionFormWrapper", "dict_space", "observed_action"]
 
 
 def dict_space(space: spaces.Space[Any], what: str, wrapper: str) -> spaces.Dict:

@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo.errors import ConfigError, unknown_name
-from stkzoo.wrappers.arguments import whole_number
+from stkzoo.errors import ConfigError, check_whole, unknown_name
 
 __all__ = ["Camera", "CameraKind", "CameraObservations", "Shot"]
 
@@ -109,7 +108,7 @@ class CameraObservations(gym.ObservationWrapper[Any, Any, Any], gym.utils.Record
         )
         super().__init__(env)
         self._kind = _kind(size, depth, backend)
-        self._every = whole_number("every", every, 1)
+        self._every = check_whole("every", every, 1)
         self._age = 0
         self._shot: Shot | None = None
         self.observation_space = _space(env.observation_space, self._kind)
@@ -144,7 +143,7 @@ class CameraObservations(gym.ObservationWrapper[Any, Any, Any], gym.utils.Record
 
 
 def _kind(size: Sequence[int], depth: bool, backend: str) -> CameraKind:
-    sides = tuple(whole_number("size", side, _SMALLEST) for side in size)
+    sides = tuple(check_whole("size", side, _SMALLEST) for side in size)
     if len(sides) != 2 or max(sides) > _LARGEST:
         raise ConfigError(
             f"size is {tuple(size)!r}, expected width and height from {_SMALLEST} to {_LARGEST} "

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, check_whole
 from stkzoo.mdp.geometry import to_polar
 from stkzoo.views.bases import CompiledWrapper
-from stkzoo.wrappers.arguments import dict_space, whole_number
+from stkzoo.wrappers.arguments import dict_space
 
 if TYPE_CHECKING:
     from stkzoo.views.plan import ViewPlan
@@ -57,9 +57,9 @@ class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledW
         state_paths: int = 5,
         add_mask: bool = False,
     ) -> None:
-        self.state_items = whole_number("state_items", state_items, 1)
-        self.state_karts = whole_number("state_karts", state_karts, 1)
-        self.state_paths = whole_number("state_paths", state_paths, 1)
+        self.state_items = check_whole("state_items", state_items, 1)
+        self.state_karts = check_whole("state_karts", state_karts, 1)
+        self.state_paths = check_whole("state_paths", state_paths, 1)
         self.add_mask = bool(add_mask)
         gym.utils.RecordConstructorArgs.__init__(
             self,

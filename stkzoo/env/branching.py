@@ -14,8 +14,8 @@ from stkzoo.engine.session import Session
 from stkzoo.env.episode import Episode
 from stkzoo.env.options import RaceOptions
 from stkzoo.env.scenario import Scenario, digest_of
-from stkzoo.env.state import Moment, RaceState, check_max_snapshots
-from stkzoo.errors import ApiOrderError, ConfigError
+from stkzoo.env.state import Moment, RaceState
+from stkzoo.errors import ApiOrderError, ConfigError, check_whole
 from stkzoo.views.chains import AgentChains
 
 if TYPE_CHECKING:
@@ -56,8 +56,7 @@ class BranchingRace:
         def _running(self, method: str) -> Episode: ...
 
     def __init__(self, max_snapshots: int) -> None:
-        check_max_snapshots(max_snapshots)
-        self._max_snapshots = max_snapshots
+        self._max_snapshots = check_whole("max_snapshots", max_snapshots, 0)
         self._states: weakref.WeakSet[RaceState] = weakref.WeakSet()
 
     def save_state(self) -> RaceState:

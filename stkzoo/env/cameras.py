@@ -18,7 +18,7 @@ from stkzoo.render.scene import Scene
 from stkzoo.views import ViewFactory
 from stkzoo.wrappers.camera import Camera, CameraKind, Shot
 
-__all__ = ["RaceCameras"]
+__all__ = ["RaceCameras", "with_camera"]
 
 _MOST_CAMERAS = 8
 
@@ -42,7 +42,7 @@ class RaceCameras:
 
     def connected(self, views: Mapping[str, ViewFactory]) -> dict[str, ViewFactory]:
         """The agents' views, around environments that have cameras."""
-        return {agent: self._connected(agent, view) for agent, view in views.items()}
+        return {agent: with_camera(view, self.of(agent)) for agent, view in views.items()}
 
     def open(self, agent: str, kind: CameraKind) -> None:
         """See :class:`~stkzoo.wrappers.camera.Camera`.
@@ -76,12 +76,15 @@ class RaceCameras:
         for drawing in self._drawings.values():
             drawing.close()
 
-    def _connected(self, agent: str, view: ViewFactory) -> ViewFactory:
-        def wrap(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-            env.camera = self.of(agent)  # type: ignore[attr-defined]
-            return view(env)
 
-        return wrap
+def with_camera(view: ViewFactory, camera: Camera) -> ViewFactory:
+    """The view around an environment that has a camera."""
+
+    def wrap(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+        env.camera = camera  # type: ignore[attr-defined]
+        return view(env)
+
+    return wrap
 
 
 class _AgentCamera:

@@ -38,6 +38,13 @@ class RaceInfo:
     kart_indices: tuple[int, ...]
     kart_types: tuple[str, ...] = ()
 
+    @classmethod
+    def of(cls, setup: RaceSetup, kart_indices: tuple[int, ...]) -> RaceInfo:
+        """The names of a race that has not started yet."""
+        return cls(
+            setup.track, setup.reverse, setup.laps, setup.difficulty, setup.seed, kart_indices
+        )
+
 
 def draw_race(
     options: RaceOptions,
@@ -80,15 +87,7 @@ def draw_race(
         num_cameras=num_cameras,
         starts=draw_starts(options.start, names, kart_indices, options.num_kart, random),
     )
-    info = RaceInfo(
-        track=track,
-        reverse=setup.reverse,
-        laps=setup.laps,
-        difficulty=setup.difficulty,
-        seed=seed,
-        kart_indices=kart_indices,
-    )
-    return setup, info
+    return setup, RaceInfo.of(setup, kart_indices)
 
 
 def _with_cameras(agents: Sequence[AgentSpec], modes: Sequence[CameraMode]) -> list[CameraMode]:

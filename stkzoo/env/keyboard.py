@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from gymnasium.wrappers.utils import create_zero_array
 
+from stkzoo.env.cameras import with_camera
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.views import ViewFactory, sees_ground
@@ -89,7 +89,7 @@ def keys_to_action(view: ViewFactory, name: str) -> dict[Any, Any]:
         ConfigError: the view's wrappers do not say how an action of the game looks there.
     """
     seen = kart_observation_space(use_ai=True, sees_ground=sees_ground(view))
-    chain = AgentChain("kart_0", seen, kart_action_space(), _blind(view))
+    chain = AgentChain("kart_0", seen, kart_action_space(), with_camera(view, _NoCamera()))
     blank: dict[str, Any] = create_zero_array(chain.base_observation_space)
     codes = sorted(key.code for key in KEYS)
     chosen: dict[Any, Any] = {}
@@ -101,18 +101,8 @@ def keys_to_action(view: ViewFactory, name: str) -> dict[Any, Any]:
     return chosen
 
 
-def _blind(view: ViewFactory) -> ViewFactory:
-    """The view where nobody draws."""
-
-    def wrap(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-        env.camera = _NoCamera()  # type: ignore[attr-defined]
-        return view(env)
-
-    return wrap
-
-
 class _NoCamera:
-    """Sees nothing."""
+    """Sees nothing; where nobody draws."""
 
     def open(self, _: CameraKind) -> None:
         pass

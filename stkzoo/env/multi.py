@@ -74,7 +74,9 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
                 f"there is an action for agent {key!r}, expected {', '.join(self._names)}", key
             ) from None
         observations, rewards, terminations, truncations, infos = self.core.step(actions)
-        self._remember(terminations, truncations, infos)
+        self._terminated.update(terminations)
+        self._truncated.update(truncations)
+        self._infos.update(infos)
         return (
             self._by_number({**self._observe_departed(observations), **observations}),
             float(sum(rewards.values())),
@@ -93,16 +95,6 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
         self._infos = self.core.infos(agents)
         if front is not None:
             self._terminated, self._truncated, self._infos = map(dict, front)
-
-    def _remember(
-        self,
-        terminations: Mapping[str, bool],
-        truncations: Mapping[str, bool],
-        infos: Mapping[str, dict[str, Any]],
-    ) -> None:
-        self._terminated.update(terminations)
-        self._truncated.update(truncations)
-        self._infos.update(infos)
 
     def _observe_departed(self, present: Mapping[str, Any]) -> dict[str, Any]:
         departed = [agent for agent in self.core.possible_agents if agent not in present]

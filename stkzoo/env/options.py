@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 
 from stkzoo.config import AgentSpec
 from stkzoo.env.starts import check_start
-from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.errors import ConfigError, check_whole, unknown_name
 from stkzoo.names import CameraMode
 from stkzoo.tracks import SPLITS
 
@@ -20,10 +19,17 @@ __all__ = ["MAX_CAMERAS", "RaceOptions", "camera_mode", "check_agents", "check_n
 
 #: The game's physics takes coarser steps badly, and a race has no use for them.
 _MAX_STEP_SIZE = 1.0
-_MAX_KARTS = 256
-_MAX_LAPS = 1000
 #: More paths or steps than any race has; larger numbers do not fit everywhere.
 _MAX_COUNT = 2**31 - 1
+#: Bounds of whole numbers.
+_WHOLE = {
+    "num_kart": (1, 256),
+    "laps": (1, 1000),
+    "difficulty": (0, 3),
+    "max_paths": (1, _MAX_COUNT),
+    "max_cycles": (1, _MAX_COUNT),
+}
+_OPTIONAL = ("max_paths", "max_cycles")
 #: As many views as the game's window can be split into.
 MAX_CAMERAS = 8
 _ENGINE_TIMEOUTS = 1e-3, 1e6
@@ -60,16 +66,10 @@ class RaceOptions:
 
     def __post_init__(self) -> None:
         check_start(self.start)
-        _check_whole("num_kart", self.num_kart, 1, _MAX_KARTS)
-        _check_whole("laps", self.laps, 1, _MAX_LAPS)
-        _check_whole("difficulty", self.difficulty, 0, 3)
-        if self.max_paths is not None:
-            _check_whole("max_paths", self.max_paths, 1, _MAX_COUNT)
-        if self.max_cycles is not None:
-            _check_whole("max_cycles", self.max_cycles, 1, _MAX_COUNT)
-        for name in ("num_kart", "laps", "difficulty", "max_paths", "max_cycles"):
-            if getattr(self, name) is not None:  # as Python's own number
-                object.__setattr__(self, name, operator.index(getattr(self, name)))
+        for name, (low, high) in _WHOLE.items():
+            value = getattr(self, name)
+            if value is not None or name not in _OPTIONAL:
+                object.__setattr__(self, name, check_whole(name, value, low, high))
         if not isinstance(self.reverse, bool):
             raise ConfigError(f"reverse is {self.reverse!r}, expected True or False")
         _check_real("step_size", self.step_size, 1e-3, _MAX_STEP_SIZE)
@@ -134,7 +134,7 @@ def check_agents(agents: Sequence[AgentSpec], num_kart: int, karts: Sequence[str
                 f"use_ai of agent {index} is {agent.use_ai!r}, expected True or False"
             )
         if agent.rank_start is not None:
-            _check_whole(f"rank_start of agent {index}", agent.rank_start, 0, num_kart - 1)
+            check_whole(f"rank_start of agent {index}", agent.rank_start, 0, num_kart - 1)
         _check_real(f"color of agent {index}", agent.color, 0.0, 1.0)
         if not isinstance(agent.kart, str) or (agent.kart and agent.kart not in karts):
             raise unknown_name("kart", agent.kart, karts)
@@ -160,7 +160,7 @@ def camera_mode(agent: AgentSpec) -> CameraMode:
 
 def check_num_cameras(value: int) -> None:
     """Checks how many cameras the game's window shows."""
-    _check_whole("num_cameras", value, 0, MAX_CAMERAS)
+    check_whole("num_cameras", value, 0, MAX_CAMERAS)
 
 
 def check_engine_timeout(value: float) -> None:
@@ -170,19 +170,7 @@ def check_engine_timeout(value: float) -> None:
 
 def checked_seed(seed: int | None) -> int | None:
     """The seed as Python's own number."""
-    if seed is not None:
-        _check_whole("seed", seed, 0)
-    return seed if seed is None else int(seed)
-
-
-def _check_whole(name: str, value: object, low: int, high: int | None = None) -> None:
-    try:
-        number = low - 1 if isinstance(value, bool) else operator.index(value)  # type: ignore[arg-type]
-    except TypeError:
-        number = low - 1
-    if number < low or (high is not None and number > high):
-        bounds = f"from {low} to {high}" if high is not None else f"of {low} or more"
-        raise ConfigError(f"{name} is {value!r}, expected a whole number {bounds}")
+    return None if seed is None else check_whole("seed", seed, 0)
 
 
 def _check_real(name: str, value: object, low: float, high: float) -> None:

@@ -459,7 +459,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         )
         self.agents, self._episode, self._asked = [], None, None  # in case the start fails
         begun = scenario.reach(self._session)
-        race, root = scenario.race_info(), self._assets.root
+        race, root = RaceInfo.of(scenario.setup, scenario.kart_indices), self._assets.root
         episode = Episode(options_now, scenario.setup, race, begun, self._rewards, root)
         for row in scenario.controls:
             episode.remember(row)

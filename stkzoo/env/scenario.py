@@ -20,7 +20,6 @@ from stkzoo.engine.race import RaceStart
 from stkzoo.engine.session import Session
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
-from stkzoo.env.grid import RaceInfo
 from stkzoo.errors import ConfigError
 
 __all__ = ["Scenario", "digest_of", "past_controls", "read_scenario"]
@@ -125,17 +124,6 @@ class Scenario:
                 "the game, or save the scenario again"
             )
         return replace(begun, snapshot=snapshot)
-
-    def race_info(self) -> RaceInfo:
-        """Names of the race."""
-        return RaceInfo(
-            track=self.setup.track,
-            reverse=self.setup.reverse,
-            laps=self.setup.laps,
-            difficulty=self.setup.difficulty,
-            seed=self.setup.seed,
-            kart_indices=self.kart_indices,
-        )
 
     def check_karts(
         self, num_kart: int, agents: Sequence[str], ai_agents: Set[str], tracks: Sequence[str]

@@ -11,7 +11,7 @@ import numpy as np
 
 from stkzoo.agent_names import by_agent
 from stkzoo.config import RandomStart, Start
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, check_whole
 
 __all__ = ["MAX_START_DRAWS", "StartCurriculum", "check_start", "draw_starts", "is_random"]
 
@@ -148,8 +148,7 @@ class StartCurriculum:
         start: RandomStart | None = None,
     ) -> None:
         for name, value in (("stages", stages), ("window", window)):
-            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                raise ConfigError(f"{name} is {value!r}, expected a whole number of at least 1")
+            check_whole(name, value, 1)
         if not 0 < promote_at <= 1:
             raise ConfigError(f"promote_at is {promote_at!r}, expected a share above 0, at most 1")
         self.stages, self.stage = stages, 1

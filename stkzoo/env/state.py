@@ -13,10 +13,10 @@ from stkzoo.engine.session import Session, WorkerSession
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.env.episode import Episode
 from stkzoo.env.grid import RaceInfo
-from stkzoo.errors import ApiOrderError, ConfigError, check_whole
+from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.views.chains import ChainsMemory
 
-__all__ = ["Moment", "RaceState", "check_max_snapshots"]
+__all__ = ["Moment", "RaceState"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,12 +150,3 @@ class RaceState:
 def _described(num_kart: int, num_agents: int, ai_agents: Set[str]) -> str:
     of_ai = f" ({', '.join(sorted(ai_agents))} with use_ai)" if ai_agents else ""
     return f"{num_kart} karts and {num_agents} agents{of_ai}"
-
-
-def check_max_snapshots(value: object) -> None:
-    """Checks how many saved states an environment may have.
-
-    Raises:
-        ConfigError: it is no whole number of 0 or more.
-    """
-    check_whole("max_snapshots", value, 0)

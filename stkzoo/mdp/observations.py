@@ -17,7 +17,7 @@ from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
 from stkzoo.mdp.spaces import POWERUP_COUNT_LIMIT
 
-__all__ = ["TrackLines", "ai_actions", "observe_karts"]
+__all__ = ["TrackLines", "ai_actions", "observe_karts", "own_state"]
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
@@ -56,7 +56,9 @@ def observe_karts(
     front, own_node, items, others, ahead_ends = _seen(track, snapshot, records, karts, ahead)
     return {
         "kart_type": np.array(kart_types)[karts],
-        **_own_state(snapshot, records),
+        "aux_ticks": np.full((len(records), 1), snapshot.header["aux_ticks"], np.float32),
+        "phase": np.full(len(records), snapshot.phase, np.int64),
+        **own_state(records),
         "front": front[:, 0],
         **_center_path(own_node),
         **_items(snapshot, items),
@@ -112,17 +114,13 @@ _CHOICES = {
 }
 
 
-def _own_state(snapshot: Snapshot, records: Any) -> Batch:
+def own_state(records: Any) -> Batch:
+    """What karts know of themselves, from their records ``(A,)``."""
     count = len(records)
     numbers = {key: records[field].reshape(count, -1) for key, field in _NUMBERS.items()}
     choices = {key: records[field].astype(np.int64) for key, field in _CHOICES.items()}
     choices["powerup_count"] = np.minimum(choices["powerup_count"], POWERUP_COUNT_LIMIT)
-    return {
-        "aux_ticks": np.full((count, 1), snapshot.header["aux_ticks"], np.float32),
-        "phase": np.full(count, snapshot.phase, np.int64),
-        **numbers,
-        **choices,
-    }
+    return numbers | choices
 
 
 def ai_actions(snapshot: Snapshot, karts: IntArray) -> Batch:

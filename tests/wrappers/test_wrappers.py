@@ -245,14 +245,14 @@ def test_polar_angles_are_positive_to_the_right_and_above():
 @pytest.mark.parametrize("key", ["state_items", "state_karts", "state_paths"])
 @pytest.mark.parametrize("value", [0, -1, 2.5, None, True, "5"])
 def test_constant_size_refuses_a_number_that_cannot_be(key, value):
-    with pytest.raises(ConfigError, match=f"{key} is .*at least 1"):
+    with pytest.raises(ConfigError, match=f"{key} is .*of 1 or more"):
         ConstantSizedObservations(kart_env(), **{key: value})
 
 
 @pytest.mark.parametrize("key", ["acceleration_steps", "steer_steps"])
 @pytest.mark.parametrize("value", [1, 0, -3, 2.0])
 def test_discrete_actions_refuse_fewer_than_two_steps(key, value):
-    with pytest.raises(ConfigError, match=f"{key} is .*at least 2"):
+    with pytest.raises(ConfigError, match=f"{key} is .*of 2 or more"):
         DiscreteActionsWrapper(kart_env(), **{key: value})
 
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, check_whole
 from stkzoo.kernel import CarController
 from stkzoo.wrappers.control.kinds import (
     LongitudinalAction,
@@ -195,9 +195,7 @@ def from_single_to_multi_action_space(
     Raises:
         ConfigError: there is no agent.
     """
-    if isinstance(num_agents, bool) or not isinstance(num_agents, int) or num_agents < 1:
-        raise ConfigError(f"num_agents is {num_agents!r}, expected a whole number of at least 1")
-    return batch_space(single_action_space, num_agents)
+    return batch_space(single_action_space, check_whole("num_agents", num_agents, 1))
 
 
 def _kinds(control_input: object) -> tuple[LongitudinalActionEnum, SteerActionEnum]:

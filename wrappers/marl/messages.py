@@ -13,8 +13,7 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
-from stkzoo.errors import ActionError, ConfigError
-from stkzoo.wrappers.arguments import whole_number
+from stkzoo.errors import ActionError, ConfigError, check_whole
 from stkzoo.wrappers.marl.teams import Parts, Teams
 
 __all__ = ["MessageChannel"]
@@ -51,8 +50,8 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
         within_teams: bool = False,
     ) -> None:
         super().__init__(env)
-        self.words = None if words is None else whole_number("words", words, 2)
-        self.size = self.words or whole_number("size", size, 1)
+        self.words = None if words is None else check_whole("words", words, 2)
+        self.size = self.words or check_whole("size", size, 1)
         if isinstance(reach, bool) or not isinstance(reach, (int, float)) or not reach > 0:
             raise ConfigError(f"reach is {reach!r}, expected a number of metres above 0")
         self.reach = float(reach)

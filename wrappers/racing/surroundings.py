@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import KART_DTYPE, Snapshot
 from stkzoo.mdp.geometry import rotation_matrices, squared, to_kart_frame
-from stkzoo.mdp.spaces import POWERUP_COUNT_LIMIT
+from stkzoo.mdp.observations import own_state
 from stkzoo.wrappers.racing.layout import MARKS
 from stkzoo.wrappers.racing.road import MAX_SEGMENTS, NUM_POINTS, STEP, road_line
 
@@ -38,8 +38,10 @@ ABSENT = -1
 BEYOND = 3.0
 LOOKS = np.concatenate([[0.0], MARKS, MARKS + BEYOND]).astype(np.float32)
 
-_NUMBERS = ("max_steer_angle", "skeed_factor", "energy", "attachment_time_left", "shield_time")
-_OWN = ("velocity", *_NUMBERS, "jumping", "powerup_type", "powerup_count", "attachment")
+_OWN = (
+    *("velocity", "max_steer_angle", "skeed_factor", "energy", "attachment_time_left"),
+    *("shield_time", "jumping", "powerup_type", "powerup_count", "attachment"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,15 +182,8 @@ def surroundings_in(
         items=to_kart_frame(items, locations, matrices),
         item_types=_padded([s.items["type"].astype(np.int64) for s in snapshots], ABSENT)[race],
     )
-    own = {
-        **{key: records[key][:, None] for key in _NUMBERS},
-        "velocity": records["velocity_lc"],
-        "jumping": records["jumping"],
-        "powerup_type": records["powerup_type"],
-        "powerup_count": np.minimum(records["powerup_num"], POWERUP_COUNT_LIMIT),
-        "attachment": records["attachment_type"],
-    }
-    return own, around
+    own = own_state(records)
+    return {key: own[key] for key in _OWN}, around
 
 
 def _padded(parts: Sequence[npt.NDArray[Any]], blank: float) -> npt.NDArray[Any]:

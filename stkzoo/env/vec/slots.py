@@ -51,35 +51,29 @@ class SlotSteps:
     @classmethod
     def idle(cls, idle_obs: Any, count: int) -> SlotSteps:
         """A step in which no slot takes part."""
-        flags = [np.zeros(count, np.bool_) for _ in range(4)]
+        flags = ("terminations", "truncations", "active", "crashed")
         return cls(
             observations=[idle_obs] * count,
             rewards=np.zeros(count),
-            terminations=flags[0],
-            truncations=flags[1],
-            active=flags[2],
             infos=[{} for _ in range(count)],
             finals={},
-            crashed=flags[3],
+            **{name: np.zeros(count, np.bool_) for name in flags},
         )
 
     @classmethod
     def joined(cls, parts: Sequence[SlotSteps]) -> SlotSteps:
         """The steps of several races as one."""
-        finals: dict[int, tuple[Any, dict[str, Any]]] = {}
-        first = 0
-        for part in parts:
-            finals.update({first + slot: final for slot, final in part.finals.items()})
-            first += len(part.rewards)
+        first = np.cumsum([0, *(len(part.rewards) for part in parts)]).tolist()
+        flags = ("rewards", "terminations", "truncations", "active", "crashed")
         return cls(
             observations=[obs for part in parts for obs in part.observations],
-            rewards=np.concatenate([part.rewards for part in parts]),
-            terminations=np.concatenate([part.terminations for part in parts]),
-            truncations=np.concatenate([part.truncations for part in parts]),
-            active=np.concatenate([part.active for part in parts]),
             infos=[info for part in parts for info in part.infos],
-            finals=finals,
-            crashed=np.concatenate([part.crashed for part in parts]),
+            finals={
+                before + slot: final
+                for before, part in zip(first, parts, strict=False)
+                for slot, final in part.finals.items()
+            },
+            **{name: np.concatenate([getattr(part, name) for part in parts]) for name in flags},
         )
 
 
