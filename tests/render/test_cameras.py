@@ -223,7 +223,7 @@ def test_the_named_view_is_an_id_too():
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        ({"size": (16, 16)}, "size is 16; expected a whole number of at least 32"),
+        ({"size": (16, 16)}, "size is 16, expected a whole number of 32 or more"),
         ({"size": (64,)}, "expected width and height"),
         ({"size": (9000, 64)}, "expected width and height"),
         ({"every": 0}, "every is 0"),
