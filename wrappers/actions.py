@@ -17,13 +17,6 @@ from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space
 if TYPE_CHECKING:
     from stkzoo.views.plan import ViewPlan
 
-__all__ = [
-    "DiscreteActionsWrapper",
-    "Discretizer",
-    "FlattenMultiDiscreteActions",
-    "OnlyContinuousActionsWrapper",
-]
-
 
 class OnlyContinuousActionsWrapper(ActionFormWrapper, CompiledWrapper):
     """Keeps the continuous parts of an action; no button is ever pressed.

@@ -17,9 +17,6 @@ from stkzoo.errors import ConfigError
 from stkzoo.views.actions import split
 from stkzoo.views.agent_chain import AgentChain, WrapperFactory
 
-__all__ = ["GymAgentAdapter", "MonoAgentWrapperAdapter", "ParallelAgentAdapter"]
-
-
 #: Wrapper factories by agent: id, number or number as a string.
 Factories: TypeAlias = Mapping[Any, WrapperFactory]
 

@@ -10,8 +10,6 @@ from gymnasium import spaces
 from stkzoo.errors import ConfigError
 from stkzoo.views.bases import ActionObservationWrapper
 
-__all__ = ["ActionFormWrapper", "dict_space", "observed_action"]
-
 
 def dict_space(space: spaces.Space[Any], what: str, wrapper: str) -> spaces.Dict:
     """Returns ``space``, which must be a ``Dict``.

@@ -13,8 +13,6 @@ from gymnasium import spaces
 
 from stkzoo.errors import ConfigError, check_whole, unknown_name
 
-__all__ = ["Camera", "CameraKind", "CameraObservations", "Shot"]
-
 BACKENDS = ("auto", "engine", "map")
 _SMALLEST, _LARGEST = 32, 4096
 

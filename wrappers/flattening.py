@@ -19,8 +19,6 @@ from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space
 if TYPE_CHECKING:
     from stkzoo.views.plan import ViewPlan
 
-__all__ = ["FlattenerWrapper", "JoinedObservations", "SpaceFlattener"]
-
 
 class SpaceFlattener:
     """Flattens the entries of a ``Dict`` space, in the order of their keys.

@@ -18,8 +18,6 @@ from stkzoo.wrappers.arguments import dict_space
 if TYPE_CHECKING:
     from stkzoo.views.plan import ViewPlan
 
-__all__ = ["ConstantSizedObservations", "PolarObservations"]
-
 _LISTS = {
     "paths": ("paths_width", "paths_distance", "paths_start", "paths_end"),
     "items": ("items_position", "items_type"),

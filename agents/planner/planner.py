@@ -15,8 +15,6 @@ from stkzoo.agents.heuristic import create_state
 from stkzoo.agents.planning import PlanDriver
 from stkzoo.errors import ConfigError
 
-__all__ = ["Plan", "Planner", "PlannerSettings"]
-
 Action = dict[str, Any]
 
 #: What a step that is left after the finish line is worth [m].

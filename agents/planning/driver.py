@@ -34,25 +34,6 @@ from .rivals import RIVALS_MIRROR, Rivals, RivalTracker
 from .road import LINE_MARKS, RoadAhead
 from .worth import PlanOptions, PlanScene, weigh
 
-__all__ = [
-    "ALL_LOOKS",
-    "CHOICES",
-    "CHOICE_NAMES",
-    "HEADS",
-    "INPUT_SIZE",
-    "OFFSETS",
-    "START_STEER",
-    "PlanDriver",
-    "PolicyInput",
-    "is_drifting",
-    "likeliest",
-    "mirrored_choices",
-    "mirrored_inputs",
-    "mirrored_prior",
-    "plan_turns",
-    "steer_of_turn",
-]
-
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]

@@ -7,19 +7,6 @@ cannot begin another drift.
 
 from __future__ import annotations
 
-__all__ = [
-    "BOOST_LASTS",
-    "BOOST_STEPS",
-    "BRAKING",
-    "DRIFT_APART",
-    "DRIFT_TURN",
-    "RELEASE_STEPS",
-    "RELEASE_TURN",
-    "RESCUE_STEPS",
-    "STEERING_LAG",
-    "STEP",
-]
-
 #: Game time between two calls of the driver [s]; what counts steps below goes by it.
 STEP = 0.1
 

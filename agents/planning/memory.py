@@ -18,8 +18,6 @@ from .kart import (
 )
 from .parameters import DriverParameters
 
-__all__ = ["MEMORY_MIRROR", "MEMORY_NAMES", "MEMORY_SIZE", "DriverMemory", "KartSituation"]
-
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]

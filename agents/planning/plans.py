@@ -17,29 +17,6 @@ import numpy.typing as npt
 
 from .kart import BOOST_STEPS, BRAKING, DRIFT_TURN, RELEASE_STEPS, STEP
 
-__all__ = [
-    "BIG_BOOST_IN_SIGHT",
-    "BRAKE",
-    "BRAKE_TIME",
-    "CHANGE_AT",
-    "DRIFT_LEFT",
-    "DRIFT_RIGHT",
-    "ENDS",
-    "FEW_LANES",
-    "FREE",
-    "GAIN",
-    "ITEM_LANES",
-    "MANOEUVRES",
-    "SOME_LANES",
-    "SPANS",
-    "SWINGS",
-    "Lanes",
-    "PlanTable",
-    "all_lanes",
-    "plan_table",
-    "table_rows",
-]
-
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 

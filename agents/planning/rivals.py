@@ -18,8 +18,6 @@ from stkzoo.mdp import squared
 from .kart import STEP
 from .road import MARK_COUNT, RoadAhead
 
-__all__ = ["RIVALS", "RIVALS_MIRROR", "RivalTracker", "Rivals"]
-
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]

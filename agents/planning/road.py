@@ -9,8 +9,6 @@ import numpy.typing as npt
 
 from stkzoo.mdp import squared
 
-__all__ = ["LINE_MARKS", "MARK_COUNT", "MARK_SPACING", "RoadAhead", "RoadPlaces"]
-
 FloatArray = npt.NDArray[np.float32]
 
 #: The road is known at so many marks, from the kart on, so far apart [m].

@@ -24,15 +24,6 @@ from .plans import MANOEUVRES, plan_table, table_rows
 from .rivals import Rivals
 from .road import MARK_COUNT, MARK_SPACING, RoadAhead
 
-__all__ = [
-    "NEVER",
-    "PlanOptions",
-    "PlanScene",
-    "road_columns",
-    "rule_columns",
-    "weigh",
-]
-
 FloatArray = npt.NDArray[np.float32]
 DoubleArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

@@ -19,8 +19,6 @@ from stkzoo.agents.planning import (
 )
 from stkzoo.wrappers.racing import BRAKE, CHOICES, MIRROR, PLACES, RESCUE, SIZE, STEERS
 
-__all__ = ["INPUT_MIRROR", "INPUT_SIZE", "ActionFilter", "steering"]
-
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 

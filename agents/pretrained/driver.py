@@ -19,20 +19,6 @@ from .mlp import KartPolicy, MlpDriver
 from .policy import RacingPolicy
 from .weights import load_weights
 
-__all__ = [
-    "CARD",
-    "WEIGHTS",
-    "Policy",
-    "check_shapes",
-    "make_actor",
-    "make_network_actor",
-    "new_network_state",
-    "new_state",
-    "read_network",
-    "read_numbers",
-    "read_policy",
-]
-
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 

@@ -30,8 +30,6 @@ from .action_filter import INPUT_SIZE, steering
 from .mlp import SPLITS, MlpDriver
 from .policy import log_sum
 
-__all__ = ["EnsemblePolicy", "check_ensemble_weight", "join_networks", "networks_of"]
-
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 

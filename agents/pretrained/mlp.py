@@ -17,8 +17,6 @@ from stkzoo.wrappers.racing import CHOICES, SIZE
 from .action_filter import INPUT_SIZE, ActionFilter
 from .weights import load_weights
 
-__all__ = ["HOLD", "SPLITS", "KartPolicy", "MlpDriver", "is_network", "load_driver"]
-
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 

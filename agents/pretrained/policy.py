@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from stkzoo.agents.planning import CHOICES, HEADS, INPUT_SIZE, PolicyInput, likeliest
 
-__all__ = ["INPUT_CLIP", "RacingPolicy", "log_sum", "network"]
-
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 

@@ -20,8 +20,6 @@ import numpy.typing as npt
 from stkzoo._os import atomic_write
 from stkzoo.errors import ConfigError
 
-__all__ = ["digest_of", "load_weights", "save_weights"]
-
 FloatArray = npt.NDArray[np.float32]
 
 _SIZE = struct.Struct("<Q")

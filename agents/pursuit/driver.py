@@ -12,8 +12,6 @@ import numpy.typing as npt
 
 from stkzoo.wrappers.racing import surroundings_of
 
-__all__ = ["PursuitDriver", "PursuitParameters", "PursuitState", "control_of"]
-
 FloatArray = npt.NDArray[np.float64]
 
 #: The curve ahead is looked at so far apart [m].

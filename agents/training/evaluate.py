@@ -32,8 +32,6 @@ from .common.command import command_parser, limit_threads, run_command
 from .common.fleet import Finish
 from .common.matches import Match, MatchDriver, match_driver, play_matches
 
-__all__ = ["PolicyResult", "evaluate", "main", "newest_policy"]
-
 #: The time ratio of a kart that does not finish.
 _UNFINISHED = 3.0
 #: Races of learning have starting points from 0 on; these are others.

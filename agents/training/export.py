@@ -39,8 +39,6 @@ from .common.arguments import ARGUMENTS, write_json
 from .common.command import command_parser, run_command
 from .common.plan_parameters import run_parameters
 
-__all__ = ["export_policy", "main"]
-
 #: Part of the names of a value network's arrays.
 _VALUES = "value"
 

@@ -21,8 +21,6 @@ from stkzoo.evaluation import BLUE, GREY, INK, Rating, new_figure, save_figure, 
 from .common.command import command_parser, run_command
 from .common.training_log import require_log
 
-__all__ = ["draw_ratings", "main", "plot_imitation", "plot_runs"]
-
 #: Panels: title, and the log's figures with their labels.
 _PANELS: tuple[tuple[str, dict[str, str]], ...] = (
     (

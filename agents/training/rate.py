@@ -52,22 +52,6 @@ from .common.training_log import read_json_lines
 from .league.matches import AI, SEATS, play_records
 from .plot import draw_ratings
 
-__all__ = [
-    "EVALUATIONS",
-    "RATINGS",
-    "START",
-    "LearningProgress",
-    "PolicyEvaluation",
-    "draw_match",
-    "evaluate_policy",
-    "kept_policies",
-    "learning_progress",
-    "main",
-    "read_evaluations",
-    "run_drivers",
-    "write_ratings",
-]
-
 #: The policy that runs start from, and one that chooses at random.
 START, RANDOM = "start", "random"
 #: A run's ratings, and the folder of the races that they come from.

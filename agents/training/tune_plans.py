@@ -38,8 +38,6 @@ from .common.command import command_parser, limit_threads, run_command, training
 from .common.matches import Match, plan_match_driver, play_matches
 from .common.training_log import LOG, read_json_lines
 
-__all__ = ["BOUNDS", "drive_all", "from_unit", "main", "to_unit"]
-
 #: What is tuned, and between which values.
 BOUNDS: dict[str, tuple[float, float]] = {
     "wheel_base": (0.8, 1.2),

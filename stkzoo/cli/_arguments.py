@@ -12,17 +12,6 @@ from typing import Any
 
 from stkzoo.errors import ConfigError
 
-__all__ = [
-    "DIRECTIONS",
-    "add_batch_options",
-    "add_directions",
-    "add_settings",
-    "add_tracks",
-    "chosen_directions",
-    "settings_of",
-    "usage_errors",
-]
-
 #: ``reverse`` by the names of ``--directions``.
 DIRECTIONS = {"forward": False, "reversed": True}
 

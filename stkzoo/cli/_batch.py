@@ -22,8 +22,6 @@ from rich.progress import (
 from stkzoo.cli._console import say
 from stkzoo.evaluation import BatchError, BatchProgress, RunOptions
 
-__all__ = ["run_batch", "say_kept"]
-
 _INTERRUPTED = 130
 
 Result = TypeVar("Result")

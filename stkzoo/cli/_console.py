@@ -23,8 +23,6 @@ from typing_extensions import Self  # a dependency of gymnasium
 
 from stkzoo.engine.assets import Progress
 
-__all__ = ["ConsoleProgress", "make_table", "megabytes", "say"]
-
 
 def say(text: str, console: Console | None = None) -> None:
     """Prints a text as it is, without wrapping and markup."""

@@ -14,13 +14,6 @@ from stkzoo.errors import ConfigError
 if TYPE_CHECKING:
     from stkzoo.race import RaceListener
 
-__all__ = [
-    "add_replay_options",
-    "add_viewing_options",
-    "replay_listeners",
-    "viewing_listeners",
-]
-
 _SPEEDS = {"1": 1.0, "2": 2.0, "4": 4.0, "max": None}
 
 

@@ -18,8 +18,6 @@ from stkzoo.race import AgentResult, RaceListener, RaceProgress, RaceResult
 if TYPE_CHECKING:
     from typing_extensions import Self  # a part of gymnasium
 
-__all__ = ["RaceBar", "show_race", "show_series"]
-
 _ENDINGS = {
     "finished": "",
     "awaited_finished": "all awaited karts had finished",

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 
     from stkzoo.evaluation import BenchmarkPlan, BenchmarkResult, Comparison, Estimate
 
-__all__ = ["EXAMPLES", "add_arguments", "run"]
-
 EXAMPLES = """\
 examples:
   stkzoo benchmark heuristic                    300 races, stored in benchmark/heuristic

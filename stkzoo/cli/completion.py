@@ -11,8 +11,6 @@ from typing import Any
 
 from stkzoo.errors import ConfigError
 
-__all__ = ["EXAMPLES", "add_arguments", "run"]
-
 EXAMPLES = """\
 examples:
   stkzoo completion bash > ~/.local/share/bash-completion/completions/stkzoo

@@ -31,8 +31,6 @@ from stkzoo.errors import ConfigError, check_whole
 if TYPE_CHECKING:
     from stkzoo.evaluation import Demonstrations, DemoPlan
 
-__all__ = ["EXAMPLES", "add_arguments", "run"]
-
 EXAMPLES = """\
 examples:
   stkzoo demos heuristic                              15 training tracks, in demos.npz

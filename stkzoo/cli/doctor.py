@@ -23,8 +23,6 @@ from stkzoo.engine.assets import DATADIR_VARIABLE, Assets, find_assets
 from stkzoo.errors import AssetError
 from stkzoo.kernel import IS_COMPILED
 
-__all__ = ["EXAMPLES", "add_arguments", "run"]
-
 EXAMPLES = """\
 examples:
   stkzoo doctor           a table

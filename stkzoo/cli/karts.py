@@ -11,8 +11,6 @@ import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-__all__ = ["EXAMPLES", "KartFacts", "add_arguments", "kart_facts", "run"]
-
 EXAMPLES = """\
 examples:
   stkzoo karts           a table

@@ -8,8 +8,6 @@ from __future__ import annotations
 import argparse
 from importlib import import_module
 
-__all__ = ["EXAMPLES", "PARSER_OPTIONS", "add_arguments", "run"]
-
 EXAMPLES = """\
 examples:
   stkzoo league --output leagues/first --total-timesteps 2000000

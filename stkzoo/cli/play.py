@@ -20,8 +20,6 @@ from stkzoo.cli._arguments import add_settings, settings_of, usage_errors
 from stkzoo.cli._race_options import add_replay_options, replay_listeners
 from stkzoo.errors import ConfigError
 
-__all__ = ["EXAMPLES", "add_arguments", "run"]
-
 EXAMPLES = """\
 examples:
   stkzoo play                                    against three bots, on a random track

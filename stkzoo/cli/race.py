@@ -31,8 +31,6 @@ from stkzoo.errors import AgentError, ConfigError
 if TYPE_CHECKING:
     from stkzoo.race import Driver, RaceResult
 
-__all__ = ["EXAMPLES", "add_arguments", "add_race_options", "run", "run_races"]
-
 EXAMPLES = """\
 examples:
   stkzoo race --demo                           the best driver here against the hardest bots

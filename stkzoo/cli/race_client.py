@@ -15,8 +15,6 @@ from stkzoo.cli._arguments import usage_errors
 if TYPE_CHECKING:
     from stkzoo.race.remote import RemoteDriverGroup
 
-__all__ = ["EXAMPLES", "add_arguments", "run"]
-
 EXAMPLES = """\
 examples:
   stkzoo race-client --server 127.0.0.1:5555 --track lighthouse

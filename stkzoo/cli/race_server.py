@@ -21,8 +21,6 @@ from stkzoo.cli._arguments import add_settings, settings_of, usage_errors
 if TYPE_CHECKING:
     from stkzoo.race.remote import RaceServer
 
-__all__ = ["EXAMPLES", "add_arguments", "run"]
-
 EXAMPLES = """\
 examples:
   stkzoo race-server my_agent.zip                  for clients on this machine

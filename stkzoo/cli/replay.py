@@ -17,8 +17,6 @@ from stkzoo.errors import ConfigError
 if TYPE_CHECKING:
     from stkzoo.race.replay import Playback, Replay
 
-__all__ = ["EXAMPLES", "add_arguments", "run"]
-
 EXAMPLES = """\
 examples:
   stkzoo race heuristic ai ai --seed 1 --replay race.stkz

@@ -23,8 +23,6 @@ from stkzoo.errors import ConfigError
 if TYPE_CHECKING:
     from stkzoo.evaluation import RunOptions, TournamentResult
 
-__all__ = ["EXAMPLES", "add_arguments", "run"]
-
 EXAMPLES = """\
 examples:
   stkzoo tournament heuristic ai random my_agent/ --tracks lighthouse hacienda

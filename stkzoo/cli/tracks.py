@@ -16,8 +16,6 @@ from stkzoo._os import write_whole
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.tracks import SPLITS, TEST_TRACKS
 
-__all__ = ["EXAMPLES", "TrackFacts", "add_arguments", "run", "track_facts"]
-
 EXAMPLES = """\
 examples:
   stkzoo tracks                                    all, by name

@@ -10,8 +10,6 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from stkzoo.env.parallel import RaceParallelEnv
 
-__all__ = ["raw_aec_env", "wrapped_aec_env"]
-
 
 def raw_aec_env(**options: Any) -> AECEnv[str, Any, Any]:
     """The core in AEC form: agents act in turn, the race moves when all have acted."""

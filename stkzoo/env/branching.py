@@ -21,8 +21,6 @@ from stkzoo.views.chains import AgentChains
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["BranchingRace"]
-
 
 class BranchingRace:
     """Adds state as a value to :class:`~stkzoo.env.parallel.RaceParallelEnv`.

@@ -18,8 +18,6 @@ from stkzoo.render.scene import Scene
 from stkzoo.views import ViewFactory
 from stkzoo.wrappers.camera import Camera, CameraKind, Shot
 
-__all__ = ["RaceCameras", "with_camera"]
-
 _MOST_CAMERAS = 8
 
 

@@ -28,8 +28,6 @@ from stkzoo.mdp.state import race_state
 from stkzoo.mdp.transition import Transition
 from stkzoo.wrappers.racing import ground_table
 
-__all__ = ["Episode", "EpisodeRecord", "rewards_of_agents"]
-
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 

@@ -11,8 +11,6 @@ from stkzoo.engine.render_session import has_graphics_card
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.render.renderer import BACKENDS
 
-__all__ = ["RENDER_MODES", "check_render_mode", "checked_size", "drawing_preset", "frame_rate"]
-
 #: ``None`` draws nothing.
 RENDER_MODES = ("human", "rgb_array", "rgb_array_list")
 

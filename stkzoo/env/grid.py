@@ -13,8 +13,6 @@ from stkzoo.env.options import MAX_CAMERAS, RaceOptions, camera_mode
 from stkzoo.env.starts import draw_starts
 from stkzoo.names import CameraMode
 
-__all__ = ["RaceInfo", "draw_race"]
-
 
 @dataclass(frozen=True, slots=True)
 class RaceInfo:

@@ -21,8 +21,6 @@ from stkzoo.env.state import RaceState
 from stkzoo.env.world import WorldView
 from stkzoo.errors import ApiOrderError
 
-__all__ = ["GymnasiumRaceEnv"]
-
 _Self = TypeVar("_Self", bound="GymnasiumRaceEnv")
 
 

@@ -8,8 +8,6 @@ import pettingzoo
 from stkzoo.errors import ConfigError
 from stkzoo.views import CAMERA_VIEWS, VIEWS, ViewFactory
 
-__all__ = ["MAX_EPISODE_STEPS", "register_ids", "register_view"]
-
 MAX_EPISODE_STEPS = 1500
 _NAMESPACE = "supertuxkart"
 

@@ -21,8 +21,6 @@ from stkzoo.views import ViewFactory, sees_ground
 from stkzoo.views.agent_chain import AgentChain
 from stkzoo.wrappers.camera import CameraKind, Shot
 
-__all__ = ["KEYS", "Key", "base_action", "keys_to_action"]
-
 
 @dataclass(frozen=True, slots=True)
 class Key:

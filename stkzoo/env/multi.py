@@ -12,8 +12,6 @@ from stkzoo.config import AgentSpec
 from stkzoo.env.gymnasium_base import GymnasiumRaceEnv
 from stkzoo.errors import ActionError, ApiOrderError
 
-__all__ = ["STKRaceMultiEnv"]
-
 
 class STKRaceMultiEnv(GymnasiumRaceEnv):
     """A race of several agents, named ``"0"`` to ``"n-1"``, in the ``full`` view.

@@ -15,8 +15,6 @@ from stkzoo.errors import ConfigError, check_whole, unknown_name
 from stkzoo.names import CameraMode
 from stkzoo.tracks import SPLITS
 
-__all__ = ["MAX_CAMERAS", "RaceOptions", "camera_mode", "check_agents", "check_num_cameras"]
-
 #: The game's physics takes coarser steps badly, and a race has no use for them.
 _MAX_STEP_SIZE = 1.0
 #: More paths or steps than any race has; larger numbers do not fit everywhere.

@@ -43,8 +43,6 @@ from stkzoo.render.scene import Scene
 from stkzoo.views import sees_ground, views_of_agents
 from stkzoo.views.chains import AgentChains, StepParts
 
-__all__ = ["RaceParallelEnv"]
-
 logger = logging.getLogger(__name__)
 
 Observations = dict[str, Any]

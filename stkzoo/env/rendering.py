@@ -15,8 +15,6 @@ from stkzoo.errors import ApiOrderError
 from stkzoo.render.renderer import RaceRenderer
 from stkzoo.render.scene import Scene
 
-__all__ = ["Rendering", "scene_of"]
-
 Picture = npt.NDArray[np.uint8]
 
 

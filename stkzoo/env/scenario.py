@@ -22,8 +22,6 @@ from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.errors import ConfigError
 
-__all__ = ["Scenario", "digest_of", "past_controls", "read_scenario"]
-
 _TYPE, _FORMAT = "stkzoo-scenario", 1
 _ABOUT, _CONTROLS = "scenario.json", "controls.f4"
 _MAX_BYTES = 256 << 20

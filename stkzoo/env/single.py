@@ -13,8 +13,6 @@ from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.views import views_of_agents
 from stkzoo.wrappers.camera import Camera
 
-__all__ = ["STKRaceEnv"]
-
 
 class STKRaceEnv(GymnasiumRaceEnv):
     """A race in which one kart is yours and the game drives the others.

@@ -13,8 +13,6 @@ from stkzoo.agent_names import by_agent
 from stkzoo.config import RandomStart, Start
 from stkzoo.errors import ConfigError, check_whole
 
-__all__ = ["MAX_START_DRAWS", "StartCurriculum", "check_start", "draw_starts", "is_random"]
-
 #: How often a random start is drawn because some kart cannot stand there. For eight karts in rows
 #: two draws of three fail on the track that is worst, and who trains begins thousands of races.
 MAX_START_DRAWS = 60

@@ -16,8 +16,6 @@ from stkzoo.env.grid import RaceInfo
 from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.views.chains import ChainsMemory
 
-__all__ = ["Moment", "RaceState"]
-
 
 @dataclass(frozen=True, slots=True)
 class Moment:

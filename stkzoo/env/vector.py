@@ -14,8 +14,6 @@ from stkzoo.config import AgentSpec
 from stkzoo.env.vec.env import RaceVectorEnv
 from stkzoo.errors import ConfigError
 
-__all__ = ["make_stkrace_vec", "single_kart_races"]
-
 
 def single_kart_races(
     num_envs: int = 1,

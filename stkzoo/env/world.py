@@ -11,8 +11,6 @@ import numpy.typing as npt
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.names import AttachmentType, ItemType, Phase, PowerupType
 
-__all__ = ["AttachmentView", "ItemView", "KartView", "PowerupView", "WorldView"]
-
 _FLAGS = ("has_finished_race", "jumping", "is_on_road", "race_result")
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["rotation_matrices", "squared", "to_kart_frame", "to_polar"]
-
 FloatArray = npt.NDArray[np.float32]
 
 

@@ -17,8 +17,6 @@ from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
 from stkzoo.mdp.spaces import POWERUP_COUNT_LIMIT
 
-__all__ = ["TrackLines", "ai_actions", "observe_karts", "own_state"]
-
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 Batch = dict[str, Any]

@@ -22,8 +22,6 @@ import numpy.typing as npt
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.mdp.transition import Transition
 
-__all__ = ["KERNEL_TERMS", "REWARDS", "Reward", "RewardTerm", "as_reward"]
-
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 RewardTerm = Callable[[Transition], FloatArray]

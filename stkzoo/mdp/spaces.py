@@ -12,16 +12,6 @@ from gymnasium import spaces
 
 from stkzoo.names import AttachmentType, GroundKind, ItemType, Phase, PowerupType
 
-__all__ = [
-    "GROUND_LANES",
-    "GROUND_MARKS",
-    "POWERUP_COUNT_LIMIT",
-    "columns_of",
-    "kart_action_space",
-    "kart_observation_space",
-    "shows_ground",
-]
-
 #: Observed power-up counts stop here; the game itself has shown up to 6.
 POWERUP_COUNT_LIMIT = 9
 

@@ -9,8 +9,6 @@ from gymnasium import spaces
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.mdp.transition import progress_of
 
-__all__ = ["GLOBAL_FEATURES", "KART_FEATURES", "race_state", "state_space"]
-
 #: What the state tells first: seconds since GO, phase number, lap length [m], laps.
 GLOBAL_FEATURES = ("time", "phase", "track_length", "laps")
 

@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
 
-__all__ = ["Transition", "progress_of"]
-
 FloatArray = npt.NDArray[np.float64]
 
 

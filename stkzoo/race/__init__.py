@@ -12,7 +12,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from stkzoo.race.drivers import Actor, ActorMaker, Driver, driver_names, find_driver
+    from stkzoo.race.agents.code import Actor, ActorMaker
+    from stkzoo.race.drivers import Driver, driver_names, find_driver
     from stkzoo.race.instances import Decision, DriverInstance, DriverLimits, DriverRequest
     from stkzoo.race.listeners import RaceListener, RaceProgress
     from stkzoo.race.result import (
@@ -53,7 +54,8 @@ __all__ = [
 
 #: Names by module, loaded when they are first used: the process of an agent needs few.
 _LAZY = {
-    "drivers": ("Actor", "ActorMaker", "Driver", "driver_names", "find_driver"),
+    "agents.code": ("Actor", "ActorMaker"),
+    "drivers": ("Driver", "driver_names", "find_driver"),
     "instances": ("Decision", "DriverInstance", "DriverLimits", "DriverRequest"),
     "listeners": ("RaceListener", "RaceProgress"),
     "result": ("SCHEMA_VERSION", "ActionTime", "AgentFailure", "AgentResult", "RaceResult"),

@@ -22,8 +22,6 @@ import numpy.typing as npt
 from stkzoo.errors import ProtocolError
 from stkzoo.kernel import join_rows
 
-__all__ = ["LIMITS", "Encoded", "Limits", "decode", "encode"]
-
 
 @dataclass(frozen=True, slots=True)
 class Limits:

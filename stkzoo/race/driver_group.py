@@ -17,8 +17,6 @@ from stkzoo.race.instances import DriverInstance, DriverRequest
 from stkzoo.race.result import AgentFailure
 from stkzoo.race.settings import RaceSettings
 
-__all__ = ["DriverGroup", "GroupMember"]
-
 _MAX_FAILURES_KEPT = 20
 
 

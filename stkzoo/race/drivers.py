@@ -29,8 +29,6 @@ from stkzoo.race.agents.isolated import IsolatedInstance
 from stkzoo.race.instances import DriverStart
 from stkzoo.views import VIEWS
 
-__all__ = ["Actor", "ActorMaker", "Driver", "driver_names", "find_driver"]
-
 _AGENTS = "stkzoo.agents"
 #: Packages there that are not drivers.
 _NO_DRIVERS = {"planner", "pretrained", "planning", "training"}

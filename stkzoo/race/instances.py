@@ -15,15 +15,6 @@ from typing import Any, Protocol
 
 from gymnasium import spaces
 
-__all__ = [
-    "Decision",
-    "DriverInstance",
-    "DriverLimits",
-    "DriverRequest",
-    "DriverStart",
-    "without_unused_paths",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class DriverLimits:

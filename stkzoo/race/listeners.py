@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from stkzoo.env.parallel import RaceParallelEnv
     from stkzoo.render.scene import Scene
 
-__all__ = ["RaceListener", "RaceProgress"]
-
 _Value = TypeVar("_Value")
 
 

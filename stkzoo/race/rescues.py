@@ -10,8 +10,6 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["RescueCounter"]
-
 #: Bounds of the rate of descent [m/s]; PySuperTuxKart2 0.7.4 uses 1.67.
 _SLOWEST, _FASTEST = 0.5, 5.0
 #: Largest difference between two equal movements, by rounding [m].

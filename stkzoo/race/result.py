@@ -16,19 +16,6 @@ import numpy as np
 from stkzoo.errors import ConfigError
 from stkzoo.race.agents.failures import printable
 
-__all__ = [
-    "SCHEMA_VERSION",
-    "ActionTime",
-    "AgentFailure",
-    "AgentResult",
-    "RaceResult",
-    "json_with_rows",
-    "read_document",
-    "read_json",
-    "reading",
-    "versions_now",
-]
-
 #: Version of the JSON schema (``docs/schemas/race-result.schema.json``); grows when an older
 #: reader would fail.
 SCHEMA_VERSION = 1

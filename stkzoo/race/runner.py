@@ -22,8 +22,6 @@ from stkzoo.race.rescues import RescueCounter
 from stkzoo.race.result import ActionTime, AgentResult, RaceResult
 from stkzoo.race.settings import RaceSettings
 
-__all__ = ["RaceInterrupted", "run_race"]
-
 #: Without ``max_steps``, a race ends after the time that this average speed needs ...
 _SLOWEST = 4.0  # [m/s]
 #: ... and this time.

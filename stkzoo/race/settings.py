@@ -10,8 +10,6 @@ from typing import Any
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.race.instances import DriverLimits
 
-__all__ = ["ERROR_HANDLING", "RaceSettings"]
-
 #: What to do when an agent fails.
 ERROR_HANDLING = {
     "raise": "end the race with the error",

@@ -29,8 +29,6 @@ from stkzoo.render.pictures import grid_of, tiled
 from stkzoo.render.renderer import RaceRenderer, camera_karts
 from stkzoo.render.scene import Scene, clock, standings
 
-__all__ = ["RaceFilm", "RaceVideo"]
-
 logger = logging.getLogger(__name__)
 
 Picture = npt.NDArray[np.uint8]

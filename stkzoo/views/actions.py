@@ -21,8 +21,6 @@ from gymnasium import spaces
 
 from stkzoo.errors import ActionError
 
-__all__ = ["BOUND_TOLERANCE", "read_actions", "split"]
-
 #: A number may miss a bound of its ``Box`` by this much (rounding); it is then clipped.
 BOUND_TOLERANCE = 1e-6
 

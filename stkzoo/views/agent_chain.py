@@ -16,8 +16,6 @@ from stkzoo.views.memory import WrapperMemory
 from stkzoo.views.plan import ViewPlan
 from stkzoo.views.split_step import AgentStep, CompiledPart, MonoAgentEnv, SplitStep
 
-__all__ = ["AgentChain", "WrapperFactory", "agent_failures"]
-
 #: Wraps one agent's environment; ``None`` leaves it as it is.
 WrapperFactory: TypeAlias = Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]] | None
 

@@ -9,8 +9,6 @@ import gymnasium as gym
 if TYPE_CHECKING:
     from stkzoo.views.plan import ViewPlan
 
-__all__ = ["ActionObservationWrapper", "CompiledWrapper"]
-
 
 class ActionObservationWrapper(gym.Wrapper[Any, Any, Any, Any]):
     """Changes the actions on their way in and the observations on their way out.

@@ -19,8 +19,6 @@ from stkzoo.views.memory import WrapperMemory
 from stkzoo.views.plan import ObservationSource, Observer, ViewPlan
 from stkzoo.views.split_step import AgentStep
 
-__all__ = ["AgentChains", "ChainsMemory", "StepParts"]
-
 IntArray = npt.NDArray[np.intp]
 FloatArray = npt.NDArray[np.float32]
 

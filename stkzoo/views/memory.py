@@ -9,8 +9,6 @@ from typing import Any
 
 from gymnasium import spaces
 
-__all__ = ["WrapperMemory"]
-
 
 @dataclass(frozen=True, slots=True)
 class WrapperMemory:

@@ -18,8 +18,6 @@ from gymnasium import spaces
 from stkzoo.kernel import ActionReader, CarController, KartObserver
 from stkzoo.mdp.spaces import shows_ground
 
-__all__ = ["CarPlan", "Entry", "Leaf", "ObservationSource", "Observer", "ViewPlan"]
-
 IntArray = npt.NDArray[np.intp]
 
 #: Lowest and highest value of one number of an action, whether it is whole, the column of the

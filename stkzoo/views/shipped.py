@@ -29,8 +29,6 @@ from stkzoo.wrappers.control import ControlView
 from stkzoo.wrappers.marl import ActionMasks
 from stkzoo.wrappers.racing import RacingActions, RacingObservations
 
-__all__ = ["CAMERA_VIEWS", "VIEWS", "View", "ViewFactory", "sees_ground", "views_of_agents"]
-
 #: Wraps the environment of one kart. :class:`View` values, wrapper classes and functions do.
 ViewFactory: TypeAlias = Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]]
 

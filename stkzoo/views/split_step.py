@@ -19,8 +19,6 @@ from gymnasium import spaces
 if TYPE_CHECKING:
     from stkzoo.wrappers.camera import Camera
 
-__all__ = ["AgentStep", "CompiledPart", "MonoAgentEnv", "SplitStep", "StepHandler"]
-
 #: What a Gymnasium environment's ``step`` returns.
 AgentStep = tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]
 

@@ -22,8 +22,6 @@ from stkzoo.wrappers.control.kinds import (
 from stkzoo.wrappers.control.parameters import CarParameters
 from stkzoo.wrappers.control.pedals import PEDALS, Pedals
 
-__all__ = ["CarAction", "from_single_to_multi_action_space"]
-
 FloatArray = npt.NDArray[np.floating[Any]]
 
 _KINDS: dict[str, LongitudinalActionEnum | SteerActionEnum] = {

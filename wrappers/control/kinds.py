@@ -15,17 +15,6 @@ from stkzoo.wrappers.control.parameters import CarParameters
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = [
-    "AcclAction",
-    "LongitudinalAction",
-    "LongitudinalActionEnum",
-    "SpeedAction",
-    "SteerAction",
-    "SteerActionEnum",
-    "SteeringAngleAction",
-    "SteeringSpeedAction",
-]
-
 FloatArray = npt.NDArray[np.floating[Any]]
 
 

@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 
 from stkzoo.errors import ConfigError, unknown_name
 
-__all__ = ["KARTS", "CarParameters"]
-
 #: Wheel base [m] and steering angle at rest [rad] of each kart model
 #: (``benchmarks/results/control.json``).
 KARTS = {

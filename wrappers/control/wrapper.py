@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from stkzoo.kernel import CarController
     from stkzoo.views.plan import ViewPlan
 
-__all__ = ["BUTTONS", "ControlView", "ControlWrapper"]
-
 #: The game's own buttons that can stand beside the two numbers.
 BUTTONS = ("drift", "fire", "nitro", "rescue")
 

@@ -19,8 +19,6 @@ from stkzoo.wrappers.flattening import FlattenerWrapper
 if TYPE_CHECKING:
     from stkzoo.views.plan import ViewPlan
 
-__all__ = ["ActionMasks"]
-
 
 class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
     """Adds ``action_mask`` to a flattened view: 1 for actions that can do something, 0 for others.

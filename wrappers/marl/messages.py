@@ -16,8 +16,6 @@ from pettingzoo.utils import BaseParallelWrapper
 from stkzoo.errors import ActionError, ConfigError, check_whole
 from stkzoo.wrappers.marl.teams import Parts, Teams
 
-__all__ = ["MessageChannel"]
-
 
 class MessageChannel(BaseParallelWrapper[str, Any, Any]):
     """Lets each agent send a message a step, which the others hear one step later.

@@ -12,8 +12,6 @@ import numpy as np
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.wrappers.arguments import dict_space
 
-__all__ = ["PartialObservations"]
-
 _SEEN = {"karts": ("karts_position",), "items": ("items_position", "items_type")}
 
 

@@ -17,8 +17,6 @@ from stkzoo.errors import ConfigError
 from stkzoo.mdp.geometry import rotation_matrices
 from stkzoo.mdp.transition import progress_of
 
-__all__ = ["MATE_FEATURES", "Teams"]
-
 #: What a driver knows of each team-mate: where it is (x right, y up, z forward) [m] and how fast
 #: it moves [m/s] in the driver's own frame, how far it is ahead along the race [m], its rank, its
 #: nitro, its powerup's number, and whether it still races.

@@ -23,8 +23,6 @@ from stkzoo.wrappers.racing.surroundings import LOOKS, Known, RoadArrays, surrou
 if TYPE_CHECKING:
     from stkzoo.engine.track import TrackMap
 
-__all__ = ["BatchedRacingView", "racing_view_of"]
-
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 

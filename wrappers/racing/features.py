@@ -26,8 +26,6 @@ from stkzoo.wrappers.racing.layout import (
 from stkzoo.wrappers.racing.road import STEP
 from stkzoo.wrappers.racing.surroundings import BEYOND, LOOKS, Surroundings
 
-__all__ = ["KERNEL_TABLES", "racing_features"]
-
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[Any]
 

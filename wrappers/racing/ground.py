@@ -19,8 +19,6 @@ from stkzoo.wrappers.racing.surroundings import line_places
 if TYPE_CHECKING:
     from stkzoo.engine.track import TrackMap
 
-__all__ = ["GroundAhead", "GroundTable", "ground_table"]
-
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 ByteArray = npt.NDArray[np.uint8]

@@ -7,21 +7,6 @@ import numpy.typing as npt
 
 from stkzoo.names import AttachmentType, ItemType, PowerupType
 
-__all__ = [
-    "ATTACHMENTS",
-    "BADS",
-    "GOODS",
-    "KARTS",
-    "MARKS",
-    "MIRROR",
-    "NUM_POWERUPS",
-    "PARTS",
-    "PLACES",
-    "SIZE",
-    "TYPES_BAD",
-    "TYPES_GOOD",
-]
-
 #: Where the road ahead is looked at, from the kart on along the line [m].
 MARKS = np.array([3, 6, 10, 14, 19, 25, 32, 40, 50, 62, 76, 92], np.float32)
 

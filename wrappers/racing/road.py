@@ -17,8 +17,6 @@ from stkzoo.mdp.geometry import squared
 if TYPE_CHECKING:
     from stkzoo.engine.track import TrackMap
 
-__all__ = ["MAX_SEGMENTS", "NUM_POINTS", "STEP", "RoadTable", "road_line"]
-
 FloatArray = npt.NDArray[np.float32]
 
 #: Segments looked at; the shortest ones of all tracks make 100 m with 50, twice that at forks.

@@ -15,18 +15,6 @@ from stkzoo.mdp.observations import own_state
 from stkzoo.wrappers.racing.layout import MARKS
 from stkzoo.wrappers.racing.road import MAX_SEGMENTS, NUM_POINTS, STEP, road_line
 
-__all__ = [
-    "ABSENT",
-    "BEYOND",
-    "LOOKS",
-    "Known",
-    "RoadArrays",
-    "Surroundings",
-    "line_places",
-    "surroundings_in",
-    "surroundings_of",
-]
-
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[Any]
 

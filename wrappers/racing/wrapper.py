@@ -25,17 +25,6 @@ if TYPE_CHECKING:
     from stkzoo.kernel import KartObserver
     from stkzoo.views.plan import ObservationSource, ViewPlan
 
-__all__ = [
-    "BRAKE",
-    "CHOICES",
-    "RESCUE",
-    "STEERS",
-    "RacingActions",
-    "RacingObservations",
-    "choices_of_action",
-    "controls_of_choices",
-]
-
 FloatArray = npt.NDArray[np.float32]
 
 _RIGHT = (0.05, 0.1, 0.16, 0.23, 0.31, 0.4, 0.52, 0.66, 0.82, 1.0)

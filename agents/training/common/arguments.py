@@ -13,23 +13,6 @@ from stkzoo._os import atomic_write
 from stkzoo.errors import ConfigError
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
-__all__ = [
-    "ARGUMENTS",
-    "QUICK_TRACKS",
-    "NetworkArguments",
-    "PPOArguments",
-    "TrainingRaces",
-    "add_arguments",
-    "check_resumed",
-    "check_version",
-    "differences",
-    "keep_arguments",
-    "parse_races",
-    "track_names",
-    "values_of",
-    "write_json",
-]
-
 #: The file in a run's folder with the run's arguments.
 ARGUMENTS = "arguments.json"
 #: The training tracks but for one, on which a race takes three times as long.

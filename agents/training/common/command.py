@@ -10,15 +10,6 @@ from typing import Any
 
 from stkzoo.errors import ConfigError, StkzooError
 
-__all__ = [
-    "ProgressBar",
-    "command_parser",
-    "limit_threads",
-    "run_command",
-    "training_library",
-    "training_torch",
-]
-
 
 def command_parser(module: str, description: str | None) -> argparse.ArgumentParser:
     """A parser for ``python -m stkzoo.agents.training.MODULE``.

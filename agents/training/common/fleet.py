@@ -34,18 +34,6 @@ from stkzoo.wrappers.racing import BatchedRacingView, RoadTable, Surroundings
 
 from .arguments import TrainingRaces
 
-__all__ = [
-    "Finish",
-    "Fleet",
-    "FleetStep",
-    "Lineup",
-    "RaceFleet",
-    "RaceStarts",
-    "StartingPoint",
-    "ai_time",
-    "lineups_of",
-]
-
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]

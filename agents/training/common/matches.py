@@ -36,20 +36,6 @@ from .fleet import Finish, Lineup, RaceFleet, RaceStarts, StartingPoint
 from .opponents import bot_name
 from .plan_parameters import plan_parameters, run_parameters
 
-__all__ = [
-    "KartController",
-    "Match",
-    "MatchDriver",
-    "MatchRecord",
-    "finishing_order",
-    "match_driver",
-    "network_driver",
-    "plan_match_driver",
-    "play_matches",
-    "random_driver",
-    "rate_orders",
-]
-
 FloatArray = npt.NDArray[np.float32]
 
 #: The plans with nothing learned.

@@ -14,8 +14,6 @@ from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import SIZE
 
-__all__ = ["initial_weights", "save_driver"]
-
 FloatArray = npt.NDArray[np.float32]
 
 

@@ -13,8 +13,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["Opponent", "OpponentPool", "bot_name"]
-
 #: Weight of one race in an opponent's share of wins.
 _RATE = 0.1
 #: Keeps every opponent in the draw.

@@ -11,8 +11,6 @@ from stkzoo.errors import ConfigError
 
 from .arguments import ARGUMENTS
 
-__all__ = ["plan_parameters", "run_parameters"]
-
 
 def plan_parameters(file: str | Path) -> DriverParameters:
     """The parameters in a JSON file, such as ``best.json`` of ``tune_plans``.

@@ -11,8 +11,6 @@ from typing import Any
 from stkzoo._os import atomic_write
 from stkzoo.errors import ConfigError
 
-__all__ = ["LOG", "TrainingLog", "read_json_lines", "require_log", "write_log"]
-
 #: The log's file in a run's folder.
 LOG = "log.jsonl"
 

@@ -49,8 +49,6 @@ from ..common.training_log import LOG, read_json_lines, write_log
 from ..export import export_policy
 from .network import fit, load_weights_into, make_network
 
-__all__ = ["DistillationArguments", "LabelledRaces", "main", "run"]
-
 IntArray = npt.NDArray[np.int64]
 Numbers = npt.NDArray[Any]
 

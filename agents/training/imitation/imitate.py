@@ -63,8 +63,6 @@ from .races import (
     time_ratio,
 )
 
-__all__ = ["ImitationArguments", "main", "parse", "run"]
-
 _POLICY, _PLOT = "policy.safetensors", "imitation.png"
 #: What may change when a run continues.
 _FREE = ("rounds", "jobs")

@@ -17,8 +17,6 @@ from stkzoo.wrappers.racing import CHOICES, SIZE
 
 from ..common.command import training_torch
 
-__all__ = ["Fit", "fit", "load_weights_into", "make_network", "mirrored"]
-
 Numbers = npt.NDArray[Any]
 
 #: A steering choice is also given to its neighbours, by a bell of this width [choices].

@@ -27,8 +27,6 @@ from stkzoo.wrappers.racing import controls_of_choices
 
 from ..common.fleet import ai_time
 
-__all__ = ["Lesson", "LessonOrder", "end_with_parent", "read_lesson", "run_order"]
-
 #: A learner's race is cut short after so many times the AI's median time.
 PATIENCE = 1.7
 #: What a kart counts as that has not finished by then.

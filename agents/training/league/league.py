@@ -48,8 +48,6 @@ from .matches import draw_matches, play_records
 from .page import page
 from .players import START, Player, PlayerMatchmaker, new_players
 
-__all__ = ["League", "LeagueArguments", "main"]
-
 _STATE, _PAGE, _MEMBERS, _DUELS = "league.json", "league.html", "members", "duels.json"
 _VERSION = 2
 

@@ -17,8 +17,6 @@ from ..common.fleet import Finish, FleetStep, Lineup, lineups_of
 from ..ppo.selfplay import PPOLearner, SelfPlayArguments
 from .players import PlayerMatchmaker
 
-__all__ = ["LeagueLearner", "rows_of"]
-
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 

@@ -8,8 +8,6 @@ import numpy as np
 
 from ..common.matches import Match, MatchDriver, MatchRecord, play_matches
 
-__all__ = ["AI", "SEATS", "draw_matches", "payoff", "play_records"]
-
 #: The name of the game's AI at its hardest in orders of finish.
 AI = "ai"
 #: Members in a match; one kart of the game's AI is in it too.

@@ -10,8 +10,6 @@ from typing import Any
 from ..common.matches import MatchRecord
 from .matches import AI, payoff
 
-__all__ = ["page"]
-
 #: Rows of the matrix at most.
 _MOST_ROWS = 16
 _WIDTH, _HEIGHT = 720, 360

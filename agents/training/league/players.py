@@ -13,16 +13,6 @@ from stkzoo.errors import ConfigError
 
 from ..common.opponents import OpponentPool
 
-__all__ = [
-    "EXPLOITER",
-    "LEAGUE_EXPLOITER",
-    "MAIN",
-    "START",
-    "Player",
-    "PlayerMatchmaker",
-    "new_players",
-]
-
 #: Kinds of players.
 MAIN, EXPLOITER, LEAGUE_EXPLOITER = "main", "exploiter", "league-exploiter"
 #: The member that all players start from.

@@ -16,8 +16,6 @@ from stkzoo.errors import ConfigError
 
 from ..common.command import training_torch
 
-__all__ = ["NUM_LOGITS", "VALUE_UNIT", "ActorCritic", "predict_values"]
-
 FloatArray = npt.NDArray[np.float32]
 
 NUM_LOGITS = sum(CHOICES)

@@ -53,8 +53,6 @@ from ..common.plan_parameters import plan_parameters
 from ..common.training_log import TrainingLog
 from .network import NUM_LOGITS, VALUE_UNIT, ActorCritic, predict_values
 
-__all__ = ["PPOLearner", "Rollout", "SelfPlayArguments", "main"]
-
 FloatArray = npt.NDArray[np.float32]
 
 _CHECKPOINT = "checkpoint.pt"

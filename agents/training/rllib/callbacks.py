@@ -10,8 +10,6 @@ from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS
 
 from .races import MAIN, PolicyMap, win_share
 
-__all__ = ["RACES", "RESTARTED", "WIN_SHARE", "SelfPlay", "copy_main"]
-
 #: Names of the figures that are logged.
 WIN_SHARE, RACES, RESTARTED = "win_share", "races", "restarted"
 _WINDOW = 50

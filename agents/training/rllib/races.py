@@ -16,8 +16,6 @@ from stkzoo import RaceParallelEnv, race_v0
 from stkzoo.engine.assets import cache_folder, find_assets, install, pack
 from stkzoo.errors import AssetError, ConfigError
 
-__all__ = ["MAIN", "PackSender", "PolicyMap", "ensure_assets", "make_race", "win_share"]
-
 #: The module that learns.
 MAIN = "main"
 _SENDER, _NAMESPACE = "stkzoo-pack", "stkzoo"

@@ -46,8 +46,6 @@ from ..common.command import command_parser, run_command
 from ..common.training_log import TrainingLog
 from .races import MAIN, PackSender, PolicyMap, ensure_assets, make_race
 
-__all__ = ["RLlibArguments", "build_config", "main", "parse", "sb3_names", "train"]
-
 _CHECKPOINT, _POLICY = "checkpoint", "policy.safetensors"
 #: What may change when a run continues.
 _FREE = ("iterations", "address", "env_runners", "checkpoint_every", "pack", "cpus_per_runner")

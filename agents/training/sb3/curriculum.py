@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["EASY_TO_HARD", "Curriculum"]
-
 #: The training tracks in the order of how well a simple driver does on them, beside the AI.
 EASY_TO_HARD = (
     "lighthouse",

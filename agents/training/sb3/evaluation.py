@@ -11,8 +11,6 @@ from pathlib import Path
 
 from ..rate import EVALUATIONS
 
-__all__ = ["BackgroundEvaluation"]
-
 
 class BackgroundEvaluation:
     """Evaluates kept policies one after another with :mod:`stkzoo.agents.training.rate`.

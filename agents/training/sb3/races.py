@@ -33,13 +33,6 @@ from ..common.fleet import ai_time
 from ..common.opponents import OpponentPool, bot_name
 from .curriculum import Curriculum
 
-__all__ = [
-    "SHORT_RACE",
-    "RaceEnd",
-    "SelfPlayVecEnv",
-    "way_and_places",
-]
-
 Indices = None | int | Iterable[int]
 
 #: The length of a step, and how long karts wait on the grid for GO [s].

@@ -63,8 +63,6 @@ from ..rate import RATINGS
 from .curriculum import EASY_TO_HARD, Curriculum
 from .evaluation import BackgroundEvaluation
 
-__all__ = ["SB3Arguments", "SB3Run", "main"]
-
 _CHECKPOINT = "checkpoint.pt"
 #: Initial bias of choices, by their place in the view: to go rather than to brake, and to drift or
 #: call for the rescue rarely. Without it every kart stands for most of its first races.

@@ -14,8 +14,6 @@ from stkzoo import race_v0
 from ..common.arguments import TrainingRaces
 from .races import SHORT_RACE, RaceEnd, way_and_places
 
-__all__ = ["SuperSuitRaces"]
-
 
 class SuperSuitRaces(VecEnvWrapper):
     """Races in which the learner drives all karts, one after another within a step.

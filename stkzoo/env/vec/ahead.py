@@ -19,8 +19,6 @@ from stkzoo.env.options import checked_seed
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import ConfigError, EngineError
 
-__all__ = ["AheadRace", "AheadSession"]
-
 logger = logging.getLogger(__name__)
 
 

@@ -15,8 +15,6 @@ from stkzoo.env.vec.fleet import ParallelRaces
 from stkzoo.env.vec.slots import SlotSteps
 from stkzoo.errors import ActionError, ConfigError
 
-__all__ = ["RaceVectorEnv"]
-
 BoolArray = npt.NDArray[np.bool_]
 VectorStep = tuple[Any, npt.NDArray[np.float64], BoolArray, BoolArray, dict[str, Any]]
 

@@ -17,8 +17,6 @@ from stkzoo.env.vec.slots import RaceSlots, SlotSteps
 from stkzoo.errors import ActionError, ApiOrderError, ConfigError, check_whole
 from stkzoo.views.actions import read_actions
 
-__all__ = ["ParallelRaces"]
-
 
 class ParallelRaces:
     """Races with equal options, whose agents are slots in race-major order.

@@ -13,8 +13,6 @@ import numpy.typing as npt
 from stkzoo.env.vec.ahead import AheadRace
 from stkzoo.errors import EngineCrashed, EngineError, EngineTimeout
 
-__all__ = ["RaceSlots", "SlotSteps"]
-
 logger = logging.getLogger(__name__)
 
 #: How often a race is started again when the game dies at its start.

@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["ActionReader"]
-
 #: (low, high, is whole, column, table or None) of one number.
 Entry = tuple[float, float, bool, int, Any]
 

@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
 
-__all__ = ["CarController"]
-
 IntArray = npt.NDArray[np.intp]
 
 

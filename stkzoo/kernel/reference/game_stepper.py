@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
 
-__all__ = ["GameStepper"]
-
 Records = npt.NDArray[np.void]
 
 #: The first controls are numbers, the others buttons.

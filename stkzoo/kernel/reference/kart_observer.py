@@ -13,8 +13,6 @@ from stkzoo.mdp.geometry import to_polar
 from stkzoo.mdp.observations import ai_actions, observe_karts
 from stkzoo.mdp.spaces import kart_observation_space
 
-__all__ = ["KartObserver"]
-
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
 Batch = dict[str, Any]

@@ -11,8 +11,6 @@ from stkzoo.engine.snapshot import Snapshot
 from stkzoo.wrappers.racing.features import racing_features
 from stkzoo.wrappers.racing.surroundings import surroundings_in
 
-__all__ = ["RacingObserver"]
-
 FloatArray = npt.NDArray[np.float32]
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from operator import attrgetter
 from typing import Any
 
-__all__ = ["join_rows", "layouts"]
-
 _shape_of, _dtype_of = attrgetter("shape"), attrgetter("dtype")
 
 

@@ -13,8 +13,6 @@ from stkzoo.engine.snapshot import Snapshot
 from stkzoo.mdp.rewards import KERNEL_TERMS
 from stkzoo.mdp.transition import Transition
 
-__all__ = ["StepScorer"]
-
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["TrackGraph"]
-
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 

@@ -21,16 +21,6 @@ from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.race.agents.files import AgentPlace
 from stkzoo.views import VIEWS, ViewFactory, sees_ground
 
-__all__ = [
-    "Actor",
-    "ActorMaker",
-    "AgentCode",
-    "ModuleScope",
-    "env_sees_ground",
-    "load_agent",
-    "read_module",
-]
-
 #: Picks an action for an observation.
 Actor = Callable[[Any], Any]
 

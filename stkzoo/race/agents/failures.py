@@ -9,8 +9,6 @@ from typing import IO, Any
 
 from stkzoo.errors import AgentError, AgentTimeout, ProtocolError, StkzooError
 
-__all__ = ["OutputTail", "agent_trace", "error_report", "in_words", "printable", "reported_error"]
-
 _PACKAGE = Path(__file__).resolve().parents[2]
 _MAX_FRAMES = 30
 _MAX_TEXT = 4000

@@ -15,19 +15,6 @@ from pathlib import Path, PurePosixPath
 from stkzoo._os import LockedTemporaryDirectory
 from stkzoo.errors import ConfigError
 
-__all__ = [
-    "ACTOR_MODULE",
-    "MAX_BYTES",
-    "MAX_FILES",
-    "MAX_RATIO",
-    "AgentFiles",
-    "AgentPlace",
-    "declared_env",
-    "find_files",
-    "members_of",
-    "unpack",
-]
-
 #: Name of an agent's module.
 ACTOR_MODULE = "pystk_actor"
 _PACKAGE = "stk_actor"

@@ -20,8 +20,6 @@ from stkzoo.race.instances import Decision, DriverRequest
 from stkzoo.views.actions import split
 from stkzoo.views.agent_chain import AgentChain
 
-__all__ = ["AgentRunner", "InlineInstance"]
-
 
 class AgentRunner:
     """An agent with its view, its wrappers and its state, in any process.

@@ -25,8 +25,6 @@ from stkzoo.race.agents.files import AgentFiles
 from stkzoo.race.agents.process import Channel
 from stkzoo.race.instances import Decision, DriverRequest, without_unused_paths
 
-__all__ = ["IsolatedInstance"]
-
 _CODE = """\
 import json, sys
 sys.path[:] = json.loads(sys.argv[1])

@@ -24,8 +24,6 @@ from stkzoo.race.agents.failures import error_report
 from stkzoo.race.agents.files import AgentPlace
 from stkzoo.race.agents.inline import AgentRunner
 
-__all__ = ["Channel", "main"]
-
 _LENGTH = struct.Struct("<I")
 
 

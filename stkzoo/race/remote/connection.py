@@ -17,8 +17,6 @@ from stkzoo.race.remote import protocol
 from stkzoo.race.remote.keys import KeyPair
 from stkzoo.race.remote.sockets import client_socket, zmq_module
 
-__all__ = ["Connection", "Failure", "Server"]
-
 #: How long ZeroMQ may take to send the last message in the background [ms].
 _GOODBYE = 500
 #: How late messages that came in time may be read [s].

@@ -18,8 +18,6 @@ from stkzoo.race.remote.keys import KeyPair, new_keys
 from stkzoo.race.remote.sockets import full_address, zmq_module
 from stkzoo.race.remote.spaces import space_to_data
 
-__all__ = ["RemoteDriverGroup", "RemoteInstance"]
-
 #: How long to wait for a server that has already failed in this race [s].
 _SECOND_CHANCE = 1.0
 #: How long a server may take to report a slow agent, beyond the agent's own limit [s].

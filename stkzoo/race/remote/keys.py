@@ -15,8 +15,6 @@ from pathlib import Path
 from stkzoo.errors import ConfigError
 from stkzoo.race.remote.sockets import zmq_module
 
-__all__ = ["KeyPair", "new_key_files", "new_keys", "read_public", "read_publics", "read_secret"]
-
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _KEY = re.compile(r"[0-9a-zA-Z.\-:+=^!/*?&<>()\[\]{}@%$#]{40}")
 

@@ -11,8 +11,6 @@ from typing import Any, TypeVar
 from stkzoo.errors import ProtocolError
 from stkzoo.race.codec import Limits, decode, encode
 
-__all__ = ["LIMITS", "MAX_SEATS", "VERSION", "check_version", "field", "pack", "unpack"]
-
 #: Both ends must have the same.
 VERSION = 1
 

@@ -26,8 +26,6 @@ from stkzoo.race.remote.sockets import (
     zmq_module,
 )
 
-__all__ = ["RaceServer"]
-
 _log = logging.getLogger(__name__)
 
 #: The server ends the session of a client that is silent for this time [s].

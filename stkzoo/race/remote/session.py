@@ -19,8 +19,6 @@ from stkzoo.race.instances import DriverInstance, DriverLimits, DriverRequest
 from stkzoo.race.remote import protocol
 from stkzoo.race.remote.spaces import space_from_data
 
-__all__ = ["ClientSession"]
-
 _log = logging.getLogger(__name__)
 
 #: The server pings a silent client after this time [s], then less and less often: a paused race

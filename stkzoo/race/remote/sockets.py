@@ -17,17 +17,6 @@ if TYPE_CHECKING:
 
     from stkzoo.race.remote.keys import KeyPair
 
-__all__ = [
-    "DEFAULT_ADDRESS",
-    "ClientAuthenticator",
-    "ServerKeys",
-    "client_socket",
-    "full_address",
-    "is_local",
-    "server_socket",
-    "zmq_module",
-]
-
 #: Default address of a server.
 DEFAULT_ADDRESS = "tcp://127.0.0.1:5555"
 

@@ -18,8 +18,6 @@ from gymnasium import spaces
 
 from stkzoo.errors import ProtocolError
 
-__all__ = ["space_from_data", "space_to_data"]
-
 Space = spaces.Space[Any]
 Data = dict[str, Any]
 
