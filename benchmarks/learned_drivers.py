@@ -50,13 +50,13 @@ class Batch:
     Attributes:
         folder: the driver's.
         sizes: how many karts each race has.
-        crowd: sees for them.
+        batched_view: sees for them.
         marks: when each part of each decision began and ended [s].
     """
 
     folder: Path
     sizes: Sequence[int]
-    crowd: BatchedRacingView
+    batched_view: BatchedRacingView
     marks: list[list[float]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -67,7 +67,7 @@ class Batch:
     def decide(self, snapshots: Sequence[Any]) -> npt.NDArray[np.float32]:
         """The controls of all karts."""
         marks = [time.perf_counter()]
-        seen = self.crowd.surroundings(snapshots, [0] * len(snapshots), self._who, ALL_LOOKS)
+        seen = self.batched_view.surroundings(snapshots, [0] * len(snapshots), self._who, ALL_LOOKS)
         marks.append(time.perf_counter())
         view = self._drivers.look(*seen)
         marks.append(time.perf_counter())
@@ -97,8 +97,8 @@ def cost(name: str, karts: int, track: str, steps: int) -> dict[str, float]:
         for seed, env in enumerate(envs):
             env.reset(seed=seed)
         assert envs[0].track_map is not None  # noqa: S101 - since reset
-        crowd = BatchedRacingView([RoadTable(envs[0].track_map)])
-        batch = Batch(folder, sizes, crowd)
+        batched_view = BatchedRacingView([RoadTable(envs[0].track_map)])
+        batch = Batch(folder, sizes, batched_view)
         for _ in range(steps):
             moments.append([env.snapshot for env in envs])
             controls = np.split(batch.decide(moments[-1]), np.cumsum(sizes)[:-1])
@@ -108,7 +108,7 @@ def cost(name: str, karts: int, track: str, steps: int) -> dict[str, float]:
                 env.step_wait()
     turns = []
     for _ in range(TURNS):
-        batch = Batch(folder, sizes, crowd)
+        batch = Batch(folder, sizes, batched_view)
         for snapshots in moments:
             batch.decide(snapshots)
         turns.append(np.diff(batch.marks).mean(axis=0) / karts * 1e6)

@@ -81,12 +81,12 @@ def test_one_kart_a_race_and_a_crowd_see_the_same(track, reverse):
     env = race(track=track, reverse=reverse)
     with env:
         view = RacingObservations(OneKart(env))
-        crowd = None
+        batched_view = None
         for observations in itertools.islice(moments(env), 0, None, 9):
-            crowd = crowd or BatchedRacingView([RoadTable(env.track_map)])
+            batched_view = batched_view or BatchedRacingView([RoadTable(env.track_map)])
             alone = np.stack([view.observation(observations[agent]) for agent in env.agents])
             together = view.observation(env.observe_batch(env.agents))
-            from_above = crowd.observe([env.snapshot], [0], [places_of(env)])
+            from_above = batched_view.observe([env.snapshot], [0], [places_of(env)])
             np.testing.assert_allclose(together, alone, atol=1e-5)
             np.testing.assert_allclose(from_above, alone, atol=1e-4)
     assert alone.shape == (4, SIZE)

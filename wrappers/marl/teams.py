@@ -107,7 +107,7 @@ class Teams(BaseParallelWrapper[str, Any, Any]):
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Resets the race."""
         observations, infos = self.env.reset(seed=seed, options=options)
-        return self._seen(observations), self._told(infos, {}, {})
+        return self._seen(observations), self._with_team(infos, {}, {})
 
     def step(self, actions: dict[str, Any]) -> Parts:
         """Steps the race and shares the rewards."""
@@ -120,10 +120,10 @@ class Teams(BaseParallelWrapper[str, Any, Any]):
             agent: (1 - self.share) * reward + self.share * means[self.team_of[agent]]
             for agent, reward in own.items()
         }
-        told = self._told(infos, own, means)
-        return self._seen(observations), rewards, terminations, truncations, told
+        infos = self._with_team(infos, own, means)
+        return self._seen(observations), rewards, terminations, truncations, infos
 
-    def _told(
+    def _with_team(
         self, infos: Mapping[str, Any], own: Mapping[str, float], means: Mapping[int, float]
     ) -> dict[str, dict[str, Any]]:
         return {

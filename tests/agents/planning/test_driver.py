@@ -100,13 +100,13 @@ def test_a_kart_decides_alone_as_among_others(name):
 
 
 def test_a_crowd_sees_what_the_full_view_tells():
-    crowd = None
+    batched_view = None
     for count, (env, own, around, *_) in enumerate(driven_race(90)):
-        crowd = crowd or BatchedRacingView([RoadTable(env.track_map)])
+        batched_view = batched_view or BatchedRacingView([RoadTable(env.track_map)])
         if count % 15:
             continue
         karts = np.array(env.race.kart_indices)
-        own_too, around_too = crowd.surroundings([env.snapshot], [0], [karts], ALL_LOOKS)
+        own_too, around_too = batched_view.surroundings([env.snapshot], [0], [karts], ALL_LOOKS)
         here, there = PlanDriver(3).view(own, around), PlanDriver(3).view(own_too, around_too)
         np.testing.assert_allclose(here.inputs, there.inputs, atol=1e-3)
         np.testing.assert_allclose(here.prior, there.prior, atol=1e-2)

@@ -81,12 +81,12 @@ def test_in_a_race_they_are_as_fast_as_the_engine_says():
     errors = []
     with race_v0.parallel_env(num_kart=5, agents=1, track="lighthouse", difficulty=3) as env:
         env.reset(seed=3)
-        crowd, tracker = BatchedRacingView([RoadTable(env.track_map)]), RivalTracker(5)
+        batched_view, tracker = BatchedRacingView([RoadTable(env.track_map)]), RivalTracker(5)
         idle = {agent: env.action_space(agent).sample() for agent in env.agents}
         for step in range(100):
             env.step(idle)
             karts = env.snapshot.karts
-            _, around = crowd.surroundings([env.snapshot], [0], [np.arange(5)], ALL_LOOKS)
+            _, around = batched_view.surroundings([env.snapshot], [0], [np.arange(5)], ALL_LOOKS)
             tracker.look()
             velocity = karts["velocity_lc"]
             seen = tracker.watch(around.karts, velocity, RoadAhead.of(around.road[:, len(LOOKS) :]))
