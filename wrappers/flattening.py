@@ -74,6 +74,14 @@ class SpaceFlattener:
             for name, parts in self.parts.items()
         }
 
+    def continuous(self, value: Mapping[str, Any]) -> npt.NDArray[np.float32]:
+        """The numbers of a value of the space, ``(..., n)`` float32."""
+        return self.flatten_parts(value)["continuous"]
+
+    def discrete(self, value: Mapping[str, Any]) -> npt.NDArray[np.int64]:
+        """The choices of a value of the space, ``(..., m)`` int64."""
+        return self.flatten_parts(value)["discrete"]
+
     def flatten(self, value: Mapping[str, Any]) -> Any:
         """A value of the given space as a value of ``self.space``."""
         vectors = self.flatten_parts(value)
