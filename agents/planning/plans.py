@@ -2,7 +2,7 @@
 
 A plan says, moment by moment, between which shares of full lock the kart may turn, whether it
 drifts, and which lane of the road it steers for. All tables have the same number of plans, so
-that those of many karts stand in one array; plans that a kart does not have are marked.
+one array can hold those of many karts; plans that a kart does not have are marked.
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ class AgentChain:
         action_space: what the agent chooses from, before all wrappers.
         base_observation_space: the innermost observations.
         base_action_space: the innermost actions.
-        is_pure: whether no wrapper but pure functions of this package is among them.
+        is_pure: whether the wrappers that run here are all pure functions of this package.
 
     Args:
         agent: the agent's id.
@@ -75,14 +75,16 @@ class AgentChain:
         self._split_step: SplitStep | None = None
         with agent_failures(agent, "wrap its environment"):
             self.env = self._mono if factory is None else factory(self._mono)
-            self._wrappers = _wrappers_between(self.env, self._mono)
+            self._set_wrappers(_wrappers_between(self.env, self._mono))
             self.observation_space = self.env.observation_space
             self.action_space = self.env.action_space
         self._door: MonoAgentEnv | CompiledPart = self._mono
         self._owners = (*self._wrappers, self._mono)
-        self._is_plain = all(map(_has_plain_step, self._wrappers))
-        self.is_pure = all(_is_compiled(w) and not w.has_memory for w in self._wrappers)
-        self._remembers = not self.is_pure
+
+    def _set_wrappers(self, wrappers: tuple[Any, ...]) -> None:
+        self._wrappers = wrappers
+        self._is_plain = all(map(_has_plain_step, wrappers))
+        self.is_pure = all(_is_compiled(w) and not w.has_memory for w in wrappers)
 
     def compile(self, columns: Sequence[str]) -> ViewPlan:
         """Leaves the wrappers that the kernel can do, the innermost ones, to the kernel.
@@ -108,9 +110,7 @@ class AgentChain:
         if compiled is not None and walked:
             walked[-1].env = self._door = CompiledPart(compiled)
             self._owners = (*self._owners, self._door)
-        self._wrappers = tuple(walked)
-        self._remembers = not all(_is_compiled(w) and not w.has_memory for w in walked)
-        self._is_plain = all(map(_has_plain_step, walked))
+        self._set_wrappers(tuple(walked))
         return plan
 
     @property
@@ -229,7 +229,7 @@ class AgentChain:
         Raises:
             AgentException: they hold something that cannot be copied.
         """
-        if not self._remembers:
+        if self.is_pure:
             return None
         self.abandon()
         with agent_failures(self.agent, "have their state copied"):
@@ -242,7 +242,7 @@ class AgentChain:
             AgentException: it is one of other wrappers.
         """
         with agent_failures(self.agent, "take over a saved state"):
-            if self._remembers == (memory is None):
+            if self.is_pure != (memory is None):
                 raise TypeError("they are of another kind than the state's")
             if memory is not None:
                 memory.check(self._owners)
