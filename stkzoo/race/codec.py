@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import msgpack
@@ -65,11 +66,9 @@ _DTYPE_NAMES = ", ".join(dtype.name for dtype in _CODES)
 _SCALARS = frozenset(dtype.type for dtype in _CODES)
 _MAX_AXES = 8
 
-_LEAVES = frozenset({type(None), bool, int, float, str, bytes, np.ndarray}) | _SCALARS
-_CONTAINERS = frozenset({list, tuple, dict})
-_PLAIN = _LEAVES | _CONTAINERS
-
-#: Base types that subclasses are converted to.
+#: Types of values without parts. Subclasses are converted to their base types.
+_PLAIN = (type(None), bool, int, float, str, bytes, np.ndarray, *_SCALARS)
+_LEAVES = frozenset(_PLAIN)
 _BASES: tuple[Any, ...] = (str, int, float, bytes, list, dict)
 
 
@@ -83,8 +82,9 @@ def encode(message: object, limits: Limits = LIMITS) -> bytes:
         ProtocolError: the message is not plain data, or exceeds a limit.
     """
     try:
-        data = _Encoder(limits).encode(message, 0)
-    except (ValueError, TypeError, OverflowError, RecursionError) as error:
+        _check(message, limits, 0)
+        data = _pack(message)
+    except (ValueError, TypeError, OverflowError) as error:
         raise ProtocolError(f"a message that cannot be sent: {error}") from error
     _check_size(data, limits)
     return data
@@ -98,7 +98,7 @@ def decode(data: bytes | bytearray | memoryview, limits: Limits = LIMITS) -> Any
     """
     _check_size(data, limits)
     try:
-        message = _Decoder(limits).decode(data, 0)
+        message = _unpack(data, limits, 0)
         _check(message, limits, 0)
     except ProtocolError:
         raise
@@ -117,114 +117,62 @@ def _check_size(data: bytes | bytearray | memoryview, limits: Limits) -> None:
 
 def _check(value: Any, limits: Limits, depth: int) -> None:
     """Rejects a message that is too deep or too wide, or has anything but plain data."""
-    kind = type(value)
-    if kind not in _CONTAINERS:
-        if kind not in _PLAIN:
-            raise ProtocolError(f"a message has a {kind.__name__} in it, expected plain data")
+    kind = type(value).__name__
+    if not isinstance(value, (list, tuple, dict)):
+        if not isinstance(value, _PLAIN):
+            raise ProtocolError(
+                f"a message has a {kind} in it, expected plain data: numbers, text, bytes, numpy "
+                "arrays, and lists, tuples and dicts of these"
+            )
         return
     if depth >= limits.max_depth:
         raise ProtocolError(f"a message is deeper than {limits.max_depth} levels")
     if len(value) > limits.max_length:
         raise ProtocolError(
-            f"a {kind.__name__} of {len(value)} elements, expected at most {limits.max_length}"
+            f"a {kind} of {len(value)} elements, expected at most {limits.max_length}"
         )
-    if kind is dict:
-        _check_keys(value)
+    if isinstance(value, dict):
+        for key in value:
+            if not isinstance(key, str):
+                raise ProtocolError(f"a dict has the key {key!r:.100}, expected text")
         value = value.values()
     if not _LEAVES.issuperset(map(type, value)):
         for item in value:
             _check(item, limits, depth + 1)
 
 
-def _check_keys(value: dict[Any, Any]) -> None:
-    for key in value:
-        if type(key) is not str:
-            raise ProtocolError(f"a dict has the key {key!r:.100}, expected text")
+def _pack(value: object) -> bytes:
+    data: bytes = msgpack.packb(value, default=_extended, strict_types=True)
+    return data
 
 
-class _Encoder:
-    """Encodes one message and tracks its depth."""
-
-    def __init__(self, limits: Limits) -> None:
-        self._limits = limits
-        self._depth = 0
-
-    def encode(self, value: object, depth: int) -> bytes:
-        self._depth, above = depth, self._depth
-        if depth > self._limits.max_depth:
-            raise ProtocolError(f"a message is deeper than {self._limits.max_depth} levels")
-        if type(value) in (dict, list):
-            value = self._plain(value, depth)
-        data: bytes = msgpack.packb(value, default=self._extended, strict_types=True)
-        self._depth = above
-        return data
-
-    def _plain(self, value: Any, depth: int) -> Any:
-        """Checks dicts and lists, which msgpack packs itself."""
-        if depth >= self._limits.max_depth:
-            raise ProtocolError(f"a message is deeper than {self._limits.max_depth} levels")
-        if len(value) > self._limits.max_length:
-            raise ProtocolError(
-                f"{len(value)} elements, expected at most {self._limits.max_length}"
-            )
-        if type(value) is dict:
-            if set(map(type, value)) - {str}:
-                value = {_key(key): item for key, item in value.items()}
-            items = value.values()
-        else:
-            items = value
-        for item in items:
-            if type(item) in (dict, list):
-                self._plain(item, depth + 1)
-        return value
-
-    def _extended(self, value: Any) -> Any:
-        """A value of another type, converted for msgpack."""
-        if isinstance(value, tuple):
-            rows = _as_rows(value, self._limits)
-            if rows is not None:
-                return rows
-            return msgpack.ExtType(_TUPLE, self.encode(list(value), self._depth + 1))
-        if isinstance(value, np.ndarray):
-            return msgpack.ExtType(_ARRAY, _array_bytes(value))
-        if isinstance(value, np.generic) and type(value) in _SCALARS:
-            return msgpack.ExtType(_SCALAR, bytes((_CODES[value.dtype],)) + value.tobytes())
-        if isinstance(value, Encoded):
-            return msgpack.ExtType(_ENCODED, bytes(value))
-        for kind in _BASES:
-            if isinstance(value, kind):
-                plain = kind(value)
-                return self._plain(plain, self._depth + 1) if kind in (list, dict) else plain
-        raise ProtocolError(
-            f"a message has a {type(value).__name__} in it, expected plain data: numbers, text, "
-            "bytes, numpy arrays, and lists, tuples and dicts of these"
-        )
+def _extended(value: Any) -> Any:
+    """A value that msgpack does not know, in a form that it does."""
+    if isinstance(value, tuple):
+        return _as_rows(value) or msgpack.ExtType(_TUPLE, _pack(list(value)))
+    if isinstance(value, np.ndarray):
+        return msgpack.ExtType(_ARRAY, _array_bytes(value))
+    if type(value) in _SCALARS:
+        return msgpack.ExtType(_SCALAR, bytes((_CODES[value.dtype],)) + value.tobytes())
+    if isinstance(value, Encoded):
+        return msgpack.ExtType(_ENCODED, bytes(value))
+    for kind in _BASES:
+        if isinstance(value, kind):
+            return kind(value)
+    raise TypeError(f"it has a {type(value).__name__} in it")
 
 
-def _key(key: object) -> str:
-    if not isinstance(key, str):
-        raise ProtocolError(f"a dict has the key {key!r:.100}, expected text")
-    return str(key)
-
-
-def _as_rows(items: tuple[Any, ...], limits: Limits) -> msgpack.ExtType | None:
+def _as_rows(items: tuple[Any, ...]) -> msgpack.ExtType | None:
     """Arrays or scalars of one dtype and shape as one array, else ``None``."""
-    if len(items) < 2 or len(items) > limits.max_length:
-        return None
-    first = items[0]
-    if type(first) in _SCALARS:
-        if set(map(type, items)) != {type(first)}:
-            return None
+    first = items[0] if len(items) > 1 else None
+    if type(first) in _SCALARS and set(map(type, items)) == {type(first)}:
         return msgpack.ExtType(_ROWS, _array_bytes(np.array(items)))
-    if type(first) is not np.ndarray:
-        return None
-    shape, dtype, count = first.shape, first.dtype, len(items)
-    if not 0 < len(shape) < _MAX_AXES or dtype not in _CODES:
-        return None
-    data = join_rows(items)
-    if data is None:
-        return None
-    return msgpack.ExtType(_ROWS, _header(_CODES[dtype], (count, *shape)) + data)
+    if type(first) is np.ndarray and 0 < first.ndim < _MAX_AXES and first.dtype in _CODES:
+        data = join_rows(items)
+        if data is not None:
+            shape = len(items), *first.shape
+            return msgpack.ExtType(_ROWS, _header(_CODES[first.dtype], shape) + data)
+    return None
 
 
 def _array_bytes(array: npt.NDArray[Any]) -> bytes:
@@ -246,52 +194,37 @@ def _header(code: int, shape: tuple[int, ...]) -> bytes:
         raise ProtocolError(f"an array of shape {shape} is too large") from None
 
 
-class _Decoder:
-    """Decodes one message."""
+def _unpack(data: Any, limits: Limits, depth: int) -> Any:
+    if depth > limits.max_depth:
+        raise ProtocolError(f"a message is deeper than {limits.max_depth} levels")
+    longest = min(limits.max_length, len(data))
+    return msgpack.unpackb(
+        data,
+        ext_hook=partial(_of_extension, limits, depth + 1),
+        strict_map_key=True,
+        max_array_len=longest,
+        max_map_len=longest,
+    )
 
-    def __init__(self, limits: Limits) -> None:
-        self._limits = limits
-        self._depth = 0
 
-    def decode(self, data: Any, depth: int) -> Any:
-        if depth > self._limits.max_depth:
-            raise ProtocolError(f"a message is deeper than {self._limits.max_depth} levels")
-        self._depth, above = depth, self._depth
-        longest, size = min(self._limits.max_length, len(data)), len(data)
-        value = msgpack.unpackb(
-            data,
-            ext_hook=self._extended,
-            strict_map_key=True,
-            max_array_len=longest,
-            max_map_len=longest,
-            max_str_len=size,
-            max_bin_len=size,
-            max_ext_len=size,
-        )
-        self._depth = above
-        return value
-
-    def _extended(self, code: int, data: bytes) -> Any:
-        if code == _ARRAY:
-            return _array_of(data)
-        if code == _ROWS:
-            return self._rows_of(data)
-        if code == _TUPLE:
-            items = self.decode(data, self._depth + 1)
-            if type(items) is not list:
-                raise ProtocolError("a tuple came without a list of items")
-            return tuple(items)
-        if code == _ENCODED:
-            return self.decode(data, self._depth + 1)
-        if code == _SCALAR:
-            return _array_from(data[0], (), data[1:])[()]
-        raise ProtocolError(f"extension type {code} came, expected 1 to 5")
-
-    def _rows_of(self, data: bytes) -> tuple[Any, ...]:
+def _of_extension(limits: Limits, depth: int, code: int, data: bytes) -> Any:
+    if code == _ARRAY:
+        return _array_of(data)
+    if code == _ROWS:
         array = _array_of(data)
-        if not array.ndim or len(array) > self._limits.max_length:
+        if not array.ndim or len(array) > limits.max_length:
             raise ProtocolError(f"a row of arrays came as an array of shape {array.shape}")
         return tuple(array)
+    if code == _TUPLE:
+        items = _unpack(data, limits, depth)
+        if type(items) is not list:
+            raise ProtocolError("a tuple came without a list of items")
+        return tuple(items)
+    if code == _ENCODED:
+        return _unpack(data, limits, depth)
+    if code == _SCALAR:
+        return _array_from(data[0], (), data[1:])[()]
+    raise ProtocolError(f"extension type {code} came, expected 1 to 5")
 
 
 def _array_of(data: bytes) -> npt.NDArray[Any]:
