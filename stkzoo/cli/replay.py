@@ -119,12 +119,7 @@ def _show(replay: Replay, playback: Playback, *, as_json: bool) -> None:
 
 def _show_info(replay: Replay, *, as_json: bool) -> None:
     if as_json:
-        from dataclasses import asdict
-
-        values = asdict(replay)
-        del values["controls"], values["digests"]
-        values["result"] = json.loads(replay.result.to_json()) if replay.result else None
-        print(json.dumps({**values, "steps": replay.steps}, indent=2))
+        print(json.dumps(replay.to_dict(), indent=2))
         return
     way = ", reversed" if replay.reverse else ""
     seconds = replay.steps * replay.step_size

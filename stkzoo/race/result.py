@@ -6,8 +6,11 @@ import contextlib
 import json
 import math
 import platform
+import types
+import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, is_dataclass
+from functools import cache
 from importlib.metadata import version
 from typing import Any
 
@@ -143,10 +146,13 @@ class RaceResult:
         """Whether an agent failed."""
         return any(agent.num_errors for agent in self.agents)
 
+    def to_dict(self) -> dict[str, Any]:
+        """The result as JSON values, with this class's field names and a ``schema_version``."""
+        return {"type": "race-result", "schema_version": SCHEMA_VERSION, **asdict(self)}
+
     def to_json(self) -> str:
-        """The result as JSON, with this class's field names and a ``schema_version``."""
-        document = {"type": "race-result", "schema_version": SCHEMA_VERSION, **asdict(self)}
-        return json.dumps(document, indent=2, allow_nan=False)
+        """:meth:`to_dict` as text."""
+        return json.dumps(self.to_dict(), indent=2, allow_nan=False)
 
     @classmethod
     def from_json(cls, text: str) -> RaceResult:
@@ -156,9 +162,8 @@ class RaceResult:
             ConfigError: the text is something else, or of a later version.
         """
         with reading("the text is not a race result", "a file from `stkzoo race --output`"):
-            document = read_document(text, "race-result", SCHEMA_VERSION)
-            agents = tuple(_agent_of(entry) for entry in document["agents"])
-            return cls(**{**_known(cls, document), "agents": agents})
+            result: RaceResult = typed(cls, read_document(text, "race-result", SCHEMA_VERSION))
+            return result
 
 
 @contextlib.contextmanager
@@ -208,6 +213,42 @@ def _finite(text: str) -> float:
     return number
 
 
+def typed(hint: Any, value: Any, name: str = "the document") -> Any:
+    """A JSON value as the type of a dataclass's field.
+
+    Objects become dataclasses, without entries that are no fields: later versions may have
+    others. Lists become tuples. Texts lose control codes, which a terminal would obey.
+
+    Args:
+        hint: the type: a dataclass, a tuple, a dict, a plain type, or one of these or ``None``.
+        value: the value.
+        name: what it is, for the error.
+
+    Raises:
+        TypeError: it has another type, or an entry is missing.
+    """
+    if isinstance(hint, types.UnionType):
+        return None if value is None else typed(typing.get_args(hint)[0], value, name)
+    kind: Any = typing.get_origin(hint) or hint
+    parts = typing.get_args(hint)
+    if isinstance(kind, type) and is_dataclass(kind) and type(value) is dict:
+        hints = _hints(kind)
+        return kind(**{key: typed(hints[key], value[key], key) for key in value if key in hints})
+    if kind is tuple and type(value) is list:
+        return tuple(typed(parts[0], entry, name) for entry in value)
+    if kind in (dict, Mapping) and type(value) is dict:
+        return {printable(key): typed(parts[1], value[key], key) for key in value}
+    is_number = kind in (int, float) and type(value) is int
+    if (is_number and abs(value) >= 2**63) or (type(value) is not kind and kind is not float):
+        raise TypeError(f"{name} is {value!r:.60}, expected {kind.__name__}")
+    return printable(value) if kind is str else value
+
+
+@cache
+def _hints(kind: Any) -> dict[str, Any]:
+    return typing.get_type_hints(kind)
+
+
 def read_document(text: str, kind: str, version: int) -> dict[str, Any]:
     """The value of a JSON text of a type and version.
 
@@ -222,30 +263,15 @@ def read_document(text: str, kind: str, version: int) -> dict[str, Any]:
         json.JSONDecodeError: see :func:`read_json`.
     """
     document: dict[str, Any] = read_json(text)
+    check_document(document, kind, version)
+    return document
+
+
+def check_document(document: Mapping[str, Any], kind: str, version: int) -> None:
+    """Checks the type and version of a document; raises as :func:`read_document`."""
     found = document["type"], document["schema_version"]
     if found != (kind, version):
         raise ConfigError(
             f"the file is a {found[0]} of version {found[1]}, expected a {kind} of version "
             f"{version}; another version of stkzoo wrote it"
         )
-    return document
-
-
-def _agent_of(document: dict[str, Any]) -> AgentResult:
-    errors = tuple(AgentFailure(**_shown(AgentFailure, entry)) for entry in document["errors"])
-    seconds = document["action_time"]
-    action_time = None if seconds is None else ActionTime(**_known(ActionTime, seconds))
-    known = _shown(AgentResult, document)
-    return AgentResult(**{**known, "errors": errors, "action_time": action_time})
-
-
-def _shown(kind: type[Any], document: dict[str, Any]) -> dict[str, Any]:
-    """:func:`_known`, without what a terminal would obey."""
-    known = _known(kind, document).items()
-    return {name: printable(v) if isinstance(v, str) else v for name, v in known}
-
-
-def _known(kind: type[Any], document: dict[str, Any]) -> dict[str, Any]:
-    """The entries that are fields; later versions may have others."""
-    names = {entry.name for entry in fields(kind)}
-    return {name: value for name, value in document.items() if name in names}

@@ -13,7 +13,7 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 from zipfile import ZIP_DEFLATED, ZIP_STORED
 
 import numpy as np
@@ -22,14 +22,14 @@ import numpy.typing as npt
 from stkzoo._os import write_whole
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.env.options import RaceOptions
-from stkzoo.errors import ConfigError, StkzooError
-from stkzoo.race.agents.failures import printable
-from stkzoo.race.result import RaceResult
+from stkzoo.errors import StkzooError
+from stkzoo.race.result import SCHEMA_VERSION, RaceResult, check_document, read_json, typed
 
 #: Bytes of one digest.
 DIGEST_SIZE = 8
 
 _BUTTONS = CONTROLS[2:]
+_ARRAYS = ("controls", "digests")
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +102,12 @@ class Replay:
         """Whether an interrupt or an error ended the race."""
         return self.result is None or self.status == "interrupted"
 
+    def to_dict(self) -> dict[str, Any]:
+        """All but the arrays, as JSON values."""
+        result = self.result.to_dict() if self.result else None
+        values = {**asdict(self), "result": result, "steps": self.steps}
+        return {name: value for name, value in values.items() if name not in _ARRAYS}
+
 
 def next_digest(digest: bytes, snapshot: Snapshot) -> bytes:
     """The next link of a hash chain, which depends on the positions of all karts so far.
@@ -137,12 +143,7 @@ _ABOUT, _CONTROLS, _DIGESTS = "race.json", "controls.f4", "digests.u1"
 
 _MAX_FILE = 64 << 20  # [bytes]
 _MAX_MEMBER = {_ABOUT: 8 << 20, _CONTROLS: 256 << 20, _DIGESTS: 16 << 20}
-_MAX_KARTS, _MAX_TRACKS, _MAX_INTEGER = 256, 10_000, 2**63
-#: Types of the plain fields.
-_FIELDS, _AGENT_FIELDS = (
-    {name: kind for name, kind in get_type_hints(record).items() if kind in (bool, int, float, str)}
-    for record in (Replay, ReplayAgent)
-)
+_MAX_KARTS, _MAX_TRACKS = 256, 10_000
 #: Fields that are options of the environment too.
 _SETTINGS = ("track", "reverse", "laps", "difficulty", "max_paths", "step_size")
 #: A fixed date in the zip makes equal replays equal files.
@@ -159,13 +160,7 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> None:
     Raises:
         ReplayError: the file cannot be written.
     """
-    about = asdict(replay) | {
-        "result": json.loads(replay.result.to_json()) if replay.result else None,
-        "versions": dict(replay.versions),
-        "steps": replay.steps,
-    }
-    del about["controls"], about["digests"]
-    header = {"type": _TYPE, "format": FORMAT, **about}
+    header = {"type": _TYPE, "format": FORMAT, **replay.to_dict()}
     members = {
         _ABOUT: json.dumps(header, indent=1).encode(),
         _CONTROLS: replay.controls.astype("<f4").tobytes(),
@@ -204,7 +199,7 @@ def load_replay(path: str | os.PathLike[str]) -> Replay:
         return _replay_of(members)
     except ReplayError as error:
         raise ReplayError(f"the replay {file}: {error}") from None
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise _damaged(file, f"{type(error).__name__}: {error}") from error
 
 
@@ -246,37 +241,27 @@ def _members(file: Path) -> dict[str, bytes]:
 
 
 def _replay_of(members: dict[str, bytes]) -> Replay:
-    header = json.loads(members[_ABOUT])
+    header = read_json(members[_ABOUT].decode())
     _check_version(header)
-    fields = {name: _field(header, name, kind) for name, kind in _FIELDS.items()}
-    agents = tuple(
-        ReplayAgent(**{name: _field(entry, name, kind) for name, kind in _AGENT_FIELDS.items()})
-        for entry in _list(header, "agents", 1, _MAX_KARTS)
-    )
-    steps, count = _field(header, "steps", int), len(agents)
-    positions = tuple(_list(header, "start_positions", count, count))
-    kart_types = tuple(_list(header, "kart_types", count, count))
-    if sorted(positions) != list(range(1, count + 1)):
+    if header["result"] is not None:
+        check_document(header["result"], "race-result", SCHEMA_VERSION)
+    count = len(header["agents"])
+    if not 1 <= count <= _MAX_KARTS:
+        raise ValueError(f"{count} agents, expected 1 to {_MAX_KARTS}")
+    controls = _controls(members[_CONTROLS], count)
+    digests = np.frombuffer(members[_DIGESTS], np.uint8).reshape(len(controls) + 1, DIGEST_SIZE)
+    replay: Replay = typed(Replay, header | {"controls": controls, "digests": digests})
+    if header["steps"] != replay.steps:
+        raise ValueError(f"steps is {header['steps']!r:.60}, expected {replay.steps}")
+    if sorted(replay.start_positions) != list(range(1, count + 1)):
         raise ValueError("start_positions does not have each place once")
-    if not all(isinstance(kart, str) for kart in kart_types):
-        raise TypeError("kart_types has entries that are not text")
-    if header["max_paths"] is not None:
-        fields["max_paths"] = _field(header, "max_paths", int)
-    settings: dict[str, Any] = {name: fields.get(name) for name in _SETTINGS}
+    if len(replay.kart_types) != count:
+        raise ValueError(f"kart_types has {len(replay.kart_types)} entries, expected {count}")
+    settings: dict[str, Any] = {name: getattr(replay, name) for name in _SETTINGS}
     RaceOptions(num_kart=count, **settings)  # checks the values
-    if not 1 <= fields["num_tracks"] <= _MAX_TRACKS:
-        raise ValueError(f"num_tracks is {fields['num_tracks']}, expected 1 to {_MAX_TRACKS}")
-    versions = _field(header, "versions", dict)
-    return Replay(
-        **{"max_paths": None, **fields},
-        start_positions=positions,
-        kart_types=kart_types,
-        agents=agents,
-        controls=_controls(members[_CONTROLS], steps, count),
-        digests=np.frombuffer(members[_DIGESTS], np.uint8).reshape(steps + 1, DIGEST_SIZE),
-        result=_result(header["result"]),
-        versions={printable(name): printable(value) for name, value in versions.items()},
-    )
+    if not 1 <= replay.num_tracks <= _MAX_TRACKS:
+        raise ValueError(f"num_tracks is {replay.num_tracks}, expected 1 to {_MAX_TRACKS}")
+    return replay
 
 
 def _check_version(header: Any) -> None:
@@ -290,37 +275,11 @@ def _check_version(header: Any) -> None:
         )
 
 
-def _controls(data: bytes, steps: int, count: int) -> npt.NDArray[np.float32]:
-    controls = np.frombuffer(data, "<f4").reshape(steps, count, len(CONTROLS))
+def _controls(data: bytes, count: int) -> npt.NDArray[np.float32]:
+    controls = np.frombuffer(data, "<f4").reshape(-1, count, len(CONTROLS))
     low = np.array([0, -1, 0, 0, 0, 0, 0], np.float32)
     is_button = np.arange(len(CONTROLS)) >= 2
     good = (controls >= low) & (controls <= 1)  # false for NaN
     if not (good & (~is_button | (controls == np.round(controls)))).all():
         raise ValueError(f"{_CONTROLS} has invalid controls")
     return controls.astype(np.float32)
-
-
-def _result(header: Any) -> RaceResult | None:
-    if header is None:
-        return None
-    try:
-        return RaceResult.from_json(json.dumps(header))
-    except ConfigError as error:
-        raise ReplayError(f"its result cannot be read: {error}") from None
-
-
-def _field(header: Any, name: str, kind: type[Any]) -> Any:
-    """A field of exactly this type; a number in bounds, a text without control codes."""
-    value = header[name]
-    if type(value) is not kind:
-        raise TypeError(f"{name} is {value!r:.60}")
-    if kind is int and not 0 <= value <= _MAX_INTEGER:
-        raise ValueError(f"{name} is {value}, expected 0 to {_MAX_INTEGER}")
-    return printable(value) if kind is str else value  # terminals show it
-
-
-def _list(header: Any, name: str, low: int, high: int) -> list[Any]:
-    value: list[Any] = _field(header, name, list)
-    if not low <= len(value) <= high:
-        raise ValueError(f"{name} has {len(value)} entries, expected {low} to {high}")
-    return value
