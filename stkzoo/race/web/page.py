@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import Any
 
 from stkzoo.engine.snapshot import Snapshot
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, check_whole, import_extra
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.result import RaceResult
 from stkzoo.race.web.control import RaceControl
-from stkzoo.race.web.feed import RaceFeed
+from stkzoo.race.web.feed import RaceNews, text_of
 from stkzoo.race.web.messages import control_rows, moment_message, race_message, trace_row
 from stkzoo.render.scene import Scene
-
-if TYPE_CHECKING:
-    from stkzoo.race.web.server import LiveServer
 
 
 class RaceBroadcast:
@@ -32,6 +29,10 @@ class RaceBroadcast:
         speed: multiple of real time: 1, 2 or 4, or ``None`` for no limit.
         paused: wait on the grid until a viewer lets the race run.
 
+    Attributes:
+        port: port that the page is served on.
+        url: address of the page, with the key for control if one is needed.
+
     Raises:
         ConfigError: an argument is invalid, the port is taken, or aiohttp is missing.
     """
@@ -44,27 +45,15 @@ class RaceBroadcast:
         speed: float | None = 1.0,
         paused: bool = False,
     ) -> None:
-        if not isinstance(port, int) or isinstance(port, bool) or not 0 <= port <= 65535:
-            raise ConfigError(f"port is {port!r}, expected a whole number from 0 to 65535")
+        check_whole("port", port, 0, 65535)
+        import_extra("aiohttp", "the live page needs", "web")
+        from stkzoo.race.web.server import LiveServer
+
         self.control = RaceControl(speed, paused=paused)
-        self._feed = RaceFeed()
-        self._server = _server(host, port, self._feed, self.control)
+        self._server = LiveServer(host, port, self.control)
+        self.control.on_change = self._server.wake
+        self.port, self.url = self._server.port, self._server.url
         self._scene: Scene | None = None
-        self.control.on_change = self._publish_state
-        self._publish_state()
-
-    @property
-    def port(self) -> int:
-        """Port that the page is served on."""
-        return self._server.port
-
-    @property
-    def url(self) -> str:
-        """Address of the page, with the key for control if one is needed."""
-        address = self._server.address
-        host = f"[{address}]" if ":" in address else address
-        key = f"#key={self._server.key}" if self._server.key else ""
-        return f"http://{host}:{self.port}/{key}"
 
     @property
     def num_viewers(self) -> int:
@@ -90,7 +79,9 @@ class RaceBroadcast:
             details: see :meth:`add`.
         """
         self._scene = scene
-        self._feed.set_race(race_message(scene, sources or {}, seed))
+        agents = tuple(f"kart_{number}" for number in range(len(scene.kart_indices)))
+        race = text_of(lambda: race_message(scene, sources or {}, seed))
+        self._server.show(RaceNews(race, agents))
         self.control.begin()
         self.add(snapshot, 0, details=details)
 
@@ -125,14 +116,15 @@ class RaceBroadcast:
             totals[kart] = (rewards or {}).get(f"kart_{number}", 0.0)
         controls = control_rows(scene, snapshot, actions or {})
         traces = trace_row(scene, snapshot, controls, totals)
-        self._feed.traces.add(steps, traces)
+        news = self._server.news
+        news.traces.add(steps, traces)
 
         def make_message() -> dict[str, Any]:
             message = moment_message(scene, snapshot, steps, traces, controls)
             return {**message, "failures": dict(failures or {})}
 
-        self._feed.set_moment(steps, make_message, details or {})
-        self._server.wake()
+        moment = text_of(make_message)
+        self._server.show(replace(news, moment=moment, steps=steps, details=details or {}))
 
     def wait_turn(self) -> bool:
         """Waits until the viewers let the race continue.
@@ -147,19 +139,15 @@ class RaceBroadcast:
         """Ends the race.
 
         Args:
-            result: in the form of :meth:`stkzoo.race.RaceResult.to_json`.
+            result: in the form of :meth:`stkzoo.race.RaceResult.to_dict`.
         """
         self.control.finish()
-        self._feed.set_result({"type": "result", "result": result})
-        self._server.wake()
+        message = text_of(lambda: {"type": "result", "result": result})
+        self._server.show(replace(self._server.news, result=message))
 
     def close(self) -> None:
         """Ends the page; viewers keep what they received. May be called again."""
         self._server.close()
-
-    def _publish_state(self) -> None:
-        self._feed.set_state(lambda: {"type": "state", **self.control.state})
-        self._server.wake()
 
 
 class LivePage(RaceBroadcast, RaceListener):
@@ -200,7 +188,7 @@ class LivePage(RaceBroadcast, RaceListener):
 
     def ended(self, result: RaceResult) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        self.finish(json.loads(result.to_json()))
+        self.finish(result.to_dict())
         if self._stay and result.status != "interrupted":
             try:
                 self.control.wait_stop()
@@ -228,13 +216,3 @@ def _details(race: RaceProgress) -> dict[str, dict[str, Any]]:
         if agent in race.seconds:
             details[agent]["thinking"] = {"milliseconds": 1000 * race.seconds[agent]}
     return details
-
-
-def _server(host: str, port: int, feed: RaceFeed, control: RaceControl) -> LiveServer:
-    try:
-        from stkzoo.race.web.server import LiveServer
-    except ImportError as error:
-        raise ConfigError(
-            "the live page needs aiohttp, which is not installed: pip install 'stkzoo[web]'"
-        ) from error
-    return LiveServer(host, port, feed, control)

@@ -11,15 +11,15 @@ import secrets
 import socket
 import threading
 from collections.abc import Awaitable, Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlsplit
 
 from aiohttp import web
 
 from stkzoo.errors import ConfigError
 from stkzoo.race.web.control import RaceControl
-from stkzoo.race.web.feed import RaceFeed
+from stkzoo.race.web.feed import RaceNews
 from stkzoo.race.web.viewer import PROTOCOL_VERSION, Viewer
 
 logger = logging.getLogger(__name__)
@@ -110,39 +110,45 @@ def _address_of(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | No
 class LiveServer:
     """The page and its viewers. It serves from the moment it is made.
 
+    Attributes:
+        news: what it shows.
+        port: the port that it listens on.
+        url: address of the page, with the key for control if one is needed.
+
     Args:
         host: address or name to listen on.
         port: its port; 0 takes a free one.
-        feed: the messages to show.
         control: the control of the race.
 
     Raises:
         ConfigError: the address or port is not available.
     """
 
-    def __init__(self, host: str, port: int, feed: RaceFeed, control: RaceControl) -> None:
-        self._feed, self._control = feed, control
-        self._guard = RequestGuard(host)
+    def __init__(self, host: str, port: int, control: RaceControl) -> None:
+        self.news = RaceNews()
+        self._control, self._guard = control, RequestGuard(host)
         self._pages = {f"/{file.name}": file for file in _FILES.iterdir() if file.is_file()}
         self._pages["/"] = _FILES / "index.html"
         self._viewers: set[Viewer] = set()
         self._is_waking = False
         self._listener = _listener(host, port)
         self.port: int = self._listener.getsockname()[1]
-        self.address = _shown(host)
+        address, key = _shown(host, self._listener), self._guard.key
+        shown = f"[{address}]" if ":" in address else address
+        self.url = f"http://{shown}:{self.port}/{key and f'#key={key}'}"
         self._loop, self._closing = asyncio.new_event_loop(), asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="stkzoo-live-page", daemon=True)
         self._thread.start()
 
     @property
-    def key(self) -> str:
-        """Key that a viewer needs for control; empty if none."""
-        return self._guard.key
-
-    @property
     def num_viewers(self) -> int:
         """Number of viewers."""
         return len(self._viewers)
+
+    def show(self, news: RaceNews) -> None:
+        """Shows something else; from the race's thread, returns at once."""
+        self.news = news
+        self.wake()
 
     def wake(self) -> None:
         """Wakes the viewers' senders; from any thread, returns at once."""
@@ -228,7 +234,7 @@ class LiveServer:
         )
         await connection.prepare(request)
         may_steer = self._guard.may_steer(request.query.get("key", ""))
-        viewer = Viewer(connection, self._feed, self._control, may_steer=may_steer)
+        viewer = Viewer(connection, lambda: self.news, self._control, may_steer=may_steer)
         self._viewers.add(viewer)
         try:
             await viewer.serve()
@@ -239,7 +245,8 @@ class LiveServer:
 
 def _listener(host: str, port: int) -> socket.socket:
     try:
-        family, _, _, _, address = _resolved(host, port)[0]
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        family, _, _, _, address = found[0]
         return socket.create_server(address[:2], family=family)
     except (OSError, OverflowError) as error:
         raise ConfigError(
@@ -248,19 +255,12 @@ def _listener(host: str, port: int) -> socket.socket:
         ) from error
 
 
-def _shown(host: str) -> str:
+def _shown(host: str, listener: socket.socket) -> str:
     """The address to open in a browser: this machine's own for a wildcard address."""
-    try:
-        family, _, _, _, (address, *_) = _resolved(host, 0)[0]
-        if not ipaddress.ip_address(str(address).split("%")[0]).is_unspecified:
-            return host
-        beyond = "2001:db8::1" if family == socket.AF_INET6 else "192.0.2.1"
-        with socket.socket(family, socket.SOCK_DGRAM) as way:
+    address = _address_of(listener.getsockname()[0])
+    if address is not None and address.is_unspecified:
+        beyond = "2001:db8::1" if address.version == 6 else "192.0.2.1"
+        with suppress(OSError), socket.socket(listener.family, socket.SOCK_DGRAM) as way:
             way.connect((beyond, 9))  # only looks up the route; sends nothing
             return str(way.getsockname()[0])
-    except (OSError, ValueError):
-        return host
-
-
-def _resolved(host: str, port: int) -> list[Any]:
-    return socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    return host

@@ -5,15 +5,15 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from stkzoo.errors import ConfigError, ProtocolError
 from stkzoo.race.web.control import RaceControl
-from stkzoo.race.web.feed import RaceFeed, ViewerState
-from stkzoo.race.web.messages import encoded
+from stkzoo.race.web.feed import RaceNews, Text
+from stkzoo.race.web.messages import encoded, plain
 
 logger = logging.getLogger(__name__)
 
@@ -25,6 +25,9 @@ _MOMENT_PAUSE, _OBSERVATION_PAUSE = 1 / 30, 1 / 5
 #: A viewer that receives nothing for this time is disconnected [s].
 _PATIENCE = 20.0
 
+#: Methods of :class:`RaceControl` that a viewer may call.
+_COMMANDS = ("run", "pause", "step", "stop", "speed")
+
 
 class Viewer:
     """One connection. It gets the news whenever it has received the last.
@@ -33,7 +36,7 @@ class Viewer:
 
     Args:
         socket: the connection.
-        feed: the messages to show.
+        read_news: gives what there is to show.
         control: the control of the race.
         may_steer: whether the viewer may control the race.
     """
@@ -41,32 +44,28 @@ class Viewer:
     def __init__(
         self,
         socket: web.WebSocketResponse,
-        feed: RaceFeed,
+        read_news: Callable[[], RaceNews],
         control: RaceControl,
         *,
         may_steer: bool,
     ) -> None:
-        self._socket, self._feed, self._control = socket, feed, control
+        self._socket, self._read_news, self._control = socket, read_news, control
         self._may_steer = may_steer
-        self._state = ViewerState()
-        self._news = asyncio.Event()
+        self._has_news = asyncio.Event()
         self._leaving = False
-        self._observed_at = 0.0
+        self._sent: dict[str, Any] = {}  # the last message of each kind
+        self._step = -1  # the last one of the traces
+        self._watched: str | None = None
+        self._next_observation = 0.0
         self._sender: asyncio.Task[None] | None = None
-        self._commands: dict[str, Callable[[], None]] = {
-            "run": control.run,
-            "pause": control.pause,
-            "step": control.step,
-            "stop": control.stop,
-        }
 
     def wake(self) -> None:
         """Makes the sender look for news."""
-        self._news.set()
+        self._has_news.set()
 
     async def serve(self) -> None:
         """Sends and receives until the viewer leaves."""
-        self._news.set()
+        self._has_news.set()
         self._sender = asyncio.ensure_future(self._send())
         try:
             await self._listen()
@@ -77,7 +76,7 @@ class Viewer:
     async def leave(self) -> None:
         """Sends the last messages and closes."""
         self._leaving = True
-        self._news.set()
+        self._has_news.set()
         if self._sender is not None:
             await asyncio.gather(self._sender, return_exceptions=True)
         await self._socket.close(code=WSCloseCode.GOING_AWAY)
@@ -89,8 +88,8 @@ class Viewer:
         try:
             await self._put(encoded(hello))
             while not self._leaving:
-                await self._news.wait()
-                self._news.clear()
+                await self._has_news.wait()
+                self._has_news.clear()
                 await self._put_news()
                 await asyncio.sleep(0 if self._leaving else _MOMENT_PAUSE)
             await self._put_news()
@@ -100,15 +99,40 @@ class Viewer:
             await self._socket.close(code=WSCloseCode.TRY_AGAIN_LATER, drain=False)
 
     async def _put_news(self) -> None:
-        loop = asyncio.get_running_loop()
-        now = loop.time()
-        is_time = self._leaving or now - self._observed_at >= _OBSERVATION_PAUSE
-        if is_time:
-            self._observed_at = now
-        for text in self._feed.news(self._state, with_observation=is_time):
+        news = self._read_news()
+        for text in self._texts(news):
             await self._put(text)
-        if not is_time and self._feed.owes_observation(self._state):
-            loop.call_later(_OBSERVATION_PAUSE, self.wake)
+        details, seen = news.details.get(self._watched or ""), (self._watched, news.moment)
+        if details is None or self._sent.get("observation") == seen:
+            return
+        loop = asyncio.get_running_loop()
+        if not self._leaving and loop.time() < self._next_observation:
+            loop.call_at(self._next_observation, self.wake)
+            return
+        self._sent["observation"] = seen
+        self._next_observation = loop.time() + _OBSERVATION_PAUSE
+        message = {"agent": self._watched, "steps": news.steps, "parts": plain(details)}
+        await self._put(encoded({"type": "observation", **message}))
+
+    def _texts(self, news: RaceNews) -> Iterator[str]:
+        """The messages that the viewer does not have yet."""
+        if self._is_new("race", news.race):
+            self._step = -1
+            yield self._sent["race"]()
+        if self._is_new("state", state := {"type": "state", **self._control.state}):
+            yield encoded(state)
+        if self._is_new("moment", news.moment):
+            past = news.traces.since(self._step)
+            if past["steps"]:
+                self._step = past["steps"][-1]
+                yield encoded({"type": "traces", **past})
+            yield self._sent["moment"]()
+        if self._is_new("result", news.result):
+            yield self._sent["result"]()
+
+    def _is_new(self, kind: str, message: Text | dict[str, Any] | None) -> bool:
+        before, self._sent[kind] = self._sent.get(kind), message
+        return message is not None and message != before
 
     async def _put(self, text: str) -> None:
         await asyncio.wait_for(self._socket.send_str(text), _PATIENCE)
@@ -131,32 +155,25 @@ class Viewer:
         kind = command.get("type")
         if kind == "watch":
             self._watch(command.get("agent"))
-        elif kind == "speed" or (isinstance(kind, str) and kind in self._commands):
-            self._steer(kind, command)
-        else:
-            known = ", ".join(["speed", "watch", *self._commands])
+        elif kind not in _COMMANDS:
+            known = ", ".join(["watch", *_COMMANDS])
             raise ProtocolError(f"a message of type {kind!r:.50}, expected one of {known}")
-
-    def _watch(self, agent: object) -> None:
-        if agent is not None and agent not in self._feed.agents:
-            raise ProtocolError(f"agent is {agent!r:.50}, expected an agent of this race or null")
-        self._state.watched = None if agent is None else str(agent)
-        self._observed_at = 0.0
-        self.wake()
-
-    def _steer(self, kind: str, command: dict[str, Any]) -> None:
-        if not self._may_steer:
+        elif not self._may_steer:
             raise ProtocolError(
                 "this viewer may only watch; to control the race, open the address with the key "
                 "that was shown where the race was started"
             )
-        if kind == "speed":
-            value = command.get("value")
-            if not (value is None or isinstance(value, (int, float))):
-                raise ProtocolError(f"a speed of {value!r:.50}, expected 1, 2, 4 or null")
-            self._control.set_speed(value)
+        elif kind == "speed":
+            self._control.set_speed(command.get("value"))
         else:
-            self._commands[kind]()
+            getattr(self._control, kind)()
+
+    def _watch(self, agent: object) -> None:
+        if agent is not None and agent not in self._read_news().agents:
+            raise ProtocolError(f"agent is {agent!r:.50}, expected an agent of this race or null")
+        self._watched = None if agent is None else str(agent)
+        self._next_observation = 0.0
+        self.wake()
 
 
 def _parsed(message: Any) -> dict[str, Any]:
