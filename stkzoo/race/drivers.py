@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import importlib
 import pkgutil
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -73,8 +72,14 @@ class Driver:
                 action space and a seed.
             view: name of the view that it observes and acts in.
         """
-        load = partial(_load_actor, make_actor, view)
-        return cls(name, _inline(load), name, sees_ground=env_sees_ground(view))
+
+        def load(_: ExitStack) -> AgentCode:
+            if view not in VIEWS:
+                raise unknown_name("view", view, VIEWS)
+            return AgentCode(VIEWS[view], make_actor)
+
+        start = partial(InlineInstance, load=load)
+        return cls(name, start, name, sees_ground=env_sees_ground(view))
 
 
 def driver_names() -> list[str]:
@@ -124,8 +129,8 @@ def _find(source: str, inline: bool, adapter: str | None) -> Driver:
     if source in driver_names():
         module = f"{_AGENTS}.{source.replace(':', '.')}"
         env_name = declared_env(AgentFiles(module, None))
-        load = partial(_load_shipped, module)
-        return Driver(source, _inline(load), sees_ground=env_sees_ground(env_name))
+        start = partial(InlineInstance, load=lambda _: _load_shipped(module))
+        return Driver(source, start, sees_ground=env_sees_ground(env_name))
     if source.startswith(f"{_PRETRAINED}:"):
         raise unknown_name("driver", source, driver_names())
     if adapter is not None and not Path(adapter).is_file():
@@ -133,9 +138,12 @@ def _find(source: str, inline: bool, adapter: str | None) -> Driver:
     files = find_files(source)
     if files is None:
         raise _unknown(source)
+    in_process = partial(
+        InlineInstance, load=lambda resources: load_agent(files.place(resources), adapter)
+    )
     isolated = partial(IsolatedInstance, files=files, adapter=adapter)
-    start = _inline(partial(_load_files, files, adapter)) if inline else isolated
-    return Driver("", start, sees_ground=env_sees_ground(declared_env(files)))
+    sees_ground = env_sees_ground(declared_env(files))
+    return Driver("", in_process if inline else isolated, sees_ground=sees_ground)
 
 
 def _level(source: str) -> int:
@@ -156,21 +164,7 @@ def _unknown(source: str) -> ConfigError:
     return ConfigError(f"{error} Or give the path of a folder or zip, or a module's name.")
 
 
-def _inline(load: Callable[[ExitStack], AgentCode]) -> DriverStart:
-    return partial(InlineInstance, load=load)
-
-
-def _load_actor(make_actor: ActorMaker, view: str, _: ExitStack) -> AgentCode:
-    if view not in VIEWS:
-        raise unknown_name("view", view, VIEWS)
-    return AgentCode(VIEWS[view], make_actor)
-
-
-def _load_files(files: AgentFiles, adapter: str | None, resources: ExitStack) -> AgentCode:
-    return load_agent(files.place(resources), adapter)
-
-
-def _load_shipped(module: str, _: ExitStack) -> AgentCode:
+def _load_shipped(module: str) -> AgentCode:
     try:
         return read_module(importlib.import_module(module))
     except ImportError as error:

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import fields, replace
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -14,13 +14,14 @@ import numpy as np
 
 from stkzoo.config import AgentSpec
 from stkzoo.env.parallel import RaceParallelEnv
-from stkzoo.errors import ActionError, ConfigError, unknown_name
-from stkzoo.race.driver_group import DriverGroup
+from stkzoo.errors import ActionError, ConfigError
 from stkzoo.race.drivers import Driver, find_driver
+from stkzoo.race.instances import DriverRequest
 from stkzoo.race.listeners import RaceListener, RaceProgress
+from stkzoo.race.racing_driver import RacingDriver
 from stkzoo.race.rescues import RescueCounter
 from stkzoo.race.result import ActionTime, AgentResult, RaceResult
-from stkzoo.race.settings import RaceSettings
+from stkzoo.race.settings import RaceSettings, change_settings
 
 #: Without ``max_steps``, a race ends after the time that this average speed needs ...
 _SLOWEST = 4.0  # [m/s]
@@ -80,7 +81,7 @@ def run_race(
     if not drivers:
         raise ConfigError("no drivers; name at least one, such as 'heuristic'")
     _check_listeners(listeners)
-    chosen = _settings(settings, changes)
+    chosen = change_settings(settings, changes)
     places = _places(start_positions, len(drivers))
     awaited = _awaited(wait_for, len(drivers))
     found = [_driver(driver, chosen) for driver in drivers]
@@ -90,7 +91,8 @@ def run_race(
             resources.callback(listener.closed)
         env = resources.enter_context(_env(found, chosen, places, listeners))
         race = _RaceRun(env, found, awaited, chosen, listeners)
-        resources.callback(race.group.close)
+        for member in race.members.values():
+            resources.callback(member.close)
         return race.run()
 
 
@@ -98,17 +100,6 @@ def _check_listeners(listeners: Sequence[RaceListener]) -> None:
     is_list = isinstance(listeners, Sequence) and not isinstance(listeners, str)
     if not is_list or not all(isinstance(listener, RaceListener) for listener in listeners):
         raise ConfigError(f"listeners is {listeners!r}, expected a list of RaceListener objects")
-
-
-def _settings(settings: RaceSettings | None, changes: Mapping[str, Any]) -> RaceSettings:
-    known = [entry.name for entry in fields(RaceSettings)]
-    for name in changes:
-        if name not in known:
-            raise unknown_name("setting of a race", name, known)
-    settings = RaceSettings() if settings is None else settings
-    if not isinstance(settings, RaceSettings):
-        raise ConfigError(f"settings is {settings!r}, expected RaceSettings")
-    return replace(settings, **changes)
 
 
 def _driver(driver: str | Driver, settings: RaceSettings) -> Driver:
@@ -195,7 +186,21 @@ class _RaceRun:
         self._drivers = dict(zip(env.possible_agents, drivers, strict=True))
         self._awaited = awaited
         self._rescues = RescueCounter(len(self._drivers), env.options.step_size)
-        self.group = DriverGroup(self._drivers, env.observation_spaces, env.action_spaces, settings)
+        self.members = {
+            agent: RacingDriver(
+                driver,
+                DriverRequest(
+                    agent,
+                    env.observation_spaces[agent],
+                    env.action_spaces[agent],
+                    settings.seed + number,
+                    settings.limits,
+                ),
+                settings,
+            )
+            for number, (agent, driver) in enumerate(self._drivers.items())
+            if not driver.is_game_ai
+        }
         self._steps = 0
         self._stop = ""
         self._steps_at_first: int | None = None
@@ -216,10 +221,12 @@ class _RaceRun:
         return self._end(status)
 
     def _start(self) -> None:
-        self.group.get_ready()
+        for member in self.members.values():
+            member.start()
+        for member in self.members.values():
+            member.get_ready(0)
         self._names = {
-            agent: self.group.members[agent].name if agent in self.group.members else driver.name
-            for agent, driver in self._drivers.items()
+            agent: self.members.get(agent, driver).name for agent, driver in self._drivers.items()
         }
         for spec, name in zip(self._env.specs, self._names.values(), strict=True):
             spec.name = name
@@ -230,8 +237,10 @@ class _RaceRun:
         self._patience = round(patience)
 
     def _step(self) -> None:
-        racing = {agent: self._observations[agent] for agent in self._env.agents}
-        self._actions = self.group.decide(racing, self._steps)
+        asked = [self.members[agent] for agent in self._env.agents if agent in self.members]
+        for member in asked:
+            member.ask(self._observations[member.agent], self._steps)
+        self._actions = {member.agent: member.answer(self._steps) for member in asked}
         self._observations, self._rewards, _, _, infos = self._step_checked()
         self._infos.update(infos)
         for agent, reward in self._rewards.items():
@@ -248,16 +257,17 @@ class _RaceRun:
             try:
                 return self._env.step(self._actions)
             except ActionError as error:  # noqa: PERF203 - it is rare
-                self._actions[error.agent] = self.group.replace_action(error, self._steps)
+                member = self.members[error.agent]
+                self._actions[error.agent] = member.replace_action(error, self._steps)
 
     def _ending(self) -> str:
         """The status of a race that is over; empty if it is not."""
         settings, finished = self._settings, self._num_finished()
         if self._stop:
             return self._stop
-        if not self.group.driving(self._env.agents):
+        if not self._is_any_driving(self._env.agents):
             return "finished" if finished else "abandoned"
-        if self._awaited and not self.group.driving(self._racing(self._awaited)):
+        if self._awaited and not self._is_any_driving(self._awaited):
             return "awaited_finished"
         if settings.karts_finished is not None and finished >= settings.karts_finished:
             return "karts_finished"
@@ -272,8 +282,10 @@ class _RaceRun:
     def _steps_since_first(self) -> int:
         return 0 if self._steps_at_first is None else self._steps - self._steps_at_first
 
-    def _racing(self, agents: Sequence[str]) -> list[str]:
-        return [agent for agent in agents if agent in self._env.agents]
+    def _is_any_driving(self, agents: Sequence[str]) -> bool:
+        """Whether any of these agents has neither finished nor been retired."""
+        retired = {agent for agent, member in self.members.items() if member.is_retired}
+        return bool(set(agents).intersection(self._env.agents) - retired)
 
     def _num_finished(self) -> int:
         return sum(info["finish_time"] > 0 for info in self._infos.values())
@@ -287,7 +299,6 @@ class _RaceRun:
                 getattr(listener, event)(progress)
 
     def _progress(self) -> RaceProgress:
-        members = self.group.members
         return RaceProgress(
             env=self._env,
             names=MappingProxyType(self._names),
@@ -304,8 +315,8 @@ class _RaceRun:
             rewards=MappingProxyType(self._rewards),
             total_rewards=dict(self._totals),
             infos=dict(self._infos),
-            failures=self.group.failures(),
-            seconds={agent: m.seconds[-1] for agent, m in members.items() if m.seconds},
+            failures={agent: tuple(member.failures) for agent, member in self.members.items()},
+            seconds={agent: m.seconds[-1] for agent, m in self.members.items() if m.seconds},
             stop=self._set_stop,
         )
 
@@ -342,7 +353,7 @@ class _RaceRun:
 
     def _agent_result(self, agent: str, start_position: int) -> AgentResult:
         info: Mapping[str, Any] = self._infos[agent]
-        member = self.group.members.get(agent)
+        member = self.members.get(agent)
         finish_time = info["finish_time"] or None
         status = "racing" if finish_time is None else "finished"
         if member is not None and member.is_retired and finish_time is None:

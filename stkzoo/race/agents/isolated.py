@@ -15,9 +15,11 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Any, NoReturn
 
+from stkzoo.engine.process import describe_end
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError
 from stkzoo.mdp.spaces import shows_ground
 from stkzoo.race.agents.failures import OutputTail, reported_error
@@ -121,55 +123,46 @@ class IsolatedInstance:
     def _send(self, message: Any, phase: str, timeout: float | None) -> None:
         """Sends a message; the time limit holds for the answer too."""
         self._channel.deadline = time.monotonic() + (timeout or _SEND_TIMEOUT)
-        try:
+        with self._talking(phase):
             self._channel.send(message)
-        except TimeoutError:
-            self._too_late(phase)
-        except OSError:
-            self._lost(phase)
         if timeout is None:
             self._channel.deadline = None
 
     def _receive(self, phase: str) -> dict[str, Any]:
         """The next message of the process; raises the error in it."""
-        try:
+        with self._talking(phase):
             reply = self._channel.receive()
-            is_error = isinstance(reply, dict) and "error" in reply
-            error = reported_error(reply["error"], self._agent) if is_error else None
-        except TimeoutError:
-            self._too_late(phase)
-        except (EOFError, OSError):
-            self._lost(phase)
-        except ProtocolError as problem:
-            self._fail(f"its process sent an invalid message: {problem}")
-        if error is not None:
-            raise error
-        if not isinstance(reply, dict):
-            self._fail(f"its process answered with {reply!r:.200}; expected a dict")
-        return reply
+            if not isinstance(reply, dict):
+                raise ProtocolError(f"{reply!r:.200}, expected a dict")
+            if "error" in reply:
+                raise reported_error(reply["error"], self._agent)
+            return reply
 
     # ------------------------------------------------------------------ failures
 
-    def _too_late(self, phase: str) -> NoReturn:
-        limit = self._limits.start_timeout if phase == "start" else self._limits.action_timeout
-        self._end()
-        raise AgentTimeout(
-            f"its {phase} took longer than {limit or _SEND_TIMEOUT:g} s; its process was ended",
-            self._agent,
-            self._output.text(),
-        )
+    @contextmanager
+    def _talking(self, phase: str) -> Iterator[None]:
+        """Ends the process if it does not take part."""
+        try:
+            yield
+        except TimeoutError:
+            limit = self._limits.start_timeout if phase == "start" else self._limits.action_timeout
+            seconds = f"{limit or _SEND_TIMEOUT:g} s"
+            self._fail(
+                f"its {phase} took longer than {seconds}; its process was ended", AgentTimeout
+            )
+        except (EOFError, OSError):
+            how = "closed its connection"
+            if self._has_ended(_GRACE):
+                self._end()
+                how = describe_end(self._process.returncode)
+            self._fail(f"its process {how} when the {phase} was due")
+        except ProtocolError as problem:
+            self._fail(f"its process sent an invalid message: {problem}")
 
-    def _lost(self, phase: str) -> NoReturn:
-        """Raises for a process that closed its connection."""
-        how = "closed its connection"
-        if self._has_ended(_GRACE):
-            self._end()
-            how = _exit_in_words(self._process.returncode)
-        self._fail(f"its process {how} when the {phase} was due")
-
-    def _fail(self, message: str) -> NoReturn:
+    def _fail(self, message: str, kind: type[AgentError] = AgentError) -> NoReturn:
         self._end()
-        raise AgentError(message, self._agent, self._output.text())
+        raise kind(message, self._agent, self._output.text())
 
     # ------------------------------------------------------------------ the process
 
@@ -215,9 +208,3 @@ class IsolatedInstance:
                 os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait()
         self._output.close()
-
-
-def _exit_in_words(code: int) -> str:
-    if code < 0:
-        return f"was ended by signal {-code} ({signal.Signals(-code).name})"
-    return f"ended with exit status {code}"

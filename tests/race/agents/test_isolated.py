@@ -51,7 +51,7 @@ def test_good_agents_finish_beside_hostile_ones(hostile_race):
     ("name", "kind", "message"),
     [
         ("loop", "timeout", "its action took longer than 1 s; its process was ended"),
-        ("exits", "error", "its process ended with exit status 1 when the action was due"),
+        ("exits", "error", "its process exited with code 1 when the action was due"),
         ("hungry", "error", "MemoryError"),
         ("shape", "error", "expected a number from -1.0 to 1.0"),
     ],

@@ -166,7 +166,7 @@ def test_the_client_may_give_agents_less_time_than_the_server_does(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("act", "text"),
-    [("raise KeyError('oops')", "oops"), ("import os; os._exit(1)", "exit status 1")],
+    [("raise KeyError('oops')", "oops"), ("import os; os._exit(1)", "exited with code 1")],
 )
 def test_an_agent_that_fails_does_not_spoil_its_server(tmp_path, act, text):
     bad, good = write_agent(tmp_path, "bad", act), write_agent(tmp_path, "good")

@@ -1,16 +1,14 @@
-"""The drivers of one race, and the handling of their failures."""
+"""A driver in one race, and the handling of its failures."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 from typing import Any
 
-from gymnasium import spaces
 from gymnasium.wrappers.utils import create_zero_array
 
-from stkzoo.errors import ActionError, AgentError, AgentTimeout
+from stkzoo.errors import AgentError, AgentTimeout
 from stkzoo.race.agents.failures import in_words, printable
 from stkzoo.race.drivers import Driver
 from stkzoo.race.instances import DriverInstance, DriverRequest
@@ -20,87 +18,16 @@ from stkzoo.race.settings import RaceSettings
 _MAX_FAILURES_KEPT = 20
 
 
-class DriverGroup:
-    """All drivers of a race except the game's AI.
+class RacingDriver:
+    """A driver in one race, across restarts. The runner gives it the number of steps so far.
+
+    All methods but :meth:`close` raise :class:`~stkzoo.errors.AgentError` if the driver fails and
+    ``error_handling`` is ``"raise"``.
 
     Args:
-        drivers: driver of each agent.
-        observation_spaces: of the ``full`` view, by agent.
-        action_spaces: likewise.
-        settings: the error handling and the limits.
-    """
-
-    def __init__(
-        self,
-        drivers: Mapping[str, Driver],
-        observation_spaces: Mapping[str, spaces.Space[Any]],
-        action_spaces: Mapping[str, spaces.Space[Any]],
-        settings: RaceSettings,
-    ) -> None:
-        self.members = {
-            agent: GroupMember(
-                driver,
-                DriverRequest(
-                    agent,
-                    observation_spaces[agent],
-                    action_spaces[agent],
-                    settings.seed + number,
-                    settings.limits,
-                ),
-                settings,
-            )
-            for number, (agent, driver) in enumerate(drivers.items())
-            if not driver.is_game_ai
-        }
-
-    def get_ready(self) -> None:
-        """Starts all drivers, and waits until each is ready or has failed.
-
-        Raises:
-            AgentError: a driver failed, and ``error_handling`` is ``"raise"``.
-        """
-        for member in self.members.values():
-            member.start()
-        for member in self.members.values():
-            member.get_ready(0)
-
-    def decide(self, observations: Mapping[str, Any], step: int) -> dict[str, Any]:
-        """The actions of all drivers that have an observation.
-
-        Asks all drivers before it waits for any.
-
-        Raises:
-            AgentError: a driver failed, and ``error_handling`` is ``"raise"``.
-        """
-        asked = [member for agent, member in self.members.items() if agent in observations]
-        for member in asked:
-            member.ask(observations[member.agent], step)
-        return {member.agent: member.answer(step) for member in asked}
-
-    def replace_action(self, error: ActionError, step: int) -> Any:
-        """Records an agent's invalid action; returns the one to take instead.
-
-        Raises:
-            AgentError: ``error_handling`` is ``"raise"``.
-        """
-        return self.members[error.agent].replace_action(error, step)
-
-    def driving(self, agents: Sequence[str]) -> list[str]:
-        """The given agents that still drive, including the game's AI."""
-        return [a for a in agents if a not in self.members or not self.members[a].is_retired]
-
-    def failures(self) -> dict[str, tuple[AgentFailure, ...]]:
-        """The failures so far, by agent."""
-        return {agent: tuple(member.failures) for agent, member in self.members.items()}
-
-    def close(self) -> None:
-        """Closes all instances."""
-        for member in self.members.values():
-            member.close()
-
-
-class GroupMember:
-    """A driver in one race, across restarts.
+        driver: not the game's AI.
+        request: what its instances are started with.
+        settings: the error handling.
 
     Attributes:
         agent: id of the agent.
@@ -172,7 +99,7 @@ class GroupMember:
         self.seconds.append(decision.seconds)
         return decision.action
 
-    def replace_action(self, error: ActionError, step: int) -> Any:
+    def replace_action(self, error: Exception, step: int) -> Any:
         """Records an invalid action; returns the one to take instead."""
         self._handle(error, step)
         return self._replacement()
