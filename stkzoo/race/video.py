@@ -79,14 +79,7 @@ class RaceFilm:
         self._cameras, self._sub_steps = cameras, sub_steps
         self._card_seconds, self._on_frame = card_seconds, on_frame
         self._backend, self._preset = backend, preset
-        self._renderer: RaceRenderer | None = None
-        self._writer: VideoWriter | None = None
-        self._scene: Scene | None = None
-        self._karts: list[int] = []
-        self._map: MapView | None = None
-        self._last: Snapshot | None = None
-        self._last_picture: Picture | None = None
-        self._fps = 0.0
+        self._writer: VideoWriter | None = None  # since begin
 
     @property
     def num_frames(self) -> int:
@@ -110,8 +103,11 @@ class RaceFilm:
         self._scene = replace(scene, setup=replace(scene.setup, num_cameras=cameras))
         self._karts = camera_karts(self._scene)[: max(cameras, 1)]
         self._fps = self._sub_steps / scene.setup.step_size
-        tile = self._tile()
-        self._renderer = RaceRenderer(self._backend, tile, self._preset)
+        columns, rows = grid_of(len(self._karts))
+        self._tile = self._size[0] // columns, self._size[1] // rows
+        self._has_free_tile = 1 < len(self._karts) < columns * rows
+        self._map: MapView | None = None
+        self._renderer = RaceRenderer(self._backend, self._tile, self._preset)
         self._renderer.begin(self._scene)
         self._writer = VideoWriter(self.path, self._fps)
         self._last = snapshot
@@ -127,10 +123,10 @@ class RaceFilm:
             EngineError: the render process died.
             VideoError: the file cannot be written.
         """
-        if self._renderer is None or self._last is None:
+        if self._writer is None:
             raise ConfigError("add() was called before begin(); call begin() first")
         moments = snapshots_between(self._last, snapshot, self._sub_steps)
-        frames = self._frames(self._renderer, snapshot)
+        frames = self._frames(snapshot)
         for number, moment in enumerate(moments):
             by_kart = frames[min(number, len(frames) - 1)] if frames else None
             self._write(by_kart, moment)
@@ -146,23 +142,20 @@ class RaceFilm:
         Raises:
             VideoError: the file cannot be written.
         """
-        writer, scene = self._writer, self._scene
-        if writer is None or scene is None:
+        if self._writer is None:
             raise ConfigError("finish() was called before begin(); call begin() first")
         if rows:
-            card = end_card(scene.title, subtitle, rows, self._last_picture, self._size)
+            card = end_card(self._scene.title, subtitle, rows, self._last_picture, self._size)
             for _ in range(round(self._card_seconds * self._fps)):
                 self._put(card)
-        writer.close()
+        self._writer.close()
         self.abort()
 
     def abort(self) -> None:
         """Ends without a file, unless :meth:`finish` wrote one; may be called again."""
-        renderer, self._renderer = self._renderer, None
         if self._writer is not None:
             self._writer.abort()
-        if renderer is not None:
-            renderer.close()
+            self._renderer.close()
 
     def results(self, agents: Sequence[AgentResult] = ()) -> list[ResultRow]:
         """Result rows for :meth:`finish`, from the last snapshot.
@@ -170,13 +163,12 @@ class RaceFilm:
         Args:
             agents: results of the agents, in any order, which take precedence.
         """
-        if self._scene is None or self._last is None:
+        if self._writer is None:
             return []
-        known = {int(agent.agent.rsplit("_", 1)[-1]): agent for agent in agents}
-        order = {kart: number for number, kart in enumerate(self._scene.kart_indices)}
+        known = {self._scene.kart_indices[int(row.agent.split("_")[1])]: row for row in agents}
         rows: list[ResultRow] = []
         for line in standings(self._scene, self._last):
-            agent = known.get(order.get(line.kart, -1))
+            agent = known.get(line.kart)
             rank = agent.rank if agent else line.rank
             outcome = line.detail if line.has_finished else f"{line.progress:.0%} of the way"
             if agent is not None and agent.status == "retired":
@@ -184,40 +176,27 @@ class RaceFilm:
             rows.append((rank, line.name, line.colour, outcome))
         return sorted(rows)
 
-    def _frames(self, renderer: RaceRenderer, snapshot: Snapshot) -> list[dict[int, Picture]]:
+    def _frames(self, snapshot: Snapshot) -> list[dict[int, Picture]]:
         """The game's frames of a step; restarts a game that fails once."""
         try:
-            return list(renderer.pictures_between(snapshot, self._sub_steps))
+            return list(self._renderer.pictures_between(snapshot, self._sub_steps))
         except EngineError as error:
             logger.warning("the render process failed and is restarted: %s", error)
-            return list(renderer.pictures_between(snapshot, self._sub_steps))
-
-    def _tile(self) -> tuple[int, int]:
-        columns, rows = grid_of(len(self._karts))
-        return self._size[0] // columns, self._size[1] // rows
+            return list(self._renderer.pictures_between(snapshot, self._sub_steps))
 
     def _write(self, by_kart: dict[int, Picture] | None, moment: Snapshot) -> None:
-        assert self._scene is not None  # noqa: S101 - since begin
         if by_kart is None:
             picture = self._map_picture(moment, self._size, panel=True)
         else:
-            picture = self._tiles(by_kart, moment)
+            tiles = [by_kart[kart] for kart in self._karts]
+            if self._has_free_tile:
+                tiles.append(self._map_picture(moment, self._tile, panel=False))
+            picture = with_labels(tiled(tiles, self._size), self._scene, moment, self._karts)
         self._last_picture = picture
         self._put(picture)
 
-    def _tiles(self, by_kart: dict[int, Picture], moment: Snapshot) -> Picture:
-        assert self._scene is not None  # noqa: S101 - since begin
-        tiles = [by_kart[kart] for kart in self._karts]
-        columns, rows = grid_of(len(tiles))
-        if len(tiles) > 1 and len(tiles) < columns * rows:
-            tiles.append(self._map_picture(moment, self._tile(), panel=False))
-        whole = tiled(tiles, self._size)
-        return with_labels(whole, self._scene, moment, self._karts)
-
     def _map_picture(self, moment: Snapshot, size: tuple[int, int], *, panel: bool) -> Picture:
-        assert self._scene is not None  # noqa: S101 - since begin
-        if self._map is None:
-            self._map = MapView(self._scene, size, panel=panel)
+        self._map = self._map or MapView(self._scene, size, panel=panel)
         self._map.remember(moment)
         return self._map.draw(moment)
 

@@ -10,12 +10,12 @@ import subprocess
 import tempfile
 import time
 from pathlib import Path
-from types import TracebackType
-from typing import IO, cast
+from typing import IO, NoReturn, cast
 
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._os import write_whole
 from stkzoo.errors import ConfigError, StkzooError
 
 _H264 = ("-c:v", "libx264", "-preset", "veryfast", "-crf", "21", "-pix_fmt", "yuv420p")
@@ -24,13 +24,13 @@ _GIF = "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:di
 
 #: Arguments of ffmpeg by the file's suffix.
 FORMATS: dict[str, tuple[str, ...]] = {
-    ".mp4": (*_H264, "-movflags", "+faststart"),
-    ".mov": (*_H264, "-movflags", "+faststart"),
-    ".mkv": _H264,
-    ".avi": ("-c:v", "mpeg4", "-q:v", "4"),
-    ".webm": (*_VP9, "-crf", "34", "-b:v", "0", "-pix_fmt", "yuv420p"),
-    ".ogv": ("-c:v", "libtheora", "-q:v", "7", "-pix_fmt", "yuv420p"),
-    ".gif": ("-filter_complex", _GIF, "-loop", "0"),
+    ".mp4": (*_H264, "-movflags", "+faststart", "-f", "mp4"),
+    ".mov": (*_H264, "-movflags", "+faststart", "-f", "mov"),
+    ".mkv": (*_H264, "-f", "matroska"),
+    ".avi": ("-c:v", "mpeg4", "-q:v", "4", "-f", "avi"),
+    ".webm": (*_VP9, "-crf", "34", "-b:v", "0", "-pix_fmt", "yuv420p", "-f", "webm"),
+    ".ogv": ("-c:v", "libtheora", "-q:v", "7", "-pix_fmt", "yuv420p", "-f", "ogv"),
+    ".gif": ("-filter_complex", _GIF, "-loop", "0", "-f", "gif"),
 }
 
 #: Seconds in which ffmpeg must take a picture, and end when all are there.
@@ -98,8 +98,7 @@ class VideoWriter:
         self._fps = fps
         self._shape: tuple[int, int] | None = None
         self._process: subprocess.Popen[bytes] | None = None
-        self._log: IO[bytes] | None = None
-        self._part: Path | None = None
+        self._resources = contextlib.ExitStack()
 
     def add(self, picture: npt.NDArray[np.uint8]) -> None:
         """Adds a picture, ``(H, W, 3)`` uint8, all of one size.
@@ -134,87 +133,72 @@ class VideoWriter:
         """
         if self._process is None:
             raise VideoError(f"{self.path} would have no picture; no file was written")
-        process, part = self._process, self._part
         try:
             with contextlib.suppress(OSError):
-                cast("IO[bytes]", process.stdin).close()
-            code = process.wait(_END_LIMIT)
+                self._pipe.close()
+            code = self._process.wait(_END_LIMIT)
         except subprocess.TimeoutExpired:
             self._fail(f"ffmpeg did not end in {_END_LIMIT:.0f} s")
         if code != 0:
             self._fail(f"ffmpeg ended with code {code}")
-        try:
-            os.replace(cast("Path", part), self.path)
-        except OSError as error:
-            self._fail(str(error))
-        self._part = None
-        self._free()
+        self._resources.close()
 
     def abort(self) -> None:
         """Discards the video. You may call it again, or after close."""
-        process = self._process
-        if process is not None and process.poll() is None:
-            process.kill()
-            process.wait()
-        self._free()
+        with contextlib.suppress(_Aborted), self._resources:
+            raise _Aborted
 
     def __enter__(self) -> VideoWriter:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
             self.close()
         else:
             self.abort()
 
     def _start(self, height: int, width: int) -> None:
-        suffix = self.path.suffix.lower()
-        try:
-            handle, name = tempfile.mkstemp(suffix, ".stkzoo-", self.path.absolute().parent)
-        except OSError as error:
-            raise VideoError(f"{self.path} cannot be written: {error}") from error
-        os.close(handle)
-        self._part, self._shape = Path(name), (height, width)
-        os.chmod(name, 0o644)
-        self._log = tempfile.TemporaryFile(prefix="stkzoo-ffmpeg-")  # noqa: SIM115
+        self._shape = height, width
         kind = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}")
         source = (*kind, "-r", f"{self._fps:g}", "-i", "-")
         command = (_ffmpeg(), "-y", "-hide_banner", "-loglevel", "error", *source, "-an")
-        self._process = subprocess.Popen(  # noqa: S603 - ffmpeg with our own words
-            (*command, *FORMATS[suffix], name),
-            stdin=subprocess.PIPE,
-            stdout=self._log,
-            stderr=self._log,
-            start_new_session=True,  # a Ctrl-C is this program's, which then ends ffmpeg
-        )
-        os.set_blocking(cast("IO[bytes]", self._process.stdin).fileno(), False)
+        with contextlib.ExitStack() as resources:
+            part = resources.enter_context(write_whole(self.path, "the video", VideoError))
+            self._log = resources.enter_context(tempfile.TemporaryFile(prefix="stkzoo-ffmpeg-"))
+            self._process = subprocess.Popen(  # noqa: S603 - ffmpeg with our own words
+                (*command, *FORMATS[self.path.suffix.lower()], part),
+                stdin=subprocess.PIPE,
+                stdout=self._log,
+                stderr=self._log,
+                start_new_session=True,  # a Ctrl-C is this program's, which then ends ffmpeg
+            )
+            self._pipe = cast("IO[bytes]", self._process.stdin)
+            resources.callback(_end, self._process, self._pipe)
+            self._resources = resources.pop_all()
+        os.set_blocking(self._pipe.fileno(), False)
 
     def _send(self, picture: npt.NDArray[np.uint8]) -> None:
-        pipe = cast("IO[bytes]", cast("subprocess.Popen[bytes]", self._process).stdin)
         rest = picture.data.cast("B")
         deadline = time.monotonic() + _STALL_LIMIT
         with selectors.DefaultSelector() as selector:
-            selector.register(pipe, selectors.EVENT_WRITE)
+            selector.register(self._pipe, selectors.EVENT_WRITE)
             while rest:
                 if not selector.select(max(0.0, deadline - time.monotonic())):
                     self._fail(f"ffmpeg took no picture for {_STALL_LIMIT:.0f} s")
                 try:
-                    rest = rest[os.write(pipe.fileno(), rest) :]
+                    rest = rest[os.write(self._pipe.fileno(), rest) :]
                 except BlockingIOError:
                     continue
                 except OSError as error:
                     self._fail(f"ffmpeg is gone ({error})")
 
-    def _fail(self, what: str) -> None:
+    def _fail(self, what: str) -> NoReturn:
         process = cast("subprocess.Popen[bytes]", self._process)
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(1.0)
-        lines = self._last_lines()
+        size = os.fstat(self._log.fileno()).st_size
+        text = os.pread(self._log.fileno(), _LOG_BYTES, max(0, size - _LOG_BYTES))
+        lines = f"\nffmpeg's last lines:\n{text.decode(errors='replace').strip()}" if text else ""
         self.abort()
         free = shutil.disk_usage(self.path.absolute().parent).free // 2**20
         raise VideoError(
@@ -222,21 +206,14 @@ class VideoWriter:
             f"No file was left.{lines}"
         )
 
-    def _last_lines(self) -> str:
-        if self._log is None:
-            return ""
-        size = os.fstat(self._log.fileno()).st_size
-        text = os.pread(self._log.fileno(), _LOG_BYTES, max(0, size - _LOG_BYTES))
-        return f"\nffmpeg's last lines:\n{text.decode(errors='replace').strip()}" if text else ""
 
-    def _free(self) -> None:
-        process, self._process = self._process, None
-        if process is not None and process.stdin is not None:
-            with contextlib.suppress(OSError):
-                process.stdin.close()
-        if self._log is not None:
-            self._log.close()
-            self._log = None
-        part, self._part = self._part, None
-        if part is not None:
-            part.unlink(missing_ok=True)
+class _Aborted(Exception):
+    """Ends the writing of a file without the file."""
+
+
+def _end(process: subprocess.Popen[bytes], pipe: IO[bytes]) -> None:
+    if process.poll() is None:
+        process.kill()
+        process.wait()
+    with contextlib.suppress(OSError):
+        pipe.close()

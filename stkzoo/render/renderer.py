@@ -79,12 +79,12 @@ class RaceRenderer:
         Raises:
             EngineError: the game cannot draw, or died.
         """
-        game = self._ready_game()
-        if game is not None:
-            with self._closing_after_failure():
-                frames = self._in_order(game.frames(snapshot))
-            return tiled(frames, self.size) if len(frames) > 1 else frames[0]
-        return self._whole_map().draw(snapshot)
+        with self._drawing() as game:
+            if game is None:
+                return self._whole_map().draw(snapshot)
+            by_kart = game.frames(snapshot)
+        frames = [by_kart[kart] for kart in camera_karts(self._current())]
+        return tiled(frames, self.size) if len(frames) > 1 else frames[0]
 
     def pictures(self, snapshot: Snapshot) -> dict[int, Picture]:
         """A picture for each kart with a camera, ``(H, W, 3)`` uint8.
@@ -94,9 +94,8 @@ class RaceRenderer:
         Raises:
             EngineError: the game cannot draw, or died.
         """
-        game = self._ready_game()
-        if game is not None:
-            with self._closing_after_failure():
+        with self._drawing() as game:
+            if game is not None:
                 return game.frames(snapshot)
         karts = camera_karts(self._current())
         for kart in karts:
@@ -115,27 +114,24 @@ class RaceRenderer:
             ConfigError: the map draws, which has no depth.
             EngineError: the game cannot draw, or died.
         """
-        game = self._ready_game()
-        if game is None:
-            raise ConfigError('the map has no depth; draw with the game, render_backend="engine"')
-        with self._closing_after_failure():
-            return game.frames_and_depths(snapshot)
+        with self._drawing() as game:
+            if game is not None:
+                return game.frames_and_depths(snapshot)
+        raise ConfigError('the map has no depth; draw with the game, render_backend="engine"')
 
     def pictures_between(self, snapshot: Snapshot, number: int) -> Iterator[dict[int, Picture]]:
         """By the game: what the cameras see at so many moments after the last picture.
 
         There is one moment only after a leap in time, and none when the map draws.
         """
-        game = self._ready_game()
-        if game is not None:
-            with self._closing_after_failure():
+        with self._drawing() as game:
+            if game is not None:
                 yield from game.frames_between(snapshot, number)
 
     def show(self, snapshot: Snapshot) -> None:
         """Brings the window to this moment."""
-        game = self._ready_game()
-        if game is not None:
-            with self._closing_after_failure():
+        with self._drawing() as game:
+            if game is not None:
                 game.show(snapshot)
 
     def close(self) -> None:
@@ -144,42 +140,36 @@ class RaceRenderer:
         if game is not None:
             game.close()
 
-    @contextlib.contextmanager
-    def _closing_after_failure(self) -> Iterator[None]:
-        """Closes the game after a failure; the next picture starts it again."""
-        try:
-            yield
-        except EngineError:
-            self.close()
-            raise
-
     def _current(self) -> Scene:
         assert self._scene is not None  # noqa: S101 - callers begin first
         return self._scene
-
-    def _in_order(self, by_kart: dict[int, Picture]) -> list[Picture]:
-        return [by_kart[kart] for kart in camera_karts(self._current())]
 
     def _whole_map(self) -> MapView:
         if self._map is None:
             self._map = MapView(self._current(), self.size)
         return self._map
 
-    def _ready_game(self) -> GameView | None:
-        """The game, drawing the current race; ``None`` if the map draws."""
-        if self._backend == "map":
-            return None
+    @contextlib.contextmanager
+    def _drawing(self) -> Iterator[GameView | None]:
+        """The game, drawing the current race; ``None`` if the map draws.
+
+        A failure closes the game; the next picture starts it again.
+        """
+        if self._backend != "map":
+            try:
+                self._start_game()
+                self._backend = "engine"
+            except (AssetError, ConfigError, EngineError) as error:
+                self.close()
+                if self._backend == "engine" or self._has_window:
+                    raise
+                logger.warning("the game cannot draw here, the map is drawn instead: %s", error)
+                self._backend = "map"
         try:
-            self._start_game()
-        except (AssetError, ConfigError, EngineError) as error:
+            yield self._game
+        except EngineError:
             self.close()
-            if self._backend == "engine" or self._has_window:
-                raise
-            logger.warning("the game cannot draw here, the map is drawn instead: %s", error)
-            self._backend = "map"
-            return None
-        self._backend = "engine"
-        return self._game
+            raise
 
     def _start_game(self) -> None:
         karts = camera_karts(self._current())
