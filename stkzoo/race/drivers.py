@@ -34,8 +34,8 @@ _NO_DRIVERS = {"planner", "pretrained", "planning", "training"}
 #: Learned drivers, each a package of this one.
 _PRETRAINED = "pretrained"
 _NAME_MARK = "@:"
-#: Levels of the game's AI.
-_LEVELS = ("0", "1", "2", "3")
+#: The game's AI by name, and the difficulty that the name asks for.
+_GAME_AI = {"ai": None, "ai:0": 0, "ai:1": 1, "ai:2": 2, "ai:3": 3}
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,10 +120,13 @@ def find_driver(text: str, *, inline: bool = False, adapter: str | None = None) 
 
 
 def _find(source: str, inline: bool, adapter: str | None) -> Driver:
-    if source == "ai":
-        return Driver(source, None)
+    if source in _GAME_AI:
+        return Driver(source, None, difficulty=_GAME_AI[source])
     if source.startswith("ai:"):
-        return Driver(source, None, difficulty=_level(source))
+        raise ConfigError(
+            f"driver {source!r} is the game's AI at an unknown level; expected "
+            f"{', '.join([*_GAME_AI][1:])}, or ai for that of --difficulty"
+        )
     if source == "random":
         return Driver.of_actor(source, _random_actor)
     if source in driver_names():
@@ -144,17 +147,6 @@ def _find(source: str, inline: bool, adapter: str | None) -> Driver:
     isolated = partial(IsolatedInstance, files=files, adapter=adapter)
     sees_ground = env_sees_ground(declared_env(files))
     return Driver("", in_process if inline else isolated, sees_ground=sees_ground)
-
-
-def _level(source: str) -> int:
-    """The difficulty in ``"ai:3"``."""
-    level = source.removeprefix("ai:")
-    if level not in _LEVELS:
-        raise ConfigError(
-            f"driver {source!r} is the game's AI at an unknown level; expected "
-            f"{', '.join(f'ai:{known}' for known in _LEVELS)}, or ai for that of --difficulty"
-        )
-    return int(level)
 
 
 def _unknown(source: str) -> ConfigError:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from typing import Any
 
-from stkzoo.errors import ConfigError, check_whole, unknown_name
+from stkzoo.errors import ConfigError, check_whole
 from stkzoo.race.instances import DriverLimits
 
 #: What to do when an agent fails.
@@ -99,29 +98,6 @@ class RaceSettings:
     def limits(self) -> DriverLimits:
         """The resources that each driver may use."""
         return DriverLimits(self.action_timeout, self.start_timeout, self.agent_memory)
-
-
-def change_settings(
-    settings: RaceSettings | None, changes: Mapping[str, Any], decided: Collection[str] = ()
-) -> RaceSettings:
-    """The settings with some changes.
-
-    Args:
-        settings: the user's settings; ``None`` for the defaults.
-        changes: fields that replace those of ``settings``.
-        decided: fields that cannot be changed.
-
-    Raises:
-        ConfigError: a change names no field, or a value is invalid.
-    """
-    known = {entry.name for entry in fields(RaceSettings)} - set(decided)
-    for name in changes:
-        if name not in known:
-            raise unknown_name("setting of a race", name, known)
-    settings = RaceSettings() if settings is None else settings
-    if not isinstance(settings, RaceSettings):
-        raise ConfigError(f"settings is {settings!r}, expected RaceSettings")
-    return replace(settings, **changes)
 
 
 def _check_seconds(name: str, value: object) -> None:

@@ -8,17 +8,17 @@ import typing
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass, is_dataclass, replace
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 from stkzoo.engine.assets import find_assets
 from stkzoo.env.options import RaceOptions
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.evaluation.batch.entrants import Entrant
 from stkzoo.evaluation.batch.order import BatchOrder
 from stkzoo.race.result import read_json, reading
-from stkzoo.race.settings import RaceSettings, change_settings
+from stkzoo.race.settings import RaceSettings
 
 #: The file of a plan in its batch's folder.
 PLAN_FILE = "plan.json"
@@ -181,7 +181,11 @@ def choose_settings(
     Raises:
         ConfigError: a change names no field, or a value is invalid.
     """
-    chosen = change_settings(settings, changes, decided)
+    known = {entry.name for entry in fields(RaceSettings)} - set(decided)
+    for name in changes:
+        if name not in known:
+            raise unknown_name("setting of a race", name, known)
+    chosen = replace(settings or RaceSettings(), **changes)
     if chosen.error_handling == "raise":
         raise ConfigError(
             "error_handling is 'raise', which would end the batch at the first error; choose "

@@ -212,7 +212,7 @@ def members_of(path: Path) -> list[str]:
         ConfigError: it is not a zip, or one that :func:`unpack` rejects.
     """
     with _opened(path) as archive:
-        return [member.filename for member in _checked(archive, path)]
+        return [member.filename for member in _checked(archive)]
 
 
 def unpack(path: Path, folder: Path) -> None:
@@ -227,8 +227,12 @@ def unpack(path: Path, folder: Path) -> None:
     with _opened(path) as archive:
         budget = MAX_BYTES
         folder.mkdir(parents=True)
-        for member in _checked(archive, path):
-            budget -= _write(archive, member, folder / member.filename, budget, path)
+        for member in _checked(archive):
+            budget -= _write(archive, member, folder / member.filename, budget)
+
+
+class _Rejected(Exception):
+    """Says why a zip is not unpacked."""
 
 
 @contextmanager
@@ -237,42 +241,44 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
     try:
         with zipfile.ZipFile(path) as archive:
             yield archive
-    except (ConfigError, MemoryError):
+    except MemoryError:
         raise
+    except _Rejected as error:
+        raise ConfigError(
+            f"agent {str(path)!r} is not unpacked: {error}. Zip plain files only."
+        ) from None
     except Exception as error:  # zipfile and zlib report damage in many ways
         why = "cannot be unpacked" if isinstance(error, OSError) else "is not a readable zip"
         raise ConfigError(f"agent {str(path)!r} {why}: {error}") from error
 
 
-def _checked(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInfo]:
+def _checked(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
     """The zip's files, after a check of their list."""
     members = archive.infolist()
     if len(members) > MAX_FILES:
-        raise _rejected(path, f"it holds {len(members)} files, at most {MAX_FILES} are allowed")
+        raise _Rejected(f"it holds {len(members)} files, at most {MAX_FILES} are allowed")
     if sum(member.file_size for member in members) > MAX_BYTES:
-        raise _rejected(path, f"unpacked it is larger than {MAX_BYTES >> 20} MB")
+        raise _Rejected(f"unpacked it is larger than {MAX_BYTES >> 20} MB")
     for member in members:
-        _check(member, path)
+        _check(member)
     return [member for member in members if not member.is_dir()]
 
 
-def _check(member: zipfile.ZipInfo, path: Path) -> None:
+def _check(member: zipfile.ZipInfo) -> None:
     name = PurePosixPath(member.filename)
     outside = name.is_absolute() or ".." in name.parts or "\\" in member.filename
     if outside or not name.parts or ":" in name.parts[0]:
-        raise _rejected(path, f"{member.filename!r} leads out of it")
+        raise _Rejected(f"{member.filename!r} leads out of it")
     kind = stat.S_IFMT(member.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
-        raise _rejected(path, f"{member.filename!r} is a link or a device, not a file")
+        raise _Rejected(f"{member.filename!r} is a link or a device, not a file")
     if member.flag_bits & 1:
-        raise _rejected(path, f"{member.filename!r} is encrypted")
+        raise _Rejected(f"{member.filename!r} is encrypted")
     if member.file_size > max(_SMALL, MAX_RATIO * member.compress_size):
-        raise _rejected(path, f"{member.filename!r} would grow to {member.file_size} bytes")
+        raise _Rejected(f"{member.filename!r} would grow to {member.file_size} bytes")
 
 
-def _write(
-    archive: zipfile.ZipFile, member: zipfile.ZipInfo, target: Path, budget: int, path: Path
-) -> int:
+def _write(archive: zipfile.ZipFile, member: zipfile.ZipInfo, target: Path, budget: int) -> int:
     """Writes one file and returns its real size, which the zip may misstate."""
     target.parent.mkdir(parents=True, exist_ok=True)
     size = 0
@@ -280,11 +286,7 @@ def _write(
         while block := source.read(_BLOCK):
             size += len(block)
             if size > budget:
-                raise _rejected(path, f"unpacked it is larger than {MAX_BYTES >> 20} MB")
+                raise _Rejected(f"unpacked it is larger than {MAX_BYTES >> 20} MB")
             file.write(block)
     target.chmod(stat.S_IRUSR | stat.S_IWUSR)
     return size
-
-
-def _rejected(path: Path, why: str) -> ConfigError:
-    return ConfigError(f"agent {str(path)!r} is not unpacked: {why}. Zip plain files only.")

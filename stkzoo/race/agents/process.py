@@ -7,22 +7,25 @@ elsewhere (``docs/agents.md``).
 
 from __future__ import annotations
 
+import math
 import random
 import socket
 import struct
 import sys
 import time
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
 
-from stkzoo.errors import ProtocolError
+from stkzoo.errors import AgentError, ProtocolError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race import codec
-from stkzoo.race.agents.code import load_agent
+from stkzoo.race.agents.code import AgentCode, load_agent
 from stkzoo.race.agents.failures import error_report
 from stkzoo.race.agents.files import AgentPlace
-from stkzoo.race.agents.inline import AgentRunner
+from stkzoo.race.agents.inline import InlineInstance
+from stkzoo.race.instances import DriverLimits, DriverRequest
 
 _LENGTH = struct.Struct("<I")
 
@@ -102,37 +105,44 @@ def main(connection_fd: int, parent: int, memory: int) -> None:
     try:
         order = channel.receive()
         _limit_memory(memory)
-        runner = _start(channel, order)
-        while runner is not None:
-            channel.send(_decide(runner, *channel.receive()))
+        instance = _start(channel, order)
+        while instance is not None:
+            number, observation = channel.receive()
+            channel.send({"number": number, **_decide(instance, observation)})
     except (EOFError, OSError):
         return  # the race is over
 
 
-def _start(channel: Channel, order: dict[str, Any]) -> AgentRunner | None:
+def _start(channel: Channel, order: dict[str, Any]) -> InlineInstance | None:
     """Loads the agent and reports the outcome to the race."""
-    try:
-        seed: int = order["seed"]
-        _seed_everything(seed)
+
+    def load(_: ExitStack) -> AgentCode:
         code = load_agent(AgentPlace(**order["place"]), order["adapter"])
         code.scope.__enter__()  # for good: no other agent's modules are here
-        spaces = kart_observation_space(sees_ground=order["sees_ground"]), kart_action_space()
-        runner = AgentRunner(code, order["agent"], *spaces, seed)
-    except Exception as error:  # noqa: BLE001 - reported to the race
+        return code
+
+    spaces = kart_observation_space(sees_ground=order["sees_ground"]), kart_action_space()
+    no_limits = DriverLimits(action_timeout=None, start_timeout=math.inf)  # the race has them
+    seed: int = order["seed"]
+    instance = InlineInstance(DriverRequest(order["agent"], *spaces, seed, no_limits), load)
+    _seed_everything(seed)
+    try:
+        name = instance.ready()
+    except AgentError as error:
         channel.send({"error": error_report(error)})
         return None
     _seed_everything(seed)
-    channel.send({"name": runner.name, "paths_used": runner.paths_used})
-    return runner
+    channel.send({"name": name, "paths_used": instance.paths_used})
+    return instance
 
 
-def _decide(runner: AgentRunner, number: int, observation: Any) -> dict[str, Any]:
-    begin = time.perf_counter()
+def _decide(instance: InlineInstance, observation: Any) -> dict[str, Any]:
+    instance.ask(observation)
     try:
-        action = runner.act(observation)
-    except Exception as error:  # noqa: BLE001 - reported to the race
-        return {"number": number, "error": error_report(error)}
-    return {"number": number, "action": action, "seconds": time.perf_counter() - begin}
+        decision = instance.answer()
+    except AgentError as error:
+        return {"error": error_report(error)}
+    return {"action": decision.action, "seconds": decision.seconds}
 
 
 def _seed_everything(seed: int) -> None:

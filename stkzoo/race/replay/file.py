@@ -184,59 +184,44 @@ def load_replay(path: str | os.PathLike[str]) -> Replay:
     """
     file = Path(path)
     try:
-        _check_size(file)
-        members = _members(file)
+        return _replay_of(_members(file))
+    except MemoryError:
+        raise
     except OSError as error:
         why = error.strerror or error
         raise ReplayError(
             f"the replay {file} cannot be read: {why}; expected a file from `stkzoo race --replay`"
         ) from error
-    except (ReplayError, MemoryError):
-        raise
-    except Exception as error:  # zipfile and zlib report damage in many ways
-        raise _damaged(file, f"{type(error).__name__}: {error}") from error
-    try:
-        return _replay_of(members)
     except ReplayError as error:
         raise ReplayError(f"the replay {file}: {error}") from None
-    except (KeyError, TypeError, ValueError) as error:
-        raise _damaged(file, f"{type(error).__name__}: {error}") from error
-
-
-def _check_size(file: Path) -> None:
-    about = file.stat()
-    if not stat.S_ISREG(about.st_mode):  # for example a pipe, which would block
-        raise ReplayError(f"{file} is not a file; expected a file from `stkzoo race --replay`")
-    size = about.st_size
-    if size > _MAX_FILE:
+    except Exception as error:  # zipfile, zlib and json report damage in many ways
+        why = f"{type(error).__name__}: {error}"
         raise ReplayError(
-            f"the replay {file} has {size} bytes, expected at most {_MAX_FILE}; a race of an "
-            "hour has a few million"
-        )
-
-
-def _damaged(file: Path, why: str) -> ReplayError:
-    return ReplayError(
-        f"{file} is not a replay, or damaged ({why:.200}); expected a file from `stkzoo race "
-        "--replay`: copy the file again, or record the race again"
-    )
+            f"{file} is not a replay, or damaged ({why:.200}); expected a file from `stkzoo race "
+            "--replay`: copy the file again, or record the race again"
+        ) from error
 
 
 def _members(file: Path) -> dict[str, bytes]:
     """The members of the zip, each within its size limit."""
+    about = file.stat()
+    if not stat.S_ISREG(about.st_mode):  # for example a pipe, which would block
+        raise ReplayError("it is not a file; expected a file from `stkzoo race --replay`")
+    if about.st_size > _MAX_FILE:
+        raise ReplayError(
+            f"it has {about.st_size} bytes, expected at most {_MAX_FILE}; a race of an hour has a "
+            "few million"
+        )
     members = {}
     with zipfile.ZipFile(file) as archive:
         for name, limit in _MAX_MEMBER.items():
             # Other methods unpack without a bound.
             if archive.getinfo(name).compress_type not in (ZIP_STORED, ZIP_DEFLATED):
-                raise _damaged(file, f"{name} has another compression method")
+                raise ValueError(f"{name} has another compression method")
             with archive.open(name) as stream:
-                data = stream.read(limit + 1)
-            if len(data) > limit:
-                raise ReplayError(
-                    f"the replay {file} has a {name} of more than {limit} bytes, which no race has"
-                )
-            members[name] = data
+                members[name] = stream.read(limit + 1)
+            if len(members[name]) > limit:
+                raise ReplayError(f"it has a {name} of more than {limit} bytes, which no race has")
     return members
 
 
