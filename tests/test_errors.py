@@ -1,18 +1,46 @@
 """What all errors have in common."""
 
+import importlib
 import pickle
+import re
+from pathlib import Path
 
 import pytest
 
+import stkzoo
 from stkzoo import errors
 
 ALL = [getattr(errors, name) for name in errors.__all__]
 CLASSES = [entry for entry in ALL if isinstance(entry, type)]
 
 
-@pytest.mark.parametrize("kind", CLASSES)
-def test_an_error_is_made_from_its_text_alone(kind):
-    assert str(kind("what happened")) == "what happened"
+def all_errors():
+    """Every exception class of the package, also those outside ``errors.py``."""
+    root = Path(stkzoo.__file__).parent
+    for file in sorted(root.glob("*/**/*.py")):
+        if re.search(r"^class \w+\(.*(Error|Exception)\b", file.read_text(), re.MULTILINE):
+            importlib.import_module(".".join(file.relative_to(root.parent).with_suffix("").parts))
+    kinds = [errors.StkzooError]
+    for kind in kinds:
+        kinds += [below for below in kind.__subclasses__() if below not in kinds]
+    return sorted(kinds, key=lambda kind: kind.__qualname__)
+
+
+EVERY = all_errors()
+
+
+def test_errors_outside_their_module_are_found():
+    names = {kind.__name__ for kind in EVERY}
+    assert names > {"BatchError", "CheckFailed", "NotApplicable", "ReplayError", "VideoError"}
+
+
+@pytest.mark.parametrize("kind", EVERY)
+def test_an_error_is_made_from_its_text_alone_and_pickled(kind):
+    error = kind("what happened")
+    # AsyncVectorEnv raises exctype(value), where value is the error itself.
+    for copy in (error, pickle.loads(pickle.dumps(error)), kind(error)):
+        assert (type(copy), str(copy)) == (kind, "what happened")
+        assert vars(copy).keys() == vars(error).keys()
 
 
 @pytest.mark.parametrize(

@@ -107,6 +107,18 @@ class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledW
         return changed
 
 
+class PolarBox(spaces.Box):
+    """The space of positions that are angles and a distance; equal to a ``Box`` of its bounds."""
+
+    @classmethod
+    def of(cls, space: spaces.Space[Any]) -> spaces.Space[Any]:
+        """The space of what polar positions become of those in ``space``."""
+        if isinstance(space, spaces.Sequence):
+            return spaces.Sequence(cls.of(space.feature_space))
+        assert isinstance(space, spaces.Box)  # noqa: S101 - the space of a position
+        return cls(space.low, space.high, dtype=np.float32)
+
+
 class PolarObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
     """Turns positions in the kart frame into two angles and a distance.
 
@@ -117,7 +129,7 @@ class PolarObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
     the environment has; lists stay tuples.
 
     Raises:
-        ConfigError: the environment has none of these keys.
+        ConfigError: the environment has none of these keys, or they are polar already.
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
@@ -130,6 +142,16 @@ class PolarObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
                 f"PolarObservations found no positions among {', '.join(space.spaces)}; "
                 f"it changes {', '.join(_POSITIONS)}."
             )
+        polar = [key for key in self._keys if _is_polar(space[key])]
+        if polar:
+            raise ConfigError(
+                f"PolarObservations found polar positions under {', '.join(polar)}. It goes around "
+                "a view with positions in metres, such as full, and only once."
+            )
+        changed = copy.deepcopy(space)
+        for key in self._keys:
+            changed[key] = PolarBox.of(space[key])
+        self.observation_space = changed
 
     def compile_into(self, plan: ViewPlan) -> bool:
         """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
@@ -150,6 +172,10 @@ class PolarObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
         return changed
 
 
+def _is_polar(space: spaces.Space[Any]) -> bool:
+    return isinstance(getattr(space, "feature_space", space), PolarBox)
+
+
 def _repeated(key: str, space: spaces.Space[Any] | None, size: int) -> spaces.Space[Any]:
     """The space of ``size`` entries of a list."""
     entry = space.feature_space if isinstance(space, spaces.Sequence) else None
@@ -157,7 +183,7 @@ def _repeated(key: str, space: spaces.Space[Any] | None, size: int) -> spaces.Sp
         return spaces.MultiDiscrete([entry.n] * size)
     if isinstance(entry, spaces.Box):
         low, high = (np.repeat(bound[None], size, axis=0) for bound in (entry.low, entry.high))
-        return spaces.Box(low, high, dtype=np.float32)
+        return type(entry)(low, high, dtype=np.float32)
     raise ConfigError(
         f"ConstantSizedObservations needs a list (a Sequence space) under {key!r}, but found "
         f"{space!r}. It goes around the full view, and only once."

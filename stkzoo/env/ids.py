@@ -10,6 +10,7 @@ from stkzoo.views import CAMERA_VIEWS, VIEWS, ViewFactory
 
 MAX_EPISODE_STEPS = 1500
 _NAMESPACE = "supertuxkart"
+_SHIPPED = frozenset({*VIEWS, *CAMERA_VIEWS})
 
 
 def register_ids() -> None:
@@ -26,25 +27,41 @@ def register_ids() -> None:
         pettingzoo.register("aec", f"{_NAMESPACE}/race-v0", "stkzoo.race_v0:env")
 
 
-def register_view(name: str, view: ViewFactory) -> None:
+def register_view(name: str, view: ViewFactory, *, replace: bool = False) -> None:
     """Adds a view, for ``view="<name>"`` and ``gym.make("supertuxkart/<name>-v0")``.
+
+    The same view may be registered again, also after its definition has run again, as in a
+    notebook's cell.
 
     Args:
         name: a new name.
         view: function that wraps a Gymnasium environment; :class:`gymnasium.Wrapper`
             classes are such functions.
+        replace: whether another view of yours may have the name already.
 
     Raises:
         ConfigError: the name is taken or no word, or ``view`` is no function.
     """
     if not isinstance(name, str) or not name.isidentifier():
         raise ConfigError(f"view name is {name!r}, expected letters, digits and underscores")
-    if name in VIEWS or name in CAMERA_VIEWS:
-        raise ConfigError(f"view {name!r} exists already; choose another name")
+    if name in _SHIPPED:
+        raise ConfigError(f"view {name!r} is stkzoo's own; choose another name")
     if not callable(view):
         raise ConfigError(f"view {name!r} is {view!r}, expected a function that wraps a gym.Env")
+    if name in VIEWS and not (replace or _is_same(view, VIEWS[name])):
+        raise ConfigError(
+            f"view {name!r} exists already and is {VIEWS[name]!r}; choose another name, or pass "
+            "replace=True"
+        )
+    if name not in VIEWS:
+        _register_view_id(name)
     VIEWS[name] = view
-    _register_view_id(name)
+
+
+def _is_same(view: ViewFactory, other: ViewFactory) -> bool:
+    """Whether two views are equal, or one is the other after its definition has run again."""
+    names = [(entry.__module__, getattr(entry, "__qualname__", "<>")) for entry in (view, other)]
+    return view == other or (names[0] == names[1] and "<" not in names[0][1])
 
 
 def _register_view_id(name: str) -> None:

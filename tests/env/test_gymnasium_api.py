@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
-from stkzoo import make_stkrace_vec
+from stkzoo import ActionError, make_stkrace_vec
 from stkzoo.checks.play import fingerprint
 
 SINGLE_IDS = [
@@ -132,6 +132,16 @@ def test_sync_and_async_vectors_drive_the_same_races():
         results.append(fingerprint(record))
         envs.close()
     assert results[0] == results[1]
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::UserWarning")  # Gymnasium logs the worker's traceback so
+def test_a_bad_action_in_one_of_the_worker_processes_is_an_action_error():
+    envs = make_stkrace_vec(2, "supertuxkart/flattened_discrete-v0", env_kwargs=OPTIONS)
+    envs.reset(seed=3)
+    with pytest.raises(ActionError, match=r"action of agent 'kart_0' is .*100000"):
+        envs.step(np.array([0, 100_000]))
+    envs.close(terminate=True)
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from pettingzoo.utils import parallel_to_aec
 
 from stkzoo import ActionError, ConfigError, race_v0
 from stkzoo.views import VIEWS
-from stkzoo.wrappers import FlattenerWrapper, JoinedObservations, PolarObservations
+from stkzoo.wrappers import FlattenerWrapper, JoinedObservations
 from stkzoo.wrappers.marl import ActionMasks, MessageChannel, PartialObservations, Teams
 
 TEAMS = [["kart_0", 3], ["1", "kart_2"]]
@@ -193,7 +193,7 @@ def test_limited_sight_refuses(options, text):
 
 def test_limited_sight_needs_lists():
     with pytest.raises(Exception, match="needs a list"):
-        race(view=lambda env: PartialObservations(PolarObservations(VIEWS["simple"].__call__(env))))
+        race(view=lambda env: PartialObservations(VIEWS["simple"](env)))
 
 
 # ------------------------------------------------------------------ teams

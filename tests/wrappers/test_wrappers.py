@@ -262,6 +262,11 @@ def test_discrete_actions_refuse_fewer_than_two_steps(key, value):
         (lambda: ConstantSizedObservations(wrap(kart_env(), "simple")), "only once"),
         (lambda: ConstantSizedObservations(wrap(kart_env(), "flattened")), "paths_width"),
         (lambda: PolarObservations(wrap(kart_env(), "flattened")), "found no positions"),
+        (lambda: PolarObservations(wrap(kart_env(), "simple")), "center_path.* only once"),
+        (
+            lambda: PolarObservations(ConstantSizedObservations(PolarObservations(kart_env()))),
+            "items_position.* only once",
+        ),
         (lambda: FlattenerWrapper(kart_env()), "ConstantSizedObservations inside"),
         (lambda: FlattenerWrapper(wrap(kart_env(), "flattened_discrete")), "Dict space"),
         (lambda: FlattenMultiDiscreteActions(kart_env()), "MultiDiscrete action space"),

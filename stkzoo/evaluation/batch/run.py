@@ -89,15 +89,21 @@ class BatchError(StkzooError, Generic[Summary]):
         result: the result of the others; ``None`` where one needs all races.
     """
 
-    def __init__(self, errors: Mapping[int, str], total: int, result: Summary) -> None:
+    def __init__(self, message: str, result: Summary | None = None) -> None:
+        super().__init__(message)
+        self.result = result
+
+    @classmethod
+    def of(cls, errors: Mapping[int, str], total: int, result: Summary) -> BatchError[Summary]:
+        """The error for some of ``total`` races, with why each of them could not be run."""
         first = list(errors.items())[:_MAX_ERRORS_SHOWN]
         lines = "".join(f"\nrace {number}: {error}" for number, error in first)
         more = f"\n... and {len(errors) - len(first)} more" if len(errors) > len(first) else ""
-        super().__init__(
+        return cls(
             f"{len(errors)} of {total} races could not be run; the others are kept, and the same "
-            f"command tries these again:{lines}{more}"
+            f"command tries these again:{lines}{more}",
+            result,
         )
-        self.result = result
 
 
 @dataclass(slots=True)
@@ -198,7 +204,7 @@ def run_batch(
         if plot is not None and results:
             plot(result, batch.folder / f"{plan.noun}.png")
     if batch.errors:
-        raise BatchError(batch.errors, len(orders), result)
+        raise BatchError.of(batch.errors, len(orders), result)
     return result
 
 

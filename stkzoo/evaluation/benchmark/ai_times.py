@@ -232,7 +232,7 @@ def measure_ai_times(
         orders = batch.plan.orders()
         results = batch.run(orders, options)
         if batch.errors:
-            raise BatchError(batch.errors, len(orders), None)
+            raise BatchError.of(batch.errors, len(orders), None)
         times = AiTimes.from_races(results[number] for number in sorted(results))
         batch.write(AI_TIMES_FILE, times.to_json())
     return times

@@ -81,7 +81,7 @@ def record_plan(
         ]
         results = batch.run(orders, options)
         if batch.errors:
-            raise BatchError(batch.errors, len(orders), None)
+            raise BatchError.of(batch.errors, len(orders), None)
         joined = join([results[order.number] for order in orders])
         demos = replace(joined, plan=batch.plan.to_dict())
         save_demonstrations(demos, target)

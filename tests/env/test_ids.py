@@ -1,0 +1,60 @@
+"""Ids of a user's own views."""
+
+import gymnasium as gym
+import pytest
+
+import stkzoo
+from stkzoo.views import VIEWS
+
+CELL = """
+def own_view(env):
+    return gym.wrappers.FilterObservation(env, ["{key}"])
+
+
+class OwnView(gym.ObservationWrapper):
+    def observation(self, observation):
+        return observation
+"""
+
+
+@pytest.fixture(autouse=True)
+def forget_own_view():
+    yield
+    VIEWS.pop("own", None)
+    gym.registry.pop("supertuxkart/own-v0", None)
+
+
+def run_cell(key="velocity"):
+    """What a notebook's cell defines, anew at each call."""
+    names = {"gym": gym, "__name__": "__main__"}
+    exec(CELL.format(key=key), names)
+    return names
+
+
+@pytest.mark.parametrize("name", ["own_view", "OwnView"])
+def test_a_cell_that_registers_a_view_may_run_twice(name):
+    for _ in range(2):
+        stkzoo.register_view("own", run_cell()[name])
+
+
+def test_the_view_of_the_last_run_counts():
+    for key in ("velocity", "front"):
+        stkzoo.register_view("own", run_cell(key)["own_view"])
+    with gym.make("supertuxkart/own-v0", track="lighthouse", num_kart=1) as env:
+        observation, _ = env.reset(seed=1)
+        assert list(observation) == ["front"]
+
+
+@pytest.mark.parametrize("other", [lambda env: env, run_cell()["OwnView"], VIEWS["simple"]])
+def test_another_view_of_the_same_name_needs_replace(other):
+    stkzoo.register_view("own", run_cell()["own_view"])
+    with pytest.raises(stkzoo.ConfigError, match=r"'own' exists already.*replace=True"):
+        stkzoo.register_view("own", other)
+    stkzoo.register_view("own", other, replace=True)
+    assert VIEWS["own"] is other
+
+
+@pytest.mark.parametrize("name", ["simple", "camera"])
+def test_a_view_of_stkzoo_cannot_be_replaced(name):
+    with pytest.raises(stkzoo.ConfigError, match=f"{name!r} is stkzoo's own"):
+        stkzoo.register_view(name, lambda env: env, replace=True)
