@@ -49,7 +49,7 @@ LAYERS = [
     ("render", ["stkzoo.render"]),
     ("views", ["stkzoo.views", "stkzoo.wrappers", "stkzoo.kernel.reference.racing_observer"]),
     ("env", ["stkzoo.env", "stkzoo.race_v0"]),
-    ("front", ["stkzoo", "stkzoo.compat", "stkzoo.checks"]),
+    ("front", ["stkzoo", "stkzoo.compat", "stkzoo._pystk2_gymnasium", "stkzoo.checks"]),
     ("race", ["stkzoo.race", "stkzoo.play", "stkzoo.sb3"]),
     ("evaluation", ["stkzoo.evaluation"]),
     ("agents", ["stkzoo.agents"]),

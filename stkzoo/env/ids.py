@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import gymnasium
 import pettingzoo
 
@@ -15,6 +17,24 @@ _SHIPPED = frozenset({*VIEWS, *CAMERA_VIEWS})
 
 def register_ids() -> None:
     """Registers all ids; called when ``stkzoo`` is imported."""
+    register_gymnasium_ids()
+    if hasattr(pettingzoo, "register"):  # from PettingZoo 1.27
+        pettingzoo.register("parallel", f"{_NAMESPACE}/race-v0", "stkzoo.race_v0:parallel_env")
+        pettingzoo.register("aec", f"{_NAMESPACE}/race-v0", "stkzoo.race_v0:env")
+
+
+def register_gymnasium_ids() -> None:
+    """Registers Gymnasium's ids; a warning says once whose ids they were before."""
+    names = (*VIEWS, *CAMERA_VIEWS, "multi-full")
+    found = [gymnasium.registry.pop(f"{_NAMESPACE}/{name}-v0", None) for name in names]
+    owners = {str(spec.entry_point).partition(".")[0] for spec in found if spec} - {"stkzoo"}
+    for owner in sorted(owners):
+        warnings.warn(
+            f"{owner} was imported before stkzoo.compat: the ids {_NAMESPACE}/... are stkzoo's "
+            f"from now on, but names that were imported from {owner} are not. To use stkzoo's "
+            f"names too, write `import stkzoo.compat` above the first import of {owner}.",
+            stacklevel=2,
+        )
     for name in (*VIEWS, *CAMERA_VIEWS):
         _register_view_id(name)
     gymnasium.register(
@@ -22,9 +42,6 @@ def register_ids() -> None:
         entry_point="stkzoo.env.multi:STKRaceMultiEnv",
         max_episode_steps=MAX_EPISODE_STEPS,
     )
-    if hasattr(pettingzoo, "register"):  # from PettingZoo 1.27
-        pettingzoo.register("parallel", f"{_NAMESPACE}/race-v0", "stkzoo.race_v0:parallel_env")
-        pettingzoo.register("aec", f"{_NAMESPACE}/race-v0", "stkzoo.race_v0:env")
 
 
 def register_view(name: str, view: ViewFactory, *, replace: bool = False) -> None:

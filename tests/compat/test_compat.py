@@ -1,5 +1,6 @@
 """Code written for pystk2-gymnasium runs on stkzoo; each case in an interpreter of its own."""
 
+import importlib.util
 import json
 import subprocess
 import sys
@@ -7,7 +8,9 @@ import textwrap
 
 import pytest
 
-TAKE_OVER = "import stkzoo.compat\nassert stkzoo.compat.install(replace=True)\n"
+from tests.support import paths
+
+TAKE_OVER = "import stkzoo.compat\n"
 
 PRELUDE = """
 import warnings
@@ -121,12 +124,59 @@ def test_an_import_line_resolves_to_stkzoo(packages_of_names, line):
     assert packages_of_names[line] == ["stkzoo"]
 
 
-def test_where_the_reference_is_installed_it_stays():
-    code = "import stkzoo.compat, importlib.util as u\nprint(stkzoo.compat.install())\n"
-    assert run_python(f"{code}print(u.find_spec('pystk2_gymnasium').name)").split() == [
-        "False",
-        "pystk2_gymnasium",
-    ]
+OWNERS = """
+import gymnasium, importlib, pystk2_gymnasium, pystk2_gymnasium.envs, sys
+names = {module.__name__.split(".")[0] for name, module in list(sys.modules.items())
+         if name.split(".")[0] == "pystk2_gymnasium"}
+ids = {str(spec.entry_point).split(".")[0] for name, spec in gymnasium.registry.items()
+       if name.startswith("supertuxkart/")}
+classes = pystk2_gymnasium.envs.STKRaceEnv, pystk2_gymnasium.AgentSpec
+print(*names, *ids, *(kind.__module__ for kind in classes))
+"""
+COMPLETE = "stkzoo stkzoo stkzoo.env.single stkzoo.config"
+
+
+@pytest.mark.parametrize("again", ["", "stkzoo.compat.install(replace=True)"])
+def test_where_the_reference_is_installed_names_and_ids_are_taken_over(again):
+    assert importlib.util.find_spec("pystk2_gymnasium") is not None
+    assert run_python(f"import stkzoo.compat\n{again}\n{OWNERS}") == COMPLETE
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        "import pystk2_gymnasium\nimport stkzoo.compat",
+        # the ids go to and fro, of which Gymnasium warns at the reference's import
+        "import stkzoo, pystk2_gymnasium.pystk_process\nimport stkzoo.compat",
+    ],
+)
+def test_a_reference_that_was_imported_before_is_replaced_with_one_warning(before):
+    code = f"""
+import warnings
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+{textwrap.indent(before, "    ")}
+texts = [str(warning.message) for warning in caught]
+print(*(text for text in texts if "Overriding environment" not in text))
+"""
+    said, owners = run_python(code + OWNERS).splitlines()
+    assert owners == COMPLETE
+    assert said.count("was imported before stkzoo.compat") == 1
+    assert "`import stkzoo.compat` above the first import of pystk2_gymnasium" in said
+
+
+def test_a_race_of_an_agent_leaves_the_reference_alone():
+    place = str(paths.AGENTS / "reference")
+    code = f"""
+import sys, warnings
+import pystk2_gymnasium
+warnings.simplefilter("ignore")
+from stkzoo.race.agents.code import load_agent
+from stkzoo.race.agents.files import AgentPlace
+load_agent(AgentPlace(("pystk_actor",), first={place!r}))
+print(pystk2_gymnasium.envs.STKRaceEnv.__module__, sys.modules["pystk2_gymnasium"].__name__)
+"""
+    assert run_python(code) == "pystk2_gymnasium.envs pystk2_gymnasium"
 
 
 def test_where_the_reference_is_missing_importing_compat_is_enough():

@@ -17,6 +17,7 @@ import gymnasium as gym
 from gymnasium import spaces
 from gymnasium.envs.registration import load_env_creator
 
+from stkzoo import _pystk2_gymnasium
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.race.agents.files import AgentPlace
 from stkzoo.views import VIEWS, ViewFactory, sees_ground
@@ -175,14 +176,14 @@ class ModuleScope:
     It keeps agents apart whose files have the same names. On entry it puts the agent's modules and
     folders into ``sys.modules`` and ``sys.path``; on exit it removes them and restores other
     modules of the same names. It may be nested. In it, ``pystk2_gymnasium`` is
-    :mod:`stkzoo.compat`'s.
+    stkzoo's own, even if the real one is installed.
     """
 
     def __init__(self, place: AgentPlace) -> None:
         self._place = place
         self._roots = [Path(root) for root in (place.first, place.last) if root]
         self._names = frozenset(_top(name) for name in place.modules) | _siblings(place)
-        self._own = _compat_modules()
+        self._own = _pystk2_gymnasium.modules()
         self._hidden: dict[str, ModuleType] = {}
         self._depth = self._count = 0
 
@@ -260,17 +261,6 @@ class ModuleScope:
         if path is None or _INSTALLED & set(path.parts):
             return False
         return not any(path.is_relative_to(root) for root in self._roots)
-
-
-def _compat_modules() -> dict[str, ModuleType]:
-    """The modules of ``pystk2_gymnasium`` for agents, even if the real one is installed."""
-    home, name = "stkzoo.compat.", "pystk2_gymnasium"
-    importlib.import_module(home + name)
-    return {
-        full.removeprefix(home): module
-        for full, module in list(sys.modules.items())
-        if full.startswith(home + name)
-    }
 
 
 def _path_of(module: ModuleType | None) -> Path | None:

@@ -1,6 +1,11 @@
 """The names of ``pystk2_gymnasium``, provided by stkzoo."""
 
-from stkzoo.compat.pystk2_gymnasium import (
+from __future__ import annotations
+
+import sys
+from types import ModuleType
+
+from stkzoo._pystk2_gymnasium import (
     definitions,
     envs,
     stk_wrappers,
@@ -8,20 +13,20 @@ from stkzoo.compat.pystk2_gymnasium import (
     vecenv,
     wrappers,
 )
-from stkzoo.compat.pystk2_gymnasium.definitions import (
+from stkzoo._pystk2_gymnasium.definitions import (
     ActionObservationWrapper,
     AgentException,
     AgentSpec,
     CameraMode,
 )
-from stkzoo.compat.pystk2_gymnasium.stk_wrappers import (
+from stkzoo._pystk2_gymnasium.stk_wrappers import (
     ConstantSizedObservations,
     DiscreteActionsWrapper,
     OnlyContinuousActionsWrapper,
     PolarObservations,
 )
-from stkzoo.compat.pystk2_gymnasium.vecenv import make_stkrace_vec
-from stkzoo.compat.pystk2_gymnasium.wrappers import (
+from stkzoo._pystk2_gymnasium.vecenv import make_stkrace_vec
+from stkzoo._pystk2_gymnasium.wrappers import (
     FlattenerWrapper,
     FlattenMultiDiscreteActions,
     MonoAgentWrapperAdapter,
@@ -49,3 +54,12 @@ __all__ = [
     "vecenv",
     "wrappers",
 ]
+
+
+def modules() -> dict[str, ModuleType]:
+    """This package and its modules, by the names that they have in ``pystk2_gymnasium``."""
+    return {
+        name.replace(__name__, "pystk2_gymnasium", 1): module
+        for name, module in list(sys.modules.items())
+        if f"{name}.".startswith(f"{__name__}.")
+    }
