@@ -94,12 +94,9 @@ _ITEM_PLAN = _copy_plan(_STATE_ITEM, ITEM_DTYPE, _COPIED_ITEM)
 
 
 def _attribute_plan(target: Any, names: Iterable[str]) -> npt.NDArray[np.int32]:
-    """For each field, its place, how many numbers it has, and whether they are whole."""
-    plan = []
-    for name in names:
-        dtype, offset, *_ = target.fields[name]
-        plan.append((offset, dtype.itemsize // 4, dtype.base.kind == "i"))
-    return np.array(plan, np.int32)
+    """For each field, its place and how many floats it has."""
+    fields = [target.fields[name] for name in names]
+    return np.array([(offset, dtype.itemsize // 4) for dtype, offset, *_ in fields], np.int32)
 
 
 _ATTRIBUTE_PLAN = _attribute_plan(KART_DTYPE, BY_ATTRIBUTE)

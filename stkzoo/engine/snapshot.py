@@ -80,16 +80,13 @@ _INT = struct.Struct("=i")
 _COUNTS = struct.Struct("=ii")
 
 
-def _offsets(dtype: np.dtype[np.void]) -> dict[str, int]:
-    return {name: offset for name, (_, offset, *_) in (dtype.fields or {}).items()}
+_OFFSETS = [
+    (f"{record}.{name}", offset)
+    for record, dtype in (("Header", HEADER_DTYPE), ("Kart", KART_DTYPE), ("Item", ITEM_DTYPE))
+    for name, (_, offset, *_) in (dtype.fields or {}).items()
+]
 
-
-_compiled = layouts()
-if _compiled is not None and _compiled != {
-    "header": _offsets(HEADER_DTYPE),
-    "kart": _offsets(KART_DTYPE),
-    "item": _offsets(ITEM_DTYPE),
-}:
+if layouts() not in (None, _OFFSETS):
     raise ImportError(
         "stkzoo's compiled part belongs to another version; install stkzoo again, "
         "or set STKZOO_KERNEL=off to go on without it"

@@ -17,16 +17,15 @@ typedef struct {
 
 /* Numbers that come together: the whole action, or what stands under one key. */
 typedef struct {
-    int first, count;
+    Entry *entries;
+    npy_intp count;
 } Leaf;
 
 typedef struct {
-    PyObject_HEAD
-    PyObject *names;  /* tuple of the leaves' keys; empty if the action is the only leaf */
-    PyObject *tables; /* keeps the tables alive */
-    int num_leaves, num_entries, num_columns;
+    OBJECT_HEAD
+    PyObject *names; /* tuple of the leaves' keys; empty if the action is the only leaf */
     Leaf *leaves;
-    Entry *entries;
+    int num_columns;
 } ActionReader;
 
 /* stkzoo.views.actions.BOUND_TOLERANCE */
@@ -64,24 +63,24 @@ static int number_at(PyArrayObject *array, npy_intp i, double *value)
     }
 }
 
-static int read_array(const ActionReader *self, const Leaf *leaf, PyArrayObject *array, float *row)
+static int read_array(const Leaf *leaf, PyArrayObject *array, float *row)
 {
     if (!PyArray_IS_C_CONTIGUOUS(array) || !PyArray_ISBEHAVED_RO(array) ||
         PyArray_SIZE(array) != leaf->count || (leaf->count > 1 && PyArray_NDIM(array) != 1)) {
         return 0;
     }
-    for (int i = 0; i < leaf->count; i++) {
+    for (npy_intp i = 0; i < leaf->count; i++) {
         double value;
-        if (!number_at(array, i, &value) || !put(self->entries + leaf->first + i, value, row)) {
+        if (!number_at(array, i, &value) || !put(leaf->entries + i, value, row)) {
             return 0;
         }
     }
     return 1;
 }
 
-static int read_leaf(const ActionReader *self, const Leaf *leaf, PyObject *object, float *row)
+static int read_leaf(const Leaf *leaf, PyObject *object, float *row)
 {
-    if (PyArray_Check(object)) return read_array(self, leaf, (PyArrayObject *)object, row);
+    if (PyArray_Check(object)) return read_array(leaf, (PyArrayObject *)object, row);
     if (leaf->count != 1) return 0;
     if (!PyFloat_Check(object) && !PyLong_Check(object) && !PyArray_IsScalar(object, Integer) &&
         !PyArray_IsScalar(object, Floating) && !PyArray_IsScalar(object, Bool)) {
@@ -92,18 +91,18 @@ static int read_leaf(const ActionReader *self, const Leaf *leaf, PyObject *objec
         PyErr_Clear();
         return 0;
     }
-    return put(self->entries + leaf->first, value, row);
+    return put(leaf->entries, value, row);
 }
 
 static int read_action(const ActionReader *self, PyObject *action, float *row)
 {
     const Py_ssize_t num_names = PyTuple_GET_SIZE(self->names);
-    if (num_names == 0) return read_leaf(self, self->leaves, action, row);
+    if (num_names == 0) return read_leaf(self->leaves, action, row);
     if (!PyDict_Check(action) || PyDict_GET_SIZE(action) != num_names) return 0;
     for (Py_ssize_t i = 0; i < num_names; i++) {
         PyObject *part = PyDict_GetItemWithError(action, PyTuple_GET_ITEM(self->names, i));
         if (!part) return PyErr_Occurred() ? -1 : 0;
-        const int is_read = read_leaf(self, self->leaves + i, part, row);
+        const int is_read = read_leaf(self->leaves + i, part, row);
         if (is_read <= 0) return is_read;
     }
     return 1;
@@ -111,29 +110,28 @@ static int read_action(const ActionReader *self, PyObject *action, float *row)
 
 /* read(actions, agents, rows, controls): the action of agents[i], from a dict, into row rows[i];
    whether all were there and could be read. */
-static PyObject *reader_read(PyObject *object, PyObject *const *args, Py_ssize_t nargs)
+static PyObject *reader_read(PyObject *object, PyObject *args)
 {
     const ActionReader *self = (ActionReader *)object;
-    npy_intp num_rows, size;
-    if (nargs != 4 || !PyTuple_Check(args[1])) {
-        return PyErr_Format(PyExc_TypeError, "read() takes actions, a tuple and two arrays");
+    PyObject *actions, *agents;
+    Indices rows;
+    Floats controls;
+    if (!PyArg_ParseTuple(args, "OO!O&O&", &actions, &PyTuple_Type, &agents, as_indices, &rows,
+                          as_written_floats, &controls)) {
+        return NULL;
     }
-    const npy_intp *rows = numbers_of(args[2], "rows", NPY_INTP, &num_rows);
-    if (!rows) return NULL;
-    float *controls = numbers_of(args[3], "controls", NPY_FLOAT32, &size);
-    if (!controls) return NULL;
-    if (PyTuple_GET_SIZE(args[1]) != num_rows) {
-        return PyErr_Format(PyExc_ValueError, "%zd agents for %zd rows",
-                            PyTuple_GET_SIZE(args[1]), num_rows);
+    if (PyTuple_GET_SIZE(agents) != rows.size) {
+        return PyErr_Format(PyExc_ValueError, "%zd agents for %zd rows", PyTuple_GET_SIZE(agents),
+                            rows.size);
     }
-    if (!PyDict_Check(args[0])) Py_RETURN_FALSE;
-    for (npy_intp i = 0; i < num_rows; i++) {
-        if (rows[i] < 0 || (rows[i] + 1) * self->num_columns > size) {
-            return PyErr_Format(PyExc_IndexError, "there is no row %zd", rows[i]);
-        }
-        PyObject *action = PyDict_GetItemWithError(args[0], PyTuple_GET_ITEM(args[1], i));
+    if (!are_below(rows, controls.size / self->num_columns)) {
+        return PyErr_Format(PyExc_IndexError, "there is no row of that number");
+    }
+    if (!PyDict_Check(actions)) Py_RETURN_FALSE;
+    for (npy_intp i = 0; i < rows.size; i++) {
+        PyObject *action = PyDict_GetItemWithError(actions, PyTuple_GET_ITEM(agents, i));
         if (!action && PyErr_Occurred()) return NULL;
-        float *row = controls + rows[i] * self->num_columns;
+        float *row = controls.data + rows.data[i] * self->num_columns;
         memset(row, 0, (size_t)self->num_columns * sizeof *row);
         const int is_read = action ? read_action(self, action, row) : 0;
         if (is_read < 0) return NULL;
@@ -143,97 +141,61 @@ static PyObject *reader_read(PyObject *object, PyObject *const *args, Py_ssize_t
 }
 
 /* One entry from (low, high, is_whole, column, table or None). */
-static int set_entry(ActionReader *self, Entry *entry, PyObject *spec)
+static int set_entry(const ActionReader *self, Entry *entry, PyObject *spec)
 {
     PyObject *table;
-    npy_intp size;
+    Floats controls = {NULL, 1};
     if (!PyArg_ParseTuple(spec, "ddpiO", &entry->low, &entry->high, &entry->is_whole,
-                          &entry->column, &table)) {
+                          &entry->column, &table) ||
+        (table != Py_None && !as_floats(table, &controls))) {
         return -1;
     }
-    entry->width = 1;
-    if (table != Py_None) {
-        if (!(entry->table = numbers_of(table, "table", NPY_FLOAT32, &size))) return -1;
-        const npy_intp steps = (npy_intp)(entry->high - entry->low) + 1;
-        entry->width = (int)(size / steps);
-        if (!entry->is_whole || size == 0 || size % steps) {
-            PyErr_SetString(PyExc_ValueError, "a table has a row for each whole number");
-            return -1;
-        }
-        if (PyList_Append(self->tables, table) < 0) return -1;
+    const npy_intp steps = controls.data ? (npy_intp)(entry->high - entry->low) + 1 : 1;
+    if (controls.data && (!entry->is_whole || controls.size == 0 || controls.size % steps)) {
+        return refuse("a table has a row for each whole number");
     }
+    entry->table = controls.data;
+    entry->width = (int)(controls.size / steps);
     if (entry->column < 0 || entry->column + entry->width > self->num_columns) {
-        PyErr_SetString(PyExc_ValueError, "an entry leads beyond the last column");
-        return -1;
+        return refuse("an entry leads beyond the last column");
     }
     return 0;
 }
 
-static int set_leaves(ActionReader *self, PyObject *leaves)
+static int set_leaf(ActionReader *self, Leaf *leaf, PyObject *specs)
 {
-    const Py_ssize_t num_leaves = PyTuple_GET_SIZE(leaves);
-    Py_ssize_t num_entries = 0;
-    for (Py_ssize_t i = 0; i < num_leaves; i++) {
-        if (!PyTuple_Check(PyTuple_GET_ITEM(leaves, i))) {
-            PyErr_SetString(PyExc_TypeError, "a leaf is a tuple of entries");
-            return -1;
-        }
-        num_entries += PyTuple_GET_SIZE(PyTuple_GET_ITEM(leaves, i));
-    }
-    self->leaves = PyMem_Calloc((size_t)num_leaves + 1, sizeof *self->leaves);
-    self->entries = PyMem_Calloc((size_t)num_entries + 1, sizeof *self->entries);
-    if (!self->leaves || !self->entries) {
-        PyErr_NoMemory();
-        return -1;
-    }
-    for (Py_ssize_t i = 0; i < num_leaves; i++) {
-        PyObject *leaf = PyTuple_GET_ITEM(leaves, i);
-        self->leaves[i].first = self->num_entries;
-        self->leaves[i].count = (int)PyTuple_GET_SIZE(leaf);
-        for (Py_ssize_t j = 0; j < PyTuple_GET_SIZE(leaf); j++) {
-            Entry *entry = self->entries + self->num_entries++;
-            if (set_entry(self, entry, PyTuple_GET_ITEM(leaf, j)) < 0) return -1;
-        }
+    if (!PyTuple_Check(specs)) return refuse("a leaf is a tuple of entries");
+    leaf->count = PyTuple_GET_SIZE(specs);
+    if (!(leaf->entries = room_for(self, leaf->count, sizeof *leaf->entries))) return -1;
+    for (npy_intp i = 0; i < leaf->count; i++) {
+        if (set_entry(self, leaf->entries + i, PyTuple_GET_ITEM(specs, i)) < 0) return -1;
     }
     return 0;
 }
 
-static PyObject *reader_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
+/* ActionReader(names, leaves, num_columns) */
+static int reader_set_up(ActionReader *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
-    static char *words[] = {"names", "leaves", "num_columns", NULL};
-    PyObject *names, *leaves;
-    int num_columns;
-    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "O!O!i", words, &PyTuple_Type, &names,
-                                     &PyTuple_Type, &leaves, &num_columns)) {
-        return NULL;
+    PyObject *leaves;
+    if (!PyArg_ParseTuple(args, "O!O!i", &PyTuple_Type, &self->names, &PyTuple_Type, &leaves,
+                          &self->num_columns)) {
+        return -1;
     }
-    const Py_ssize_t num_names = PyTuple_GET_SIZE(names);
-    if (PyTuple_GET_SIZE(leaves) != (num_names ? num_names : 1)) {
-        PyErr_SetString(PyExc_ValueError, "there is one leaf for each name, or one without");
-        return NULL;
+    const Py_ssize_t num_names = PyTuple_GET_SIZE(self->names), count = PyTuple_GET_SIZE(leaves);
+    if (self->num_columns < 1) return refuse("there are no columns");
+    if (count != (num_names ? num_names : 1)) {
+        return refuse("there is one leaf for each name, or one without");
     }
-    ActionReader *self = (ActionReader *)type->tp_alloc(type, 0);
-    if (!self) return NULL;
-    Py_INCREF(names);
-    self->names = names;
-    self->num_columns = num_columns;
-    self->tables = PyList_New(0);
-    if (!self->tables || set_leaves(self, leaves) < 0) Py_CLEAR(self);
-    return (PyObject *)self;
-}
-
-static void reader_dealloc(PyObject *object)
-{
-    ActionReader *self = (ActionReader *)object;
-    Py_XDECREF(self->names);
-    Py_XDECREF(self->tables);
-    PyMem_Free(self->leaves);
-    PyMem_Free(self->entries);
-    Py_TYPE(object)->tp_free(object);
+    if (!(self->leaves = room_for(self, count, sizeof *self->leaves))) return -1;
+    for (Py_ssize_t i = 0; i < count; i++) {
+        if (set_leaf(self, self->leaves + i, PyTuple_GET_ITEM(leaves, i)) < 0) return -1;
+    }
+    return 0;
 }
 
 static PyMethodDef reader_methods[] = {
-    FAST_METHOD("read", reader_read, "Actions into rows of controls; whether all could be read."),
+    {"read", reader_read, METH_VARARGS,
+     "Actions into rows of controls; whether all could be read."},
     {NULL, NULL, 0, NULL},
 };
 

@@ -8,6 +8,7 @@
 #include <math.h>
 
 enum { NUM_GEARS = 4 };
+enum { THROTTLE, STEERING, BRAKE };
 
 /* A measured kart, see stkzoo.wrappers.control.pedals. */
 typedef struct {
@@ -21,12 +22,11 @@ typedef struct {
 } State;
 
 typedef struct {
-    PyObject_HEAD
-    PyObject *model; /* keeps pedals alive */
+    OBJECT_HEAD
     const Pedals *pedals;
     int is_speed, is_angle, is_normalized; /* what is asked for, and in which units */
     double steer_low, steer_high, low, high, v_min, v_max, sv_max, speed_gain;
-    int throttle_column, steer_column, brake_column, num_columns;
+    int columns[3], num_columns; /* of the controls: throttle, steering, brake */
 } CarController;
 
 static double clipped(double value, double low, double high)
@@ -113,8 +113,8 @@ static void drive(const CarController *self, const Kart *kart, State *state, flo
     const Pedals *pedals = self->pedals;
     const double speed = kart->velocity_lc[2], step = state->step_size;
     const double most = kart->max_steer_angle > 1e-3 ? kart->max_steer_angle : 1e-3;
-    const double turn = physical(self, row[self->steer_column], self->steer_low, self->steer_high);
-    const double asked = physical(self, row[self->throttle_column], self->low, self->high);
+    const double turn = physical(self, row[self->columns[STEERING]], self->steer_low, self->steer_high);
+    const double asked = physical(self, row[self->columns[THROTTLE]], self->low, self->high);
     double accl = accelerate(self, asked, speed, step), throttle;
     int brake;
     state->angle = steer(self, turn, state->angle, most, step);
@@ -129,81 +129,62 @@ static void drive(const CarController *self, const Kart *kart, State *state, flo
         const double given = effect(pedals, throttle, brake, speed, step);
         state->owed = clipped((accl - given) * step, -2.0, 2.0);
     }
-    row[self->throttle_column] = (float)throttle;
-    row[self->steer_column] = (float)(state->angle / most);
-    row[self->brake_column] = (float)brake;
+    row[self->columns[THROTTLE]] = (float)throttle;
+    row[self->columns[STEERING]] = (float)(state->angle / most);
+    row[self->columns[BRAKE]] = (float)brake;
 }
 
 /* drive(controls, rows, data, karts, states, places): for each i, the controls in row rows[i] of
    the kart karts[i] at a snapshot's moment, with the memory in row places[i] of the states. */
-static PyObject *controller_drive(PyObject *object, PyObject *const *args, Py_ssize_t nargs)
+static PyObject *controller_drive(PyObject *object, PyObject *args)
 {
     const CarController *self = (CarController *)object;
+    Floats controls;
     Moment moment;
-    npy_intp size, num_rows, num_karts, num_places, num_states;
-    if (nargs != 6) return PyErr_Format(PyExc_TypeError, "drive() takes 6 arguments");
-    float *controls = numbers_of(args[0], "controls", NPY_FLOAT32, &size);
-    if (!controls) return NULL;
-    const npy_intp *rows = numbers_of(args[1], "rows", NPY_INTP, &num_rows);
-    if (!rows || read_moment(args[2], &moment) < 0) return NULL;
-    const npy_intp *karts = numbers_of(args[3], "karts", NPY_INTP, &num_karts);
-    if (!karts) return NULL;
-    State *states = numbers_of(args[4], "states", NPY_FLOAT64, &num_states);
-    if (!states) return NULL;
-    const npy_intp *places = numbers_of(args[5], "places", NPY_INTP, &num_places);
-    if (!places) return NULL;
-    if (num_rows != num_karts || num_rows != num_places) {
-        return PyErr_Format(PyExc_ValueError, "%zd rows, %zd karts, %zd places", num_rows,
-                            num_karts, num_places);
+    Doubles memory;
+    Indices rows, karts, places;
+    if (!PyArg_ParseTuple(args, "O&O&O&O&O&O&", as_written_floats, &controls, as_indices, &rows,
+                          as_moment, &moment, as_indices, &karts, as_written_doubles, &memory,
+                          as_indices, &places)) {
+        return NULL;
     }
-    for (npy_intp i = 0; i < num_rows; i++) {
-        if (rows[i] < 0 || (rows[i] + 1) * self->num_columns > size || karts[i] < 0 ||
-            karts[i] >= moment.header->num_kart || places[i] < 0 ||
-            3 * (places[i] + 1) > num_states) {
-            return PyErr_Format(PyExc_IndexError, "there is no row, kart or state number %zd", i);
-        }
-        drive(self, moment.karts + karts[i], states + places[i],
-              controls + rows[i] * self->num_columns);
+    if (rows.size != karts.size || rows.size != places.size) {
+        return PyErr_Format(PyExc_ValueError, "%zd rows, %zd karts, %zd places", rows.size,
+                            karts.size, places.size);
+    }
+    if (!are_below(rows, controls.size / self->num_columns) ||
+        !are_below(karts, moment.header->num_kart) || !are_below(places, memory.size / 3)) {
+        return PyErr_Format(PyExc_IndexError, "there is no row, kart or state of that number");
+    }
+    State *states = (State *)memory.data;
+    for (npy_intp i = 0; i < rows.size; i++) {
+        drive(self, moment.karts + karts.data[i], states + places.data[i],
+              controls.data + rows.data[i] * self->num_columns);
     }
     Py_RETURN_NONE;
 }
 
 /* CarController(act, kinds, limits, pedals, columns, num_columns) */
-static PyObject *controller_new(PyTypeObject *type, PyObject *args, PyObject *Py_UNUSED(kwargs))
+static int controller_set_up(CarController *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
-    PyObject *act, *model;
-    npy_intp size;
-    CarController *self = (CarController *)type->tp_alloc(type, 0);
-    if (!self) return NULL;
-    if (!PyArg_ParseTuple(args, "O(ppp)(dddddddd)O(iii)i", &act, &self->is_speed, &self->is_angle,
+    PyObject *act;
+    Doubles model;
+    int *columns = self->columns;
+    if (!PyArg_ParseTuple(args, "O(ppp)(dddddddd)O&(iii)i", &act, &self->is_speed, &self->is_angle,
                           &self->is_normalized, &self->steer_low, &self->steer_high, &self->low,
                           &self->high, &self->v_min, &self->v_max, &self->sv_max,
-                          &self->speed_gain, &model, &self->throttle_column, &self->steer_column,
-                          &self->brake_column, &self->num_columns) ||
-        !(self->pedals = numbers_of(model, "pedals", NPY_FLOAT64, &size))) {
-        Py_DECREF(self);
-        return NULL;
+                          &self->speed_gain, as_doubles, &model, columns, columns + 1, columns + 2,
+                          &self->num_columns)) {
+        return -1;
     }
-    Py_INCREF(model);
-    self->model = model;
-    const int columns[] = {self->throttle_column, self->steer_column, self->brake_column};
-    int fits = size * sizeof(double) == sizeof(Pedals);
+    int fits = model.size * sizeof(double) == sizeof(Pedals);
     for (int i = 0; i < 3; i++) fits &= columns[i] >= 0 && columns[i] < self->num_columns;
-    if (!fits) {
-        PyErr_SetString(PyExc_ValueError, "the pedals or columns do not fit");
-        Py_CLEAR(self);
-    }
-    return (PyObject *)self;
-}
-
-static void controller_dealloc(PyObject *object)
-{
-    Py_XDECREF(((CarController *)object)->model);
-    Py_TYPE(object)->tp_free(object);
+    self->pedals = (const Pedals *)model.data;
+    return fits ? 0 : refuse("the pedals or columns do not fit");
 }
 
 static PyMethodDef controller_methods[] = {
-    FAST_METHOD("drive", controller_drive, "What was asked for, replaced by controls."),
+    {"drive", controller_drive, METH_VARARGS, "What was asked for, replaced by controls."},
     {NULL, NULL, 0, NULL},
 };
 

@@ -2,6 +2,7 @@
 
 #include "kernel.h"
 
+#include <math.h>
 #include <string.h>
 
 /* One row of a plan for copying from the engine's own block of bytes. */
@@ -11,19 +12,23 @@ typedef struct {
 
 /* One row of a plan for reading attributes. */
 typedef struct {
-    npy_int32 to, count, is_whole;
+    npy_int32 to, count; /* how many floats */
 } Attribute;
 
+/* A plan for copying records, and how many bytes it reaches over. */
 typedef struct {
-    PyObject_HEAD
-    PyObject *arguments; /* keeps alive what follows */
+    const Field *fields;
+    npy_intp count, extent;
+} Plan;
+
+typedef struct {
+    OBJECT_HEAD
     PyObject *step, *update, *write, *report; /* the engine's own functions */
     PyObject *world, *actions, *controls, *attributes, *phases, *reporting;
-    const npy_intp *places; /* of the karts in the block */
-    const Field *kart_fields, *item_fields;
+    Indices places; /* of the karts in the block */
+    Plan kart, item;
     const Attribute *kart_attributes;
-    npy_intp num_kart, num_kart_fields, num_item_fields, items_at, item_size;
-    npy_intp kart_extent, item_extent; /* bytes that the plans reach over */
+    npy_intp num_kart, items_at, item_size;
     int phase, last_phase; /* phases come one after the other; the last one stays */
     float *present;        /* what the actions say */
 } GameStepper;
@@ -66,17 +71,16 @@ static npy_intp length_of(const Field *field)
     return field->words ? 4 * (npy_intp)field->words : 1;
 }
 
-/* Copies what begins at `start` of the block, of which a plan needs `extent` bytes. */
-static int copy_fields(const char *block, npy_intp size, npy_intp start, npy_intp extent,
-                       const Field *fields, npy_intp count, char *record)
+/* Copies what begins at `start` of the block. */
+static int copy_fields(const char *block, npy_intp size, npy_intp start, const Plan *plan,
+                       void *record)
 {
-    if (start < 0 || start + extent > size) {
-        PyErr_SetString(PyExc_ValueError, "the engine's block is shorter than it was");
-        return -1;
+    if (start < 0 || start + plan->extent > size) {
+        return refuse("the engine's block is shorter than it was");
     }
-    for (const Field *field = fields; field < fields + count; field++) {
+    for (const Field *field = plan->fields; field < plan->fields + plan->count; field++) {
         const char *from = block + start + field->from;
-        char *to = record + field->to;
+        char *to = (char *)record + field->to;
         switch (field->words) { /* of a size that the compiler knows, which is quicker */
         case 0: memcpy(to, &(npy_int32){(unsigned char)*from}, 4); break;
         case 1: memcpy(to, from, 4); break;
@@ -87,46 +91,23 @@ static int copy_fields(const char *block, npy_intp size, npy_intp start, npy_int
     return 0;
 }
 
-static int copy_number(PyObject *value, int is_whole, char *to)
+/* One number or a sequence of them into a record; takes over the value. */
+static int copy_numbers(PyObject *value, npy_intp count, void *to)
 {
-    if (is_whole) {
-        const npy_int32 number = (npy_int32)PyLong_AsLong(value);
-        memcpy(to, &number, sizeof number);
-    } else {
+    if (!value) return -1;
+    if (count == 1) {
         const float number = (float)PyFloat_AsDouble(value);
         memcpy(to, &number, sizeof number);
+        Py_DECREF(value);
+        return PyErr_Occurred() ? -1 : 0;
     }
-    return PyErr_Occurred() ? -1 : 0;
-}
-
-static int are_floats(PyObject *value, npy_int32 count)
-{
-    PyArrayObject *array = (PyArrayObject *)value;
-    return PyArray_Check(value) && PyArray_TYPE(array) == NPY_FLOAT32 &&
-           PyArray_SIZE(array) == count && PyArray_ISCARRAY_RO(array);
-}
-
-static int copy_attribute(PyObject *object, PyObject *name, const Attribute *plan, char *record)
-{
-    PyObject *value = PyObject_GetAttr(object, name);
-    if (!value) return -1;
-    int status = 0;
-    if (plan->count == 1) {
-        status = copy_number(value, plan->is_whole, record + plan->to);
-    } else if (!plan->is_whole && are_floats(value, plan->count)) { /* as the engine has them */
-        memcpy(record + plan->to, PyArray_DATA((PyArrayObject *)value), 4 * (size_t)plan->count);
-    } else {
-        PyObject *parts = PySequence_Fast(value, "expected a sequence");
-        if (!parts || PySequence_Fast_GET_SIZE(parts) != plan->count) status = -1;
-        for (npy_int32 i = 0; !status && i < plan->count; i++) {
-            PyObject *part = PySequence_Fast_GET_ITEM(parts, i);
-            status = copy_number(part, plan->is_whole, record + plan->to + 4 * i);
-        }
-        Py_XDECREF(parts);
-    }
+    PyArrayObject *array = (PyArrayObject *)PyArray_FROM_OTF(
+        value, NPY_FLOAT32, NPY_ARRAY_CARRAY_RO | NPY_ARRAY_FORCECAST);
+    const int fits = array && PyArray_SIZE(array) == count;
+    if (fits) memcpy(to, PyArray_DATA(array), sizeof(float) * (size_t)count);
     Py_DECREF(value);
-    if (status && !PyErr_Occurred()) PyErr_Format(PyExc_ValueError, "%S has another length", name);
-    return status;
+    Py_XDECREF(array);
+    return fits ? 0 : refuse("an attribute of the engine has another length");
 }
 
 static int copy_attributes(const GameStepper *self, Kart *records)
@@ -134,13 +115,14 @@ static int copy_attributes(const GameStepper *self, Kart *records)
     PyObject *karts = PyObject_GetAttrString(self->world, "karts");
     int status = karts ? 0 : -1;
     if (karts && (!PyList_Check(karts) || PyList_GET_SIZE(karts) != self->num_kart)) {
-        PyErr_SetString(PyExc_ValueError, "the engine has other karts than before");
-        status = -1;
+        status = refuse("the engine has other karts than before");
     }
     for (npy_intp i = 0; !status && i < self->num_kart; i++) {
         for (Py_ssize_t n = 0; !status && n < PyTuple_GET_SIZE(self->attributes); n++) {
-            status = copy_attribute(PyList_GET_ITEM(karts, i), PyTuple_GET_ITEM(self->attributes, n),
-                                    self->kart_attributes + n, (char *)(records + i));
+            const Attribute *plan = self->kart_attributes + n;
+            PyObject *name = PyTuple_GET_ITEM(self->attributes, n);
+            status = copy_numbers(PyObject_GetAttr(PyList_GET_ITEM(karts, i), name), plan->count,
+                                  (char *)(records + i) + plan->to);
         }
     }
     Py_XDECREF(karts);
@@ -154,9 +136,8 @@ static int copy_report(const GameStepper *self, PyObject *number, Kart *records)
     PyObject *action = PyObject_CallOneArg(self->report, number);
     int status = action ? 0 : -1;
     for (int i = 0; !status && i < NUM_CONTROLS; i++) {
-        PyObject *value = PyObject_GetAttr(action, PyTuple_GET_ITEM(self->controls, i));
-        status = value ? copy_number(value, 0, (char *)(records[kart].control + i)) : -1;
-        Py_XDECREF(value);
+        PyObject *name = PyTuple_GET_ITEM(self->controls, i);
+        status = copy_numbers(PyObject_GetAttr(action, name), 1, records[kart].control + i);
     }
     Py_XDECREF(action);
     return status;
@@ -166,24 +147,13 @@ static int read_karts(const GameStepper *self, const char *block, npy_intp size,
 {
     memset(karts, 0, (size_t)self->num_kart * sizeof *karts);
     for (npy_intp i = 0; i < self->num_kart; i++) {
-        if (copy_fields(block, size, self->places[i], self->kart_extent, self->kart_fields,
-                        self->num_kart_fields, (char *)(karts + i)) < 0) {
-            return -1;
-        }
+        if (copy_fields(block, size, self->places.data[i], &self->kart, karts + i) < 0) return -1;
     }
     if (copy_attributes(self, karts) < 0) return -1;
     for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(self->reporting); i++) {
         if (copy_report(self, PyTuple_GET_ITEM(self->reporting, i), karts) < 0) return -1;
     }
     return 0;
-}
-
-static int number_of(PyObject *object, const char *name, float *number)
-{
-    PyObject *value = PyObject_GetAttrString(object, name);
-    *number = value ? (float)PyFloat_AsDouble(value) : 0;
-    Py_XDECREF(value);
-    return PyErr_Occurred() ? -1 : 0;
 }
 
 static int read_phase(GameStepper *self)
@@ -198,8 +168,10 @@ static int read_phase(GameStepper *self)
 
 static int read_header(GameStepper *self, npy_int32 num_items, int is_running, Header *header)
 {
-    if (read_phase(self) < 0 || number_of(self->world, "time", &header->time) < 0 ||
-        number_of(self->world, "aux_ticks", &header->aux_ticks) < 0) {
+    PyObject *world = self->world;
+    if (read_phase(self) < 0 ||
+        copy_numbers(PyObject_GetAttrString(world, "time"), 1, &header->time) < 0 ||
+        copy_numbers(PyObject_GetAttrString(world, "aux_ticks"), 1, &header->aux_ticks) < 0) {
         return -1;
     }
     header->phase = self->phase;
@@ -227,8 +199,7 @@ static PyObject *moment_from(GameStepper *self, const char *block, npy_intp size
     if (!status) status = read_karts(self, block, size, kart);
     npy_intp at = self->items_at + (npy_intp)sizeof num_items;
     for (npy_int32 i = 0; !status && i < num_items; i++, at += self->item_size) {
-        status = copy_fields(block, size, at, self->item_extent, self->item_fields,
-                             self->num_item_fields, (char *)(item + i));
+        status = copy_fields(block, size, at, &self->item, item + i);
     }
     if (status) Py_CLEAR(data);
     return data;
@@ -345,28 +316,25 @@ static PyObject *stepper_serve(PyObject *self, PyObject *file)
 
 /* ---------------------------------------------------------------- the type */
 
-static npy_intp extent_of(const Field *fields, npy_intp count)
+/* Takes a plan for records of some size. */
+static int set_plan(Plan *plan, Integers numbers, size_t size)
 {
-    npy_intp extent = 0;
-    for (npy_intp i = 0; i < count; i++) {
-        const npy_intp end = fields[i].from + length_of(fields + i);
-        if (end > extent) extent = end;
-    }
-    return extent;
-}
-
-static int check_plans(const GameStepper *self)
-{
-    for (npy_intp i = 0; i < self->num_kart_fields + self->num_item_fields; i++) {
-        const int is_kart = i < self->num_kart_fields;
-        const Field *field = is_kart ? self->kart_fields + i
-                                     : self->item_fields + (i - self->num_kart_fields);
+    *plan = (Plan){(const Field *)numbers.data, numbers.size / 3, 0};
+    for (const Field *field = plan->fields; field < plan->fields + plan->count; field++) {
         const size_t words = field->words > 0 ? (size_t)field->words : 1;
         if (field->from < 0 || field->to < 0 || field->words < 0 ||
-            (size_t)field->to + 4 * words > (is_kart ? sizeof(Kart) : sizeof(Item))) {
+            (size_t)field->to + 4 * words > size) {
             return 0;
         }
+        const npy_intp end = field->from + length_of(field);
+        if (end > plan->extent) plan->extent = end;
     }
+    return 1;
+}
+
+static int are_valid(const GameStepper *self, Integers attributes)
+{
+    if (attributes.size != 2 * PyTuple_GET_SIZE(self->attributes)) return 0;
     for (Py_ssize_t n = 0; n < PyTuple_GET_SIZE(self->attributes); n++) {
         const Attribute *plan = self->kart_attributes + n;
         if (plan->to < 0 || plan->count < 1 ||
@@ -382,73 +350,37 @@ static int check_plans(const GameStepper *self)
            PyTuple_GET_SIZE(self->controls) == NUM_CONTROLS;
 }
 
-static int set_up(GameStepper *self, PyObject *race, PyObject *plans)
-{
-    PyObject *arrays[4];
-    npy_intp num_numbers[3], num_attributes;
-    if (!PyArg_ParseTuple(plans, "OOnnOO", arrays, arrays + 1, &self->items_at, &self->item_size,
-                          arrays + 2, arrays + 3) ||
-        !(self->places = numbers_of(arrays[0], "places", NPY_INTP, &self->num_kart)) ||
-        !(self->kart_fields = numbers_of(arrays[1], "kart plan", NPY_INT32, num_numbers)) ||
-        !(self->item_fields = numbers_of(arrays[2], "item plan", NPY_INT32, num_numbers + 1)) ||
-        !(self->kart_attributes =
-              numbers_of(arrays[3], "attribute plan", NPY_INT32, &num_attributes))) {
-        return -1;
-    }
-    self->num_kart_fields = num_numbers[0] / 3;
-    self->num_item_fields = num_numbers[1] / 3;
-    if (num_attributes != 3 * PyTuple_GET_SIZE(self->attributes) || !check_plans(self)) {
-        PyErr_SetString(PyExc_ValueError, "the plans do not fit together");
-        return -1;
-    }
-    self->kart_extent = extent_of(self->kart_fields, self->num_kart_fields);
-    self->item_extent = extent_of(self->item_fields, self->num_item_fields);
-    const size_t size = (size_t)PyList_GET_SIZE(self->actions) * NUM_CONTROLS;
-    if (!(self->present = PyMem_Malloc((size + 1) * sizeof(float)))) {
-        PyErr_NoMemory();
-        return -1;
-    }
-    memset(self->present, 0xff, size * sizeof(float)); /* not a number, so nothing is equal */
-    self->step = PyObject_GetAttrString(race, "step");
-    self->report = PyObject_GetAttrString(race, "get_kart_action");
-    self->update = PyObject_GetAttrString(self->world, "update");
-    self->write = PyObject_GetAttrString(self->world, "__getstate__");
-    return PyErr_Occurred() ? -1 : 0;
-}
-
 /* GameStepper(race, world, actions, controls, attributes, phases, last_phase, reporting, plans): the
    engine's race, world and a list of its actions, the names of the controls and of the attributes
    to read, the phases' numbers by the engine's own, the karts whose control is reported, and the
-   plans of stkzoo.engine.reader.WorldReader. */
-static PyObject *stepper_new(PyTypeObject *type, PyObject *args, PyObject *Py_UNUSED(kwargs))
+   plans of stkzoo.engine.reader.block_plans. */
+static int stepper_set_up(GameStepper *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
-    PyObject *race, *plans;
-    GameStepper *self = (GameStepper *)type->tp_alloc(type, 0);
-    if (!self) return NULL;
-    if (!PyArg_ParseTuple(args, "OOO!O!O!O!iO!O!", &race, &self->world, &PyList_Type,
+    PyObject *race;
+    Integers kart, item, attributes;
+    if (!PyArg_ParseTuple(args, "OOO!O!O!O!iO!(O&O&nnO&O&)", &race, &self->world, &PyList_Type,
                           &self->actions, &PyTuple_Type, &self->controls, &PyTuple_Type,
                           &self->attributes, &PyDict_Type, &self->phases, &self->last_phase,
-                          &PyTuple_Type, &self->reporting, &PyTuple_Type, &plans)) {
-        Py_DECREF(self);
-        return NULL;
+                          &PyTuple_Type, &self->reporting, as_indices, &self->places, as_integers,
+                          &kart, &self->items_at, &self->item_size, as_integers, &item,
+                          as_integers, &attributes)) {
+        return -1;
     }
-    Py_INCREF(args);
-    self->arguments = args;
     self->phase = self->last_phase - 1;
-    if (set_up(self, race, plans) < 0) Py_CLEAR(self);
-    return (PyObject *)self;
-}
-
-static void stepper_dealloc(PyObject *object)
-{
-    GameStepper *self = (GameStepper *)object;
-    Py_XDECREF(self->step);
-    Py_XDECREF(self->report);
-    Py_XDECREF(self->update);
-    Py_XDECREF(self->write);
-    Py_XDECREF(self->arguments);
-    PyMem_Free(self->present);
-    Py_TYPE(object)->tp_free(object);
+    self->num_kart = self->places.size;
+    self->kart_attributes = (const Attribute *)attributes.data;
+    if (!set_plan(&self->kart, kart, sizeof(Kart)) || !set_plan(&self->item, item, sizeof(Item)) ||
+        !are_valid(self, attributes)) {
+        return refuse("the plans do not fit together");
+    }
+    const npy_intp size = PyList_GET_SIZE(self->actions) * NUM_CONTROLS;
+    if (!(self->present = room_for(self, size, sizeof *self->present))) return -1;
+    for (npy_intp i = 0; i < size; i++) self->present[i] = NAN; /* equal to nothing */
+    self->step = keep(self, PyObject_GetAttrString(race, "step"));
+    self->report = keep(self, PyObject_GetAttrString(race, "get_kart_action"));
+    self->update = keep(self, PyObject_GetAttrString(self->world, "update"));
+    self->write = keep(self, PyObject_GetAttrString(self->world, "__getstate__"));
+    return PyErr_Occurred() ? -1 : 0;
 }
 
 static PyMethodDef stepper_methods[] = {

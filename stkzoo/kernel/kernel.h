@@ -14,6 +14,8 @@
 #endif
 #include <numpy/arrayobject.h>
 
+/* ---------------------------------------------------------------- a moment of a race */
+
 /* stkzoo.engine.snapshot.HEADER_DTYPE, KART_DTYPE and ITEM_DTYPE, field by field; that module
    compares them. */
 typedef struct {
@@ -45,15 +47,49 @@ typedef struct {
     const Item *items;
 } Moment;
 
-/* Takes the bytes of a Snapshot apart; -1 with an exception set if they are none. */
-int read_moment(PyObject *data, Moment *moment);
+/* ---------------------------------------------------------------- arguments */
+
+/* C-contiguous arrays of numpy's own types: their data, and how many numbers they have. */
+typedef struct { float *data; npy_intp size; } Floats;
+typedef struct { double *data; npy_intp size; } Doubles;
+typedef struct { npy_intp *data; npy_intp size; } Indices;
+typedef struct { npy_int32 *data; npy_intp size; } Integers;
+typedef struct { npy_int8 *data; npy_intp size; } Bytes;
+typedef struct { npy_bool *data; npy_intp size; } Flags;
+
+/* Converters for "O&" of PyArg_ParseTuple. */
+int as_floats(PyObject *object, void *floats);
+int as_written_floats(PyObject *object, void *floats);
+int as_doubles(PyObject *object, void *doubles);
+int as_written_doubles(PyObject *object, void *doubles);
+int as_indices(PyObject *object, void *indices);
+int as_integers(PyObject *object, void *integers);
+int as_bytes(PyObject *object, void *bytes);
+int as_flags(PyObject *object, void *flags);
+int as_moment(PyObject *object, void *moment); /* the bytes of a Snapshot, taken apart */
+
+/* Whether all indices are from 0 to below a limit. */
+int are_below(Indices indices, npy_intp limit);
+
+/* Sets a ValueError, unless there is an error already; -1. */
+int refuse(const char *message);
+
+/* ---------------------------------------------------------------- types */
+
+/* What an object begins with: a list of all that the rest points to, its arguments among it. */
+#define OBJECT_HEAD PyObject_HEAD PyObject *kept;
+
+/* Keeps what was just made as long as the object; NULL with an exception set if there is none. */
+PyObject *keep(void *self, PyObject *made);
+
+/* Zeros that last as long as the object; NULL with an exception set if there is no room. */
+void *room_for(void *self, npy_intp count, size_t size);
 
 /* stkzoo.engine.track.TrackMap, and the order of what lies ahead of each of its segments. */
 typedef struct {
-    PyObject_HEAD
-    PyObject *arrays; /* keeps them alive */
-    const float *nodes, *widths, *distances; /* (N, 2, 3), (N, 1), (N, 2) */
-    const npy_intp *begins, *successors;     /* those of n: successors[begins[n]:begins[n + 1]] */
+    OBJECT_HEAD
+    Floats nodes, widths, distances; /* (N, 2, 3), (N, 1), (N, 2) */
+    Indices begins, successors;      /* those of n: successors[begins[n]:begins[n + 1]] */
     npy_intp num_nodes;
     double length;
     npy_int32 **orders; /* (N,) each; NULL until asked for */
@@ -62,24 +98,27 @@ typedef struct {
 /* The segments ahead of one, by distance; NULL with an exception set if there is none such. */
 const npy_int32 *nodes_ahead(TrackGraph *track, npy_intp node);
 
-/* The data of a C-contiguous array of one of numpy's own types, and how many numbers it has;
-   NULL with an exception set if it is none. */
-void *numbers_of(PyObject *object, const char *name, int type, npy_intp *count);
+/* A new object that keeps its arguments; NULL with an exception set. */
+PyObject *new_object(PyTypeObject *type, PyObject *args, PyObject *kwargs);
+void free_object(PyObject *self);
 
-/* A row of a table of methods: one that takes its arguments as an array. */
-#define FAST_METHOD(NAME, FUNCTION, DOC)                                                         \
-    {NAME, (PyCFunction)(void (*)(void))FUNCTION, METH_FASTCALL, DOC}
-
-/* A type of this module, from PREFIX_new, PREFIX_dealloc and PREFIX_methods. */
+/* A type of this module, from PREFIX_methods and PREFIX_set_up, which takes the arguments: -1 with
+   an exception set if they are wrong. */
 #define KERNEL_TYPE(TYPE, PREFIX, DOC)                                                            \
+    static PyObject *PREFIX##_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)           \
+    {                                                                                             \
+        PyObject *self = new_object(type, args, kwargs);                                          \
+        if (self && PREFIX##_set_up((TYPE *)self, args, kwargs) < 0) Py_CLEAR(self);              \
+        return self;                                                                              \
+    }                                                                                             \
     PyTypeObject TYPE##Type = {                                                                   \
         PyVarObject_HEAD_INIT(NULL, 0).tp_name = "stkzoo.kernel._kernel." #TYPE,                  \
         .tp_basicsize = sizeof(TYPE), .tp_flags = Py_TPFLAGS_DEFAULT, .tp_doc = DOC,              \
-        .tp_new = PREFIX##_new, .tp_dealloc = PREFIX##_dealloc, .tp_methods = PREFIX##_methods,   \
+        .tp_new = PREFIX##_new, .tp_dealloc = free_object, .tp_methods = PREFIX##_methods,        \
     };
 
-PyObject *join_rows(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
-PyObject *weigh_plans(PyObject *module, PyObject *const *args, Py_ssize_t nargs);
+PyObject *join_rows(PyObject *module, PyObject *rows);
+PyObject *weigh_plans(PyObject *module, PyObject *args);
 
 extern PyTypeObject CarControllerType, GameStepperType, TrackGraphType, KartObserverType, RacingObserverType, ActionReaderType, StepScorerType;
 

@@ -4,102 +4,151 @@
 #include "kernel.h"
 
 #include <stddef.h>
+#include <string.h>
 
-void *numbers_of(PyObject *object, const char *name, int type, npy_intp *count)
+/* ---------------------------------------------------------------- arguments */
+
+static int as_array(PyObject *object, int type, int flags, void *out)
 {
     PyArrayObject *array = (PyArrayObject *)object;
     if (!PyArray_Check(object) || !PyArray_EquivTypenums(PyArray_TYPE(array), type)) {
-        PyErr_Format(PyExc_TypeError, "%s must be an array of another type", name);
-        return NULL;
+        PyArray_Descr *expected = PyArray_DescrFromType(type);
+        PyErr_Format(PyExc_TypeError, "expected an array of %S, not %R", expected, object);
+        Py_XDECREF(expected);
+        return 0;
     }
-    if (!PyArray_IS_C_CONTIGUOUS(array) || !PyArray_ISALIGNED(array)) {
-        PyErr_Format(PyExc_ValueError, "%s must be C-contiguous and aligned", name);
-        return NULL;
+    if (!PyArray_CHKFLAGS(array, flags | NPY_ARRAY_CARRAY_RO)) {
+        PyErr_Format(PyExc_ValueError, "an array must be C-contiguous, aligned%s",
+                     flags ? " and writeable" : "");
+        return 0;
     }
-    *count = PyArray_SIZE(array);
-    return PyArray_DATA(array);
+    /* Floats, Doubles and so on differ only in what they point to. */
+    const struct { void *data; npy_intp size; } numbers = {PyArray_DATA(array), PyArray_SIZE(array)};
+    memcpy(out, &numbers, sizeof numbers);
+    return 1;
 }
 
-int read_moment(PyObject *data, Moment *moment)
-{
-    if (!PyBytes_Check(data)) {
-        PyErr_Format(PyExc_TypeError, "expected a snapshot's bytes, not %R", data);
-        return -1;
+#define CONVERTER(NAME, TYPE, FLAGS)                                                              \
+    int NAME(PyObject *object, void *out)                                                         \
+    {                                                                                             \
+        return as_array(object, TYPE, FLAGS, out);                                                \
     }
-    const size_t size = (size_t)PyBytes_GET_SIZE(data);
-    const char *bytes = PyBytes_AS_STRING(data);
-    moment->header = (const Header *)bytes;
-    const Header *header = moment->header;
+
+CONVERTER(as_floats, NPY_FLOAT32, 0)
+CONVERTER(as_written_floats, NPY_FLOAT32, NPY_ARRAY_WRITEABLE)
+CONVERTER(as_doubles, NPY_FLOAT64, 0)
+CONVERTER(as_written_doubles, NPY_FLOAT64, NPY_ARRAY_WRITEABLE)
+CONVERTER(as_indices, NPY_INTP, 0)
+CONVERTER(as_integers, NPY_INT32, 0)
+CONVERTER(as_bytes, NPY_INT8, 0)
+CONVERTER(as_flags, NPY_BOOL, 0)
+
+int as_moment(PyObject *object, void *out)
+{
+    Moment *moment = out;
+    if (!PyBytes_Check(object)) {
+        PyErr_Format(PyExc_TypeError, "expected a snapshot's bytes, not %R", object);
+        return 0;
+    }
+    const size_t size = (size_t)PyBytes_GET_SIZE(object);
+    const Header *header = moment->header = (const Header *)PyBytes_AS_STRING(object);
     if (size < sizeof *header || header->num_kart < 0 || header->num_items < 0 ||
         size != sizeof *header + (size_t)header->num_kart * sizeof(Kart) +
                     (size_t)header->num_items * sizeof(Item)) {
         PyErr_Format(PyExc_ValueError, "%zu bytes are no snapshot", size);
-        return -1;
+        return 0;
     }
-    moment->karts = (const Kart *)(bytes + sizeof *header);
+    moment->karts = (const Kart *)(header + 1);
     moment->items = (const Item *)(moment->karts + header->num_kart);
-    return 0;
+    return 1;
 }
 
-static int add_field(PyObject *layout, const char *name, size_t offset)
+int are_below(Indices indices, npy_intp limit)
 {
-    PyObject *number = PyLong_FromSize_t(offset);
-    const int status = number ? PyDict_SetItemString(layout, name, number) : -1;
-    Py_XDECREF(number);
-    return status;
+    for (npy_intp i = 0; i < indices.size; i++) {
+        if (indices.data[i] < 0 || indices.data[i] >= limit) return 0;
+    }
+    return 1;
 }
 
-#define FIELD(type, name) add_field(layout, #name, offsetof(type, name))
-
-static int describe_header(PyObject *layout)
+int refuse(const char *message)
 {
-    return FIELD(Header, time) | FIELD(Header, aux_ticks) | FIELD(Header, phase) |
-           FIELD(Header, num_kart) | FIELD(Header, num_items) | FIELD(Header, running);
+    if (!PyErr_Occurred()) PyErr_SetString(PyExc_ValueError, message);
+    return -1;
 }
 
-static int describe_kart(PyObject *layout)
+/* ---------------------------------------------------------------- objects */
+
+typedef struct {
+    OBJECT_HEAD
+} Object;
+
+PyObject *keep(void *self, PyObject *made)
 {
-    return FIELD(Kart, location) | FIELD(Kart, rotation) | FIELD(Kart, front) |
-           FIELD(Kart, velocity) | FIELD(Kart, velocity_lc) | FIELD(Kart, angular_velocity) |
-           FIELD(Kart, size) | FIELD(Kart, speed) | FIELD(Kart, max_steer_angle) |
-           FIELD(Kart, wheel_base) | FIELD(Kart, energy) | FIELD(Kart, skeed_factor) |
-           FIELD(Kart, shield_time) | FIELD(Kart, attachment_time_left) |
-           FIELD(Kart, distance_down_track) | FIELD(Kart, overall_distance) |
-           FIELD(Kart, finish_time) | FIELD(Kart, lap_time) | FIELD(Kart, node) |
-           FIELD(Kart, position) | FIELD(Kart, finished_laps) | FIELD(Kart, powerup_type) |
-           FIELD(Kart, powerup_num) | FIELD(Kart, attachment_type) |
-           FIELD(Kart, has_finished_race) | FIELD(Kart, race_result) | FIELD(Kart, jumping) |
-           FIELD(Kart, is_on_road) | FIELD(Kart, control);
+    if (!made) return NULL;
+    const int status = PyList_Append(((Object *)self)->kept, made);
+    Py_DECREF(made);
+    return status < 0 ? NULL : made;
 }
 
-static int describe_item(PyObject *layout)
+void *room_for(void *self, npy_intp count, size_t size)
 {
-    return FIELD(Item, location) | FIELD(Item, size) | FIELD(Item, type) | FIELD(Item, id);
+    const size_t bytes = (size_t)count * size;
+    PyObject *room = keep(self, PyByteArray_FromStringAndSize(NULL, (Py_ssize_t)bytes));
+    return room ? memset(PyByteArray_AS_STRING(room), 0, bytes) : NULL;
 }
+
+PyObject *new_object(PyTypeObject *type, PyObject *args, PyObject *kwargs)
+{
+    Object *self = (Object *)type->tp_alloc(type, 0);
+    if (self && !(self->kept = Py_BuildValue("[OO]", args, kwargs ? kwargs : Py_None))) {
+        Py_CLEAR(self);
+    }
+    return (PyObject *)self;
+}
+
+void free_object(PyObject *self)
+{
+    Py_XDECREF(((Object *)self)->kept);
+    Py_TYPE(self)->tp_free(self);
+}
+
+/* ---------------------------------------------------------------- the module */
+
+#define AT(TYPE, FIELD) {#TYPE "." #FIELD, offsetof(TYPE, FIELD)}
 
 /* Where the fields of the records are, in bytes, for a comparison with the dtypes. */
 static PyObject *layouts(PyObject *Py_UNUSED(module), PyObject *Py_UNUSED(none))
 {
     static const struct {
         const char *name;
-        int (*describe)(PyObject *);
-    } RECORDS[] = {{"header", describe_header}, {"kart", describe_kart}, {"item", describe_item}};
-    PyObject *all = PyDict_New();
-    for (int i = 0; all && i < 3; i++) {
-        PyObject *layout = PyDict_New();
-        if (!layout || RECORDS[i].describe(layout) ||
-            PyDict_SetItemString(all, RECORDS[i].name, layout) < 0) {
-            Py_CLEAR(all);
-        }
-        Py_XDECREF(layout);
+        size_t offset;
+    } FIELDS[] = {
+        AT(Header, time), AT(Header, aux_ticks), AT(Header, phase), AT(Header, num_kart),
+        AT(Header, num_items), AT(Header, running), AT(Kart, location), AT(Kart, rotation),
+        AT(Kart, front), AT(Kart, velocity), AT(Kart, velocity_lc), AT(Kart, angular_velocity),
+        AT(Kart, size), AT(Kart, speed), AT(Kart, max_steer_angle), AT(Kart, wheel_base),
+        AT(Kart, energy), AT(Kart, skeed_factor), AT(Kart, shield_time),
+        AT(Kart, attachment_time_left), AT(Kart, distance_down_track), AT(Kart, overall_distance),
+        AT(Kart, finish_time), AT(Kart, lap_time), AT(Kart, node), AT(Kart, position),
+        AT(Kart, finished_laps), AT(Kart, powerup_type), AT(Kart, powerup_num),
+        AT(Kart, attachment_type), AT(Kart, has_finished_race), AT(Kart, race_result),
+        AT(Kart, jumping), AT(Kart, is_on_road), AT(Kart, control), AT(Item, location),
+        AT(Item, size), AT(Item, type), AT(Item, id),
+    };
+    PyObject *all = PyList_New(0);
+    for (size_t i = 0; all && i < sizeof FIELDS / sizeof *FIELDS; i++) {
+        PyObject *field = Py_BuildValue("sn", FIELDS[i].name, (Py_ssize_t)FIELDS[i].offset);
+        if (!field || PyList_Append(all, field) < 0) Py_CLEAR(all);
+        Py_XDECREF(field);
     }
     return all;
 }
 
 static PyMethodDef methods[] = {
-    FAST_METHOD("join_rows", join_rows, "The bytes of arrays that are alike."),
+    {"join_rows", join_rows, METH_O, "The bytes of arrays that are alike."},
     {"layouts", layouts, METH_NOARGS, "Where the fields of the records are."},
-    FAST_METHOD("weigh_plans", weigh_plans, "The best plan of each manoeuvre, for some karts."),
+    {"weigh_plans", weigh_plans, METH_VARARGS, "The best plan of each manoeuvre, for some karts."},
     {NULL, NULL, 0, NULL},
 };
 
@@ -117,10 +166,9 @@ PyMODINIT_FUNC PyInit__kernel(void)
         &ActionReaderType,   &CarControllerType, &GameStepperType, &KartObserverType,
         &RacingObserverType, &StepScorerType,    &TrackGraphType,
     };
-    const size_t count = sizeof TYPES / sizeof *TYPES;
     import_array();
     PyObject *kernel = PyModule_Create(&module);
-    for (size_t i = 0; kernel && i < count; i++) {
+    for (size_t i = 0; kernel && i < sizeof TYPES / sizeof *TYPES; i++) {
         if (PyModule_AddType(kernel, TYPES[i]) < 0) Py_CLEAR(kernel);
     }
     return kernel;

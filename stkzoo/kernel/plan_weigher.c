@@ -18,12 +18,14 @@
 enum { MANOEUVRES = 4, BRAKE = 1, ITEM_LANES = 2 };
 static const float NEVER = -1e4f;
 
-/* A state's plans; arrays of moments by plans, or of plans. */
+/* The plans of all states, in the order in which they are given. */
 typedef struct {
-    const float *least, *most, *drifts, *releases, *slower, *lanes, *boost_steps;
-    const npy_intp *items, *manoeuvres, *boosts;
-    const npy_bool *needs_drift;
-} Plans;
+    Floats spans;                                         /* (T,) */
+    Floats least, most, drifts, releases, slower, lanes; /* (S, T, C) */
+    Indices items, manoeuvres, boosts;                    /* (S, C) */
+    Floats boost_steps;
+    Flags needs_drift;
+} Table;
 
 /* What holds for all karts, in the order in which it is given. */
 enum {
@@ -48,13 +50,15 @@ typedef struct {
 
 /* What plans of a kart come to: moments by plans, and plans. */
 typedef struct {
-    npy_intp moments, plans, marks;
-    const float *spans;
+    const Table *table;
+    npy_intp states, moments, plans, marks;
+    npy_intp row; /* where the plans of the kart's state begin in (S, C) */
     const double *rules;
-    float *along, *across, *ahead;                  /* (T, C) */
-    float *angle, *last_turn, *turns, *extra;       /* (C,) */
-    float *danger, *worth, *gain;                   /* (C,) */
-    npy_int32 *places;                              /* (C,) */
+    float *along, *across, *ahead;            /* (T, C) */
+    float *angle, *last_turn, *turns, *extra; /* (C,) */
+    float *danger, *worth, *gain;             /* (C,) */
+    npy_int32 *places;                        /* (C,) */
+    float *ends;                              /* (T,) of the moments */
 } Forecast;
 
 /* Sine and cosine as numpy computes them in float32 (Cody-Waite reduction, then polynomials). */
@@ -82,19 +86,20 @@ static inline void sine_and_cosine(float x, float *sine, float *cosine)
 
 /* One moment of all plans. */
 FOR_ALL_PROCESSORS
-static void drive(const Forecast *f, const Plans *p, const PlanKart *kart, const float *road,
-                  npy_intp moment)
+static void drive(const Forecast *f, const PlanKart *kart, const float *road, npy_intp moment)
 {
-    const npy_intp plans = f->plans, at = moment * plans;
+    const Table *t = f->table;
+    const npy_intp plans = f->plans, at = moment * plans, in_table = f->row * f->moments + at;
     const float *bends = road, *rooms = road + f->marks, *curves = road + 2 * f->marks;
-    const float span = f->spans[moment], lock = kart->lock, reach = kart->reach;
+    const float span = t->spans.data[moment], lock = kart->lock, reach = kart->reach;
     const float pull = 2.0f / (reach * reach * lock), rate = lock * span;
     const float release_rate = (float)f->rules[RELEASE_TURN] / lock;
     const float lag = (float)f->rules[STEERING_LAG];
     const float per_mark = (float)(1.0 / f->rules[MARK_SPACING]);
     const npy_int32 last_mark = (npy_int32)f->marks - 1;
-    const float *least = p->least + at, *most = p->most + at, *drifts = p->drifts + at;
-    const float *releases = p->releases + at, *slower = p->slower + at, *lanes = p->lanes + at;
+    const float *least = t->least.data + in_table, *most = t->most.data + in_table;
+    const float *drifts = t->drifts.data + in_table, *releases = t->releases.data + in_table;
+    const float *slower = t->slower.data + in_table, *lanes = t->lanes.data + in_table;
     float *along = f->along + at, *across = f->across + at, *ahead = f->ahead + at;
     const float *along_before = along - plans, *across_before = across - plans;
     for (npy_intp i = 0; i < plans; i++) {
@@ -144,7 +149,7 @@ static void weigh_danger(const Forecast *f, const PlanKart *kart)
         const float *across = f->across + moment * plans, *ahead = f->ahead + moment * plans;
         for (npy_intp i = 0; i < plans; i++) {
             const float over = fabsf(across[i]) - ahead[i];
-            f->danger[i] = fmaf(f->spans[moment], over > 0 ? over : 0, f->danger[i]);
+            f->danger[i] = fmaf(f->table->spans.data[moment], over > 0 ? over : 0, f->danger[i]);
         }
     }
     for (npy_intp i = 0; i < plans; i++) {
@@ -156,13 +161,14 @@ static void weigh_danger(const Forecast *f, const PlanKart *kart)
 }
 
 /* What plans earn by drifting [m]: less while such a boost still lasts. */
-static float boost_of(const Forecast *f, const Plans *p, const PlanKart *kart, npy_intp i)
+static float boost_of(const Forecast *f, const PlanKart *kart, npy_intp i)
 {
-    if (p->boosts[i] < 0) return 0;
+    const npy_intp boost = f->table->boosts.data[f->row + i];
+    if (boost < 0) return 0;
     const double *rules = f->rules;
-    const int is_big = p->boosts[i] == 1;
+    const int is_big = boost == 1;
     const float lasts = (float)rules[is_big ? BIG_BOOST_LASTS : SMALL_BOOST_LASTS];
-    const float wait = p->boost_steps[i];
+    const float wait = f->table->boost_steps.data[f->row + i];
     const float fresh = 1.0f - ((is_big ? kart->big_boost_steps : kart->boost_steps) - wait) / lasts;
     const float worth = (fresh < 1.0f ? fresh : 1.0f) *
                             (float)rules[is_big ? BIG_BOOST_WORTH : BOOST_WORTH] -
@@ -195,10 +201,10 @@ static void add_item(const Forecast *f, const RoadItem *item)
 }
 
 /* What plans cost by running into a slower kart ahead, added to their gain as a loss [m]. */
-static void add_rival(const Forecast *f, const PlanKart *kart, const RoadRival *rival,
-                      const float *ends)
+static void add_rival(const Forecast *f, const PlanKart *kart, const RoadRival *rival)
 {
     const double *rules = f->rules;
+    const float *ends = f->ends;
     const float closing = -(float)rival->gain, length = (float)rules[LENGTH];
     const npy_intp last = f->moments - 1;
     if (!rival->is_there || !(rival->along > rules[BESIDE]) || !(closing > (float)rules[HARMLESS]) ||
@@ -221,26 +227,27 @@ static void add_rival(const Forecast *f, const PlanKart *kart, const RoadRival *
 }
 
 /* How far across the road the next good items are; plans for items are to drive there. */
-static void set_item_lanes(const Forecast *f, const Plans *p, const RoadItem *items,
-                           npy_intp num_items)
+static void set_item_lanes(const Forecast *f, const RoadItem *items, npy_intp num_items)
 {
+    const npy_intp *item = f->table->items.data + f->row;
     float lanes[ITEM_LANES] = {0};
     int count = 0;
     for (npy_intp i = 0; i < num_items && count < ITEM_LANES; i++) {
         if (items[i].worth > 0) lanes[count++] = (float)items[i].across;
     }
-    for (npy_intp i = 0; i < f->plans; i++) f->extra[i] = p->items[i] < 0 ? 0 : lanes[p->items[i]];
+    for (npy_intp i = 0; i < f->plans; i++) f->extra[i] = item[i] < 0 ? 0 : lanes[item[i]];
 }
 
-static void find_best(const Forecast *f, const Plans *p, const PlanKart *kart, npy_intp num_karts,
-                      float *out)
+static void find_best(const Forecast *f, const PlanKart *kart, npy_intp num_karts, float *out)
 {
+    const npy_intp *manoeuvres = f->table->manoeuvres.data + f->row;
+    const npy_bool *needs_drift = f->table->needs_drift.data + f->row;
     float *worth = out, *turn = worth + MANOEUVRES * num_karts;
     float *danger = turn + MANOEUVRES * num_karts;
     for (int m = 0; m < MANOEUVRES; m++) {
         npy_intp best = -1;
         for (npy_intp i = 0; i < f->plans; i++) {
-            if (p->manoeuvres[i] != m || (p->needs_drift[i] && !kart->may_drift) ||
+            if (manoeuvres[i] != m || (needs_drift[i] && !kart->may_drift) ||
                 (m == BRAKE && !kart->may_brake)) {
                 continue;
             }
@@ -253,24 +260,24 @@ static void find_best(const Forecast *f, const Plans *p, const PlanKart *kart, n
 }
 
 /* Drives and weighs the plans of one kart. */
-static void weigh(Forecast *f, const Plans *p, const PlanKart *kart, const float *road,
+static void weigh(const Forecast *f, const PlanKart *kart, const float *road,
                   const RoadItem *items, npy_intp num_items, const RoadRival *rivals,
-                  npy_intp num_rivals, const float *ends)
+                  npy_intp num_rivals)
 {
     const npy_intp plans = f->plans;
-    set_item_lanes(f, p, items, num_items);
+    set_item_lanes(f, items, num_items);
     for (npy_intp i = 0; i < plans; i++) {
         f->angle[i] = kart->angle;
         f->last_turn[i] = kart->drift_turn;
         f->places[i] = 0;
     }
-    for (npy_intp moment = 0; moment < f->moments; moment++) drive(f, p, kart, road, moment);
+    for (npy_intp moment = 0; moment < f->moments; moment++) drive(f, kart, road, moment);
     weigh_danger(f, kart);
     const float *along = f->along + (f->moments - 1) * plans;
     const float angle_cost = (float)f->rules[ANGLE_COST];
     for (npy_intp i = 0; i < plans; i++) {
         f->worth[i] = along[i] - f->danger[i] - angle_cost * f->angle[i] * f->angle[i] +
-                      boost_of(f, p, kart, i);
+                      boost_of(f, kart, i);
         f->gain[i] = 0;
     }
     for (npy_intp i = 0; i < num_items; i++) {
@@ -281,72 +288,36 @@ static void weigh(Forecast *f, const Plans *p, const PlanKart *kart, const float
         f->gain[i] = 0;
     }
     if (f->rules[BUMP_COST] == 0) return;
-    for (npy_intp i = 0; i < num_rivals; i++) add_rival(f, kart, rivals + i, ends);
+    for (npy_intp i = 0; i < num_rivals; i++) add_rival(f, kart, rivals + i);
     for (npy_intp i = 0; i < plans; i++) f->worth[i] -= f->gain[i];
 }
 
 /* ---------------------------------------------------------------- the arguments */
 
-/* The arrays of all states, with the plans of the first one. */
-typedef struct {
-    Plans first;
-    const float *spans;
-    npy_intp states, moments, plans;
-} Table;
-
-static int read_table(PyObject *tuple, Table *table)
+static int read_table(PyObject *tuple, Table *t, Forecast *f)
 {
-    static const struct {
-        const char *name;
-        int type, axes; /* states by plans, or states by moments by plans */
-    } ARRAYS[] = {{"least", NPY_FLOAT32, 3},    {"most", NPY_FLOAT32, 3},
-                  {"drifts", NPY_FLOAT32, 3},   {"releases", NPY_FLOAT32, 3},
-                  {"slower", NPY_FLOAT32, 3},   {"lanes", NPY_FLOAT32, 3},
-                  {"items", NPY_INTP, 2},       {"manoeuvres", NPY_INTP, 2},
-                  {"boosts", NPY_INTP, 2},      {"boost_steps", NPY_FLOAT32, 2},
-                  {"needs_drift", NPY_BOOL, 2}};
-    enum { COUNT = sizeof ARRAYS / sizeof *ARRAYS };
-    const void *data[COUNT];
-    if (!PyTuple_Check(tuple) || PyTuple_GET_SIZE(tuple) != COUNT + 1) {
-        PyErr_Format(PyExc_TypeError, "the table must be a tuple of %d arrays", COUNT + 1);
+    if (!PyArg_ParseTuple(tuple, "O&O&O&O&O&O&O&O&O&O&O&O&", as_floats, &t->spans, as_floats,
+                          &t->least, as_floats, &t->most, as_floats, &t->drifts, as_floats,
+                          &t->releases, as_floats, &t->slower, as_floats, &t->lanes, as_indices,
+                          &t->items, as_indices, &t->manoeuvres, as_indices, &t->boosts,
+                          as_floats, &t->boost_steps, as_flags, &t->needs_drift)) {
         return -1;
     }
-    PyObject *lanes = PyTuple_GET_ITEM(tuple, 6);
-    table->spans = numbers_of(PyTuple_GET_ITEM(tuple, 0), "spans", NPY_FLOAT32, &table->moments);
-    if (!table->spans) return -1;
-    if (!PyArray_Check(lanes) || PyArray_NDIM((PyArrayObject *)lanes) != 3) {
-        PyErr_SetString(PyExc_ValueError, "lanes must be states by moments by plans");
-        return -1;
-    }
-    table->states = PyArray_DIM((PyArrayObject *)lanes, 0);
-    table->plans = PyArray_DIM((PyArrayObject *)lanes, 2);
-    for (int i = 0; i < COUNT; i++) {
-        npy_intp size;
-        data[i] = numbers_of(PyTuple_GET_ITEM(tuple, i + 1), ARRAYS[i].name, ARRAYS[i].type, &size);
-        if (!data[i]) return -1;
-        if (size != table->states * table->plans * (ARRAYS[i].axes == 3 ? table->moments : 1)) {
-            PyErr_Format(PyExc_ValueError, "%s has %zd numbers", ARRAYS[i].name, size);
-            return -1;
-        }
-    }
-    table->first = (Plans){data[0], data[1], data[2], data[3], data[4],  data[5],
-                           data[9], data[6], data[7], data[8], data[10]};
-    return 0;
-}
-
-static Plans plans_of(const Table *table, npy_intp state)
-{
-    Plans plans = table->first;
-    const npy_intp one = state * table->plans, all = one * table->moments;
-    plans.least += all, plans.most += all, plans.drifts += all, plans.releases += all;
-    plans.slower += all, plans.lanes += all;
-    plans.boost_steps += one, plans.items += one, plans.manoeuvres += one, plans.boosts += one;
-    plans.needs_drift += one;
-    return plans;
+    PyArrayObject *items = (PyArrayObject *)PyTuple_GET_ITEM(tuple, 7);
+    if (PyArray_NDIM(items) != 2) return refuse("items must be states by plans");
+    f->table = t;
+    f->states = PyArray_DIM(items, 0), f->plans = PyArray_DIM(items, 1);
+    f->moments = t->spans.size;
+    const npy_intp one = t->items.size, all = one * f->moments;
+    const int fits = f->moments > 0 && t->least.size == all && t->most.size == all &&
+                     t->drifts.size == all && t->releases.size == all && t->slower.size == all &&
+                     t->lanes.size == all && t->manoeuvres.size == one && t->boosts.size == one &&
+                     t->boost_steps.size == one && t->needs_drift.size == one;
+    return fits ? 0 : refuse("the arrays of the table do not fit together");
 }
 
 /* Room for a forecast, all of it in one block; NULL with an exception set if there is none. */
-static void *make_room(Forecast *f, float **ends)
+static void *make_room(Forecast *f)
 {
     const size_t plans = (size_t)f->plans, all = plans * (size_t)f->moments;
     float *block = PyMem_Malloc((3 * all + 8 * plans + (size_t)f->moments) * sizeof(float));
@@ -355,50 +326,53 @@ static void *make_room(Forecast *f, float **ends)
     f->angle = f->ahead + all, f->last_turn = f->angle + plans, f->turns = f->last_turn + plans;
     f->extra = f->turns + plans, f->danger = f->extra + plans, f->worth = f->danger + plans;
     f->gain = f->worth + plans, f->places = (npy_int32 *)(f->gain + plans);
-    *ends = f->gain + 2 * plans;
-    for (npy_intp i = 0; i < f->moments; i++) (*ends)[i] = f->spans[i] + (i ? (*ends)[i - 1] : 0);
+    f->ends = f->gain + 2 * plans;
+    const float *spans = f->table->spans.data;
+    for (npy_intp i = 0; i < f->moments; i++) f->ends[i] = spans[i] + (i ? f->ends[i - 1] : 0);
     return block;
 }
 
 /* weigh_plans(table, rules, rows, karts, road, items, rivals, out) */
-PyObject *weigh_plans(PyObject *Py_UNUSED(module), PyObject *const *args, Py_ssize_t nargs)
+PyObject *weigh_plans(PyObject *Py_UNUSED(module), PyObject *args)
 {
+    PyObject *tuple;
     Table table;
-    npy_intp num_rules, count, sizes[5];
-    if (nargs != 8) return PyErr_Format(PyExc_TypeError, "weigh_plans() takes 8 arguments");
-    if (read_table(args[0], &table) < 0) return NULL;
-    const double *rules = numbers_of(args[1], "rules", NPY_FLOAT64, &num_rules);
-    const npy_intp *rows = rules ? numbers_of(args[2], "rows", NPY_INTP, &count) : NULL;
-    const PlanKart *karts = rows ? numbers_of(args[3], "karts", NPY_FLOAT32, sizes) : NULL;
-    const float *road = karts ? numbers_of(args[4], "road", NPY_FLOAT32, sizes + 1) : NULL;
-    const RoadItem *items = road ? numbers_of(args[5], "items", NPY_FLOAT64, sizes + 2) : NULL;
-    const RoadRival *rivals = items ? numbers_of(args[6], "rivals", NPY_FLOAT64, sizes + 3) : NULL;
-    float *out = rivals ? numbers_of(args[7], "out", NPY_FLOAT32, sizes + 4) : NULL;
-    if (!out) return NULL;
+    Forecast forecast;
+    Doubles rules, item_numbers, rival_numbers;
+    Indices rows;
+    Floats kart_numbers, road, out;
+    if (!PyArg_ParseTuple(args, "O!O&O&O&O&O&O&O&", &PyTuple_Type, &tuple, as_doubles, &rules,
+                          as_indices, &rows, as_floats, &kart_numbers, as_floats, &road,
+                          as_doubles, &item_numbers, as_doubles, &rival_numbers,
+                          as_written_floats, &out) ||
+        read_table(tuple, &table, &forecast) < 0) {
+        return NULL;
+    }
+    const npy_intp count = rows.size;
     if (!count) Py_RETURN_NONE;
-    const npy_intp marks = sizes[1] / (3 * count), num_items = sizes[2] / (4 * count);
-    const npy_intp num_rivals = sizes[3] / (5 * count);
-    if (num_rules != NUM_RULES || sizes[0] != 11 * count || sizes[1] != 3 * count * marks ||
-        marks < 1 || sizes[2] != 4 * count * num_items || sizes[3] != 5 * count * num_rivals ||
-        sizes[4] != 3 * MANOEUVRES * count || table.moments < 1 ||
-        !PyArray_ISWRITEABLE((PyArrayObject *)args[7])) {
+    const npy_intp num_items = item_numbers.size / (4 * count);
+    const npy_intp num_rivals = rival_numbers.size / (5 * count);
+    forecast.marks = road.size / (3 * count);
+    if (rules.size != NUM_RULES || kart_numbers.size != 11 * count ||
+        road.size != 3 * count * forecast.marks || forecast.marks < 1 ||
+        item_numbers.size != 4 * count * num_items ||
+        rival_numbers.size != 5 * count * num_rivals || out.size != 3 * MANOEUVRES * count) {
         return PyErr_Format(PyExc_ValueError, "the arrays of %zd karts do not fit together", count);
     }
-    for (npy_intp i = 0; i < count; i++) {
-        if (rows[i] < 0 || rows[i] >= table.states) {
-            return PyErr_Format(PyExc_IndexError, "there is no state %zd", rows[i]);
-        }
+    if (!are_below(rows, forecast.states)) {
+        return PyErr_Format(PyExc_IndexError, "there is no state of that number");
     }
-    float *ends = NULL;
-    Forecast forecast = {.moments = table.moments, .plans = table.plans, .marks = marks,
-                         .spans = table.spans, .rules = rules};
-    void *block = make_room(&forecast, &ends);
+    const PlanKart *karts = (const PlanKart *)kart_numbers.data;
+    const RoadItem *items = (const RoadItem *)item_numbers.data;
+    const RoadRival *rivals = (const RoadRival *)rival_numbers.data;
+    forecast.rules = rules.data;
+    void *block = make_room(&forecast);
     if (!block) return NULL;
     for (npy_intp i = 0; i < count; i++) {
-        const Plans plans = plans_of(&table, rows[i]);
-        weigh(&forecast, &plans, karts + i, road + 3 * marks * i, items + num_items * i, num_items,
-              rivals + num_rivals * i, num_rivals, ends);
-        find_best(&forecast, &plans, karts + i, count, out + MANOEUVRES * i);
+        forecast.row = rows.data[i] * forecast.plans;
+        weigh(&forecast, karts + i, road.data + 3 * forecast.marks * i, items + num_items * i,
+              num_items, rivals + num_rivals * i, num_rivals);
+        find_best(&forecast, karts + i, count, out.data + MANOEUVRES * i);
     }
     PyMem_Free(block);
     Py_RETURN_NONE;

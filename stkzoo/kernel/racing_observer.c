@@ -8,15 +8,12 @@
 enum { LINE = 4 }; /* x, y, z and room of a line's point */
 
 typedef struct {
-    PyObject_HEAD
-    PyObject *arrays; /* keeps them alive */
-    const float *lines, *starts, *along; /* (N, points, 4), (N, 3), (N, 3) */
+    OBJECT_HEAD
+    Floats lines, starts, along; /* (N, points, 4), (N, 3), (N, 3) */
     npy_intp num_nodes, num_points;
-    const float *marks; /* where the road is looked at */
-    npy_intp num_marks;
-    const npy_int8 *items;       /* by type: a good one's column, -1 for a bad one, -2 for others */
-    const npy_int8 *attachments; /* by type: its column, or -1 */
-    npy_intp num_items, num_attachments;
+    Floats marks;      /* where the road is looked at */
+    Bytes items;       /* by type: a good one's column, -1 for a bad one, -2 for others */
+    Bytes attachments; /* by type: its column, or -1 */
     int num_powerups, powerup_limit, num_hangs, num_kinds; /* columns of the one-hot parts */
     int karts, goods, bads;                                /* how many are seen */
     float step, beyond, kart_reach, item_reach, item_ahead, item_level;
@@ -53,6 +50,12 @@ static void put_one_of(Pen *pen, npy_intp which, int count)
     for (int i = 0; i < count; i++) put(pen, i == which ? 1.0f : 0.0f);
 }
 
+/* A table's entry for a type; `none` for types that it does not know. */
+static int entry_of(Bytes table, npy_int32 type, int none)
+{
+    return type >= 0 && type < table.size ? table.data[type] : none;
+}
+
 /* ---------------------------------------------------------------- the kart itself */
 
 static void put_own(Pen *pen)
@@ -69,9 +72,7 @@ static void put_own(Pen *pen)
     put_one_of(pen, me->powerup_type, view->num_powerups);
     const int count = me->powerup_num;
     put(pen, (float)(count < view->powerup_limit ? count : view->powerup_limit) / 3.0f);
-    const int kind = me->attachment_type;
-    const int is_known = kind >= 0 && kind < view->num_attachments;
-    put_one_of(pen, is_known ? view->attachments[kind] : -1, view->num_hangs);
+    put_one_of(pen, entry_of(view->attachments, me->attachment_type, -1), view->num_hangs);
 }
 
 /* ---------------------------------------------------------------- the road */
@@ -79,7 +80,8 @@ static void put_own(Pen *pen)
 /* How far the kart has come on its segment [m]. */
 static float passed(const RacingObserver *view, const Kart *me)
 {
-    const float *start = view->starts + 3 * me->node, *along = view->along + 3 * me->node;
+    const float *start = view->starts.data + 3 * me->node;
+    const float *along = view->along.data + 3 * me->node;
     float from[3];
     for (int i = 0; i < 3; i++) from[i] = start[i] - me->location[i];
     const float squared = dot(along, along);
@@ -95,7 +97,7 @@ static void look_at(const Pen *pen, float distance, float point[LINE])
     npy_intp before = (npy_intp)place;
     if (before > view->num_points - 2) before = view->num_points - 2;
     const float share = place - (float)before;
-    const float *first = view->lines + LINE * (view->num_points * pen->me->node + before);
+    const float *first = view->lines.data + LINE * (view->num_points * pen->me->node + before);
     float there[LINE];
     for (int i = 0; i < LINE; i++) there[i] = first[i] + (first[LINE + i] - first[i]) * share;
     to_kart_frame(pen->me, pen->matrix, there, point);
@@ -105,18 +107,19 @@ static void look_at(const Pen *pen, float distance, float point[LINE])
 static void put_road(Pen *pen)
 {
     const RacingObserver *view = pen->view;
-    const npy_intp count = view->num_marks;
+    const npy_intp count = view->marks.size;
+    const float *marks = view->marks.data;
     const float here = passed(view, pen->me);
     float point[LINE], beyond[LINE];
     look_at(pen, here, point);
     for (int i = 0; i < LINE; i++) put(pen, point[i] / 10.0f);
     float *out = pen->out;
     for (npy_intp mark = 0; mark < count; mark++) {
-        look_at(pen, here + view->marks[mark], point);
-        look_at(pen, here + (view->marks[mark] + view->beyond), beyond);
+        look_at(pen, here + marks[mark], point);
+        look_at(pen, here + (marks[mark] + view->beyond), beyond);
         const float x = beyond[0] - point[0], z = beyond[2] - point[2];
         const float far = sqrtf(x * x + z * z), least = far > 0.1f ? far : 0.1f;
-        for (int i = 0; i < 3; i++) out[3 * mark + i] = clipped(point[i] / view->marks[mark]);
+        for (int i = 0; i < 3; i++) out[3 * mark + i] = clipped(point[i] / marks[mark]);
         out[3 * count + mark] = clipped(point[3] / 10.0f);
         out[4 * count + 2 * mark] = clipped(x / least);
         out[4 * count + 2 * mark + 1] = clipped(z / least);
@@ -179,8 +182,7 @@ static void put_items(Pen *pen, const Moment *moment)
     int num_goods = 0, num_bads = 0;
     for (npy_int32 i = 0; i < moment->header->num_items; i++) {
         const Item *item = moment->items + i;
-        const int is_known = item->type >= 0 && item->type < view->num_items;
-        const int kind = is_known ? view->items[item->type] : -2;
+        const int kind = entry_of(view->items, item->type, -2);
         if (kind == -2) continue;
         const Near one = near_of(pen, item->location, kind);
         if (!(one.place[2] > view->item_ahead && fabsf(one.place[1]) < view->item_level &&
@@ -202,25 +204,25 @@ static void put_items(Pen *pen, const Moment *moment)
 /* ---------------------------------------------------------------- the type */
 
 /* observe(data, who, out): the view of each kart of `who`, a row of `out` each. */
-static PyObject *racing_observe(PyObject *self, PyObject *const *args, Py_ssize_t nargs)
+static PyObject *racing_observe(PyObject *self, PyObject *args)
 {
     const RacingObserver *view = (RacingObserver *)self;
     Moment moment;
-    npy_intp count, size;
-    if (nargs != 3) return PyErr_Format(PyExc_TypeError, "observe() takes 3 arguments");
-    if (read_moment(args[0], &moment) < 0) return NULL;
-    const npy_intp *who = numbers_of(args[1], "who", NPY_INTP, &count);
-    float *out = who ? numbers_of(args[2], "out", NPY_FLOAT32, &size) : NULL;
-    if (!out) return NULL;
-    if (size != count * view->size || !PyArray_ISWRITEABLE((PyArrayObject *)args[2])) {
-        return PyErr_Format(PyExc_ValueError, "out must hold %zd numbers", count * view->size);
+    Indices who;
+    Floats out;
+    if (!PyArg_ParseTuple(args, "O&O&O&", as_moment, &moment, as_indices, &who, as_written_floats,
+                          &out)) {
+        return NULL;
     }
-    for (npy_intp i = 0; i < count; i++) {
-        if (who[i] < 0 || who[i] >= moment.header->num_kart) {
-            return PyErr_Format(PyExc_IndexError, "kart %zd of %d", who[i],
+    if (out.size != who.size * view->size) {
+        return PyErr_Format(PyExc_ValueError, "out must hold %zd numbers", who.size * view->size);
+    }
+    for (npy_intp i = 0; i < who.size; i++) {
+        if (who.data[i] < 0 || who.data[i] >= moment.header->num_kart) {
+            return PyErr_Format(PyExc_IndexError, "kart %zd of %d", who.data[i],
                                 moment.header->num_kart);
         }
-        Pen pen = {.view = view, .me = moment.karts + who[i], .out = out + i * view->size};
+        Pen pen = {.view = view, .me = moment.karts + who.data[i], .out = out.data + i * view->size};
         if (pen.me->node < 0 || pen.me->node >= view->num_nodes) {
             return PyErr_Format(PyExc_IndexError, "there is no segment %d", pen.me->node);
         }
@@ -233,59 +235,40 @@ static PyObject *racing_observe(PyObject *self, PyObject *const *args, Py_ssize_
     Py_RETURN_NONE;
 }
 
-static int fits_together(const RacingObserver *view, const npy_intp sizes[3])
+static int fits_together(const RacingObserver *view)
 {
-    return view->num_nodes > 0 && sizes[1] == 3 * view->num_nodes && sizes[2] == sizes[1] &&
-           sizes[0] % (LINE * view->num_nodes) == 0 && view->num_points >= 2 && view->step > 0 &&
-           view->karts >= 0 && view->karts <= MOST && view->goods >= 0 && view->goods <= MOST &&
-           view->bads >= 0 && view->bads <= MOST && view->num_powerups >= 0 &&
-           view->num_kinds >= 0 && view->num_hangs >= 0;
+    const int counts[] = {view->karts, view->goods, view->bads};
+    int fits = view->num_nodes > 0 && view->starts.size == 3 * view->num_nodes &&
+               view->along.size == view->starts.size && view->num_points >= 2 &&
+               view->lines.size == LINE * view->num_nodes * view->num_points && view->step > 0 &&
+               view->num_powerups >= 0 && view->num_kinds >= 0 && view->num_hangs >= 0;
+    for (int i = 0; i < 3; i++) fits &= counts[i] >= 0 && counts[i] <= MOST;
+    return fits;
 }
 
 /* RacingObserver((lines, starts, along), (marks, items, attachments), (counts), (lengths)) */
-static PyObject *racing_new(PyTypeObject *type, PyObject *args, PyObject *Py_UNUSED(kwargs))
+static int racing_set_up(RacingObserver *view, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
-    PyObject *road[3], *tables[3];
-    npy_intp sizes[3];
-    RacingObserver *view = (RacingObserver *)type->tp_alloc(type, 0);
-    if (!view) return NULL;
-    if (!PyArg_ParseTuple(args, "(OOO)(OOO)(iiiiiii)(ffffff)", road, road + 1, road + 2, tables,
-                          tables + 1, tables + 2, &view->num_powerups, &view->powerup_limit,
-                          &view->num_hangs, &view->num_kinds, &view->karts, &view->goods,
-                          &view->bads, &view->step, &view->beyond, &view->kart_reach,
-                          &view->item_reach, &view->item_ahead, &view->item_level) ||
-        !(view->lines = numbers_of(road[0], "lines", NPY_FLOAT32, sizes)) ||
-        !(view->starts = numbers_of(road[1], "starts", NPY_FLOAT32, sizes + 1)) ||
-        !(view->along = numbers_of(road[2], "along", NPY_FLOAT32, sizes + 2)) ||
-        !(view->marks = numbers_of(tables[0], "marks", NPY_FLOAT32, &view->num_marks)) ||
-        !(view->items = numbers_of(tables[1], "items", NPY_INT8, &view->num_items)) ||
-        !(view->attachments =
-              numbers_of(tables[2], "attachments", NPY_INT8, &view->num_attachments))) {
-        Py_DECREF(view);
-        return NULL;
+    if (!PyArg_ParseTuple(args, "(O&O&O&)(O&O&O&)(iiiiiii)(ffffff)", as_floats, &view->lines,
+                          as_floats, &view->starts, as_floats, &view->along, as_floats,
+                          &view->marks, as_bytes, &view->items, as_bytes, &view->attachments,
+                          &view->num_powerups, &view->powerup_limit, &view->num_hangs,
+                          &view->num_kinds, &view->karts, &view->goods, &view->bads, &view->step,
+                          &view->beyond, &view->kart_reach, &view->item_reach, &view->item_ahead,
+                          &view->item_level)) {
+        return -1;
     }
-    Py_INCREF(args);
-    view->arrays = args;
-    view->num_nodes = sizes[1] / 3;
-    view->num_points = view->num_nodes ? sizes[0] / (LINE * view->num_nodes) : 0;
-    if (!fits_together(view, sizes)) {
-        PyErr_SetString(PyExc_ValueError, "the road's arrays do not fit together");
-        Py_DECREF(view);
-        return NULL;
-    }
-    view->size = 10 + view->num_powerups + view->num_hangs + LINE + 6 * view->num_marks +
+    view->num_nodes = view->starts.size / 3;
+    view->num_points = view->num_nodes ? view->lines.size / (LINE * view->num_nodes) : 0;
+    if (!fits_together(view)) return refuse("the road's arrays do not fit together");
+    view->size = 10 + view->num_powerups + view->num_hangs + LINE + 6 * view->marks.size +
                  4 * view->karts + (5 + view->num_kinds) * view->goods + 5 * view->bads;
-    return (PyObject *)view;
-}
-
-static void racing_dealloc(PyObject *self)
-{
-    Py_XDECREF(((RacingObserver *)self)->arrays);
-    Py_TYPE(self)->tp_free(self);
+    return 0;
 }
 
 static PyMethodDef racing_methods[] = {
-    FAST_METHOD("observe", racing_observe, "The view of each of some karts, as rows of an array."),
+    {"observe", racing_observe, METH_VARARGS,
+     "The view of each of some karts, as rows of an array."},
     {NULL, NULL, 0, NULL},
 };
 

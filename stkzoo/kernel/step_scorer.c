@@ -12,24 +12,21 @@ enum { PROGRESS, RANK, TIME, FINISH, COURSE, PLACEMENT, NUM_TERMS };
 
 /* Agents that share a reward. */
 typedef struct {
-    const npy_intp *terms, *columns, *who; /* who: numbers of agents */
-    const double *weights;
-    npy_intp num_terms, num_agents;
+    Indices terms, columns, who; /* who: numbers of agents */
+    Doubles weights;
 } Reward;
 
 typedef struct {
-    PyObject_HEAD
-    PyObject *arguments;      /* keeps alive what follows */
-    PyObject *agents, *keys;  /* tuples */
-    PyObject *blank_info;     /* with all keys */
-    const npy_intp *karts, *rows; /* each agent's kart, and its row of the arrays below */
-    double *last, *sums;      /* (R, C): a step's terms and the episode's, of all agents */
-    npy_intp num_agents, num_rows, num_columns;
+    OBJECT_HEAD
+    PyObject *agents, *keys; /* tuples */
+    PyObject *blank_info;    /* with all keys */
+    Indices karts, rows;     /* each agent's kart, and its row of the arrays below */
+    Doubles last, sums;      /* (R, C): a step's terms and the episode's, of all agents */
+    npy_intp num_columns;
     double race_length;
     Reward *rewards;
     Py_ssize_t num_rewards;
-    npy_intp last_kart; /* the highest number of a kart */
-    char *is_racing; /* (R,) whether a row is one of the agents' */
+    npy_bool *is_racing; /* (R,) whether a row is one of the agents' */
 } StepScorer;
 
 /* ---------------------------------------------------------------- rewards */
@@ -58,16 +55,22 @@ static double term(npy_intp code, const Kart *before, const Kart *after, double 
     }
 }
 
-static void score(StepScorer *self, const Reward *reward, const Moment *before, const Moment *after)
+static double *row_of(const StepScorer *self, Doubles table, npy_intp agent)
 {
-    for (npy_intp i = 0; i < reward->num_agents; i++) {
-        const npy_intp agent = reward->who[i], kart = self->karts[agent];
-        double *row = self->last + self->rows[agent] * self->num_columns;
-        for (npy_intp t = 0; t < reward->num_terms; t++) {
-            row[reward->columns[t]] =
-                reward->weights[t] * term(reward->terms[t], before->karts + kart,
-                                          after->karts + kart, after->header->num_kart,
-                                          self->race_length);
+    return table.data + self->rows.data[agent] * self->num_columns;
+}
+
+static void score(const StepScorer *self, const Reward *reward, const Moment *before,
+                  const Moment *after)
+{
+    for (npy_intp i = 0; i < reward->who.size; i++) {
+        const npy_intp agent = reward->who.data[i], kart = self->karts.data[agent];
+        double *row = row_of(self, self->last, agent);
+        for (npy_intp t = 0; t < reward->terms.size; t++) {
+            row[reward->columns.data[t]] =
+                reward->weights.data[t] * term(reward->terms.data[t], before->karts + kart,
+                                               after->karts + kart, after->header->num_kart,
+                                               self->race_length);
         }
     }
 }
@@ -75,11 +78,12 @@ static void score(StepScorer *self, const Reward *reward, const Moment *before, 
 /* Adds the step's terms to the sums; those who have left get nothing. */
 static void add_up(StepScorer *self)
 {
-    const npy_intp width = self->num_columns;
-    for (npy_intp row = 0; row < self->num_rows; row++) {
-        double *last = self->last + row * width, *sums = self->sums + row * width;
-        if (!self->is_racing[row]) memset(last, 0, (size_t)width * sizeof *last);
-        for (npy_intp c = 0; c < width; c++) sums[c] += last[c];
+    double *last = self->last.data, *sums = self->sums.data;
+    for (npy_intp i = 0, row = 0; i < self->last.size; row++) {
+        for (const npy_intp end = i + self->num_columns; i < end; i++) {
+            if (!self->is_racing[row]) last[i] = 0;
+            sums[i] += last[i];
+        }
     }
 }
 
@@ -95,27 +99,21 @@ static int put(PyObject *dict, PyObject *key, PyObject *value)
 static PyObject *info_of(const StepScorer *self, npy_intp agent, const Kart *kart, PyObject *length)
 {
     const npy_intp width = self->num_columns;
-    const double *last = self->last + self->rows[agent] * width;
-    const double *sums = self->sums + self->rows[agent] * width;
+    const double *last = row_of(self, self->last, agent), *sums = row_of(self, self->sums, agent);
     PyObject *const *key = &PyTuple_GET_ITEM(self->keys, 0);
     PyObject *dict = PyDict_Copy(self->blank_info); /* quicker than a new one that grows */
-    if (!dict) return NULL;
     const long laps = kart->finished_laps > 0 ? kart->finished_laps : 0;
-    int status = put(dict, *key++, PyLong_FromLong(kart->position));
+    double total = 0;
+    int status = dict ? put(dict, *key++, PyLong_FromLong(kart->position)) : -1;
     status = status ? status : put(dict, *key++, PyFloat_FromDouble(driven(kart)));
     status = status ? status : put(dict, *key++, PyLong_FromLong(laps));
     status = status ? status : put(dict, *key++, PyFloat_FromDouble(kart->finish_time));
-    double total = 0;
-    for (npy_intp c = 0; !status && c < width; c++) {
-        status = put(dict, *key++, PyFloat_FromDouble(last[c]));
-    }
-    for (npy_intp c = 0; !status && c < width; c++) {
-        total += sums[c];
-        status = put(dict, *key++, PyFloat_FromDouble(sums[c]));
+    for (npy_intp c = 0; !status && c < 2 * width; c++) {
+        if (c >= width) total += sums[c - width];
+        status = put(dict, *key++, PyFloat_FromDouble(c < width ? last[c] : sums[c - width]));
     }
     status = status ? status : put(dict, *key++, PyFloat_FromDouble(total));
-    Py_INCREF(length);
-    status = status ? status : put(dict, *key++, length);
+    status = status ? status : put(dict, *key++, Py_NewRef(length));
     if (status) Py_CLEAR(dict);
     return dict;
 }
@@ -123,14 +121,14 @@ static PyObject *info_of(const StepScorer *self, npy_intp agent, const Kart *kar
 static double total_of(const StepScorer *self, npy_intp agent)
 {
     double total = 0;
-    const double *last = self->last + self->rows[agent] * self->num_columns;
+    const double *last = row_of(self, self->last, agent);
     for (npy_intp c = 0; c < self->num_columns; c++) total += last[c];
     return total;
 }
 
 static int is_of_this_race(const StepScorer *self, const Moment *moment)
 {
-    if (self->last_kart < moment->header->num_kart) return 1;
+    if (are_below(self->karts, moment->header->num_kart)) return 1;
     PyErr_Format(PyExc_ValueError, "a snapshot of another race, of %d karts",
                  moment->header->num_kart);
     return 0;
@@ -146,9 +144,9 @@ static PyObject *ends_and_rewards(const StepScorer *self, const Moment *after, i
         if (!dict) Py_CLEAR(parts);
         else PyTuple_SET_ITEM(parts, part, dict);
     }
-    for (npy_intp agent = 0; parts && agent < self->num_agents; agent++) {
+    for (npy_intp agent = 0; parts && agent < self->karts.size; agent++) {
         PyObject *name = PyTuple_GET_ITEM(self->agents, agent);
-        const int has_ended = after->karts[self->karts[agent]].has_finished_race > 0;
+        const int has_ended = after->karts[self->karts.data[agent]].has_finished_race > 0;
         if (put(PyTuple_GET_ITEM(parts, REWARDS), name,
                 PyFloat_FromDouble(total_of(self, agent))) < 0 ||
             put(PyTuple_GET_ITEM(parts, TERMINATIONS), name, PyBool_FromLong(has_ended)) < 0 ||
@@ -162,14 +160,13 @@ static PyObject *ends_and_rewards(const StepScorer *self, const Moment *after, i
 
 /* score(before, after, is_over): rewards, terminations and truncations of the step between the
    bytes of two snapshots, each a dict by agent; whether time is up. */
-static PyObject *scorer_score(PyObject *object, PyObject *const *args, Py_ssize_t nargs)
+static PyObject *scorer_score(PyObject *object, PyObject *args)
 {
     StepScorer *self = (StepScorer *)object;
     Moment before, after;
-    if (nargs != 3) return PyErr_Format(PyExc_TypeError, "score() takes 3 arguments");
-    if (read_moment(args[0], &before) < 0 || read_moment(args[1], &after) < 0) return NULL;
-    const int is_over = PyObject_IsTrue(args[2]);
-    if (is_over < 0 || !is_of_this_race(self, &before) || !is_of_this_race(self, &after)) {
+    int is_over;
+    if (!PyArg_ParseTuple(args, "O&O&p", as_moment, &before, as_moment, &after, &is_over) ||
+        !is_of_this_race(self, &before) || !is_of_this_race(self, &after)) {
         return NULL;
     }
     for (Py_ssize_t i = 0; i < self->num_rewards; i++) {
@@ -180,144 +177,86 @@ static PyObject *scorer_score(PyObject *object, PyObject *const *args, Py_ssize_
 }
 
 /* infos(data, length): the infos at a snapshot, a dict by agent; how many steps the episode has. */
-static PyObject *scorer_infos(PyObject *object, PyObject *const *args, Py_ssize_t nargs)
+static PyObject *scorer_infos(PyObject *object, PyObject *args)
 {
     const StepScorer *self = (StepScorer *)object;
     Moment now;
-    if (nargs != 2) return PyErr_Format(PyExc_TypeError, "infos() takes 2 arguments");
-    if (read_moment(args[0], &now) < 0 || !is_of_this_race(self, &now)) return NULL;
+    PyObject *length;
+    if (!PyArg_ParseTuple(args, "O&O", as_moment, &now, &length) || !is_of_this_race(self, &now)) {
+        return NULL;
+    }
     PyObject *infos = PyDict_New();
-    for (npy_intp agent = 0; infos && agent < self->num_agents; agent++) {
-        const Kart *kart = now.karts + self->karts[agent];
+    for (npy_intp agent = 0; infos && agent < self->karts.size; agent++) {
+        const Kart *kart = now.karts + self->karts.data[agent];
         PyObject *name = PyTuple_GET_ITEM(self->agents, agent);
-        if (put(infos, name, info_of(self, agent, kart, args[1])) < 0) Py_CLEAR(infos);
+        if (put(infos, name, info_of(self, agent, kart, length)) < 0) Py_CLEAR(infos);
     }
     return infos;
 }
 
 /* ---------------------------------------------------------------- the type */
 
-static int are_below(const npy_intp *numbers, npy_intp count, npy_intp limit)
-{
-    for (npy_intp i = 0; i < count; i++) {
-        if (numbers[i] < 0 || numbers[i] >= limit) return 0;
-    }
-    return 1;
-}
-
-static int unfit(const char *what)
-{
-    if (!PyErr_Occurred()) PyErr_Format(PyExc_ValueError, "the %s do not fit together", what);
-    return -1;
-}
-
 /* A reward from (terms, weights, columns, who). */
 static int set_reward(const StepScorer *self, Reward *reward, PyObject *spec)
 {
-    PyObject *arrays[4];
-    npy_intp num_weights, num_columns;
-    if (!PyArg_ParseTuple(spec, "OOOO", arrays, arrays + 1, arrays + 2, arrays + 3) ||
-        !(reward->terms = numbers_of(arrays[0], "terms", NPY_INTP, &reward->num_terms)) ||
-        !(reward->weights = numbers_of(arrays[1], "weights", NPY_FLOAT64, &num_weights)) ||
-        !(reward->columns = numbers_of(arrays[2], "columns", NPY_INTP, &num_columns)) ||
-        !(reward->who = numbers_of(arrays[3], "who", NPY_INTP, &reward->num_agents)) ||
-        num_weights != reward->num_terms || num_columns != reward->num_terms ||
-        !are_below(reward->terms, reward->num_terms, NUM_TERMS) ||
-        !are_below(reward->columns, num_columns, self->num_columns) ||
-        !are_below(reward->who, reward->num_agents, self->num_agents)) {
-        return unfit("parts of a reward");
+    if (!PyArg_ParseTuple(spec, "O&O&O&O&", as_indices, &reward->terms, as_doubles,
+                          &reward->weights, as_indices, &reward->columns, as_indices,
+                          &reward->who)) {
+        return -1;
     }
-    return 0;
+    const int fits = reward->weights.size == reward->terms.size &&
+                     reward->columns.size == reward->terms.size &&
+                     are_below(reward->terms, NUM_TERMS) &&
+                     are_below(reward->columns, self->num_columns) &&
+                     are_below(reward->who, self->karts.size);
+    return fits ? 0 : refuse("the parts of a reward do not fit together");
 }
 
-static int set_rows(StepScorer *self, PyObject *const *arrays)
+/* From `sums`, which is one table with `last`. */
+static int set_rows(StepScorer *self, PyArrayObject *sums)
 {
-    npy_intp num_karts, num_rows, sizes[2];
-    if (!(self->karts = numbers_of(arrays[0], "karts", NPY_INTP, &num_karts)) ||
-        !(self->rows = numbers_of(arrays[1], "rows", NPY_INTP, &num_rows)) ||
-        !(self->last = numbers_of(arrays[2], "last", NPY_FLOAT64, sizes)) ||
-        !(self->sums = numbers_of(arrays[3], "sums", NPY_FLOAT64, sizes + 1)) ||
-        PyArray_NDIM((PyArrayObject *)arrays[2]) != 2) {
-        return unfit("arrays");
-    }
-    self->num_agents = PyTuple_GET_SIZE(self->agents);
-    self->num_rows = PyArray_DIM((PyArrayObject *)arrays[2], 0);
-    self->num_columns = PyArray_DIM((PyArrayObject *)arrays[2], 1);
-    if (num_karts != self->num_agents || num_rows != self->num_agents || sizes[0] != sizes[1] ||
-        !are_below(self->karts, num_karts, NPY_MAX_INT32) ||
-        !are_below(self->rows, num_rows, self->num_rows) ||
+    if (PyArray_NDIM(sums) != 2) return refuse("sums must be rows of numbers");
+    const npy_intp num_rows = PyArray_DIM(sums, 0), count = PyTuple_GET_SIZE(self->agents);
+    self->num_columns = PyArray_DIM(sums, 1);
+    if (self->karts.size != count || self->rows.size != count ||
+        self->last.size != self->sums.size || !are_below(self->karts, NPY_MAX_INT32) ||
+        !are_below(self->rows, num_rows) ||
         PyTuple_GET_SIZE(self->keys) != 6 + 2 * self->num_columns) {
-        return unfit("arrays");
+        return refuse("the arrays do not fit together");
     }
-    if (!(self->is_racing = PyMem_Calloc((size_t)self->num_rows + 1, 1))) {
-        PyErr_NoMemory();
-        return -1;
-    }
-    self->last_kart = -1;
-    for (npy_intp i = 0; i < num_rows; i++) {
-        self->is_racing[self->rows[i]] = 1;
-        if (self->karts[i] > self->last_kart) self->last_kart = self->karts[i];
-    }
-    return 0;
-}
-
-static int set_blank_info(StepScorer *self)
-{
-    self->blank_info = PyDict_New();
-    for (Py_ssize_t i = 0; self->blank_info && i < PyTuple_GET_SIZE(self->keys); i++) {
-        if (PyDict_SetItem(self->blank_info, PyTuple_GET_ITEM(self->keys, i), Py_None) < 0) {
-            Py_CLEAR(self->blank_info);
-        }
-    }
-    return self->blank_info ? 0 : -1;
-}
-
-static int set_rewards(StepScorer *self, PyObject *rewards)
-{
-    const Py_ssize_t count = PyTuple_GET_SIZE(rewards);
-    if (!(self->rewards = PyMem_Calloc((size_t)count + 1, sizeof *self->rewards))) {
-        PyErr_NoMemory();
-        return -1;
-    }
-    while (self->num_rewards < count) {
-        const Py_ssize_t i = self->num_rewards++;
-        if (set_reward(self, self->rewards + i, PyTuple_GET_ITEM(rewards, i)) < 0) return -1;
-    }
+    if (!(self->is_racing = room_for(self, num_rows, sizeof *self->is_racing))) return -1;
+    for (npy_intp i = 0; i < count; i++) self->is_racing[self->rows.data[i]] = 1;
     return 0;
 }
 
 /* StepScorer(agents, karts, rows, last, sums, keys, race_length, rewards): rewards is a tuple of
    what set_reward takes. */
-static PyObject *scorer_new(PyTypeObject *type, PyObject *args, PyObject *Py_UNUSED(kwargs))
+static int scorer_set_up(StepScorer *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
-    PyObject *arrays[4], *rewards;
-    StepScorer *self = (StepScorer *)type->tp_alloc(type, 0);
-    if (!self) return NULL;
-    if (!PyArg_ParseTuple(args, "O!OOOOO!dO!", &PyTuple_Type, &self->agents, arrays, arrays + 1,
-                          arrays + 2, arrays + 3, &PyTuple_Type, &self->keys, &self->race_length,
-                          &PyTuple_Type, &rewards) ||
-        set_rows(self, arrays) < 0 || set_blank_info(self) < 0 || set_rewards(self, rewards) < 0) {
-        Py_DECREF(self);
-        return NULL;
+    PyObject *rewards;
+    if (!PyArg_ParseTuple(args, "O!O&O&O&O&O!dO!", &PyTuple_Type, &self->agents, as_indices,
+                          &self->karts, as_indices, &self->rows, as_written_doubles, &self->last,
+                          as_written_doubles, &self->sums, &PyTuple_Type, &self->keys,
+                          &self->race_length, &PyTuple_Type, &rewards) ||
+        set_rows(self, (PyArrayObject *)PyTuple_GET_ITEM(args, 4)) < 0 ||
+        !(self->blank_info = keep(self, PyDict_New()))) {
+        return -1;
     }
-    Py_INCREF(args);
-    self->arguments = args;
-    return (PyObject *)self;
-}
-
-static void scorer_dealloc(PyObject *object)
-{
-    StepScorer *self = (StepScorer *)object;
-    PyMem_Free(self->rewards);
-    PyMem_Free(self->is_racing);
-    Py_XDECREF(self->blank_info);
-    Py_XDECREF(self->arguments);
-    Py_TYPE(object)->tp_free(object);
+    for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(self->keys); i++) {
+        PyObject *key = PyTuple_GET_ITEM(self->keys, i);
+        if (PyDict_SetItem(self->blank_info, key, Py_None) < 0) return -1;
+    }
+    self->num_rewards = PyTuple_GET_SIZE(rewards);
+    self->rewards = room_for(self, self->num_rewards, sizeof *self->rewards);
+    for (Py_ssize_t i = 0; self->rewards && i < self->num_rewards; i++) {
+        if (set_reward(self, self->rewards + i, PyTuple_GET_ITEM(rewards, i)) < 0) return -1;
+    }
+    return self->rewards ? 0 : -1;
 }
 
 static PyMethodDef scorer_methods[] = {
-    FAST_METHOD("score", scorer_score, "Rewards and ends."),
-    FAST_METHOD("infos", scorer_infos, "Infos by agent."),
+    {"score", scorer_score, METH_VARARGS, "Rewards and ends."},
+    {"infos", scorer_infos, METH_VARARGS, "Infos by agent."},
     {NULL, NULL, 0, NULL},
 };
 

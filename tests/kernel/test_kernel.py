@@ -492,7 +492,7 @@ def test_the_kernel_checks_what_it_is_given():
     with pytest.raises(IndexError, match="kart 1 of 1"):
         racing.observe(snapshot.data, one + 1, view)
     view.flags.writeable = False
-    with pytest.raises(ValueError, match="165 numbers"):
+    with pytest.raises(ValueError, match="writeable"):
         racing.observe(snapshot.data, one, view)
     with pytest.raises(ValueError, match="do not fit"):
         RacingObserver((road.lines[:, 1:].copy(), road.starts[:0], road.along), *KERNEL_TABLES)
