@@ -1,4 +1,4 @@
-/* A kart's frame; as stkzoo.mdp.geometry. */
+/* A kart's frame, as stkzoo.mdp.geometry, and what is near in it. */
 
 #ifndef STKZOO_GEOMETRY_H
 #define STKZOO_GEOMETRY_H
@@ -6,6 +6,7 @@
 #include "kernel.h"
 
 #include <math.h>
+#include <string.h>
 
 static inline void rotation_matrix(const Kart *kart, float m[9])
 {
@@ -41,6 +42,32 @@ static inline float dot(const float *v, const float *w)
 static inline float length(const float *v)
 {
     return sqrtf(dot(v, v));
+}
+
+/* A thing that is near, in a kart's frame. */
+typedef struct {
+    float key;      /* what it is ordered by */
+    float place[3];
+    int which;
+} Near;
+
+/* Inserts a thing where it belongs: from the lowest key up, then those with negative keys from the
+   highest down; of equals the first stays first. Keeps no more than `limit`; how many these are. */
+static inline npy_intp insert(Near *nearest, npy_intp count, npy_intp limit, const Near *one)
+{
+    npy_intp low = 0, high = count;
+    while (low < high) {
+        const npy_intp middle = (low + high) / 2;
+        const float key = one->key, other = nearest[middle].key;
+        const int is_before = key < 0 ? other < 0 && key > other : other < 0 || key < other;
+        if (is_before) high = middle;
+        else low = middle + 1;
+    }
+    if (low >= limit) return count;
+    if (count < limit) count++;
+    memmove(nearest + low + 1, nearest + low, (size_t)(count - 1 - low) * sizeof *nearest);
+    nearest[low] = *one;
+    return count;
 }
 
 #endif

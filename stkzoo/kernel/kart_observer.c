@@ -19,8 +19,7 @@ typedef struct {
     const Kart *me;
     const void *records[3]; /* by source: HEADER, KART, SCENE */
     float matrix[9], center_path[3], center_path_distance;
-    float *seen[2];  /* items and karts in its frame */
-    int *nearest[2]; /* their order */
+    Near *nearest[2]; /* items and karts, those in front first */
     const npy_int32 *ahead;
 } Scene;
 
@@ -126,33 +125,6 @@ static void find_center_path(Scene *scene)
     scene->center_path_distance = path[0] < 0 ? -length(path) : length(path);
 }
 
-/* Inserts point number `which` where it belongs: what is in front by distance, then what is
-   behind by distance; of equals the first stays first. Keeps no more than `limit`. */
-static npy_intp insert(const float *points, float *keys, int *order, npy_intp count,
-                       npy_intp limit, int which)
-{
-    const float *point = points + 3 * which;
-    const float far = length(point);
-    /* One number to compare: the distance, negative for what is behind. */
-    const float key = point[2] < 0 ? -far : far;
-    npy_intp low = 0, high = count;
-    while (low < high) {
-        const npy_intp middle = (low + high) / 2;
-        const float other = keys[middle];
-        const int is_before = key < 0 ? other < 0 && key > other : other < 0 || key < other;
-        if (is_before) high = middle;
-        else low = middle + 1;
-    }
-    if (low >= limit) return count;
-    if (count < limit) count++;
-    const size_t moved = (size_t)(count - 1 - low);
-    memmove(keys + low + 1, keys + low, moved * sizeof *keys);
-    memmove(order + low + 1, order + low, moved * sizeof *order);
-    keys[low] = key;
-    order[low] = which;
-    return count;
-}
-
 /* How many rows of a group are real. */
 static npy_intp shown(const KartObserver *observer, const Scene *scene, int group)
 {
@@ -169,7 +141,7 @@ static npy_intp rows_of(const KartObserver *observer, const Scene *scene, int gr
 }
 
 /* Finds the nearest items or karts. */
-static void find_near(const KartObserver *observer, Scene *scene, int group, float *keys)
+static void find_near(const KartObserver *observer, Scene *scene, int group)
 {
     const Moment *moment = &scene->moment;
     const npy_intp limit = shown(observer, scene, group);
@@ -177,14 +149,16 @@ static void find_near(const KartObserver *observer, Scene *scene, int group, flo
     npy_intp count = 0;
     for (npy_intp i = 0; i < there; i++) {
         if (group == KARTS && moment->karts + i == scene->me) continue;
+        Near one = {.which = (int)i};
         see(scene, group == ITEMS ? moment->items[i].location : moment->karts[i].location,
-            scene->seen[group] + 3 * i);
-        count = insert(scene->seen[group], keys, scene->nearest[group], count, limit, (int)i);
+            one.place);
+        one.key = one.place[2] < 0 ? -length(one.place) : length(one.place);
+        count = insert(scene->nearest[group], count, limit, &one);
     }
 }
 
 /* Takes a kart's place. */
-static int look(const KartObserver *observer, Scene *scene, npy_intp kart, float *keys)
+static int look(const KartObserver *observer, Scene *scene, npy_intp kart)
 {
     const npy_int32 num_kart = scene->moment.header->num_kart;
     if (kart < 0 || kart >= num_kart) {
@@ -195,8 +169,8 @@ static int look(const KartObserver *observer, Scene *scene, npy_intp kart, float
     if (!(scene->ahead = nodes_ahead(scene->track, scene->me->node))) return -1;
     rotation_matrix(scene->me, scene->matrix);
     if (observer->needs[OWN]) find_center_path(scene);
-    if (observer->needs[ITEMS]) find_near(observer, scene, ITEMS, keys);
-    if (observer->needs[KARTS]) find_near(observer, scene, KARTS, keys);
+    if (observer->needs[ITEMS]) find_near(observer, scene, ITEMS);
+    if (observer->needs[KARTS]) find_near(observer, scene, KARTS);
     return 0;
 }
 
@@ -216,7 +190,7 @@ static npy_int64 choice_of(const Scene *scene, const Key *key)
 
 static npy_int64 item_type(const Scene *scene, npy_intp i)
 {
-    return scene->moment.items[scene->nearest[ITEMS][i]].type;
+    return scene->moment.items[scene->nearest[ITEMS][i].which].type;
 }
 
 static void write_choices(const KartObserver *observer, const Scene *scene, const Key *key,
@@ -234,13 +208,12 @@ static void write_choices(const KartObserver *observer, const Scene *scene, cons
 static void write_numbers(const KartObserver *observer, const Scene *scene, const Key *key,
                           float *out)
 {
-    static const int FIRST[] = {0};
     const TrackGraph *track = scene->track;
     const npy_intp rows = rows_of(observer, scene, key->group);
     const npy_intp real = shown(observer, scene, key->group);
     const int width = key->width;
-    const float *from; /* row i is at from + step * order[i] */
-    const int *order = scene->ahead;
+    const float *from; /* row i is at from + step * order[i]; without an order, step * i */
+    const npy_int32 *order = scene->ahead;
     npy_intp step = width;
     for (npy_intp i = real * width; i < rows * width; i++) out[i] = 0;
     if (key->kind == MASK) {
@@ -251,12 +224,14 @@ static void write_numbers(const KartObserver *observer, const Scene *scene, cons
     case NODES: from = track->nodes.data + key->offset / sizeof *from, step = 6; break;
     case WIDTHS: from = track->widths.data; break;
     case DISTANCES: from = track->distances.data; break;
-    case NEAREST: from = scene->seen[key->group], order = scene->nearest[key->group]; break;
-    default: from = record_of(scene, key), order = FIRST;
+    case NEAREST:
+        from = scene->nearest[key->group]->place, order = NULL, step = sizeof(Near) / sizeof *from;
+        break;
+    default: from = record_of(scene, key), order = NULL;
     }
     const int is_polar = observer->is_polar && key->form & IS_PLACE;
     for (npy_intp i = 0; i < real; i++, out += width) {
-        const float *row = from + step * order[i];
+        const float *row = from + step * (order ? order[i] : i);
         if (key->form & IS_POINT) {
             see(scene, row, out);
         } else { /* without a loop, which is quicker */
@@ -510,21 +485,6 @@ static PyObject *as_vectors(const KartObserver *observer, const Scene *scene)
 
 /* ---------------------------------------------------------------- the type */
 
-/* Room for what one kart sees: places and their order, and sort keys. */
-static float *scratch_for(Scene *scene, float **keys)
-{
-    const npy_intp items = scene->moment.header->num_items, karts = scene->moment.header->num_kart;
-    const npy_intp words = 4 * (items + karts) + (items > karts ? items : karts);
-    float *room = PyMem_Malloc((size_t)(words + 1) * sizeof *room);
-    if (!room) return (float *)PyErr_NoMemory();
-    scene->seen[ITEMS] = room;
-    scene->seen[KARTS] = scene->seen[ITEMS] + 3 * items;
-    scene->nearest[ITEMS] = (int *)(scene->seen[KARTS] + 3 * karts);
-    scene->nearest[KARTS] = scene->nearest[ITEMS] + items;
-    *keys = (float *)(scene->nearest[KARTS] + karts);
-    return room;
-}
-
 /* observe(track, num_paths, kart_types, data, who): one observation for each kart of `who`, in a
    list. */
 static PyObject *observer_observe(PyObject *self, PyObject *args)
@@ -546,10 +506,11 @@ static PyObject *observer_observe(PyObject *self, PyObject *args)
     memcpy(scene.there, there, sizeof there);
     scene.records[SCENE] = &scene;
     if (!observer->is_flat && grow(observer, who.size) < 0) return NULL;
-    float *keys = NULL, *room = scratch_for(&scene, &keys);
-    PyObject *list = room ? PyList_New(who.size) : NULL;
+    Near *room = PyMem_Malloc((size_t)(header->num_items + header->num_kart) * sizeof *room);
+    scene.nearest[ITEMS] = room, scene.nearest[KARTS] = room + header->num_items;
+    PyObject *list = room ? PyList_New(who.size) : PyErr_NoMemory();
     for (npy_intp i = 0; list && i < who.size; i++) {
-        PyObject *seen = look(observer, &scene, who.data[i], keys) < 0 ? NULL
+        PyObject *seen = look(observer, &scene, who.data[i]) < 0 ? NULL
                          : observer->is_flat ? as_vectors(observer, &scene)
                                              : as_dict(observer, &scene);
         if (!seen) Py_CLEAR(list);

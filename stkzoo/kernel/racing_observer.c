@@ -20,12 +20,6 @@ typedef struct {
     npy_intp size;
 } RacingObserver;
 
-/* A thing that is near, in the kart's frame. */
-typedef struct {
-    float squared, place[3];
-    int kind;
-} Near;
-
 enum { MOST = 8 }; /* that are seen of one sort */
 
 typedef struct {
@@ -129,23 +123,11 @@ static void put_road(Pen *pen)
 
 /* ---------------------------------------------------------------- what is near */
 
-/* Takes a thing in where it belongs, nearest first; of equals the first stays first. */
-static int take_in(Near *nearest, int count, int limit, Near one)
-{
-    int at = count < limit ? count : limit;
-    while (at > 0 && one.squared < nearest[at - 1].squared) at--;
-    if (at >= limit) return count;
-    if (count < limit) count++;
-    for (int i = count - 1; i > at; i--) nearest[i] = nearest[i - 1];
-    nearest[at] = one;
-    return count;
-}
-
 static Near near_of(const Pen *pen, const float *location, int kind)
 {
-    Near one = {.kind = kind};
+    Near one = {.which = kind};
     to_kart_frame(pen->me, pen->matrix, location, one.place);
-    one.squared = dot(one.place, one.place);
+    one.key = dot(one.place, one.place);
     return one;
 }
 
@@ -169,8 +151,8 @@ static void put_karts(Pen *pen, const Moment *moment)
     for (npy_int32 i = 0; i < moment->header->num_kart; i++) {
         if (moment->karts + i == pen->me) continue;
         const Near one = near_of(pen, moment->karts[i].location, 0);
-        if (!(one.squared < view->kart_reach * view->kart_reach)) continue;
-        count = take_in(nearest, count, view->karts, one);
+        if (!(one.key < view->kart_reach * view->kart_reach)) continue;
+        count = (int)insert(nearest, count, view->karts, &one);
     }
     put_places(pen, nearest, count, view->karts);
 }
@@ -186,16 +168,16 @@ static void put_items(Pen *pen, const Moment *moment)
         if (kind == -2) continue;
         const Near one = near_of(pen, item->location, kind);
         if (!(one.place[2] > view->item_ahead && fabsf(one.place[1]) < view->item_level &&
-              one.squared < view->item_reach * view->item_reach)) {
+              one.key < view->item_reach * view->item_reach)) {
             continue;
         }
-        if (kind < 0) num_bads = take_in(bads, num_bads, view->bads, one);
-        else num_goods = take_in(goods, num_goods, view->goods, one);
+        if (kind < 0) num_bads = (int)insert(bads, num_bads, view->bads, &one);
+        else num_goods = (int)insert(goods, num_goods, view->goods, &one);
     }
     put_places(pen, goods, num_goods, view->goods);
     for (int i = 0; i < view->goods; i++) put(pen, i < num_goods ? goods[i].place[0] / 5.0f : 0);
     for (int i = 0; i < view->goods; i++) {
-        put_one_of(pen, i < num_goods ? goods[i].kind : -1, view->num_kinds);
+        put_one_of(pen, i < num_goods ? goods[i].which : -1, view->num_kinds);
     }
     put_places(pen, bads, num_bads, view->bads);
     for (int i = 0; i < view->bads; i++) put(pen, i < num_bads ? bads[i].place[0] / 5.0f : 0);

@@ -40,9 +40,9 @@ from stkzoo.views import AgentChain
 from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarObservations
 from stkzoo.wrappers.control import CarAction
 from stkzoo.wrappers.racing import SIZE, BatchedRacingView, RoadTable, racing_features
-from stkzoo.wrappers.racing.batched_view import racing_view_of
 from stkzoo.wrappers.racing.features import KERNEL_TABLES
 from stkzoo.wrappers.racing.road import NUM_POINTS
+from stkzoo.wrappers.racing.wrapper import racing_view_of
 
 pytestmark = pytest.mark.skipif(not IS_COMPILED, reason="nothing was compiled here to compare")
 
@@ -124,7 +124,7 @@ USERS = {
     "race.codec": ["join_rows"],
     "views.plan": ["ActionReader", "KartObserver"],
     "wrappers.control.car_action": ["CarController"],
-    "wrappers.racing.batched_view": ["RacingObserver"],
+    "wrappers.racing.wrapper": ["RacingObserver"],
     "agents.planning.worth": ["weigh_plans"],
 }
 

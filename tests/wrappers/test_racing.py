@@ -28,8 +28,7 @@ from stkzoo.wrappers.racing import (
     road_line,
     surroundings_of,
 )
-from stkzoo.wrappers.racing.layout import MARKS
-from stkzoo.wrappers.racing.road import NUM_POINTS, STEP
+from stkzoo.wrappers.racing.road import MARKS, NUM_POINTS, STEP
 
 
 class OneKart(gym.Env):

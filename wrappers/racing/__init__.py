@@ -1,16 +1,15 @@
 """The racing view: a fixed-size driver's view of the race, and a few choices to act by."""
 
-from stkzoo.wrappers.racing.batched_view import BatchedRacingView
-from stkzoo.wrappers.racing.features import racing_features
+from stkzoo.wrappers.racing.features import MIRROR, PARTS, PLACES, SIZE, racing_features
 from stkzoo.wrappers.racing.ground import GroundAhead, GroundTable, ground_table
-from stkzoo.wrappers.racing.layout import MIRROR, PARTS, PLACES, SIZE
-from stkzoo.wrappers.racing.road import RoadTable, road_line
-from stkzoo.wrappers.racing.surroundings import ABSENT, LOOKS, Surroundings, surroundings_of
+from stkzoo.wrappers.racing.road import LOOKS, RoadTable, road_line
+from stkzoo.wrappers.racing.surroundings import ABSENT, Surroundings, surroundings_of
 from stkzoo.wrappers.racing.wrapper import (
     BRAKE,
     CHOICES,
     RESCUE,
     STEERS,
+    BatchedRacingView,
     RacingActions,
     RacingObservations,
     choices_of_action,

@@ -1,4 +1,7 @@
-"""The racing view's numbers from what a kart knows of itself and what is around it."""
+"""The racing view: what its numbers are, and how they are made.
+
+They are made from what a kart knows of itself and what is around it.
+"""
 
 from __future__ import annotations
 
@@ -10,52 +13,100 @@ import numpy.typing as npt
 
 from stkzoo.mdp.geometry import squared
 from stkzoo.mdp.spaces import POWERUP_COUNT_LIMIT
-from stkzoo.names import ItemType
-from stkzoo.wrappers.racing.layout import (
-    ATTACHMENTS,
-    BADS,
-    GOODS,
-    KARTS,
-    MARKS,
-    NUM_POWERUPS,
-    PLACES,
-    SIZE,
-    TYPES_BAD,
-    TYPES_GOOD,
-)
-from stkzoo.wrappers.racing.road import STEP
-from stkzoo.wrappers.racing.surroundings import BEYOND, LOOKS, Surroundings
+from stkzoo.names import AttachmentType, ItemType, PowerupType
+from stkzoo.wrappers.racing.road import BEYOND, LOOKS, MARKS, STEP
+from stkzoo.wrappers.racing.surroundings import Surroundings
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[Any]
 
+#: How many of the nearest other karts, good items ahead and bad items ahead are seen.
+KARTS, GOODS, BADS = 4, 4, 3
+
+#: What is good and what is bad to drive over.
+TYPES_GOOD = (ItemType.BONUS_BOX, ItemType.NITRO_BIG, ItemType.NITRO_SMALL)
+TYPES_BAD = (ItemType.BANANA, ItemType.BUBBLEGUM)
+
+#: What can hang on a kart, in the order of the view.
+ATTACHMENTS = tuple(kind for kind in AttachmentType if kind is not AttachmentType.NOTHING)
+NUM_POWERUPS = max(PowerupType) + 1
+
+#: The view's parts in order: name, how many entries, numbers of an entry. Each entry of a part
+#: is x (to the right), y (up), z (ahead) where its name says ``_position`` or ``_direction``.
+PARTS: dict[str, tuple[int, int]] = {
+    "velocity": (1, 3),  # [20 m/s]
+    "max_steer_angle": (1, 1),  # [rad]
+    "skeed_factor": (1, 1),
+    "energy": (1, 1),  # [20]
+    "attachment_time_left": (1, 1),  # [10 s]
+    "shield_time": (1, 1),  # [10 s]
+    "jumping": (1, 1),
+    "powerup_type": (1, NUM_POWERUPS),  # one of them is 1
+    "powerup_count": (1, 1),  # [3]
+    "attachment": (1, len(ATTACHMENTS)),  # one of them is 1, or none
+    "line_position": (1, 3),  # the nearest point of the line [10 m]
+    "line_room": (1, 1),  # from there to the road's edge [10 m]
+    "marks_direction": (len(MARKS), 3),  # position over distance along the line
+    "marks_room": (len(MARKS), 1),  # [10 m]
+    "marks_heading": (len(MARKS), 2),  # of the line there: sine and cosine, 0 is the kart's
+    "karts_direction": (KARTS, 3),  # unit vector
+    "karts_nearness": (KARTS, 1),  # 1 / (1 + distance / 5 m); 0 where there is none
+    "goods_direction": (GOODS, 3),
+    "goods_nearness": (GOODS, 1),
+    "goods_beside": (GOODS, 1),  # how far to the right [5 m]
+    "goods_type": (GOODS, len(TYPES_GOOD)),  # one of them is 1; 0 where there is none
+    "bads_direction": (BADS, 3),
+    "bads_nearness": (BADS, 1),
+    "bads_beside": (BADS, 1),
+}
+
+#: How many numbers the view has.
+SIZE = sum(count * width for count, width in PARTS.values())
+
+
+def _places() -> dict[str, slice]:
+    ends = np.cumsum([count * width for count, width in PARTS.values()]).tolist()
+    return {name: slice(a, b) for name, a, b in zip(PARTS, [0, *ends], ends, strict=False)}
+
+
+#: Where in the view each part stands.
+PLACES = _places()
+
+
+def _mirror() -> npt.NDArray[np.float32]:
+    signs = []
+    for name, (count, width) in PARTS.items():
+        entry = np.ones(width, np.float32)
+        if name.endswith(("velocity", "_position", "_direction", "_heading", "_beside")):
+            entry[0] = -1.0
+        signs.append(np.tile(entry, count))
+    return np.concatenate(signs)
+
+
+#: ``(SIZE,)`` of 1 and -1: a view times this is the view of the mirrored race, left for right.
+MIRROR = _mirror()
+
 _KART_REACH, _ITEM_REACH = 60.0, 60.0  # [m]
 _ITEM_LEAST_AHEAD, _ITEM_LEVEL = 0.5, 6.0  # [m]
 
-_WORTH = np.zeros(max(ItemType) + 2, np.int8)  # the last is ABSENT
-_WORTH[list(TYPES_GOOD)] = 1
-_WORTH[list(TYPES_BAD)] = -1
-_GOOD_ROWS = np.zeros((max(ItemType) + 2, len(TYPES_GOOD)), np.float32)
-_GOOD_ROWS[list(TYPES_GOOD), range(len(TYPES_GOOD))] = 1.0
-_POWERUP_ROWS = np.eye(NUM_POWERUPS, dtype=np.float32)
-_ATTACHMENT_ROWS = np.zeros((16, len(ATTACHMENTS)), np.float32)
-_ATTACHMENT_ROWS[list(ATTACHMENTS), range(len(ATTACHMENTS))] = 1.0
+_BAD, _IGNORED = -1, -2
+#: By type of an item: a good one's number, or one of these. The last is that of :data:`ABSENT`.
+_ITEMS = np.full(max(ItemType) + 2, _IGNORED, np.int8)
+_ITEMS[list(TYPES_GOOD)] = range(len(TYPES_GOOD))
+_ITEMS[list(TYPES_BAD)] = _BAD
+#: By type of an attachment: its number, or -1.
+_ATTACHMENTS = np.full(16, -1, np.int8)
+_ATTACHMENTS[list(ATTACHMENTS)] = range(len(ATTACHMENTS))
 
-
-def _kernel_tables() -> tuple[tuple[Any, ...], ...]:
-    """The same constants and tables as the kernel's ``Racing`` takes them."""
-    items = np.full(max(ItemType) + 1, -2, np.int8)
-    items[list(TYPES_GOOD)] = range(len(TYPES_GOOD))
-    items[list(TYPES_BAD)] = -1
-    attachments = np.full(len(_ATTACHMENT_ROWS), -1, np.int8)
-    attachments[list(ATTACHMENTS)] = range(len(ATTACHMENTS))
-    columns = NUM_POWERUPS, POWERUP_COUNT_LIMIT, len(ATTACHMENTS), len(TYPES_GOOD)
-    lengths = STEP, BEYOND, _KART_REACH, _ITEM_REACH, _ITEM_LEAST_AHEAD, _ITEM_LEVEL
-    return (MARKS, items, attachments), (*columns, KARTS, GOODS, BADS), lengths
-
-
-#: What the kernel's ``Racing`` takes after a road's ``(lines, starts, along)``.
-KERNEL_TABLES = _kernel_tables()
+#: What the kernel's ``RacingObserver`` takes after a road's ``(lines, starts, along)``.
+KERNEL_TABLES = (
+    (MARKS, _ITEMS, _ATTACHMENTS),
+    (
+        *(NUM_POWERUPS, POWERUP_COUNT_LIMIT, len(ATTACHMENTS), len(TYPES_GOOD)),
+        *(KARTS, GOODS, BADS),
+    ),
+    (STEP, BEYOND, _KART_REACH, _ITEM_REACH, _ITEM_LEAST_AHEAD, _ITEM_LEVEL),
+)
 
 
 def racing_features(own: Mapping[str, Any], around: Surroundings) -> FloatArray:
@@ -84,9 +135,10 @@ def _write_own(view: FloatArray, own: Mapping[str, Any]) -> None:
     view[:, PLACES["attachment_time_left"]] = own["attachment_time_left"] / 10.0
     view[:, PLACES["shield_time"]] = own["shield_time"] / 10.0
     view[:, PLACES["jumping"]] = np.reshape(own["jumping"], (-1, 1))
-    view[:, PLACES["powerup_type"]] = _POWERUP_ROWS[own["powerup_type"]]
+    view[:, PLACES["powerup_type"]] = _one_of(own["powerup_type"], NUM_POWERUPS)
     view[:, PLACES["powerup_count"]] = np.reshape(own["powerup_count"], (-1, 1)) / 3.0
-    view[:, PLACES["attachment"]] = _ATTACHMENT_ROWS[own["attachment"]]
+    hanging = _ATTACHMENTS[own["attachment"]]
+    view[:, PLACES["attachment"]] = _one_of(hanging, len(ATTACHMENTS))
 
 
 def _write_road(view: FloatArray, road: FloatArray) -> None:
@@ -116,15 +168,16 @@ def _write_items(view: FloatArray, around: Surroundings) -> None:
         & (np.abs(items[..., 1]) < _ITEM_LEVEL)
         & (squares < _ITEM_REACH**2)
     )
-    worth = _WORTH[types]
-    for name, sign, count in (("goods", 1, GOODS), ("bads", -1, BADS)):
-        seen, there, order = _nearest(items, squares, is_seen & (worth == sign), count)
+    kinds = _ITEMS[types]
+    for name, is_one, count in (("goods", kinds >= 0, GOODS), ("bads", kinds == _BAD, BADS)):
+        seen, there, order = _nearest(items, squares, is_seen & is_one, count)
         _write_places(view, name, seen, there)
         view[:, PLACES[f"{name}_beside"]] = seen[..., 0] / 5.0
         if name == "goods":
             found = there[:, : order.shape[1], None]
-            kinds = _GOOD_ROWS[types[np.arange(len(types))[:, None], order]] * found
-            view[:, PLACES["goods_type"]] = _padded(kinds, count).reshape(len(view), -1)
+            chosen = np.take_along_axis(kinds, order, axis=1)
+            types_seen = _padded(_one_of(chosen, len(TYPES_GOOD)) * found, count)
+            view[:, PLACES["goods_type"]] = types_seen.reshape(len(view), -1)
 
 
 def _write_places(view: FloatArray, name: str, points: FloatArray, there: FloatArray) -> None:
@@ -148,6 +201,11 @@ def _nearest(
     found, near = is_seen[rows, order], points[rows, order]
     near = np.where(found[..., None], near, 0).astype(np.float32)
     return _padded(near, count), _padded(found.astype(np.float32), count), order
+
+
+def _one_of(numbers: IntArray, count: int) -> FloatArray:
+    """A place for each number below ``count``, 1 for the one that it is."""
+    return np.equal(numbers[..., None], np.arange(count)).astype(np.float32)
 
 
 def _padded(rows: FloatArray, count: int) -> FloatArray:

@@ -13,8 +13,7 @@ import numpy.typing as npt
 from stkzoo.engine.ground import Ground
 from stkzoo.mdp.spaces import GROUND_LANES, GROUND_MARKS
 from stkzoo.names import GroundKind
-from stkzoo.wrappers.racing.road import NUM_POINTS, RoadTable
-from stkzoo.wrappers.racing.surroundings import line_places
+from stkzoo.wrappers.racing.road import NUM_POINTS, RoadTable, line_places
 
 if TYPE_CHECKING:
     from stkzoo.engine.track import TrackMap

@@ -7,7 +7,7 @@ that the kart is in. Its points are :data:`STEP` metres apart, whatever the segm
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from stkzoo.engine.track import TrackMap
 
 FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[Any]
 
 #: Segments looked at; the shortest ones of all tracks make 100 m with 50, twice that at forks.
 MAX_SEGMENTS = 96
@@ -37,7 +38,18 @@ _LONGEST_JUMP = 25.0
 #: Beyond its last point a line goes straight on so far [m].
 _TAIL = 150.0
 
-_MARKS = STEP * np.arange(NUM_POINTS)
+#: Where the road ahead is looked at, from the kart on along the line [m].
+MARKS = np.array([3, 6, 10, 14, 19, 25, 32, 40, 50, 62, 76, 92], np.float32)
+
+#: Where it is looked at in all: beside the kart and at the marks; and a little farther, for its
+#: heading [m].
+BEYOND = 3.0
+LOOKS = np.concatenate([[0.0], MARKS, MARKS + BEYOND]).astype(np.float32)
+
+#: ``lines``, ``starts`` and ``along`` of a :class:`RoadTable`.
+RoadArrays: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+
+_POINTS = STEP * np.arange(NUM_POINTS)
 
 
 def road_line(starts: FloatArray, ends: FloatArray, widths: FloatArray) -> FloatArray:
@@ -62,10 +74,10 @@ def road_line(starts: FloatArray, ends: FloatArray, widths: FloatArray) -> Float
     np.cumsum(np.sqrt((steps**2).sum(axis=1)), out=marks[1:])
     line = np.empty((NUM_POINTS, 4), np.float32)
     for column in range(3):
-        line[:, column] = np.interp(_MARKS, marks, points[:, column])
+        line[:, column] = np.interp(_POINTS, marks, points[:, column])
     rooms = np.repeat(widths[chain] / 2, 2)
     rooms = np.concatenate([rooms, rooms[-1:]])
-    line[:, 3] = np.interp(_MARKS, marks, rooms)
+    line[:, 3] = np.interp(_POINTS, marks, rooms)
     return line
 
 
@@ -113,3 +125,40 @@ class RoadTable:
                 for nodes in ahead
             ]
         )
+
+
+def line_places(
+    starts: FloatArray, along: FloatArray, looks: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Which points of its line a kart looks at.
+
+    Args:
+        starts: ``(A, 3)``: where the karts' own segments start, in frames in which the kart
+            is at the origin.
+        along: ``(A, 3)``: from there to the segments' ends.
+        looks: ``(L,)``: how far ahead of the kart [m].
+
+    Returns:
+        ``(A, L)`` each: number of the point before, and how far it is on the way to the
+        next, from 0 to 1.
+    """
+    squares = squared(along)
+    share = -(starts * along).sum(-1) / np.where(squares > 0, squares, 1)
+    passed = np.clip(share, 0, 1) * np.sqrt(squares)
+    places = (passed[:, None] + looks) / np.float32(STEP)
+    before = np.minimum(places.astype(np.intp), NUM_POINTS - 2)
+    return before, (places - before).astype(np.float32)
+
+
+def points_ahead(
+    lines: FloatArray,
+    nodes: IntArray,
+    starts: FloatArray,
+    along: FloatArray,
+    looks: FloatArray,
+) -> FloatArray:
+    """The points ``(A, L, 4)`` of the lines ``nodes`` at :func:`line_places`."""
+    before, share = line_places(starts, along, looks)
+    first, second = lines[nodes[:, None], before], lines[nodes[:, None], before + 1]
+    points: FloatArray = first + (second - first) * share[..., None]
+    return points

@@ -10,21 +10,21 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.snapshot import KART_DTYPE, Snapshot
-from stkzoo.mdp.geometry import rotation_matrices, squared, to_kart_frame
+from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
 from stkzoo.mdp.observations import own_state
-from stkzoo.wrappers.racing.layout import MARKS
-from stkzoo.wrappers.racing.road import MAX_SEGMENTS, NUM_POINTS, STEP, road_line
+from stkzoo.wrappers.racing.road import (
+    LOOKS,
+    MAX_SEGMENTS,
+    RoadArrays,
+    points_ahead,
+    road_line,
+)
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[Any]
 
 #: Stands for the type of an item that is not there.
 ABSENT = -1
-
-#: Where the line is looked at: beside the kart and at the marks; and a little farther, for its
-#: heading [m].
-BEYOND = 3.0
-LOOKS = np.concatenate([[0.0], MARKS, MARKS + BEYOND]).astype(np.float32)
 
 _OWN = (
     *("velocity", "max_steer_angle", "skeed_factor", "energy", "attachment_time_left"),
@@ -49,48 +49,8 @@ class Surroundings:
     item_types: IntArray
 
 
-#: ``lines``, ``starts`` and ``along`` of a :class:`~stkzoo.wrappers.racing.RoadTable`.
-RoadArrays: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
-
 #: What a kart knows of itself, entries of the ``full`` view in batch form; and what is around it.
 Known: TypeAlias = tuple[dict[str, npt.NDArray[Any]], Surroundings]
-
-
-def line_places(
-    starts: FloatArray, along: FloatArray, looks: FloatArray
-) -> tuple[IntArray, FloatArray]:
-    """Which points of its line a kart looks at.
-
-    Args:
-        starts: ``(A, 3)``: where the karts' own segments start, in frames in which the kart
-            is at the origin.
-        along: ``(A, 3)``: from there to the segments' ends.
-        looks: ``(L,)``: how far ahead of the kart [m].
-
-    Returns:
-        ``(A, L)`` each: number of the point before, and how far it is on the way to the
-        next, from 0 to 1.
-    """
-    squares = squared(along)
-    share = -(starts * along).sum(-1) / np.where(squares > 0, squares, 1)
-    passed = np.clip(share, 0, 1) * np.sqrt(squares)
-    places = (passed[:, None] + looks) / np.float32(STEP)
-    before = np.minimum(places.astype(np.intp), NUM_POINTS - 2)
-    return before, (places - before).astype(np.float32)
-
-
-def _points_ahead(
-    lines: FloatArray,
-    nodes: IntArray,
-    starts: FloatArray,
-    along: FloatArray,
-    looks: FloatArray,
-) -> FloatArray:
-    """The points ``(A, L, 4)`` of the lines ``nodes`` at :func:`line_places`."""
-    before, share = line_places(starts, along, looks)
-    first, second = lines[nodes[:, None], before], lines[nodes[:, None], before + 1]
-    points: FloatArray = first + (second - first) * share[..., None]
-    return points
 
 
 def surroundings_of(observation: Mapping[str, Any], looks: FloatArray = LOOKS) -> Known:
@@ -128,7 +88,7 @@ def _road(paths: dict[str, FloatArray], looks: FloatArray) -> FloatArray:
         }
     starts, ends, widths = paths["paths_start"], paths["paths_end"], paths["paths_width"][..., 0]
     lines = np.stack(list(map(road_line, starts, ends, widths)))
-    return _points_ahead(
+    return points_ahead(
         lines, np.arange(len(lines)), starts[:, 0], ends[:, 0] - starts[:, 0], looks
     )
 
@@ -156,7 +116,7 @@ def surroundings_in(
     matrices = rotation_matrices(np.ascontiguousarray(records["rotation"]))
     lines, starts, along = road
     nodes = records["node"] + first_nodes[race]
-    points = _points_ahead(lines, nodes, starts[nodes] - locations, along[nodes], looks)
+    points = points_ahead(lines, nodes, starts[nodes] - locations, along[nodes], looks)
     seen = to_kart_frame(points[..., :3], locations, matrices)
     others = _padded([s.karts["location"] for s in snapshots], np.inf)[race]
     is_there = np.isfinite(others[..., 0])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,23 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
 
-Records = npt.NDArray[np.void]
-
 #: The first controls are numbers, the others buttons.
 _NUM_ANALOGUE = 2
 _ZERO_CONTROL = (0.0,) * len(CONTROLS)
+
+#: The engine's attributes for fields of our records, where they have another name.
+_ATTRIBUTES = {
+    "attachment_time_left": "attachment.time_left",
+    "attachment_type": "attachment.type.value",
+    "powerup_num": "powerup.num",
+    "powerup_type": "powerup.type.value",
+    "type": "type.value",
+}
+#: All fields of a record, in order; of a kart all but the last, its control.
+_item_of, _kart_of = (
+    attrgetter(*(_ATTRIBUTES.get(name, name) for name in names))
+    for names in (ITEM_DTYPE.names or (), (KART_DTYPE.names or ())[:-1])
+)
 
 
 class GameStepper:
@@ -72,8 +85,8 @@ class GameStepper:
     def read(self, is_running: bool) -> bytes:
         """The present moment."""
         world = self._world
-        karts = _records(KART_DTYPE, world.karts, _kart_record)
-        items = _records(ITEM_DTYPE, world.items, _item_record)
+        karts = np.array([(*_kart_of(kart), _ZERO_CONTROL) for kart in world.karts], KART_DTYPE)
+        items = np.array([_item_of(item) for item in world.items], ITEM_DTYPE)
         for row in self._reporting:
             action = self._race.get_kart_action(row)
             karts[row]["control"] = [float(getattr(action, name)) for name in self._controls]
@@ -83,50 +96,3 @@ class GameStepper:
             HEADER_DTYPE,
         )
         return Snapshot.of(header[0], karts, items).data
-
-
-def _records(
-    dtype: np.dtype[np.void], objects: Iterable[Any], record: Callable[[Any], tuple[Any, ...]]
-) -> Records:
-    return np.array([record(thing) for thing in objects], dtype)
-
-
-def _item_record(item: Any) -> tuple[Any, ...]:
-    """The fields of ``ITEM_DTYPE`` in its order."""
-    return item.location, item.size, item.type.value, item.id
-
-
-def _kart_record(kart: Any) -> tuple[Any, ...]:
-    """The fields of ``KART_DTYPE`` in its order."""
-    powerup, attachment = kart.powerup, kart.attachment
-    return (
-        kart.location,
-        kart.rotation,
-        kart.front,
-        kart.velocity,
-        kart.velocity_lc,
-        kart.angular_velocity,
-        kart.size,
-        kart.speed,
-        kart.max_steer_angle,
-        kart.wheel_base,
-        kart.energy,
-        kart.skeed_factor,
-        kart.shield_time,
-        attachment.time_left,
-        kart.distance_down_track,
-        kart.overall_distance,
-        kart.finish_time,
-        kart.lap_time,
-        kart.node,
-        kart.position,
-        kart.finished_laps,
-        powerup.type.value,
-        powerup.num,
-        attachment.type.value,
-        kart.has_finished_race,
-        kart.race_result,
-        kart.jumping,
-        kart.is_on_road,
-        _ZERO_CONTROL,
-    )
