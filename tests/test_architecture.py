@@ -25,6 +25,7 @@ LAYERS = [
             "stkzoo.names",
             "stkzoo.config",
             "stkzoo.tracks",
+            "stkzoo._arguments",
             "stkzoo._os",
             "stkzoo.kernel",
             "stkzoo.agent_names",

@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from importlib.metadata import version
 
+from stkzoo.cli._arguments import add_command
 from stkzoo.errors import StkzooError
 
 __all__ = ["COMMANDS", "build_parser", "main"]
@@ -63,15 +64,8 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name in COMMANDS:
         module = import_module(f"{__name__}.{name.replace('-', '_')}")
-        summary, _, description = (module.__doc__ or "").partition("\n\n")
-        child = subparsers.add_parser(
-            name,
-            help=summary[:1].lower() + summary[1:].rstrip("."),
-            description=description,
-            epilog=module.EXAMPLES,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-            **getattr(module, "PARSER_OPTIONS", {}),
-        )
+        options = getattr(module, "PARSER_OPTIONS", {})
+        child = add_command(subparsers, name, module, epilog=module.EXAMPLES, **options)
         if command in (None, name):
             module.add_arguments(child)
             child.set_defaults(run=module.run, fail=child.error)

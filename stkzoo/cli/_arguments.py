@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import argparse
 import functools
-import types
-import typing
+import inspect
 from collections.abc import Callable, Collection
-from dataclasses import Field, fields
+from dataclasses import dataclass
 from typing import Any
 
+from stkzoo._arguments import add_options, option, values_of
 from stkzoo.errors import ConfigError
+from stkzoo.race import RaceSettings
 
 #: ``reverse`` by the names of ``--directions``.
 DIRECTIONS = {"forward": False, "reversed": True}
 
+Run = Callable[[argparse.Namespace], int]
 
-def usage_errors(run: Callable[[argparse.Namespace], int]) -> Callable[[argparse.Namespace], int]:
+
+def usage_errors(run: Run) -> Run:
     """Reports a command's ``ConfigError`` with its usage and exit code 2, as argparse does."""
 
     @functools.wraps(run)
@@ -30,13 +33,60 @@ def usage_errors(run: Callable[[argparse.Namespace], int]) -> Callable[[argparse
     return checked
 
 
+def add_command(
+    subparsers: argparse._SubParsersAction[argparse.ArgumentParser],
+    name: str,
+    documented: object,
+    **options: Any,
+) -> argparse.ArgumentParser:
+    """Adds the parser of a command or an action.
+
+    Args:
+        subparsers: of the command line, or of a command.
+        name: the command's.
+        documented: what has its docstring: a line for the list, and a description if there is more
+            to say.
+        **options: of the parser.
+    """
+    summary, _, description = (inspect.getdoc(documented) or "").partition("\n\n")
+    return subparsers.add_parser(
+        name,
+        help=summary[:1].lower() + summary[1:].rstrip("."),
+        description=description or summary,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        **options,
+    )
+
+
+def add_actions(
+    parser: argparse.ArgumentParser, *actions: Run, **options: Any
+) -> list[argparse.ArgumentParser]:
+    """Adds the actions of a command, such as ``install`` of ``stkzoo assets install``.
+
+    Args:
+        parser: the command's parser.
+        *actions: functions named after the actions; ``arguments.action`` will be one of them.
+        **options: of the actions' parsers.
+
+    Returns:
+        The actions' parsers.
+    """
+    subparsers = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+    children = []
+    for action in actions:
+        child = add_command(subparsers, action.__name__.strip("_"), action, **options)
+        child.set_defaults(action=action)
+        children.append(child)
+    return children
+
+
 def add_settings(
     parser: argparse.ArgumentParser,
     title: str,
     decided: Collection[str] = (),
     only: Collection[str] | None = None,
 ) -> None:
-    """Adds an option for each field of ``RaceSettings``: ``--max-steps`` for ``max_steps``.
+    """Adds an option for each field of ``RaceSettings``.
 
     Args:
         parser: the command's parser.
@@ -44,22 +94,7 @@ def add_settings(
         decided: fields that the command sets itself.
         only: the fields to add; ``None`` for all.
     """
-    from stkzoo.race import RaceSettings
-
-    group = parser.add_argument_group(title)
-    kinds = typing.get_type_hints(RaceSettings)
-    for entry in _fields(decided, only):
-        options: dict[str, Any] = dict(entry.metadata)
-        kind = _without_none(kinds[entry.name])
-        if kind is bool:
-            options["action"] = "store_true"
-        else:
-            options["type"] = kind
-            if "choices" not in options:
-                options.setdefault("metavar", "N" if kind is int else entry.name.upper())
-            if entry.default is not None:
-                options["help"] += " (default: %(default)s)"
-        group.add_argument(f"--{entry.name.replace('_', '-')}", default=entry.default, **options)
+    add_options(parser.add_argument_group(title), RaceSettings, without=decided, only=only)
 
 
 def settings_of(
@@ -68,24 +103,20 @@ def settings_of(
     only: Collection[str] | None = None,
 ) -> dict[str, Any]:
     """The values of the options that :func:`add_settings` added, by field."""
-    return {entry.name: getattr(arguments, entry.name) for entry in _fields(decided, only)}
+    return values_of(arguments, RaceSettings, without=decided, only=only)
 
 
-def _fields(decided: Collection[str], only: Collection[str] | None) -> list[Field[Any]]:
-    from stkzoo.race import RaceSettings
+@dataclass
+class BatchArguments:
+    """Options of all commands that run many races.
 
-    return [
-        entry
-        for entry in fields(RaceSettings)
-        if entry.name not in decided and (only is None or entry.name in only)
-    ]
+    Attributes:
+        jobs: races at a time (default: all CPU cores)
+        race_timeout: time limit of one race
+    """
 
-
-def _without_none(kind: Any) -> Any:
-    """``int`` for ``int | None``."""
-    if isinstance(kind, types.UnionType):
-        return next(part for part in typing.get_args(kind) if part is not types.NoneType)
-    return kind
+    jobs: int | None = None
+    race_timeout: float = option(3600.0, metavar="SECONDS")
 
 
 def add_batch_options(parser: argparse.ArgumentParser, decided: Collection[str]) -> None:
@@ -95,39 +126,18 @@ def add_batch_options(parser: argparse.ArgumentParser, decided: Collection[str])
         parser: the command's parser.
         decided: fields of ``RaceSettings`` that the command sets itself.
     """
-    parser.add_argument(
-        "--jobs", type=int, metavar="N", help="races at a time (default: all CPU cores)"
-    )
-    parser.add_argument(
-        "--race-timeout",
-        type=float,
-        default=3600.0,
-        metavar="SECONDS",
-        help="time limit of one race (default: %(default)s)",
-    )
+    add_options(parser, BatchArguments)
     add_settings(parser, "each race", decided)
 
 
-def add_tracks(parser: argparse.ArgumentParser) -> None:
-    """Adds ``--tracks``."""
-    parser.add_argument(
-        "--tracks",
-        nargs="+",
-        default=["train"],
-        metavar="TRACK",
-        help="names of tracks, or train, test or all (default: train)",
-    )
+def tracks_option() -> Any:
+    """A field for ``--tracks``."""
+    return option(("train",), metavar="TRACK", help="names of tracks, or train, test or all")
 
 
-def add_directions(parser: argparse.ArgumentParser, *default: str) -> None:
-    """Adds ``--directions``."""
-    parser.add_argument(
-        "--directions",
-        nargs="+",
-        default=default,
-        choices=list(DIRECTIONS),
-        help=f"default: {' '.join(default)}",
-    )
+def directions_option(*default: str) -> Any:
+    """A field for ``--directions``."""
+    return option(default, choices=list(DIRECTIONS), help="ways to drive the tracks")
 
 
 def chosen_directions(arguments: argparse.Namespace) -> list[bool]:

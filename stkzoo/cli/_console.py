@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Sequence
-from typing import Literal
+from collections.abc import Collection, Iterable, Sequence
+from itertools import zip_longest
+from typing import Any, Literal
 
 from rich import box
 from rich.console import Console
@@ -29,19 +30,36 @@ def say(text: str, console: Console | None = None) -> None:
     (console or Console()).print(text, highlight=False, markup=False, soft_wrap=True)
 
 
-def make_table(columns: Sequence[str], left: Collection[str], *, is_framed: bool) -> Table:
-    """An empty table of results; numbers are aligned right.
+def show_table(
+    columns: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    left: Collection[str],
+    styles: Iterable[str | None] = (),
+    console: Console | None = None,
+    is_narrow: bool = False,
+    **options: Any,
+) -> None:
+    """Prints a table of results: framed on a terminal, bare in a file.
 
     Args:
         columns: headings.
-        left: headings of columns of text.
-        is_framed: draw a frame, as on a terminal.
+        rows: the texts of each row.
+        left: headings of columns of text; the others are numbers, and aligned right.
+        styles: each row's.
+        console: where to print.
+        is_narrow: draw no frame, because the terminal has no room for it.
+        **options: of ``rich.table.Table``.
     """
-    table = Table(box=box.ROUNDED if is_framed else None, pad_edge=is_framed)
+    console = console or Console()
+    is_framed = console.is_terminal and not is_narrow
+    table = Table(box=box.ROUNDED if is_framed else None, pad_edge=is_framed, **options)
     for name in columns:
         justify: Literal["left", "right"] = "left" if name in left else "right"
         table.add_column(escape(name), justify=justify, overflow="fold")
-    return table
+    for row, style in zip_longest(rows, styles):
+        table.add_row(*map(escape, row), style=style)
+    console.print(table)
 
 
 #: Without a terminal, seconds between two lines about the same stage.

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from stkzoo._arguments import add_options, option
 from stkzoo.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -40,67 +42,65 @@ def replay_listeners(arguments: argparse.Namespace) -> list[RaceListener]:
     return [ReplayWriter(arguments.replay)]
 
 
+@dataclass
+class WindowArguments:
+    """Options of the game's window.
+
+    Attributes:
+        window: watch the race in the game
+        hide: open no window (the default)
+    """
+
+    window: bool = option(False, rivals="window")
+    hide: bool = option(False, rivals="window")
+
+
+@dataclass
+class VideoArguments:
+    """Options of a video.
+
+    Attributes:
+        cameras: agents with a camera, 1 to 8 (default: up to 4)
+        screen_width: width of the picture
+        screen_height: height of the picture
+        render_sub_steps: pictures per step, with ten steps per second
+    """
+
+    cameras: int | None = None
+    screen_width: int = option(854, metavar="PIXELS")
+    screen_height: int = option(480, metavar="PIXELS")
+    render_sub_steps: int = 3
+
+
+@dataclass
+class LivePageArguments:
+    """Options of the live page.
+
+    Attributes:
+        web: show the race on a page while it runs
+        web_port: its port; 0 takes a free one
+        web_host: its address; 0.0.0.0 lets other machines watch
+        web_speed: times real time at the start
+        web_wait: wait on the grid until a viewer presses Run
+        web_stay: keep the page after the race, until Close or Ctrl-C
+    """
+
+    web: bool = False
+    web_port: int = 8000
+    web_host: str = option("127.0.0.1", metavar="ADDRESS")
+    web_speed: str = option("1", choices=_SPEEDS)
+    web_wait: bool = False
+    web_stay: bool = False
+
+
 def add_viewing_options(parser: argparse.ArgumentParser, video_option: str) -> None:
     """Adds the options for the window, videos and the live page."""
-    choice = parser.add_argument_group("the game's window").add_mutually_exclusive_group()
-    choice.add_argument("--window", action="store_true", help="watch the race in the game")
-    choice.add_argument("--hide", action="store_true", help="open no window (the default)")
-    _add_video_options(parser.add_argument_group("a video"), video_option)
-    _add_web_options(parser.add_argument_group("a live page in the browser"))
-
-
-def _add_video_options(group: argparse._ArgumentGroup, option: str) -> None:
+    add_options(parser.add_argument_group("the game's window"), WindowArguments)
+    video = parser.add_argument_group("a video")
     formats = ".mp4, .mkv, .avi, .webm, .ogv, .mov, .gif"
-    group.add_argument(option, dest="video", metavar="FILE", help=f"make a video: {formats}")
-    group.add_argument(
-        "--cameras", type=int, metavar="N", help="agents with a camera, 1 to 8 (default: up to 4)"
-    )
-    for name, default in (("width", 854), ("height", 480)):
-        group.add_argument(
-            f"--screen-{name}",
-            type=int,
-            default=default,
-            metavar="PIXELS",
-            help=f"{name} of the picture (default: %(default)s)",
-        )
-    group.add_argument(
-        "--render-sub-steps",
-        type=int,
-        default=3,
-        metavar="N",
-        help="pictures per step, with ten steps per second (default: %(default)s)",
-    )
-
-
-def _add_web_options(group: argparse._ArgumentGroup) -> None:
-    group.add_argument("--web", action="store_true", help="show the race on a page while it runs")
-    group.add_argument(
-        "--web-port",
-        type=int,
-        default=8000,
-        metavar="N",
-        help="its port; 0 takes a free one (default: %(default)s)",
-    )
-    group.add_argument(
-        "--web-host",
-        default="127.0.0.1",
-        metavar="ADDRESS",
-        help="its address; 0.0.0.0 lets other machines watch (default: %(default)s)",
-    )
-    group.add_argument(
-        "--web-speed",
-        choices=_SPEEDS,
-        default="1",
-        help="times real time at the start (default: %(default)s)",
-    )
-    group.add_argument(
-        "--web-wait", action="store_true", help="wait on the grid until a viewer presses Run"
-    )
-    group.add_argument(
-        "--web-stay",
-        action="store_true",
-        help="keep the page after the race, until Close or Ctrl-C",
-    )
+    video.add_argument(video_option, dest="video", metavar="FILE", help=f"make a video: {formats}")
+    add_options(video, VideoArguments)
+    add_options(parser.add_argument_group("a live page in the browser"), LivePageArguments)
 
 
 def viewing_listeners(arguments: argparse.Namespace) -> list[RaceListener]:

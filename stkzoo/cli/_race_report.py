@@ -5,14 +5,13 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
+from statistics import fmean
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn
-from rich.table import Table
 
-from stkzoo.cli._console import make_table, say
+from stkzoo.cli._console import say, show_table
 from stkzoo.race import AgentResult, RaceListener, RaceProgress, RaceResult
 
 if TYPE_CHECKING:
@@ -76,77 +75,67 @@ class RaceBar(RaceListener):
 
 def show_race(result: RaceResult) -> None:
     """Prints one race: what it was, who won, and what went wrong."""
-    console = Console()
-    console.print(_headline(result), soft_wrap=True, highlight=False)
-    console.print(_race_table(result, is_framed=console.is_terminal))
+    laps = "1 lap" if result.laps == 1 else f"{result.laps} laps"
+    way = ", reversed" if result.reverse else ""
+    say(
+        f"{result.track}{way}: {laps}, {result.race_length:.0f} m, "
+        f"AI difficulty {result.difficulty}, seed {result.seed}"
+    )
+    columns = ("rank", "driver", "kart", "time [s]", "distance [m]", "reward", "think [ms]")
+    styles = map(_style_of, result.agents)
+    show_table(columns, map(_race_cells, result.agents), left=_TEXT_COLUMNS, styles=styles)
     reason = _ENDINGS.get(result.status, result.status)
     say(
         f"Over after {result.steps} steps, in {result.race_time:.1f} s of game time"
-        f"{f' ({reason})' if reason else ''}; it took {result.wall_time:.1f} s.",
-        console,
+        f"{f' ({reason})' if reason else ''}; it took {result.wall_time:.1f} s."
     )
     for row in result.agents:
-        _show_errors(console, row)
+        _show_errors(row)
+
+
+def _race_cells(row: AgentResult) -> Sequence[str]:
+    think = f"{1000 * row.action_time.mean:.2f}" if row.action_time else "-"
+    numbers = (_time_of(row), f"{row.distance:.0f}", f"{row.reward:.1f}", think)
+    return (str(row.rank), row.driver, row.agent, *numbers)
 
 
 def show_series(results: Sequence[RaceResult]) -> None:
     """Prints several races with the same drivers as one table."""
-    console = Console()
     tracks = ", ".join(dict.fromkeys(result.track for result in results))
-    seeds = f"{results[0].seed} to {results[-1].seed}"
-    console.print(f"{len(results)} races, seeds {seeds}: {tracks}", soft_wrap=True, highlight=False)
-    table = make_table(
-        ("driver", "kart", "wins", "mean rank", "finished", "mean time [s]", "reward", "errors"),
-        _TEXT_COLUMNS,
-        is_framed=console.is_terminal,
+    say(f"{len(results)} races, seeds {results[0].seed} to {results[-1].seed}: {tracks}")
+    columns = (
+        "driver",
+        "kart",
+        "wins",
+        "mean rank",
+        "finished",
+        "mean time [s]",
+        "reward",
+        "errors",
     )
     by_agent: dict[str, list[AgentResult]] = {}
     for result in results:
         for row in result.agents:
             by_agent.setdefault(row.agent, []).append(row)
-    for rows in sorted(by_agent.values(), key=lambda rows: _mean([row.rank for row in rows])):
-        times = [row.finish_time for row in rows if row.finish_time is not None]
-        table.add_row(
-            escape(rows[0].driver),
-            rows[0].agent,
-            str(sum(row.rank == 1 for row in rows)),
-            f"{_mean([row.rank for row in rows]):.2f}",
-            f"{len(times)} of {len(rows)}",
-            f"{_mean(times):.2f}" if times else "-",
-            f"{_mean([row.reward for row in rows]):.1f}",
-            str(sum(row.num_errors for row in rows)),
-        )
-    console.print(table)
+    in_order = sorted(by_agent.values(), key=lambda rows: fmean(row.rank for row in rows))
+    show_table(columns, map(_series_cells, in_order), left=_TEXT_COLUMNS)
     for result in results:
         for row in result.agents:
-            _show_errors(console, row, f" in the race with seed {result.seed}")
+            _show_errors(row, f" in the race with seed {result.seed}")
 
 
-def _headline(result: RaceResult) -> str:
-    laps = "1 lap" if result.laps == 1 else f"{result.laps} laps"
-    way = ", reversed" if result.reverse else ""
+def _series_cells(rows: Sequence[AgentResult]) -> Sequence[str]:
+    times = [row.finish_time for row in rows if row.finish_time is not None]
     return (
-        f"{result.track}{way}: {laps}, {result.race_length:.0f} m, "
-        f"AI difficulty {result.difficulty}, seed {result.seed}"
+        rows[0].driver,
+        rows[0].agent,
+        str(sum(row.rank == 1 for row in rows)),
+        f"{fmean(row.rank for row in rows):.2f}",
+        f"{len(times)} of {len(rows)}",
+        f"{fmean(times):.2f}" if times else "-",
+        f"{fmean(row.reward for row in rows):.1f}",
+        str(sum(row.num_errors for row in rows)),
     )
-
-
-def _race_table(result: RaceResult, *, is_framed: bool) -> Table:
-    columns = ("rank", "driver", "kart", "time [s]", "distance [m]", "reward", "think [ms]")
-    table = make_table(columns, _TEXT_COLUMNS, is_framed=is_framed)
-    for row in result.agents:
-        thought = row.action_time
-        table.add_row(
-            str(row.rank),
-            escape(row.driver),
-            row.agent,
-            _time_of(row),
-            f"{row.distance:.0f}",
-            f"{row.reward:.1f}",
-            f"{1000 * thought.mean:.2f}" if thought else "-",
-            style=_style_of(row),
-        )
-    return table
 
 
 def _time_of(row: AgentResult) -> str:
@@ -161,7 +150,7 @@ def _style_of(row: AgentResult) -> str | None:
     return "bold green" if row.rank == 1 else None
 
 
-def _show_errors(console: Console, row: AgentResult, where: str = "") -> None:
+def _show_errors(row: AgentResult, where: str = "") -> None:
     """Prints an agent's first failure, and how many there were."""
     if not row.errors:
         return
@@ -170,10 +159,4 @@ def _show_errors(console: Console, row: AgentResult, where: str = "") -> None:
     more = f" (the first of {row.num_errors} errors)" if row.num_errors > 1 else ""
     text = f"\n{row.driver} ({row.agent}) failed {when}{where}{more}: {first.message}"
     trace = "\n".join(f"  {line}" for line in first.trace.splitlines()[-_MAX_TRACE_LINES:])
-    for part in (text, trace):
-        if part:
-            say(part, console)
-
-
-def _mean(values: Sequence[float]) -> float:
-    return sum(values) / len(values)
+    say(f"{text}\n{trace}".rstrip("\n"))

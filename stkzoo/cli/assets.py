@@ -16,8 +16,12 @@ faster; drawing needs the full data. Only `stkzoo assets install` downloads anyt
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from stkzoo._arguments import add_options, option
+from stkzoo.cli._arguments import add_actions
 
 if TYPE_CHECKING:
     from stkzoo.engine.assets import PlaceReport
@@ -34,63 +38,32 @@ examples:
                                              `stkzoo assets install --from` elsewhere
 """
 
-_INSTALL = """\
-Uses the data on this machine, or downloads it (about 630 MB to download; 1.5 GB of disk
-meanwhile, 750 MB after) and builds the headless pack. No administrator's rights are needed. You
-may interrupt and repeat it; several may run at once.
-"""
+
+@dataclass
+class InstallArguments:
+    """Options of ``stkzoo assets install``.
+
+    Attributes:
+        source: where to get it; auto is the first that works
+        archive: take the headless pack from FILE, written by `stkzoo assets pack --output`
+        force: replace existing data
+    """
+
+    source: str = option("auto", choices=("auto", "debian", "upstream"), rivals="source")
+    archive: Path | None = option(flag="--from", metavar="FILE", rivals="source")
+    force: bool = False
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
-    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    status = actions.add_parser(
-        "status",
-        help="show where the data is",
-        description="Shows where stkzoo looks for the game's data and what it finds. Fails if a "
-        "headless race cannot run.",
+    status, install, pack, clean = add_actions(
+        parser, _status, _install, _pack, _clean, epilog=EXAMPLES
     )
     status.add_argument("--names", action="store_true", help="list the tracks and karts by name")
-    status.set_defaults(action=_status)
-    install = actions.add_parser(
-        "install",
-        help="make the data usable; download it if needed",
-        description=_INSTALL,
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    source = install.add_mutually_exclusive_group()
-    source.add_argument(
-        "--source",
-        choices=("auto", "debian", "upstream"),
-        default="auto",
-        help="where to get it (default: %(default)s, the first that works)",
-    )
-    source.add_argument(
-        "--from",
-        dest="archive",
-        type=Path,
-        metavar="FILE",
-        help="take the headless pack from FILE, written by `stkzoo assets pack --output`",
-    )
-    install.add_argument("--force", action="store_true", help="replace existing data")
-    install.set_defaults(action=_install)
-    pack = actions.add_parser(
-        "pack",
-        help="build the headless pack, or write it into a file",
-        description="Builds the headless pack from the full data.",
-    )
+    add_options(install, InstallArguments)
     pack.add_argument("--output", type=Path, metavar="FILE", help="a .tar.xz file to write")
     pack.add_argument("--force", action="store_true", help="replace an existing pack")
-    pack.set_defaults(action=_pack)
-    clean = actions.add_parser(
-        "clean",
-        help="remove stkzoo's data from its cache",
-        description="Removes the full data, the headless pack and the links to an installed "
-        "game from stkzoo's cache. Nothing outside is touched.",
-    )
     clean.add_argument("--yes", action="store_true", help="do not ask")
-    clean.set_defaults(action=_clean)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -99,22 +72,20 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _status(arguments: argparse.Namespace) -> int:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
+    """Show where the data is.
 
-    from stkzoo.cli._console import megabytes
+    Shows where stkzoo looks for the game's data and what it finds. Fails if a headless race cannot
+    run.
+    """
+    from stkzoo.cli._console import megabytes, show_table
     from stkzoo.engine.assets import find_assets, survey
 
-    table = Table("place", title="The game's data")
-    table.add_column("folder", overflow="fold")
-    table.add_column("what is there", overflow="fold")
-    table.add_column("size", justify="right", no_wrap=True)
+    rows = []
     for report in survey():
         size = megabytes(report.measure()) if report.assets else ""
-        texts = (report.source, str(report.path), _describe(report), size)
-        table.add_row(*map(Text, texts))
-    Console().print(table)
+        rows.append((report.source, str(report.path), _describe(report), size))
+    columns = ("place", "folder", "what is there", "size")
+    show_table(columns, rows, left=columns[:3], title="The game's data")
     assets = find_assets()
     print(f"Headless races use the {assets.source}: {assets.root}")
     if arguments.names:
@@ -131,6 +102,12 @@ def _describe(report: PlaceReport) -> str:
 
 
 def _install(arguments: argparse.Namespace) -> int:
+    """Make the data usable; download it if needed.
+
+    Uses the data on this machine, or downloads it (about 630 MB to download; 1.5 GB of disk
+    meanwhile, 750 MB after) and builds the headless pack. No administrator's rights are needed. You
+    may interrupt and repeat it; several may run at once.
+    """
     from stkzoo.cli._console import ConsoleProgress
     from stkzoo.engine.assets import install
 
@@ -146,6 +123,10 @@ def _install(arguments: argparse.Namespace) -> int:
 
 
 def _pack(arguments: argparse.Namespace) -> int:
+    """Build the headless pack, or write it into a file.
+
+    Builds the headless pack from the full data.
+    """
     from stkzoo.cli._console import ConsoleProgress
     from stkzoo.engine.assets import pack
 
@@ -156,6 +137,11 @@ def _pack(arguments: argparse.Namespace) -> int:
 
 
 def _clean(arguments: argparse.Namespace) -> int:
+    """Remove stkzoo's data from its cache.
+
+    Removes the full data, the headless pack and the links to an installed game from stkzoo's
+    cache. Nothing outside is touched.
+    """
     from stkzoo.engine.assets import cache_folder, clean
 
     if not arguments.yes and not _agreed(f"Remove stkzoo's data from {cache_folder()}? [y/N] "):

@@ -17,22 +17,29 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from stkzoo._arguments import add_options, option, positional
 from stkzoo.cli._arguments import (
     add_batch_options,
-    add_directions,
     chosen_directions,
+    directions_option,
     settings_of,
     usage_errors,
 )
 from stkzoo.errors import ConfigError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-    from stkzoo.evaluation import BenchmarkPlan, BenchmarkResult, Comparison, Estimate
+    from stkzoo.evaluation import (
+        BenchmarkPlan,
+        BenchmarkResult,
+        Comparison,
+        Estimate,
+        GroupDifference,
+        RaceGroup,
+    )
 
 EXAMPLES = """\
 examples:
@@ -63,63 +70,45 @@ _COLUMNS = {
 _TITLES = [title for title, _, _ in _COLUMNS.values()]
 
 
+@dataclass
+class BenchmarkArguments:
+    """Options of ``stkzoo benchmark``.
+
+    Attributes:
+        agent: the agent; see above
+        compare: show the results in these folders or result.json files, and the differences between
+            the first and each other in the same races
+        baseline: measure the game's AI itself, at all difficulties, for --ai-times
+        split: test, train, all, or names of tracks (default: test; with --baseline all)
+        difficulty: of the game's AI, 0 to 3
+        forms: P is a kart of the agent, A one of the AI (default: PAAAA PPAAA P)
+        seeds: races of each kind
+        ai_times: the output of --baseline (default: stkzoo's own)
+        output: for races, result.json and benchmark.png (default: benchmark/AGENT); with --compare,
+            the file of a picture
+        json: write only JSON to stdout
+        no_plot: draw no benchmark.png
+    """
+
+    agent: str | None = positional(None)
+    compare: tuple[str, ...] | None = option(metavar="RESULT", rivals="what")
+    baseline: bool = option(False, rivals="what")
+    split: tuple[str, ...] | None = option(metavar="TRACK")
+    difficulty: int = 3
+    forms: tuple[str, ...] | None = option(metavar="FORM")
+    seeds: int = 5
+    directions: tuple[str, ...] = directions_option("forward", "reversed")
+    ai_times: str | None = option(metavar="FILE")
+    output: str | None = option(metavar="FOLDER")
+    json: bool = False
+    no_plot: bool = False
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
-    from stkzoo.evaluation.benchmark.races import DECIDED, FORMS
+    from stkzoo.evaluation.benchmark.races import DECIDED
 
-    parser.add_argument("agent", nargs="?", metavar="AGENT", help="the agent; see above")
-    choice = parser.add_mutually_exclusive_group()
-    choice.add_argument(
-        "--compare",
-        nargs="+",
-        metavar="RESULT",
-        help="show the results in these folders or result.json files, and the differences between "
-        "the first and each other in the same races",
-    )
-    choice.add_argument(
-        "--baseline",
-        action="store_true",
-        help="measure the game's AI itself, at all difficulties, for --ai-times",
-    )
-    parser.add_argument(
-        "--split",
-        nargs="+",
-        metavar="TRACK",
-        help="test, train, all, or names of tracks (default: test; with --baseline all)",
-    )
-    parser.add_argument(
-        "--difficulty",
-        type=int,
-        default=3,
-        metavar="N",
-        help="of the game's AI, 0 to 3 (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--forms",
-        nargs="+",
-        default=FORMS,
-        metavar="FORM",
-        help=f"P is a kart of the agent, A one of the AI (default: {' '.join(FORMS)})",
-    )
-    parser.add_argument(
-        "--seeds",
-        type=int,
-        default=5,
-        metavar="N",
-        help="races of each kind (default: %(default)s)",
-    )
-    add_directions(parser, "forward", "reversed")
-    parser.add_argument(
-        "--ai-times", metavar="FILE", help="the output of --baseline (default: stkzoo's own)"
-    )
-    parser.add_argument(
-        "--output",
-        metavar="FOLDER",
-        help="for races, result.json and benchmark.png (default: benchmark/AGENT); with "
-        "--compare, the file of a picture",
-    )
-    parser.add_argument("--json", action="store_true", help="write only JSON to stdout")
-    parser.add_argument("--no-plot", action="store_true", help="draw no benchmark.png")
+    add_options(parser, BenchmarkArguments)
     add_batch_options(parser, DECIDED)
 
 
@@ -156,7 +145,7 @@ def _benchmark(arguments: argparse.Namespace) -> int:
 
 
 def _plan(arguments: argparse.Namespace) -> BenchmarkPlan:
-    from stkzoo.evaluation import plan_benchmark
+    from stkzoo.evaluation import FORMS, plan_benchmark
     from stkzoo.evaluation.benchmark.races import DECIDED
 
     if not arguments.agent:
@@ -166,7 +155,7 @@ def _plan(arguments: argparse.Namespace) -> BenchmarkPlan:
         arguments.agent,
         split=split[0] if len(split) == 1 else split,
         difficulty=arguments.difficulty,
-        forms=arguments.forms,
+        forms=arguments.forms or FORMS,
         seeds=arguments.seeds,
         reverse=chosen_directions(arguments),
         ai_times=arguments.ai_times,
@@ -228,54 +217,64 @@ def _compare(arguments: argparse.Namespace) -> int:
 
 def _show_results(results: Sequence[BenchmarkResult]) -> None:
     """Prints one agent's figures, or the main figures of several agents."""
-    from rich.markup import escape
+    from stkzoo.cli._console import say
 
-    from stkzoo.cli._console import make_table, say
-
-    console, is_wide = _console()
     is_one = len(results) == 1
-    columns = [*([] if is_one else ["agent"]), "races on", "n", "chance", *_TITLES]
-    is_framed = console.is_terminal and is_wide
-    table = make_table(columns, ("agent", "races on"), is_framed=is_framed)
+    columns = [*([] if is_one else ["agent"]), "races on", "n", "chance"]
+    rows, groups = [], []
     for result in results:
-        first = escape(result.label)
+        label = result.label
         for group in result.groups:
             if group.by in (_SHOWN_GROUPS if is_one else _MAIN_GROUPS):
                 chance = "-" if group.chance is None else f"{100 * group.chance:.0f} %"
-                figures = _cells(group.figures, is_wide)
-                cells = (group.name or "all", str(group.races), chance, *figures)
-                style = "bold" if group.by == "all" else None
-                table.add_row(*cells if is_one else (first, *cells), style=style)
-                first = ""
-    console.print(table)
+                cells = (group.name or "all", str(group.races), chance)
+                rows.append(cells if is_one else (label, *cells))
+                groups.append(group)
+                label = ""
+    _show_figures(columns, rows, groups)
     for result in results:
         plan = result.plan
         errors = f"; the agent failed {result.errors} times" if result.errors else ""
         say(
             f"{result.label}: {len(result.outcomes)} of {len(plan.races())} races on "
             f"{', '.join(plan.tracks)}; AI difficulty {plan.settings.difficulty}; with 95 % "
-            f"intervals{errors}.",
-            console,
+            f"intervals{errors}."
         )
 
 
 def _show_comparison(comparison: Comparison) -> None:
     """Prints the differences between two agents."""
-    from stkzoo.cli._console import make_table, say
+    from stkzoo.cli._console import say
 
-    console, is_wide = _console()
-    say(f"\n{comparison.first} minus {comparison.second}, in the same races:", console)
-    is_framed = console.is_terminal and is_wide
-    table = make_table(("races on", "n", *_TITLES), ("races on",), is_framed=is_framed)
-    for difference in comparison.differences:
-        if difference.by in _SHOWN_GROUPS:
-            table.add_row(
-                difference.name or "all",
-                str(difference.races),
-                *_cells(difference.figures, is_wide, sign="+"),
-                style="bold" if difference.by == "all" else None,
-            )
-    console.print(table)
+    say(f"\n{comparison.first} minus {comparison.second}, in the same races:")
+    groups = [group for group in comparison.differences if group.by in _SHOWN_GROUPS]
+    rows = [(group.name or "all", str(group.races)) for group in groups]
+    _show_figures(("races on", "n"), rows, groups, sign="+")
+
+
+def _show_figures(
+    columns: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    groups: Sequence[RaceGroup | GroupDifference],
+    sign: str = "",
+) -> None:
+    """Prints a table of groups of races: the cells of each row, and the group's figures."""
+    from rich.console import Console
+
+    from stkzoo.cli._console import show_table
+
+    console = Console()
+    if not console.is_terminal:  # a file is wide enough
+        console = Console(width=max(console.width, _WIDTH))
+    is_wide = console.width >= _WIDTH
+    show_table(
+        (*columns, *_TITLES),
+        [(*row, *_cells(g.figures, is_wide, sign)) for row, g in zip(rows, groups, strict=True)],
+        left=("agent", "races on"),
+        styles=["bold" if group.by == "all" else None for group in groups],
+        console=console,
+        is_narrow=not is_wide,
+    )
 
 
 def _cells(figures: Mapping[str, Estimate | None], is_wide: bool, sign: str = "") -> list[str]:
@@ -293,13 +292,3 @@ def _cell(estimate: Estimate | None, scale: float, form: str, is_wide: bool) -> 
         return value
     low, high = (format(scale * end, form) for end in estimate.interval)
     return f"{value} ({low}..{high})" if is_wide else f"{value}\n{low}..{high}"
-
-
-def _console() -> tuple[Console, bool]:
-    """The terminal, or a file that is wide enough; and whether it is wide."""
-    from rich.console import Console
-
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=max(console.width, _WIDTH))
-    return console, console.width >= _WIDTH

@@ -15,15 +15,17 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from stkzoo._arguments import add_options, option, positional
 from stkzoo.cli._arguments import (
     add_batch_options,
-    add_directions,
-    add_tracks,
     chosen_directions,
+    directions_option,
     settings_of,
+    tracks_option,
     usage_errors,
 )
 from stkzoo.errors import ConfigError, check_whole
@@ -45,50 +47,45 @@ exit codes:
 """
 
 
+@dataclass
+class DemosArguments:
+    """Options of ``stkzoo demos``.
+
+    Attributes:
+        agent: the driver; see above
+        view: the view to record: racing, simple, flattened_discrete, ...
+        seeds: races of each track and direction
+        first_seed: of these races
+        karts: karts of a race that the driver drives
+        rivals: the drivers of other karts
+        substeps: reads of the AI's controls per step, 1 to 12: it decides 12 times, and each read
+            takes time (default: 4; for agents 1)
+        output: the data set (default: demos.npz); with --format minari its name there (default:
+            supertuxkart/AGENT-v0)
+        format: of the data set
+        check: drive the first race again with the recorded controls, and compare the observations
+            (not with ai, which has boosts that agents do not get)
+    """
+
+    agent: str = positional()
+    view: str = option("racing", metavar="NAME")
+    tracks: tuple[str, ...] = tracks_option()
+    directions: tuple[str, ...] = directions_option("forward")
+    seeds: int = 1
+    first_seed: int = 0
+    karts: int = 4
+    rivals: tuple[str, ...] = option((), metavar="DRIVER")
+    substeps: int | None = None
+    output: str | None = option(metavar="FILE")
+    format: str = option("npz", choices=("npz", "minari"))
+    check: bool = False
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
     from stkzoo.evaluation.demonstrations.plan import DECIDED
 
-    parser.add_argument("agent", metavar="AGENT", help="the driver; see above")
-    parser.add_argument(
-        "--view",
-        default="racing",
-        metavar="NAME",
-        help="the view to record: racing, simple, flattened_discrete, ... (default: racing)",
-    )
-    add_tracks(parser)
-    add_directions(parser, "forward")
-    for option, default, text in (
-        ("--seeds", 1, "races of each track and direction (default: %(default)s)"),
-        ("--first-seed", 0, "of these races (default: %(default)s)"),
-        ("--karts", 4, "karts of a race that the driver drives (default: %(default)s)"),
-    ):
-        parser.add_argument(option, type=int, default=default, metavar="N", help=text)
-    parser.add_argument(
-        "--rivals", nargs="+", default=[], metavar="DRIVER", help="the drivers of other karts"
-    )
-    parser.add_argument(
-        "--substeps",
-        type=int,
-        metavar="N",
-        help="reads of the AI's controls per step, 1 to 12: it decides 12 times, and each read "
-        "takes time (default: 4; for agents 1)",
-    )
-    parser.add_argument(
-        "--output",
-        metavar="FILE",
-        help="the data set (default: demos.npz); with --format minari its name there (default: "
-        "supertuxkart/AGENT-v0)",
-    )
-    parser.add_argument(
-        "--format", choices=("npz", "minari"), default="npz", help="default: %(default)s"
-    )
-    parser.add_argument(
-        "--check",
-        action="store_true",
-        help="drive the first race again with the recorded controls, and compare the observations "
-        "(not with ai, which has boosts that agents do not get)",
-    )
+    add_options(parser, DemosArguments)
     add_batch_options(parser, DECIDED)
 
 

@@ -14,7 +14,9 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
@@ -30,6 +32,8 @@ examples:
 """
 
 _GRAPHICS_REMEDY = "sudo apt install libegl1 libgl1 libgl1-mesa-dri"
+
+_KERNEL_REMEDY = "install a C compiler and Python's headers (python3-dev), then stkzoo again"
 
 _PROBE = """\
 import pystk2
@@ -59,23 +63,16 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _write_table(findings: list[Finding], ready: bool) -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
+    from stkzoo.cli._console import say, show_table
 
-    console = Console()
-    table = Table("", "check")
-    table.add_column("found", overflow="fold")
-    table.add_column("remedy", overflow="fold")
+    rows, styles = [], []
     for finding in findings:
         verdict = "ok" if finding.ok else "missing" if finding.required else "without"
-        colour = "green" if finding.ok else "red" if finding.required else "yellow"
-        remedy = "" if finding.ok else finding.remedy
-        texts = (Text(text) for text in (finding.name, finding.found, remedy))
-        table.add_row(Text(verdict, colour), *texts)
-    console.print(table)
-    last = "A headless race can run here." if ready else "No race can run here yet: see above."
-    console.print(last)
+        rows.append((verdict, finding.name, finding.found, finding.remedy))
+        styles.append(None if finding.ok else "red" if finding.required else "yellow")
+    columns = ("", "check", "found", "remedy")
+    show_table(columns, rows, left=columns, styles=styles)
+    say("A headless race can run here." if ready else "No race can run here yet: see above.")
 
 
 @dataclass(frozen=True)
@@ -86,84 +83,91 @@ class Finding:
         name: what was checked.
         ok: whether it is available and works.
         found: what was found, or the problem.
-        remedy: the fix, a command where there is one.
+        remedy: the fix, a command where there is one; empty if it works.
         required: whether headless races need it.
     """
 
     name: str
     ok: bool
     found: str
-    remedy: str = ""
-    required: bool = False
+    remedy: str
+    required: bool
+
+
+class NotFound(Exception):
+    """What a check found instead, and the remedy if it is not the usual one."""
+
+    def __init__(self, found: str, remedy: str = "") -> None:
+        super().__init__(found)
+        self.found, self.remedy = found, remedy
 
 
 def _diagnose() -> list[Finding]:
     """Runs all checks, in the order in which you would fix things."""
-    data, assets = _check_race_data()
+    # A variable that overrides the data is unset first.
+    prefix = f"unset {DATADIR_VARIABLE}; " if os.environ.get(DATADIR_VARIABLE) else ""
+    install = f"{prefix}stkzoo assets install"
+    try:
+        assets, problem = find_assets(), ""
+    except AssetError as error:
+        assets, problem = None, str(error)
     return [
-        _check_python(),
-        _check_engine(),
-        data,
-        _check_start(assets),
-        _check_pack(assets),
-        _check_full_data(),
-        _check_fork(),
-        _check_kernel(),
-        _check_graphics(),
-        _check_display(),
-        _check_ffmpeg(),
-        *_check_extras(),
+        _look("Python", _python, "install Python 3.10 or newer", required=True),
+        _look("engine", _engine, "pip install PySuperTuxKart2", required=True),
+        _look("race data", partial(_race_data, assets, problem), install, required=True),
+        _look("engine starts", partial(_start, assets, install), install, required=True),
+        _look("headless pack", partial(_pack, assets), f"{prefix}stkzoo assets pack"),
+        _look("full data", _full_data, install),
+        _look("fork", _fork, "use Linux"),
+        _look("kernel", _kernel, _KERNEL_REMEDY),
+        _look("3D graphics", _graphics, _GRAPHICS_REMEDY),
+        _look("display", _display, "run in a graphical session, or under xvfb-run"),
+        _look("ffmpeg", _ffmpeg, 'pip install "stkzoo[record]"'),
+        *(
+            _look(f"extra [{extra}]", partial(_extra, names), f'pip install "stkzoo[{extra}]"')
+            for extra, names in _extras().items()
+        ),
     ]
 
 
-def _check_python() -> Finding:
-    found = f"{sys.version.split()[0]} ({sys.executable})"
-    ok = sys.version_info >= (3, 10)
-    return Finding("Python", ok, found, "install Python 3.10 or newer", required=True)
-
-
-def _check_engine() -> Finding:
-    remedy = "pip install PySuperTuxKart2"
+def _look(name: str, find: Callable[[], str], remedy: str, *, required: bool = False) -> Finding:
+    """Runs a check, which returns what it found or raises :class:`NotFound`."""
     try:
-        version = metadata.version("PySuperTuxKart2")
-    except metadata.PackageNotFoundError:
-        return Finding("engine", False, "PySuperTuxKart2 is not installed", remedy, required=True)
+        return Finding(name, True, find(), "", required)
+    except NotFound as problem:
+        return Finding(name, False, problem.found, problem.remedy or remedy, required)
+
+
+def _python() -> str:
+    return f"{sys.version.split()[0]} ({sys.executable})"
+
+
+def _engine() -> str:
+    if not _has_distribution("PySuperTuxKart2"):
+        raise NotFound("PySuperTuxKart2 is not installed")
     code, text = _probe("import pystk2", {})
     if code != 0:
-        return Finding("engine", False, _last_line(text), remedy, required=True)
-    return Finding("engine", True, f"PySuperTuxKart2 {version}", required=True)
+        raise NotFound(_last_line(text))
+    return f"PySuperTuxKart2 {metadata.version('PySuperTuxKart2')}"
 
 
-def _check_race_data() -> tuple[Finding, Assets | None]:
-    try:
-        assets = find_assets()
-    except AssetError as error:
-        remedy = _data_remedy("stkzoo assets install")
-        return Finding("race data", False, str(error), remedy, required=True), None
-    found = f"{len(assets.tracks)} tracks, {len(assets.karts)} karts in {assets.root}"
-    return Finding("race data", True, found, required=True), assets
-
-
-def _data_remedy(command: str) -> str:
-    """The command that fixes the data; a variable that overrides it is unset first."""
-    return f"unset {DATADIR_VARIABLE}; {command}" if os.environ.get(DATADIR_VARIABLE) else command
-
-
-def _check_start(assets: Assets | None) -> Finding:
-    name = "engine starts"
+def _race_data(assets: Assets | None, problem: str) -> str:
     if assets is None:
-        remedy = _data_remedy("stkzoo assets install")
-        return Finding(name, False, "not tried: no data", remedy, required=True)
-    remedy = _data_remedy("stkzoo assets install --force")
+        raise NotFound(problem)
+    return f"{len(assets.tracks)} tracks, {len(assets.karts)} karts in {assets.root}"
+
+
+def _start(assets: Assets | None, install: str) -> str:
+    if assets is None:
+        raise NotFound("not tried: no data")
     code, text = _probe(_PROBE, {DATADIR_VARIABLE: str(assets.root)})
     lines = [line.split()[1:] for line in text.splitlines() if line.startswith("tracks:")]
     if code != 0 or not lines:
-        found = f"it ended with {code}: {_last_line(text)}"
-        return Finding(name, False, found, remedy, required=True)
+        raise NotFound(f"it ended with {code}: {_last_line(text)}", f"{install} --force")
     if tuple(sorted(lines[-1])) != assets.tracks:
         found = f"it sees {len(lines[-1])} tracks where stkzoo sees {len(assets.tracks)}"
-        return Finding(name, False, found, remedy, required=True)
-    return Finding(name, True, f"and sees its {len(assets.tracks)} tracks", required=True)
+        raise NotFound(found, f"{install} --force")
+    return f"and sees its {len(assets.tracks)} tracks"
 
 
 def _probe(program: str, variables: dict[str, str]) -> tuple[int, str]:
@@ -188,45 +192,43 @@ def _last_line(text: str) -> str:
     return lines[-1] if lines else "it wrote nothing"
 
 
-def _check_pack(assets: Assets | None) -> Finding:
-    ok = assets is not None and assets.headless
-    found = "in use: races start faster" if ok else "not in use: races start slower"
-    return Finding("headless pack", ok, found, _data_remedy("stkzoo assets pack"))
+def _pack(assets: Assets | None) -> str:
+    if assets is None or not assets.headless:
+        raise NotFound("not in use: races start slower")
+    return "in use: races start faster"
 
 
-def _check_full_data() -> Finding:
+def _full_data() -> str:
     try:
         assets = find_assets(graphics=True)
     except AssetError as error:
-        remedy = _data_remedy("stkzoo assets install")
-        return Finding("full data", False, str(error).splitlines()[0], remedy)
-    return Finding("full data", True, f"{assets.root} ({assets.source})")
+        raise NotFound(str(error).splitlines()[0]) from error
+    return f"{assets.root} ({assets.source})"
 
 
-def _check_fork() -> Finding:
-    ok = hasattr(os, "fork") and sys.platform.startswith("linux")
-    found = "races start in milliseconds" if ok else "each race starts a new game process"
-    return Finding("fork", ok, found, "use Linux")
+def _fork() -> str:
+    if not (hasattr(os, "fork") and sys.platform.startswith("linux")):
+        raise NotFound("each race starts a new game process")
+    return "races start in milliseconds"
 
 
-def _check_kernel() -> Finding:
+def _kernel() -> str:
     if os.environ.get("STKZOO_KERNEL") == "off":
-        return Finding("kernel", False, "turned off: numpy does its work", "unset STKZOO_KERNEL")
-    found = "compiled" if IS_COMPILED else "not compiled: a step costs more"
-    remedy = "install a C compiler and Python's headers (python3-dev), then stkzoo again"
-    return Finding("kernel", IS_COMPILED, found, remedy)
+        raise NotFound("turned off: numpy does its work", "unset STKZOO_KERNEL")
+    if not IS_COMPILED:
+        raise NotFound("not compiled: a step costs more")
+    return "compiled"
 
 
-def _check_graphics() -> Finding:
-    name = "3D graphics"
+def _graphics() -> str:
     if not sys.platform.startswith("linux"):
-        return Finding(name, True, "the system's own")
-    missing = [name for name in ("EGL", "GL") if ctypes.util.find_library(name) is None]
-    drivers = _graphics_drivers()
-    if missing or not drivers:
-        wanted = [f"lib{name}" for name in missing] + ([] if drivers else ["a Mesa driver"])
-        return Finding(name, False, f"no {', no '.join(wanted)}", _GRAPHICS_REMEDY)
-    return Finding(name, True, "libEGL, libGL and a driver")
+        return "the system's own"
+    missing = [f"lib{name}" for name in ("EGL", "GL") if ctypes.util.find_library(name) is None]
+    if not _graphics_drivers():
+        missing.append("a Mesa driver")
+    if missing:
+        raise NotFound(f"no {', no '.join(missing)}")
+    return "libEGL, libGL and a driver"
 
 
 def _graphics_drivers() -> list[Path]:
@@ -235,49 +237,38 @@ def _graphics_drivers() -> list[Path]:
     return [path for folder in folders for pattern in patterns for path in folder.glob(pattern)]
 
 
-def _check_display() -> Finding:
-    name = "display"
+def _display() -> str:
     if not sys.platform.startswith("linux"):
-        return Finding(name, True, "the system's own")
+        return "the system's own"
     for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
         if os.environ.get(variable):
-            return Finding(name, True, f"{variable}={os.environ[variable]}")
-    found = "none: no live window, pictures and videos only"
-    return Finding(name, False, found, "run in a graphical session, or under xvfb-run")
+            return f"{variable}={os.environ[variable]}"
+    raise NotFound("none: no live window, pictures and videos only")
 
 
-def _check_ffmpeg() -> Finding:
+def _ffmpeg() -> str:
     path = shutil.which("ffmpeg")
-    if path is not None:
-        return Finding("ffmpeg", True, path)
-    if find_spec("imageio_ffmpeg") is not None:
-        return Finding("ffmpeg", True, "the one in imageio-ffmpeg")
-    return Finding("ffmpeg", False, "none: no videos", 'pip install "stkzoo[record]"')
-
-
-def _check_extras() -> list[Finding]:
-    """One finding per optional extra that stkzoo's own metadata declares."""
-    return [
-        _check_extra(extra, names)
-        for extra, names in _extras().items()
-        if extra not in ("all", "dev", "docs")
-    ]
+    if path is None and find_spec("imageio_ffmpeg") is None:
+        raise NotFound("none: no videos")
+    return path or "the one in imageio-ffmpeg"
 
 
 def _extras() -> dict[str, list[str]]:
+    """The libraries of each optional extra that stkzoo's own metadata declares."""
     extras: dict[str, list[str]] = {}
     for requirement in metadata.requires("stkzoo") or ():
         name = re.match(r"[\w.-]+", requirement)
         extra = re.search(r"extra\s*==\s*['\"]([\w-]+)['\"]", requirement)
-        if name and extra:
+        if name and extra and extra[1] not in ("all", "dev", "docs"):
             extras.setdefault(extra[1], []).append(name[0])
     return extras
 
 
-def _check_extra(extra: str, names: list[str]) -> Finding:
+def _extra(names: list[str]) -> str:
     missing = [name for name in names if not _has_distribution(name)]
-    found = f"no {', no '.join(missing)}" if missing else ", ".join(names)
-    return Finding(f"extra [{extra}]", not missing, found, f'pip install "stkzoo[{extra}]"')
+    if missing:
+        raise NotFound(f"no {', no '.join(missing)}")
+    return ", ".join(names)
 
 
 def _has_distribution(name: str) -> bool:

@@ -75,15 +75,13 @@ def run(arguments: argparse.Namespace) -> int:
 
         print(json.dumps([asdict(fact) for fact in facts], indent=2))
         return 0
-    from rich.console import Console
-    from rich.table import Table
+    from stkzoo.cli._console import show_table
 
-    table = Table("kart", "name", "weight")
-    table.add_column("wheel base [m]", justify="right")
-    table.add_column("full lock [rad]", justify="right")
+    columns = ("kart", "name", "weight", "wheel base [m]", "full lock [rad]")
+    rows = []
     for fact in facts:
         sizes = (fact.wheel_base, fact.max_steer_angle)
         numbers = ("-" if size is None else f"{size:.3f}" for size in sizes)
-        table.add_row(fact.kart, fact.title, fact.weight, *numbers)
-    Console().print(table)
+        rows.append((fact.kart, fact.title, fact.weight, *numbers))
+    show_table(columns, rows, left=columns[:3])
     return 0

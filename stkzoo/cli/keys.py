@@ -10,6 +10,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from stkzoo.cli._arguments import add_actions
+
 EXAMPLES = """\
 examples:
   stkzoo keys new ada                   writes ada.secret and ada.public
@@ -20,18 +22,12 @@ examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
-    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    new = actions.add_parser("new", help="make a pair of keys", description="Makes a pair of keys.")
+    new, show = add_actions(parser, _new, _show)
     new.add_argument("name", metavar="NAME", help="of the two files")
     new.add_argument(
         "--folder", type=Path, default=Path(), metavar="DIR", help="default: the current folder"
     )
-    new.set_defaults(action=_new)
-    show = actions.add_parser(
-        "show", help="show the public half of a key", description="Shows a public key."
-    )
     show.add_argument("file", type=Path, metavar="FILE", help="a .secret or .public file")
-    show.set_defaults(action=_show)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -40,6 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _new(arguments: argparse.Namespace) -> int:
+    """Make a pair of keys."""
     from stkzoo.race.remote import new_key_files, read_public
 
     secret, public = new_key_files(arguments.name, arguments.folder)
@@ -49,6 +46,7 @@ def _new(arguments: argparse.Namespace) -> int:
 
 
 def _show(arguments: argparse.Namespace) -> int:
+    """Show the public half of a key."""
     from stkzoo.race.remote import read_publics
 
     for key, name in read_publics([arguments.file]).items():

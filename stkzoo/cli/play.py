@@ -14,8 +14,10 @@ from __future__ import annotations
 
 import argparse
 import random
+from dataclasses import dataclass
 from typing import Any
 
+from stkzoo._arguments import add_options, option, positional
 from stkzoo.cli._arguments import add_settings, settings_of, usage_errors
 from stkzoo.cli._race_options import add_replay_options, replay_listeners
 from stkzoo.errors import ConfigError
@@ -34,40 +36,62 @@ _DATASET_VIEW, _DATASET_RATE, _RATE = "flattened_discrete", 10, 20
 _DECIDED = ("seed",)
 
 
+@dataclass
+class PlayArguments:
+    """Options of ``stkzoo play``.
+
+    Attributes:
+        opponents: the other drivers
+        name: your name
+        seed: of all random choices
+    """
+
+    opponents: tuple[str, ...] = positional((), metavar="DRIVER")
+    name: str = "you"
+    seed: int | None = None
+
+
+@dataclass
+class PlayWindowArguments:
+    """Options of the window to play in.
+
+    Attributes:
+        map: draw the race from above
+        is_3d: the game's pictures only
+        width: of the picture
+        height: of the picture
+        rate: steps a second: 10, 12, 15, 20, 30 or 60 (default: 20; 10 with --dataset, as
+            environments step)
+    """
+
+    map: bool = option(False, rivals="backend")
+    is_3d: bool = option(False, flag="--3d", rivals="backend")
+    width: int = option(640, metavar="PIXELS")
+    height: int = option(480, metavar="PIXELS")
+    rate: int | None = None
+
+
+@dataclass
+class PlayDatasetArguments:
+    """Options of the dataset to record.
+
+    Attributes:
+        dataset: record your drive in FILE (.npz)
+        view: its observations and actions (default: flattened_discrete): simple or a flattened one
+    """
+
+    dataset: str | None = option(metavar="FILE")
+    view: str | None = None
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
-    parser.add_argument("opponents", nargs="*", metavar="DRIVER", help="the other drivers")
-    parser.add_argument("--name", default="you", help="your name (default: %(default)s)")
-    parser.add_argument("--seed", type=int, metavar="N", help="of all random choices")
-    _add_window_options(parser.add_argument_group("the window"))
-    _add_dataset_options(parser.add_argument_group("a dataset"))
+    add_options(parser, PlayArguments)
+    add_options(parser.add_argument_group("the window"), PlayWindowArguments)
+    add_options(parser.add_argument_group("a dataset"), PlayDatasetArguments)
     add_settings(parser, "the race", _DECIDED)
     add_replay_options(parser)
     parser.set_defaults(races=1)
-
-
-def _add_window_options(group: argparse._ArgumentGroup) -> None:
-    choice = group.add_mutually_exclusive_group()
-    choice.add_argument("--map", action="store_true", help="draw the race from above")
-    choice.add_argument("--3d", action="store_true", dest="is_3d", help="the game's pictures only")
-    group.add_argument("--width", type=int, default=640, metavar="PIXELS", help="(default: 640)")
-    group.add_argument("--height", type=int, default=480, metavar="PIXELS", help="(default: 480)")
-    group.add_argument(
-        "--rate",
-        type=int,
-        metavar="N",
-        help=f"steps a second: 10, 12, 15, 20, 30 or 60 (default: {_RATE}; {_DATASET_RATE} with "
-        "--dataset, as environments step)",
-    )
-
-
-def _add_dataset_options(group: argparse._ArgumentGroup) -> None:
-    group.add_argument("--dataset", metavar="FILE", help="record your drive in FILE (.npz)")
-    group.add_argument(
-        "--view",
-        metavar="VIEW",
-        help=f"its observations and actions (default: {_DATASET_VIEW}): simple or a flattened one",
-    )
 
 
 @usage_errors

@@ -20,9 +20,11 @@ import json
 import random
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from stkzoo._arguments import add_options, option, positional
 from stkzoo._os import atomic_write
 from stkzoo.cli import _race_options
 from stkzoo.cli._arguments import add_settings, settings_of, usage_errors
@@ -60,29 +62,45 @@ _DECIDED = ("seed",)
 _AGENT_FAILED, _INTERRUPTED = 3, 130
 
 
+@dataclass
+class RacesArguments:
+    """Options of the commands that run races of named drivers.
+
+    Attributes:
+        num_karts: fill the race up with the AI to N karts
+        races: number of races, with consecutive seeds
+        output: write the result into FILE as JSON; - writes only it, to stdout
+        seed: of all random choices
+    """
+
+    num_karts: int | None = None
+    races: int = 1
+    output: str | None = option(metavar="FILE")
+    seed: int | None = None
+
+
+@dataclass
+class RaceArguments:
+    """Options of ``stkzoo race`` alone.
+
+    Attributes:
+        drivers: the drivers; see above
+        demo: four karts on lighthouse: see who wins
+    """
+
+    drivers: tuple[str, ...] = positional((), metavar="DRIVER")
+    demo: bool = False
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
-    parser.add_argument("drivers", nargs="*", metavar="DRIVER", help="the drivers; see above")
-    parser.add_argument(
-        "--demo", action="store_true", help=f"four karts on {_DEMO_TRACK}: see who wins"
-    )
+    add_options(parser, RaceArguments)
     add_race_options(parser)
 
 
 def add_race_options(parser: argparse.ArgumentParser) -> None:
     """Adds all options of a race but its drivers."""
-    parser.add_argument(
-        "--num-karts", type=int, metavar="N", help="fill the race up with the AI to N karts"
-    )
-    parser.add_argument(
-        "--races", type=int, default=1, metavar="N", help="number of races, with consecutive seeds"
-    )
-    parser.add_argument(
-        "--output",
-        metavar="FILE",
-        help="write the result into FILE as JSON; - writes only it, to stdout",
-    )
-    parser.add_argument("--seed", type=int, metavar="N", help="of all random choices")
+    add_options(parser, RacesArguments)
     add_settings(parser, "the race", _DECIDED)
     _race_options.add_replay_options(parser)
     _race_options.add_viewing_options(parser, "--record")

@@ -8,8 +8,10 @@ get the next karts. A server that is slow, dies or misbehaves affects its own ka
 from __future__ import annotations
 
 import argparse
+from dataclasses import MISSING, dataclass
 from typing import TYPE_CHECKING
 
+from stkzoo._arguments import add_options, option
 from stkzoo.cli._arguments import usage_errors
 
 if TYPE_CHECKING:
@@ -27,6 +29,26 @@ exit codes:
 """
 
 
+@dataclass
+class ServersArguments:
+    """Options of the connection to servers.
+
+    Attributes:
+        server: of a server, such as tcp://127.0.0.1:5555; repeatable
+        server_key: the servers' public key: a .public file or the key; once, or once for each
+            --server
+        secret: your own secret key (stkzoo keys new)
+        timeout: for each of a server's answers (default: --action-timeout plus 5 s)
+        connect_timeout: for the connection to a server before the race
+    """
+
+    server: str = option(MISSING, action="append", required=True, metavar="ADDRESS")
+    server_key: str | None = option(action="append", metavar="KEY")
+    secret: str | None = option(metavar="FILE")
+    timeout: float | None = option(metavar="SECONDS")
+    connect_timeout: float = option(10.0, metavar="SECONDS")
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
     from stkzoo.cli.race import add_race_options
@@ -34,35 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "drivers", nargs="*", metavar="DRIVER", help="drivers that run here, as in stkzoo race"
     )
-    group = parser.add_argument_group("the servers")
-    group.add_argument(
-        "--server",
-        action="append",
-        required=True,
-        metavar="ADDRESS",
-        help="of a server, such as tcp://127.0.0.1:5555; repeatable",
-    )
-    group.add_argument(
-        "--server-key",
-        action="append",
-        default=[],
-        metavar="KEY",
-        help="the servers' public key: a .public file or the key; once, or once for each --server",
-    )
-    group.add_argument("--secret", metavar="FILE", help="your own secret key (stkzoo keys new)")
-    group.add_argument(
-        "--timeout",
-        type=float,
-        metavar="SECONDS",
-        help="for each of a server's answers (default: --action-timeout plus 5 s)",
-    )
-    group.add_argument(
-        "--connect-timeout",
-        type=float,
-        default=10.0,
-        metavar="SECONDS",
-        help="for the connection to a server before the race (default: %(default)g)",
-    )
+    add_options(parser.add_argument_group("the servers"), ServersArguments)
     add_race_options(parser)
     parser.set_defaults(demo=False)
 
@@ -82,7 +76,7 @@ def _remote_group(arguments: argparse.Namespace) -> RemoteDriverGroup:
     return RemoteDriverGroup(
         arguments.server,
         keys=None if arguments.secret is None else read_secret(arguments.secret),
-        server_keys=[read_public(key) for key in arguments.server_key],
+        server_keys=[read_public(key) for key in arguments.server_key or ()],
         timeout=arguments.timeout,
         connect_timeout=arguments.connect_timeout,
     )

@@ -14,8 +14,10 @@ import argparse
 import logging
 import signal
 import sys
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from stkzoo._arguments import add_options, option, positional
 from stkzoo.cli._arguments import add_settings, settings_of, usage_errors
 
 if TYPE_CHECKING:
@@ -35,27 +37,32 @@ then, at the client:
 _SETTINGS = ("action_timeout", "start_timeout", "agent_memory", "inline", "adapter")
 
 
+@dataclass
+class RaceServerArguments:
+    """Options of ``stkzoo race-server``.
+
+    Attributes:
+        agents: the agents; see above
+        address: where to listen
+        threads: clients served at a time, each in a thread
+        secret: the server's secret key (stkzoo keys new)
+        allow: a client's public key, a file of them or a folder of .public files; repeatable
+        insecure: listen to other machines even without keys
+        quiet: log only failures
+    """
+
+    agents: tuple[str, ...] = positional(metavar="AGENT")
+    address: str = "tcp://127.0.0.1:5555"
+    threads: int = 8
+    secret: str | None = option(metavar="FILE")
+    allow: str | None = option(action="append", metavar="KEY")
+    insecure: bool = False
+    quiet: bool = False
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
-    add = parser.add_argument
-    add("agents", nargs="+", metavar="AGENT", help="the agents; see above")
-    add("--address", default="tcp://127.0.0.1:5555", help="where to listen (default: %(default)s)")
-    add(
-        "--threads",
-        type=int,
-        default=8,
-        metavar="N",
-        help="clients served at a time, each in a thread (default: %(default)s)",
-    )
-    add("--secret", metavar="FILE", help="the server's secret key (stkzoo keys new)")
-    add(
-        "--allow",
-        action="append",
-        metavar="KEY",
-        help="a client's public key, a file of them or a folder of .public files; repeatable",
-    )
-    add("--insecure", action="store_true", help="listen to other machines even without keys")
-    add("--quiet", action="store_true", help="log only failures")
+    add_options(parser, RaceServerArguments)
     add_settings(parser, "each agent", only=_SETTINGS)
 
 

@@ -9,8 +9,10 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from stkzoo._arguments import add_options, positional
 from stkzoo.cli._race_options import add_viewing_options, viewing_listeners
 from stkzoo.errors import ConfigError
 
@@ -30,19 +32,28 @@ exit codes:
 """
 
 
+@dataclass
+class ReplayArguments:
+    """Options of ``stkzoo replay``.
+
+    Attributes:
+        file: the output of `stkzoo race --replay`
+        info: describe the file, run nothing
+        json: write JSON to stdout
+        to_the_end: continue after the first difference
+        any_engine: play it with another engine version, which may behave differently
+    """
+
+    file: str = positional()
+    info: bool = False
+    json: bool = False
+    to_the_end: bool = False
+    any_engine: bool = False
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
-    parser.add_argument("file", metavar="FILE", help="the output of `stkzoo race --replay`")
-    parser.add_argument("--info", action="store_true", help="describe the file, run nothing")
-    parser.add_argument("--json", action="store_true", help="write JSON to stdout")
-    parser.add_argument(
-        "--to-the-end", action="store_true", help="continue after the first difference"
-    )
-    parser.add_argument(
-        "--any-engine",
-        action="store_true",
-        help="play it with another engine version, which may behave differently",
-    )
+    add_options(parser, ReplayArguments)
     add_viewing_options(parser, "--video")
     parser.set_defaults(races=1)
 

@@ -14,10 +14,12 @@ Agents are named as for `stkzoo race`: ai, heuristic, random, a folder, a zip, a
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stkzoo.cli._arguments import add_batch_options, add_tracks, settings_of, usage_errors
+from stkzoo._arguments import add_options, option, positional
+from stkzoo.cli._arguments import add_batch_options, settings_of, tracks_option, usage_errors
 from stkzoo.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -38,26 +40,35 @@ _DECIDED = ("track", "seed")
 _AGENT_FAILED = 3
 
 
+@dataclass
+class TournamentArguments:
+    """Options of ``stkzoo tournament``.
+
+    Attributes:
+        agents: the agents; see above
+        races: number of races
+        per_race: agents in a race (default: 4, or all if there are fewer)
+        seed: of the schedule and the races
+        output: for races, result.json and tournament.png
+        resume: resume the tournament in FOLDER
+        json: write only JSON to stdout
+        no_plot: draw no tournament.png
+    """
+
+    agents: tuple[str, ...] = positional((), metavar="AGENT")
+    tracks: tuple[str, ...] = tracks_option()
+    races: int = 60
+    per_race: int | None = None
+    seed: int = 0
+    output: str = option("tournament", metavar="FOLDER", rivals="folder")
+    resume: str | None = option(metavar="FOLDER", rivals="folder")
+    json: bool = False
+    no_plot: bool = False
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
-    parser.add_argument("agents", nargs="*", metavar="AGENT", help="the agents; see above")
-    add_tracks(parser)
-    for option, default, text in (
-        ("--races", 60, "number of races (default: %(default)s)"),
-        ("--per-race", None, "agents in a race (default: 4, or all if there are fewer)"),
-        ("--seed", 0, "of the schedule and the races (default: %(default)s)"),
-    ):
-        parser.add_argument(option, type=int, default=default, metavar="N", help=text)
-    choice = parser.add_mutually_exclusive_group()
-    choice.add_argument(
-        "--output",
-        default="tournament",
-        metavar="FOLDER",
-        help="for races, result.json and tournament.png (default: %(default)s)",
-    )
-    choice.add_argument("--resume", metavar="FOLDER", help="resume the tournament in FOLDER")
-    parser.add_argument("--json", action="store_true", help="write only JSON to stdout")
-    parser.add_argument("--no-plot", action="store_true", help="draw no tournament.png")
+    add_options(parser, TournamentArguments)
     add_batch_options(parser, _DECIDED)
 
 
@@ -105,29 +116,25 @@ def _run(arguments: argparse.Namespace, folder: Path, options: RunOptions) -> To
 
 
 def _show(result: TournamentResult) -> None:
-    from rich.console import Console
-    from rich.markup import escape
+    from stkzoo.cli._console import say, show_table
 
-    from stkzoo.cli._console import make_table, say
-
-    console = Console()
     columns = ("place", "agent", "rating", "95 %", "races", "wins", "rank", "finished", "failed")
-    table = make_table(columns, ("agent",), is_framed=console.is_terminal)
-    for row in result.standings:
-        rating = row.rating
-        table.add_row(
+    rows = [
+        (
             str(row.place),
-            escape(row.label),
-            f"{rating.value:.1f}",
-            f"{rating.low:.1f} to {rating.high:.1f}",
+            row.label,
+            f"{row.rating.value:.1f}",
+            f"{row.rating.low:.1f} to {row.rating.high:.1f}",
             str(row.races),
             str(row.wins),
             "-" if row.mean_rank is None else f"{row.mean_rank:.2f}",
             str(row.finished),
             str(row.retired),
-            style="red" if row.errors else None,
         )
-    console.print(table)
+        for row in result.standings
+    ]
+    styles = ["red" if row.errors else None for row in result.standings]
+    show_table(columns, rows, left=("agent",), styles=styles)
     plan = result.plan
     say(
         f"{len(result.races)} of {plan.races} races of {plan.per_race} on "

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from stkzoo._arguments import add_options, option, positional
 from stkzoo._os import write_whole
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.tracks import SPLITS, TEST_TRACKS
@@ -28,23 +29,30 @@ examples:
 _SORTS = ("name", "length", "time", "items")
 
 
+@dataclass
+class TracksArguments:
+    """Options of ``stkzoo tracks``.
+
+    Attributes:
+        tracks: only these (default: all)
+        split: only the tracks of one split
+        sort: what they are sorted by
+        difficulty: of the AI whose times are shown, 0 to 3
+        map: draw the one track's map (.png, .jpg, .webp)
+        json: write JSON instead of a table
+    """
+
+    tracks: tuple[str, ...] = positional((), metavar="TRACK")
+    split: str | None = option(choices=list(SPLITS))
+    sort: str = option("name", choices=_SORTS)
+    difficulty: int = option(2, choices=range(4), metavar="N")
+    map: Path | None = option(metavar="FILE")
+    json: bool = False
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
-    parser.add_argument("tracks", nargs="*", metavar="TRACK", help="only these (default: all)")
-    parser.add_argument("--split", choices=list(SPLITS), help="only the tracks of one split")
-    parser.add_argument("--sort", choices=_SORTS, default="name", help="(default: name)")
-    parser.add_argument(
-        "--difficulty",
-        type=int,
-        choices=range(4),
-        default=2,
-        metavar="N",
-        help="of the AI whose times are shown, 0 to 3 (default: 2)",
-    )
-    parser.add_argument(
-        "--map", type=Path, metavar="FILE", help="draw the one track's map (.png, .jpg, .webp)"
-    )
-    parser.add_argument("--json", action="store_true", help="write JSON instead of a table")
+    add_options(parser, TracksArguments)
 
 
 @dataclass(frozen=True)
@@ -140,19 +148,16 @@ def _in_order(facts: list[TrackFacts], sort: str) -> list[TrackFacts]:
 
 
 def _write_table(facts: Sequence[TrackFacts], difficulty: int) -> None:
-    from rich.console import Console
-    from rich.table import Table
+    from stkzoo.cli._console import show_table
 
-    table = Table(caption=f"times of the game's AI at difficulty {difficulty}")
-    table.add_column("track", no_wrap=True)
-    table.add_column("split")
-    for heading in ("length [m]", "parts", "forks", "items", "AI [s]", "reversed"):
-        table.add_column(heading, justify="right")
+    columns = ("track", "split", "length [m]", "parts", "forks", "items", "AI [s]", "reversed")
+    rows = []
     for fact in facts:
-        numbers = (fact.segments, fact.forks, fact.items)
+        numbers = (round(fact.length), fact.segments, fact.forks, fact.items)
         times = ("-" if t is None else f"{t:.1f}" for t in (fact.time, fact.reversed_time))
-        table.add_row(fact.track, fact.split, f"{fact.length:.0f}", *map(str, numbers), *times)
-    Console().print(table)
+        rows.append((fact.track, fact.split, *map(str, numbers), *times))
+    caption = f"times of the game's AI at difficulty {difficulty}"
+    show_table(columns, rows, left=columns[:2], caption=caption)
 
 
 def _draw(names: Sequence[str], file: Path) -> int:

@@ -1,0 +1,116 @@
+"""Options of programs: a dataclass declares them, and its docstring is their help."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import re
+import types
+import typing
+from collections import defaultdict
+from collections.abc import Collection
+from dataclasses import MISSING, Field, field, fields
+from typing import Any
+
+__all__ = ["add_options", "option", "positional", "values_of"]
+
+_ATTRIBUTE = re.compile(r"^    (\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
+
+
+def option(default: Any = None, **keywords: Any) -> Any:
+    """A field of a dataclass for :func:`add_options`, where the type does not say it all.
+
+    Args:
+        default: the field's.
+        **keywords: of ``ArgumentParser.add_argument``, and ``flag``, where the option has another
+            name than the field, and ``rivals``: at most one of the options with the same
+            ``rivals`` can be given.
+    """
+    return field(default=default, metadata=keywords)
+
+
+def positional(default: Any = MISSING, **keywords: Any) -> Any:
+    """As :func:`option`, for an argument that is given by its place."""
+    return option(default, flag="", **keywords)
+
+
+def add_options(
+    parser: argparse._ActionsContainer,
+    kind: type,
+    *,
+    without: Collection[str] = (),
+    only: Collection[str] | None = None,
+) -> None:
+    """Adds an option for each field of a dataclass: ``--max-steps`` for ``max_steps``.
+
+    The help is the field's line under ``Attributes:`` in the docstring, unless the field's
+    metadata have one. Fields are numbers, texts, booleans, paths, or tuples of these.
+
+    Args:
+        parser: a parser or a group of options.
+        kind: the dataclass.
+        without: fields to leave out.
+        only: the fields to add; ``None`` for all.
+    """
+    kinds, texts = typing.get_type_hints(kind), _texts(kind)
+    rivals: dict[str, argparse._ActionsContainer] = defaultdict(parser.add_mutually_exclusive_group)
+    for entry in _fields(kind, without, only):
+        keywords = _keywords(entry, kinds[entry.name], texts)
+        flag = keywords.pop("flag", "--" + entry.name.replace("_", "-"))
+        container = rivals[keywords.pop("rivals")] if "rivals" in keywords else parser
+        if flag:
+            container.add_argument(flag, dest=entry.name, **keywords)
+        else:
+            container.add_argument(entry.name, **keywords)
+
+
+def values_of(
+    arguments: argparse.Namespace,
+    kind: type,
+    *,
+    without: Collection[str] = (),
+    only: Collection[str] | None = None,
+) -> dict[str, Any]:
+    """The values of the options that :func:`add_options` added, by field; lists become tuples."""
+    values = {entry.name: getattr(arguments, entry.name) for entry in _fields(kind, without, only)}
+    return {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
+
+
+def _fields(kind: Any, without: Collection[str], only: Collection[str] | None) -> list[Field[Any]]:
+    return [
+        entry
+        for entry in fields(kind)
+        if entry.name not in without and (only is None or entry.name in only)
+    ]
+
+
+def _texts(kind: type) -> dict[str, str]:
+    """The lines under ``Attributes:`` of a dataclass and its bases, by field."""
+    docs = "\n".join(inspect.cleandoc(base.__doc__ or "") for base in reversed(kind.__mro__))
+    return {
+        name: " ".join(re.sub(r"(?<!\.)\.$", "", text).split())
+        for name, text in _ATTRIBUTE.findall(docs)
+    }
+
+
+def _keywords(entry: Field[Any], kind: Any, texts: dict[str, str]) -> dict[str, Any]:
+    """The keywords of ``add_argument`` for a field."""
+    is_positional, default = entry.metadata.get("flag") == "", entry.default
+    keywords: dict[str, Any] = {"help": texts.get(entry.name, ""), **entry.metadata}
+    if isinstance(kind, types.UnionType):  # with None
+        kind = next(part for part in typing.get_args(kind) if part is not types.NoneType)
+        keywords |= {"nargs": "?"} if is_positional else {}
+    if default is not MISSING:
+        keywords["default"] = default
+    if kind is bool:
+        return {**keywords, "action": "store_true"}
+    if typing.get_origin(kind) is tuple:
+        kind = typing.get_args(kind)[0]
+        keywords["nargs"] = "*" if is_positional and default is not MISSING else "+"
+    keywords.setdefault("type", kind)
+    if "choices" not in keywords:
+        keywords.setdefault("metavar", "N" if kind is int else entry.name.upper())
+    shown = " ".join(map(str, default)) if isinstance(default, tuple) else default
+    if shown not in (None, MISSING, "") and "default" not in keywords["help"]:
+        keywords["help"] += f" (default: {shown})"
+    return keywords
