@@ -57,7 +57,6 @@ _INSTRUMENTED = [
     "stkzoo.race.codec",
     "stkzoo.race.replay.file",
     "stkzoo.race.result",
-    "stkzoo.race.remote.spaces",
     "stkzoo.evaluation.tournament.plan",
     "stkzoo.race.agents.files",
     "tarfile",

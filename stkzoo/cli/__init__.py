@@ -2,8 +2,8 @@
 
 A command's module has
 
-- a docstring: its first line is the command's line in ``stkzoo --help``, the rest its description;
-- ``EXAMPLES``: shown at the end of ``stkzoo COMMAND --help``;
+- a docstring: its first line is the command's line in ``stkzoo --help``, the rest its description,
+  of which ``stkzoo COMMAND --help`` shows ``Examples:`` and what follows at the end;
 - ``add_arguments(parser)``: declares its arguments;
 - ``run(arguments)``: does the work and returns the exit code.
 
@@ -65,7 +65,7 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     for name in COMMANDS:
         module = import_module(f"{__name__}.{name.replace('-', '_')}")
         options = getattr(module, "PARSER_OPTIONS", {})
-        child = add_command(subparsers, name, module, epilog=module.EXAMPLES, **options)
+        child = add_command(subparsers, name, module, **options)
         if command in (None, name):
             module.add_arguments(child)
             child.set_defaults(run=module.run, fail=child.error)

@@ -44,29 +44,28 @@ def add_command(
     Args:
         subparsers: of the command line, or of a command.
         name: the command's.
-        documented: what has its docstring: a line for the list, and a description if there is more
-            to say.
+        documented: what has its docstring: a line for the list, a description if there is more to
+            say, and after "Examples:" what comes below the options.
         **options: of the parser.
     """
-    summary, _, description = (inspect.getdoc(documented) or "").partition("\n\n")
+    summary, _, text = (inspect.getdoc(documented) or "").partition("\n\n")
+    description, heading, examples = text.partition("Examples:\n")
     return subparsers.add_parser(
         name,
         help=summary[:1].lower() + summary[1:].rstrip("."),
-        description=description or summary,
+        description=description.rstrip() or summary,
+        epilog=heading + examples,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         **options,
     )
 
 
-def add_actions(
-    parser: argparse.ArgumentParser, *actions: Run, **options: Any
-) -> list[argparse.ArgumentParser]:
+def add_actions(parser: argparse.ArgumentParser, *actions: Run) -> list[argparse.ArgumentParser]:
     """Adds the actions of a command, such as ``install`` of ``stkzoo assets install``.
 
     Args:
         parser: the command's parser.
         *actions: functions named after the actions; ``arguments.action`` will be one of them.
-        **options: of the actions' parsers.
 
     Returns:
         The actions' parsers.
@@ -74,7 +73,7 @@ def add_actions(
     subparsers = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     children = []
     for action in actions:
-        child = add_command(subparsers, action.__name__.strip("_"), action, **options)
+        child = add_command(subparsers, action.__name__.strip("_"), action)
         child.set_defaults(action=action)
         children.append(child)
     return children

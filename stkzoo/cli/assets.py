@@ -11,6 +11,16 @@ order:
 
 The headless pack has no textures, music or sound. Races with it are bit-identical and start
 faster; drawing needs the full data. Only `stkzoo assets install` downloads anything.
+
+Examples:
+  stkzoo assets status                       what is on this machine
+  stkzoo assets install                      any source that works
+  stkzoo assets install --source debian      from Debian's or Ubuntu's package
+  stkzoo assets install --source upstream    by the download of pystk2
+  stkzoo assets install --from pack.tar.xz   no network: from another machine's pack
+  stkzoo assets pack                         build the pack in the cache
+  stkzoo assets pack --output pack.tar.xz    and write it into a file (about 40 MB), for
+                                             `stkzoo assets install --from` elsewhere
 """
 
 from __future__ import annotations
@@ -25,18 +35,6 @@ from stkzoo.cli._arguments import add_actions
 
 if TYPE_CHECKING:
     from stkzoo.engine.assets import PlaceReport
-
-EXAMPLES = """\
-examples:
-  stkzoo assets status                       what is on this machine
-  stkzoo assets install                      any source that works
-  stkzoo assets install --source debian      from Debian's or Ubuntu's package
-  stkzoo assets install --source upstream    by the download of pystk2
-  stkzoo assets install --from pack.tar.xz   no network: from another machine's pack
-  stkzoo assets pack                         build the pack in the cache
-  stkzoo assets pack --output pack.tar.xz    and write it into a file (about 40 MB), for
-                                             `stkzoo assets install --from` elsewhere
-"""
 
 
 @dataclass
@@ -56,9 +54,7 @@ class InstallArguments:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
-    status, install, pack, clean = add_actions(
-        parser, _status, _install, _pack, _clean, epilog=EXAMPLES
-    )
+    status, install, pack, clean = add_actions(parser, _status, _install, _pack, _clean)
     status.add_argument("--names", action="store_true", help="list the tracks and karts by name")
     add_options(install, InstallArguments)
     pack.add_argument("--output", type=Path, metavar="FILE", help="a .tar.xz file to write")
@@ -107,6 +103,7 @@ def _install(arguments: argparse.Namespace) -> int:
     Uses the data on this machine, or downloads it (about 630 MB to download; 1.5 GB of disk
     meanwhile, 750 MB after) and builds the headless pack. No administrator's rights are needed. You
     may interrupt and repeat it; several may run at once.
+    `stkzoo assets --help` has examples.
     """
     from stkzoo.cli._console import ConsoleProgress
     from stkzoo.engine.assets import install

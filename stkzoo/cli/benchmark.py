@@ -11,6 +11,17 @@ command resumes.
 
 The agent is named as for `stkzoo race`: heuristic, ai, random, a folder, a zip, a module; append
 @:Name to rename it.
+
+Examples:
+  stkzoo benchmark heuristic                    300 races, stored in benchmark/heuristic
+  stkzoo benchmark my_agent/ --split lighthouse hacienda --seeds 2
+  stkzoo benchmark my_agent.zip --difficulty 2 --output results/mine --inline
+  stkzoo benchmark --compare results/mine benchmark/heuristic
+  stkzoo benchmark --baseline --output ai-times     measure the AI's own times
+
+exit codes:
+  0 success, 1 a race could not be run, 2 invalid command line, 3 the agent failed in some race,
+  130 interrupted
 """
 
 from __future__ import annotations
@@ -40,19 +51,6 @@ if TYPE_CHECKING:
         GroupDifference,
         RaceGroup,
     )
-
-EXAMPLES = """\
-examples:
-  stkzoo benchmark heuristic                    300 races, stored in benchmark/heuristic
-  stkzoo benchmark my_agent/ --split lighthouse hacienda --seeds 2
-  stkzoo benchmark my_agent.zip --difficulty 2 --output results/mine --inline
-  stkzoo benchmark --compare results/mine benchmark/heuristic
-  stkzoo benchmark --baseline --output ai-times     measure the AI's own times
-
-exit codes:
-  0 success, 1 a race could not be run, 2 invalid command line, 3 the agent failed in some race,
-  130 interrupted
-"""
 
 _AGENT_FAILED = 3
 _MAIN_GROUPS = ("all", "form")

@@ -2,6 +2,11 @@
 
 Prints a script with which a shell completes commands, options and their choices. It contains
 nothing specific to this machine; print it again after an update.
+
+Examples:
+  stkzoo completion bash > ~/.local/share/bash-completion/completions/stkzoo
+  stkzoo completion zsh > ~/.zfunc/_stkzoo       a folder of $fpath
+  stkzoo completion fish > ~/.config/fish/completions/stkzoo.fish
 """
 
 from __future__ import annotations
@@ -10,13 +15,6 @@ import argparse
 from typing import Any
 
 from stkzoo.errors import ConfigError
-
-EXAMPLES = """\
-examples:
-  stkzoo completion bash > ~/.local/share/bash-completion/completions/stkzoo
-  stkzoo completion zsh > ~/.zfunc/_stkzoo       a folder of $fpath
-  stkzoo completion fish > ~/.config/fish/completions/stkzoo.fish
-"""
 
 #: The shells that shtab supports.
 _SHELLS = ("bash", "zsh", "fish", "tcsh")

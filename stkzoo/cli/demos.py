@@ -9,6 +9,17 @@ recorded. Each race is stored as soon as it is over; after an interruption the s
 resumes.
 
 Read the file with stkzoo.evaluation.load_demonstrations(path), or with numpy.load (no pickles).
+
+Examples:
+  stkzoo demos heuristic                              15 training tracks, in demos.npz
+  stkzoo demos ai --difficulty 3 --seeds 5 --directions forward reversed --output ai.npz
+  stkzoo demos heuristic --rivals ai ai ai ai --karts 1 --view flattened_discrete
+  stkzoo demos my_agent/ --tracks lighthouse hacienda --check
+  stkzoo demos heuristic --format minari --output supertuxkart/heuristic-v0
+
+exit codes:
+  0 success, 1 a race could not be recorded or differs when driven again, 2 invalid command
+  line, 130 interrupted
 """
 
 from __future__ import annotations
@@ -32,19 +43,6 @@ from stkzoo.errors import ConfigError, check_whole
 
 if TYPE_CHECKING:
     from stkzoo.evaluation import Demonstrations, DemoPlan
-
-EXAMPLES = """\
-examples:
-  stkzoo demos heuristic                              15 training tracks, in demos.npz
-  stkzoo demos ai --difficulty 3 --seeds 5 --directions forward reversed --output ai.npz
-  stkzoo demos heuristic --rivals ai ai ai ai --karts 1 --view flattened_discrete
-  stkzoo demos my_agent/ --tracks lighthouse hacienda --check
-  stkzoo demos heuristic --format minari --output supertuxkart/heuristic-v0
-
-exit codes:
-  0 success, 1 a race could not be recorded or differs when driven again, 2 invalid command
-  line, 130 interrupted
-"""
 
 
 @dataclass

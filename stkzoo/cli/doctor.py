@@ -2,6 +2,10 @@
 
 Checks everything that stkzoo needs or can use, and names the command that fixes what is missing.
 Succeeds if a headless race can run here.
+
+Examples:
+  stkzoo doctor           a table
+  stkzoo doctor --json    the same for programs
 """
 
 from __future__ import annotations
@@ -24,12 +28,6 @@ from pathlib import Path
 from stkzoo.engine.assets import DATADIR_VARIABLE, Assets, find_assets
 from stkzoo.errors import AssetError
 from stkzoo.kernel import IS_COMPILED
-
-EXAMPLES = """\
-examples:
-  stkzoo doctor           a table
-  stkzoo doctor --json    the same for programs
-"""
 
 _GRAPHICS_REMEDY = "sudo apt install libegl1 libgl1 libgl1-mesa-dri"
 

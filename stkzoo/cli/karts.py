@@ -2,6 +2,10 @@
 
 Shows the game's karts. Heavy ones have stronger engines and a higher top speed, light ones have
 a smaller turning circle and use less nitro. AgentSpec(kart="gnu") selects one for an agent.
+
+Examples:
+  stkzoo karts           a table
+  stkzoo karts --json    the same for programs
 """
 
 from __future__ import annotations
@@ -10,12 +14,6 @@ import argparse
 import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
-
-EXAMPLES = """\
-examples:
-  stkzoo karts           a table
-  stkzoo karts --json    the same for programs
-"""
 
 _ATTRIBUTE = r"<kart\b[^>]*?\b{}\s*=\s*\"([^\"]*)\""
 

@@ -3,6 +3,11 @@
 Keys identify the participants of networked races and encrypt the traffic.
 
 Each participant makes a pair. NAME.secret stays on the machine; NAME.public goes to the others.
+
+Examples:
+  stkzoo keys new ada                   writes ada.secret and ada.public
+  stkzoo keys new course --folder keys  the same into another folder
+  stkzoo keys show ada.secret           the public half of a secret key
 """
 
 from __future__ import annotations
@@ -11,13 +16,6 @@ import argparse
 from pathlib import Path
 
 from stkzoo.cli._arguments import add_actions
-
-EXAMPLES = """\
-examples:
-  stkzoo keys new ada                   writes ada.secret and ada.public
-  stkzoo keys new course --folder keys  the same into another folder
-  stkzoo keys show ada.secret           the public half of a secret key
-"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

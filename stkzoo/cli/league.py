@@ -1,19 +1,17 @@
 """Train players against each other, and rate them.
 
 Players learn in turns against each other's past selves, and are rated.
+
+Examples:
+  stkzoo league --output leagues/first --total-timesteps 2000000
+  stkzoo league --output leagues/first --total-timesteps 4000000     continue
+  stkzoo league --help                                               all options
 """
 
 from __future__ import annotations
 
 import argparse
 from importlib import import_module
-
-EXAMPLES = """\
-examples:
-  stkzoo league --output leagues/first --total-timesteps 2000000
-  stkzoo league --output leagues/first --total-timesteps 4000000     continue
-  stkzoo league --help                                               all options
-"""
 
 #: The league has a parser of its own: no word is an option here.
 PARSER_OPTIONS = {"add_help": False, "prefix_chars": "\0"}

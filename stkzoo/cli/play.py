@@ -8,6 +8,13 @@ them by default), heuristic, random, or agents from files, as in `stkzoo race`.
   space       fire the collected item
   N           nitro
   backspace   return to the road
+
+Examples:
+  stkzoo play                                    against three bots, on a random track
+  stkzoo play heuristic my_agent/ --track hacienda
+  stkzoo play --map --track lighthouse           from above, where 3D is slow
+  stkzoo play --dataset me.npz                   your observations and actions, to learn from
+  stkzoo play --replay me.stkz                   the race, to replay
 """
 
 from __future__ import annotations
@@ -21,15 +28,6 @@ from stkzoo._arguments import add_options, option, positional
 from stkzoo.cli._arguments import add_settings, settings_of, usage_errors
 from stkzoo.cli._race_options import add_replay_options, replay_listeners
 from stkzoo.errors import ConfigError
-
-EXAMPLES = """\
-examples:
-  stkzoo play                                    against three bots, on a random track
-  stkzoo play heuristic my_agent/ --track hacienda
-  stkzoo play --map --track lighthouse           from above, where 3D is slow
-  stkzoo play --dataset me.npz                   your observations and actions, to learn from
-  stkzoo play --replay me.stkz                   the race, to replay
-"""
 
 #: Default view and rate of a dataset, which are those of the ids; default rate without one.
 _DATASET_VIEW, _DATASET_RATE, _RATE = "flattened_discrete", 10, 20

@@ -11,6 +11,18 @@ Each driver gets a kart:
 
 DRIVER@:Name sets a driver's name. Each agent from files runs in a process of its own: a failure
 affects its own kart only. The same seed gives the same race, bit for bit.
+
+Examples:
+  stkzoo race --demo                           the best driver here against the hardest bots
+  stkzoo race heuristic ai ai --track hacienda --laps 3
+  stkzoo race my_agent/ other.zip@:Rival ai    agents of files against the game's AI
+  stkzoo race my_agent/ ai --races 10 --track test --output results.json
+  stkzoo race heuristic --num-karts 8          with seven bots
+  stkzoo race heuristic random --output -      the result as JSON
+
+exit codes:
+  0 success, 1 the race could not be run, 2 invalid command line, 3 an agent failed (the result
+  has the error), 130 interrupted
 """
 
 from __future__ import annotations
@@ -32,20 +44,6 @@ from stkzoo.errors import AgentError, ConfigError
 
 if TYPE_CHECKING:
     from stkzoo.race import Driver, RaceResult
-
-EXAMPLES = """\
-examples:
-  stkzoo race --demo                           the best driver here against the hardest bots
-  stkzoo race heuristic ai ai --track hacienda --laps 3
-  stkzoo race my_agent/ other.zip@:Rival ai    agents of files against the game's AI
-  stkzoo race my_agent/ ai --races 10 --track test --output results.json
-  stkzoo race heuristic --num-karts 8          with seven bots
-  stkzoo race heuristic random --output -      the result as JSON
-
-exit codes:
-  0 success, 1 the race could not be run, 2 invalid command line, 3 an agent failed (the result
-  has the error), 130 interrupted
-"""
 
 _NEXT_STEPS = """\
 Where to go next:

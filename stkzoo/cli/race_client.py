@@ -3,6 +3,15 @@
 Runs a race like `stkzoo race`, with the agents of servers (`stkzoo race-server`). Every agent of
 every server gets a kart, in the order of --server; the drivers named as arguments run here and
 get the next karts. A server that is slow, dies or misbehaves affects its own karts only.
+
+Examples:
+  stkzoo race-client --server 127.0.0.1:5555 --track lighthouse
+  stkzoo race-client --server ada.lab:5555 --server bob.lab:5555 heuristic ai --laps 2
+  stkzoo race-client --server ada.lab:5555 --server-key ada.public --secret course.secret
+
+exit codes:
+  0 success, 1 the race could not be run, 2 invalid command line, 3 an agent or server failed
+  (the result has the error), 130 interrupted
 """
 
 from __future__ import annotations
@@ -16,17 +25,6 @@ from stkzoo.cli._arguments import usage_errors
 
 if TYPE_CHECKING:
     from stkzoo.race.remote import RemoteDriverGroup
-
-EXAMPLES = """\
-examples:
-  stkzoo race-client --server 127.0.0.1:5555 --track lighthouse
-  stkzoo race-client --server ada.lab:5555 --server bob.lab:5555 heuristic ai --laps 2
-  stkzoo race-client --server ada.lab:5555 --server-key ada.public --secret course.secret
-
-exit codes:
-  0 success, 1 the race could not be run, 2 invalid command line, 3 an agent or server failed
-  (the result has the error), 130 interrupted
-"""
 
 
 @dataclass

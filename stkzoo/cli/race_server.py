@@ -6,6 +6,14 @@ own wrappers; only observations and actions go over the network.
 
 An agent is the path of a folder or zip with pystk_actor.py, or the name of a module or of a
 driver of stkzoo; append @:Name to rename it (docs/agents.md).
+
+Examples:
+  stkzoo race-server my_agent.zip                  for clients on this machine
+  stkzoo race-server ada.zip bob/ --address 127.0.0.1:6000
+  stkzoo race-server my_agent --address '*:5555' --secret ada.secret --allow course.public
+                                                   for a client elsewhere who has a key
+then, at the client:
+  stkzoo race-client --server 127.0.0.1:5555 --track lighthouse
 """
 
 from __future__ import annotations
@@ -22,17 +30,6 @@ from stkzoo.cli._arguments import add_settings, settings_of, usage_errors
 
 if TYPE_CHECKING:
     from stkzoo.race.remote import RaceServer
-
-EXAMPLES = """\
-examples:
-  stkzoo race-server my_agent.zip                  for clients on this machine
-  stkzoo race-server ada.zip bob/ --address 127.0.0.1:6000
-  stkzoo race-server my_agent --address '*:5555' --secret ada.secret --allow course.public
-                                                   for a client elsewhere who has a key
-then, at the client:
-  stkzoo race-client --server 127.0.0.1:5555 --track lighthouse
-"""
-
 
 _SETTINGS = ("action_timeout", "start_timeout", "agent_memory", "inline", "adapter")
 

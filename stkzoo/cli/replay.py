@@ -2,6 +2,16 @@
 
 Runs a race that `stkzoo race --replay FILE` recorded again, on the real engine, and checks after
 every step that each kart is where it was, to the last bit. The drivers are not needed.
+
+Examples:
+  stkzoo race heuristic ai ai --seed 1 --replay race.stkz
+  stkzoo replay race.stkz                      run it again and check it
+  stkzoo replay race.stkz --video race.mp4     make a video of it
+  stkzoo replay race.stkz --info               describe the file, without the engine
+
+exit codes:
+  0 all is as recorded, 1 it is not, or the file is not playable, 2 invalid command line,
+  130 interrupted
 """
 
 from __future__ import annotations
@@ -18,18 +28,6 @@ from stkzoo.errors import ConfigError
 
 if TYPE_CHECKING:
     from stkzoo.race.replay import Playback, Replay
-
-EXAMPLES = """\
-examples:
-  stkzoo race heuristic ai ai --seed 1 --replay race.stkz
-  stkzoo replay race.stkz                      run it again and check it
-  stkzoo replay race.stkz --video race.mp4     make a video of it
-  stkzoo replay race.stkz --info               describe the file, without the engine
-
-exit codes:
-  0 all is as recorded, 1 it is not, or the file is not playable, 2 invalid command line,
-  130 interrupted
-"""
 
 
 @dataclass

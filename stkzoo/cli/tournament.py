@@ -9,6 +9,15 @@ goes on.
 
 Agents are named as for `stkzoo race`: ai, heuristic, random, a folder, a zip, a module; append
 @:Name to rename one.
+
+Examples:
+  stkzoo tournament heuristic ai random my_agent/ --tracks lighthouse hacienda
+  stkzoo tournament students/*.zip ai --tracks test --races 300 --per-race 5 --output league
+  stkzoo tournament --resume league
+
+exit codes:
+  0 success, 1 a race could not be run, 2 invalid command line, 3 an agent failed in some race,
+  130 interrupted
 """
 
 from __future__ import annotations
@@ -24,17 +33,6 @@ from stkzoo.errors import ConfigError
 
 if TYPE_CHECKING:
     from stkzoo.evaluation import RunOptions, TournamentResult
-
-EXAMPLES = """\
-examples:
-  stkzoo tournament heuristic ai random my_agent/ --tracks lighthouse hacienda
-  stkzoo tournament students/*.zip ai --tracks test --races 300 --per-race 5 --output league
-  stkzoo tournament --resume league
-
-exit codes:
-  0 success, 1 a race could not be run, 2 invalid command line, 3 an agent failed in some race,
-  130 interrupted
-"""
 
 _DECIDED = ("track", "seed")
 _AGENT_FAILED = 3

@@ -3,6 +3,13 @@
 Shows the game's tracks: the length of a lap, parts and forks of the driving line, items at
 the start, and how long the game's AI takes for a lap, forward and reversed (median of 25 karts
 at --difficulty). Do not train on the tracks of the split "test".
+
+Examples:
+  stkzoo tracks                                    all, by name
+  stkzoo tracks --split train --sort time          training tracks, the fastest first
+  stkzoo tracks lighthouse hacienda --difficulty 3
+  stkzoo tracks lighthouse --map lighthouse.png    its map as a picture
+  stkzoo tracks --json                             for programs
 """
 
 from __future__ import annotations
@@ -16,15 +23,6 @@ from stkzoo._arguments import add_options, option, positional
 from stkzoo._os import write_whole
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.tracks import SPLITS, TEST_TRACKS
-
-EXAMPLES = """\
-examples:
-  stkzoo tracks                                    all, by name
-  stkzoo tracks --split train --sort time          training tracks, the fastest first
-  stkzoo tracks lighthouse hacienda --difficulty 3
-  stkzoo tracks lighthouse --map lighthouse.png    its map as a picture
-  stkzoo tracks --json                             for programs
-"""
 
 _SORTS = ("name", "length", "time", "items")
 

@@ -10,9 +10,8 @@ import sys
 
 import atheris
 
-with atheris.instrument_imports(include=["stkzoo.race.codec", "stkzoo.race.remote.spaces"]):
+with atheris.instrument_imports(include=["stkzoo.race.codec"]):
     from stkzoo.race.codec import Limits, decode, encode
-    from stkzoo.race.remote.spaces import space_from_data, space_to_data
 
 from stkzoo.errors import ProtocolError
 
@@ -27,11 +26,6 @@ def one_input(data: bytes) -> None:
         return
     again = encode(message)
     assert encode(decode(again)) == again
-    try:
-        space = space_from_data(message)
-    except ProtocolError:
-        return
-    space_to_data(space)
 
 
 if __name__ == "__main__":

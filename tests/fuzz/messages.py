@@ -9,10 +9,8 @@ from pathlib import Path
 import numpy as np
 import zmq
 
-from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race.codec import encode
-from stkzoo.race.remote.protocol import pack
-from stkzoo.race.remote.spaces import space_to_data
+from stkzoo.race.remote.protocol import VERSION, pack
 
 _KINDS = (b"H", b"O", b"A", b"C", b"B", b"W", b"D", b"", b"OO", b"\x00")
 _ODD = (None, True, -1, 2**63, 1.5, float("nan"), "", "x" * 300, b"\xff", [], {}, (), np.zeros(3))
@@ -21,12 +19,11 @@ _ODD = (None, True, -1, 2**63, 1.5, float("nan"), "", "x" * 300, b"\xff", [], {}
 def open_fields() -> dict[str, object]:
     """A right request for a seat."""
     return {
-        "protocol": 1,
+        "protocol": VERSION,
         "seat": 0,
         "driver": 0,
         "agent": "kart_0",
-        "observation_space": space_to_data(kart_observation_space()),
-        "action_space": space_to_data(kart_action_space()),
+        "sees_ground": False,
         "seed": 1,
         "action_timeout": 1.0,
         "start_timeout": 5.0,
@@ -40,7 +37,7 @@ def bad_messages(chance: random.Random) -> Iterator[list[bytes]]:
         pack(**opening),
         pack(step=1, observations=[[0, encode({"velocity": np.zeros(3)})]]),
         pack(seats=[0]),
-        pack(protocol=1),
+        pack(protocol=VERSION),
     )
     while True:
         kind = chance.choice(_KINDS)
@@ -76,7 +73,7 @@ def flood(socket: zmq.Socket[bytes], messages: Iterator[list[bytes]], count: int
         socket.send_multipart(next(messages))
         while socket.poll(0):
             socket.recv_multipart()
-    socket.send_multipart([b"H", pack(protocol=1)])
+    socket.send_multipart([b"H", pack(protocol=VERSION)])
     while socket.recv_multipart()[0] != b"W":
         pass
 

@@ -8,16 +8,13 @@ from collections import OrderedDict
 import msgpack
 import numpy as np
 import pytest
-from gymnasium import spaces
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from stkzoo import race_v0
 from stkzoo.errors import ProtocolError
-from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race.codec import Encoded, Limits, decode, encode
-from stkzoo.race.remote.spaces import space_from_data, space_to_data
 
 DTYPES = (
     *(np.bool_, np.int8, np.int16, np.int32, np.int64),
@@ -101,66 +98,6 @@ def test_observations_of_views_pass(view):
     again = decode(encode(observation))
     assert env.observation_space("kart_0").contains(again)
     assert_same(again, observation)
-
-
-@pytest.mark.parametrize(
-    "space",
-    [
-        kart_observation_space(),
-        kart_observation_space(sees_ground=True),
-        kart_observation_space(use_ai=True),
-        kart_action_space(),
-    ],
-    ids=["full", "ground", "with the AI's action", "action"],
-)
-def test_the_spaces_of_the_full_view_pass(space):
-    assert space_from_data(decode(encode(space_to_data(space)))) == space
-
-
-@pytest.mark.parametrize(
-    "space",
-    [
-        spaces.Text(5),
-        spaces.Discrete(3, start=-1),
-        spaces.Box(0, 255, (2, 2), np.uint8),
-        spaces.Sequence(spaces.Discrete(2), stack=True),
-        spaces.Dict(OrderedDict(b=spaces.Discrete(2), a=spaces.Discrete(2))),
-    ],
-    ids=str,
-)
-def test_a_space_comes_out_as_it_went_in(space):
-    again = space_from_data(decode(encode(space_to_data(space))))
-    assert again == space
-    if isinstance(space, spaces.Dict):
-        assert list(again) == list(space)
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        None,
-        {},
-        {"space": "Graph"},
-        {"space": []},
-        {"space": "Box", "low": 1, "high": 2},
-        {"space": "Box", "low": np.ones(2), "high": np.ones(3)},
-        {"space": "Discrete", "n": -1, "start": 0, "dtype": "int64"},
-        {"space": "Discrete", "n": 1, "start": 0, "dtype": "object"},
-        {"space": "Text", "max_length": 1 << 40, "min_length": 0, "charset": "a"},
-        {"space": "Dict", "spaces": [[1, {}]]},
-        {"space": "Dict", "spaces": 3},
-        {"space": "Sequence", "feature": None, "stack": False},
-    ],
-    ids=repr,
-)
-def test_what_is_no_space_is_a_protocol_error(data):
-    with pytest.raises(ProtocolError):
-        space_from_data(data)
-
-
-def test_a_kind_of_space_that_cannot_be_sent_is_named():
-    with pytest.raises(ProtocolError, match="type Graph cannot be sent"):
-        space_to_data(spaces.Graph(spaces.Discrete(2), None))
 
 
 def test_an_encoded_message_becomes_part_of_another():

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import zmq
 
 from stkzoo.race.remote import RaceServer
-from stkzoo.race.remote.protocol import pack, unpack
+from stkzoo.race.remote.protocol import VERSION, pack, unpack
 
 #: Steers straight on at full speed, by its own small view.
 GOOD = """\
@@ -104,7 +104,7 @@ class LyingServer:
                 continue
             identity, kind, *body = self._socket.recv_multipart()
             if kind == b"H":
-                fields = {"protocol": 1, "stkzoo": "0", "agents": [["liar", "lies", False]]}
+                fields = {"protocol": VERSION, "stkzoo": "0", "agents": [["liar", "lies", False]]}
                 frames = [b"W", pack(**fields, action_timeout=2.0)]
             elif kind in (b"C", b"B"):
                 continue

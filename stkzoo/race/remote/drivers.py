@@ -10,13 +10,13 @@ from itertools import zip_longest
 from typing import Any, NoReturn
 
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError, RemoteError
+from stkzoo.mdp.spaces import shows_ground
 from stkzoo.race.agents.failures import printable
 from stkzoo.race.drivers import Driver
 from stkzoo.race.instances import Decision, DriverRequest, without_unused_paths
 from stkzoo.race.remote.connection import Connection, Failure, Server
 from stkzoo.race.remote.keys import KeyPair, new_keys
 from stkzoo.race.remote.sockets import full_address, zmq_module
-from stkzoo.race.remote.spaces import space_to_data
 
 #: How long to wait for a server that has already failed in this race [s].
 _SECOND_CHANCE = 1.0
@@ -172,8 +172,7 @@ class RemoteInstance:
             self._seat = self._connection.open(
                 driver=number,
                 agent=request.agent,
-                observation_space=space_to_data(request.observation_space),
-                action_space=space_to_data(request.action_space),
+                sees_ground=shows_ground(request.observation_space),
                 seed=request.seed,
                 action_timeout=request.limits.action_timeout,
                 start_timeout=request.limits.start_timeout,

@@ -12,7 +12,7 @@ from stkzoo.errors import ProtocolError
 from stkzoo.race.codec import Limits, decode, encode
 
 #: Both ends must have the same.
-VERSION = 1
+VERSION = 2
 
 # From client to server.
 HELLO, OPEN, ACT, CLOSE, BYE = b"H", b"O", b"A", b"C", b"B"

@@ -12,12 +12,12 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from stkzoo.errors import ProtocolError
+from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race.agents.failures import error_report, printable
 from stkzoo.race.codec import Encoded, decode, encode
 from stkzoo.race.drivers import Driver
 from stkzoo.race.instances import DriverInstance, DriverLimits, DriverRequest
 from stkzoo.race.remote import protocol
-from stkzoo.race.remote.spaces import space_from_data
 
 _log = logging.getLogger(__name__)
 
@@ -150,10 +150,11 @@ class ClientSession(threading.Thread):
             self._send(protocol.OPENED, seat=seat, error=error_report(error))
 
     def _request(self, fields: dict[str, Any]) -> DriverRequest:
+        sees_ground = protocol.field(fields, "sees_ground", bool)
         return DriverRequest(
             agent=printable(protocol.field(fields, "agent", str), 100),
-            observation_space=space_from_data(fields.get("observation_space")),
-            action_space=space_from_data(fields.get("action_space")),
+            observation_space=kart_observation_space(sees_ground=sees_ground),
+            action_space=kart_action_space(),
             seed=protocol.field(fields, "seed", int),
             limits=dataclasses.replace(
                 self._limits,

@@ -11,7 +11,7 @@ from stkzoo.errors import RemoteError
 from stkzoo.race import find_driver, run_race
 from stkzoo.race.codec import encode
 from stkzoo.race.remote import RemoteDriverGroup
-from stkzoo.race.remote.protocol import pack, unpack
+from stkzoo.race.remote.protocol import VERSION, pack, unpack
 from tests.fuzz.messages import bad_messages, flood, resident_memory
 from tests.support.remote_race import LyingServer, raw_client, server_process, server_thread
 
@@ -53,17 +53,18 @@ def test_a_message_that_is_too_large_ends_the_connection_only():
         ([b"H"], "1 frames came"),
         ([b"H", b"a", b"b", b"c"], "3 frames came"),
         ([b"H", b"\x01"], "a int came, expected a dict"),
-        ([b"H", pack(protocol=99)], "speaks protocol 99, this one 1"),
+        ([b"H", pack(protocol=99)], "speaks protocol 99, this one 2"),
         ([b"H", pack(protocol=np.zeros(3))], "protocol is array"),
-        ([b"H", pack(protocol=1, more=b"a" * 5000)], "expected at most 4096"),
+        ([b"H", pack(protocol=VERSION, more=b"a" * 5000)], "expected at most 4096"),
         ([b"A", pack(step=1, observations=[])], "expected one of H, O first"),
         ([b"?", b""], "expected one of H, O first"),
         ([b"O", b"\xc1"], "no message"),
-        ([b"O", pack(protocol=1)], "seat is None"),
-        ([b"O", pack(protocol=1, seat=True, driver=0)], "seat is True"),
-        ([b"O", pack(protocol=1, seat=0, driver=7)], "driver 7, expected 0 to 0"),
-        ([b"O", pack(protocol=1, seat=0, driver=-1)], "driver -1"),
-        ([b"O", pack(protocol=1, seat=0, driver=0, agent="a")], "a space came as None"),
+        ([b"O", pack(protocol=VERSION)], "seat is None"),
+        ([b"O", pack(protocol=VERSION, seat=True, driver=0)], "seat is True"),
+        ([b"O", pack(protocol=VERSION, seat=0, driver=7)], "driver 7, expected 0 to 0"),
+        ([b"O", pack(protocol=VERSION, seat=0, driver=-1)], "driver -1"),
+        ([b"O", pack(protocol=VERSION, seat=0, driver=0, sees_ground=False)], "agent is None"),
+        ([b"O", pack(protocol=VERSION, seat=0, driver=0, agent="a")], "sees_ground is None"),
     ],
     ids=lambda value: str(value)[:30],
 )
@@ -161,7 +162,12 @@ def test_a_lying_server_costs_its_own_kart_only(name):
 
 @pytest.mark.parametrize(
     "welcome",
-    [b"\xc1", pack(protocol=2), pack(protocol=1, agents=[]), pack(protocol=1, agents=[[1, 2]])],
+    [
+        b"\xc1",
+        pack(protocol=99),
+        pack(protocol=VERSION, agents=[]),
+        pack(protocol=VERSION, agents=[[1, 2]]),
+    ],
     ids=["garbage", "another protocol", "nobody", "no names"],
 )
 def test_what_is_no_server_of_ours_is_told_before_the_race(welcome):
