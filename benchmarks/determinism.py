@@ -146,7 +146,7 @@ def examine(track: str, seed: int) -> Result:
         finished=finished,
         same_env="; ".join(filter(None, (first_difference(first, race) for race in again))),
         other_env=first_difference(first, drive_alone(track, seed)) or "",
-        fresh_program=first_difference(first, run_fresh(drive_alone, track, seed).result) or "",
+        fresh_program=first_difference(first, run_fresh(drive_alone, track, seed)[0]) or "",
         other_seed_differs=first_difference(first, other_seed) is not None,
         seconds=round(time.perf_counter() - start, 2),
     )

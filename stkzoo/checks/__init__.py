@@ -16,7 +16,7 @@ left alone.
 """
 
 from stkzoo.checks import api_usage, determinism, endings, memory, spaces
-from stkzoo.checks.api_usage import *  # noqa: F403 - the names are in its __all__
+from stkzoo.checks.api_usage import *  # noqa: F403 - all public functions named check_
 from stkzoo.checks.determinism import *  # noqa: F403
 from stkzoo.checks.endings import *  # noqa: F403
 from stkzoo.checks.memory import *  # noqa: F403
@@ -42,7 +42,7 @@ CHECKS: dict[str, Check] = {
     name.removeprefix("check_"): check
     for module in (spaces, endings, memory, api_usage, determinism)
     for name, check in vars(module).items()
-    if name in module.__all__
+    if name.startswith("check_")
 }
 
 __all__ = [
@@ -60,9 +60,5 @@ __all__ = [
     "play",
     "run_check",
     "trace",
+    *(f"check_{name}" for name in CHECKS),
 ]
-__all__ += api_usage.__all__
-__all__ += determinism.__all__
-__all__ += endings.__all__
-__all__ += memory.__all__
-__all__ += spaces.__all__

@@ -6,11 +6,12 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from stkzoo._arguments import add_options, option, positional
 from stkzoo.checks import CHECKS
 from stkzoo.checks.play import CheckResult, EnvFactory, bind, load_factory, run_check, takes
 from stkzoo.errors import ConfigError, StkzooError, unknown_name
@@ -44,25 +45,33 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return int(any(outcome["status"] == "failed" for outcome in outcomes))
 
 
+@dataclass
+class ChecksArguments:
+    """Options of ``python -m stkzoo.checks``.
+
+    Attributes:
+        environment: module:callable that makes it, such as stkzoo.race_v0:parallel_env
+        view: views to check (default: all registered ones)
+        track: tracks to check on (default: one short track)
+        json: print the outcomes as JSON
+    """
+
+    environment: str = positional(metavar="environment")
+    view: tuple[str, ...] | None = option(metavar="NAME")
+    track: tuple[str, ...] | None = option(metavar="NAME")
+    check: tuple[str, ...] | None = option(
+        metavar="NAME", help=f"checks to run, of: {', '.join(CHECKS)}"
+    )
+    json: bool = False
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m stkzoo.checks",
         description="Checks a ParallelEnv: spaces, ends, memory, determinism, API usage.",
         epilog="Exit code: 0 if nothing failed, 1 if something did, 2 for a bad command line.",
     )
-    parser.add_argument(
-        "environment", help="module:callable that makes it, such as stkzoo.race_v0:parallel_env"
-    )
-    parser.add_argument(
-        "--view", nargs="+", metavar="NAME", help="views to check (default: all registered ones)"
-    )
-    parser.add_argument(
-        "--track", nargs="+", metavar="NAME", help="tracks to check on (default: one short track)"
-    )
-    parser.add_argument(
-        "--check", nargs="+", metavar="NAME", help=f"checks to run, of: {', '.join(CHECKS)}"
-    )
-    parser.add_argument("--json", action="store_true", help="print the outcomes as JSON")
+    add_options(parser, ChecksArguments)
     return parser
 
 

@@ -17,19 +17,13 @@ from stkzoo.checks.play import (
     NotApplicable,
     RandomPolicy,
     Step,
-    check_equal,
+    expect,
+    expect_equal,
     play,
     short_race,
     trace,
 )
 from stkzoo.checks.processes import run_fresh
-
-__all__ = [
-    "check_bad_actions_are_refused",
-    "check_close_can_be_repeated_and_undone",
-    "check_nothing_is_written_to_the_terminal",
-    "check_render_without_a_mode_warns",
-]
 
 _SEED = 14
 _FEW_STEPS = 20
@@ -41,9 +35,8 @@ def check_nothing_is_written_to_the_terminal(make_env: EnvFactory) -> None:
     Raises:
         CheckFailed: something came out of its standard streams.
     """
-    output = run_fresh(_play_a_little, short_race(make_env)).output
-    if output:
-        raise CheckFailed(f"a short race wrote to the terminal: {output!r}; expected silence")
+    _, output = run_fresh(_play_a_little, short_race(make_env))
+    expect(not output, f"a short race wrote to the terminal: {output!r}; expected silence")
 
 
 def check_close_can_be_repeated_and_undone(make_env: EnvFactory) -> None:
@@ -61,7 +54,7 @@ def check_close_can_be_repeated_and_undone(make_env: EnvFactory) -> None:
         actual = trace(play(env, _SEED))
         trace(play(env, _SEED, max_steps=_FEW_STEPS))
         env.close()
-    check_equal(expected, actual, "races before and after close()")
+    expect_equal(expected, actual, "races before and after close()")
 
 
 def check_render_without_a_mode_warns(make_env: EnvFactory) -> None:
@@ -78,10 +71,8 @@ def check_render_without_a_mode_warns(make_env: EnvFactory) -> None:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             frame = env.render()
-        if frame is not None:
-            raise CheckFailed(f"render() without a mode returned {frame!r}, expected None")
-        if not caught:
-            raise CheckFailed("render() without a mode was silent, expected a warning")
+        expect(frame is None, f"render() without a mode returned {frame!r}, expected None")
+        expect(caught, "render() without a mode was silent, expected a warning")
 
 
 def check_bad_actions_are_refused(make_env: EnvFactory) -> None:
@@ -94,7 +85,7 @@ def check_bad_actions_are_refused(make_env: EnvFactory) -> None:
         expected = trace(play(env, _SEED, max_steps=_FEW_STEPS))
         policy = _Misbehaving(env)
         actual = trace(play(env, _SEED, max_steps=_FEW_STEPS, policy=policy))
-    check_equal(expected, actual, "races without and with refused actions in between")
+    expect_equal(expected, actual, "races without and with refused actions in between")
 
 
 class _Misbehaving(RandomPolicy):

@@ -19,7 +19,8 @@ from stkzoo.checks.play import (
     EnvFactory,
     NotApplicable,
     Trace,
-    check_equal,
+    expect,
+    expect_equal,
     fingerprint,
     play,
     short_race,
@@ -27,18 +28,6 @@ from stkzoo.checks.play import (
     whole_race,
 )
 from stkzoo.checks.processes import descendants, run_fresh
-
-__all__ = [
-    "check_envs_in_turn_do_not_meet",
-    "check_global_random_state_is_left_alone",
-    "check_other_seed_differs",
-    "check_pickled_copies_play_the_same_race",
-    "check_seed_repeats_after_a_killed_worker",
-    "check_seed_repeats_in_a_fresh_process",
-    "check_seed_repeats_in_one_env",
-    "check_seed_repeats_in_two_envs",
-    "check_unseeded_resets_continue_the_stream",
-]
 
 _SEED = 13
 _FEW_STEPS = 20
@@ -55,7 +44,7 @@ def check_seed_repeats_in_one_env(make_env: EnvFactory) -> None:
         first = trace(play(env, _SEED))
         trace(play(env, _SEED + 1, max_steps=_FEW_STEPS))
         second = trace(play(env, _SEED))
-    check_equal(first, second, "two races of one environment with one seed")
+    expect_equal(first, second, "two races of one environment with one seed")
 
 
 def check_seed_repeats_in_two_envs(make_env: EnvFactory) -> None:
@@ -65,7 +54,7 @@ def check_seed_repeats_in_two_envs(make_env: EnvFactory) -> None:
         CheckFailed: they differ.
     """
     first, second = (_one_race(whole_race(make_env), _SEED) for _ in range(2))
-    check_equal(first, second, "races of two environments with one seed")
+    expect_equal(first, second, "races of two environments with one seed")
 
 
 def check_seed_repeats_in_a_fresh_process(make_env: EnvFactory) -> None:
@@ -75,8 +64,8 @@ def check_seed_repeats_in_a_fresh_process(make_env: EnvFactory) -> None:
         CheckFailed: it differs.
     """
     make = whole_race(make_env)
-    there = run_fresh(_one_race, make, _SEED).result
-    check_equal(_one_race(make, _SEED), there, "races here and in a fresh process")
+    there, _ = run_fresh(_one_race, make, _SEED)
+    expect_equal(_one_race(make, _SEED), there, "races here and in a fresh process")
 
 
 def check_seed_repeats_after_a_killed_worker(make_env: EnvFactory) -> None:
@@ -98,7 +87,7 @@ def check_seed_repeats_after_a_killed_worker(make_env: EnvFactory) -> None:
         trace(play(env, _SEED + 1, max_steps=_FEW_STEPS))
         _kill(descendants() - made)
         actual = trace(play(env, _SEED))
-    check_equal(expected, actual, "races before and after a killed worker process")
+    expect_equal(expected, actual, "races before and after a killed worker process")
 
 
 def check_other_seed_differs(make_env: EnvFactory) -> None:
@@ -109,10 +98,10 @@ def check_other_seed_differs(make_env: EnvFactory) -> None:
     """
     with closing(whole_race(make_env)()) as env:
         races = [trace(play(env, _SEED + i, max_steps=_SOME_STEPS)) for i in range(3)]
-    if races[0] == races[1] == races[2]:
-        raise CheckFailed(
-            f"seeds {_SEED} to {_SEED + 2} gave the same race bit by bit; expected a seed to matter"
-        )
+    expect(
+        not races[0] == races[1] == races[2],
+        f"seeds {_SEED} to {_SEED + 2} gave the same race bit by bit; expected a seed to matter",
+    )
 
 
 def check_unseeded_resets_continue_the_stream(make_env: EnvFactory) -> None:
@@ -124,12 +113,12 @@ def check_unseeded_resets_continue_the_stream(make_env: EnvFactory) -> None:
     with closing(short_race(make_env)()) as env:
         once, again = (_three_races(env) for _ in range(2))
     for number, (first, second) in enumerate(zip(once, again, strict=True)):
-        check_equal(first, second, f"races number {number} of reset(seed), reset(), reset()")
-    if once[0] == once[1] == once[2]:
-        raise CheckFailed(
-            "reset() without a seed started the same race again and again; expected it to go "
-            "on with the random stream"
-        )
+        expect_equal(first, second, f"races number {number} of reset(seed), reset(), reset()")
+    expect(
+        not once[0] == once[1] == once[2],
+        "reset() without a seed started the same race again and again; expected it to go on with "
+        "the random stream",
+    )
 
 
 def check_global_random_state_is_left_alone(make_env: EnvFactory) -> None:
@@ -161,7 +150,7 @@ def check_envs_in_turn_do_not_meet(make_env: EnvFactory) -> None:
             for record, step in zip(in_turn, steps, strict=True):
                 record.extend(trace([step]) if step is not None else [])
     for expected, actual in zip(alone, in_turn, strict=True):
-        check_equal(expected, actual, "races alone and in turn with another environment's")
+        expect_equal(expected, actual, "races alone and in turn with another environment's")
 
 
 def check_pickled_copies_play_the_same_race(make_env: EnvFactory) -> None:
@@ -181,12 +170,12 @@ def check_pickled_copies_play_the_same_race(make_env: EnvFactory) -> None:
             original.extend(trace([step]))
             if step.number == _FEW_STEPS:
                 with closing(_copy(env, "in mid-race")) as copy:
-                    check_equal(
+                    expect_equal(
                         expected,
                         trace(play(copy, _SEED)),
                         "races of copies taken before the first reset and in mid-race",
                     )
-    check_equal(expected, original, "races of a pickled copy and of its original")
+    expect_equal(expected, original, "races of a pickled copy and of its original")
 
 
 def _one_race(make: EnvFactory, seed: int) -> Trace:
@@ -223,8 +212,8 @@ def _global_states() -> dict[str, str]:
 
 def _check_global_states(before: dict[str, str], when: str) -> None:
     for name, state in _global_states().items():
-        if state != before[name]:
-            raise CheckFailed(
-                f"the global state of {name} has changed by the time of: {when}; expected the "
-                "environment to use its own np_random"
-            )
+        expect(
+            state == before[name],
+            f"the global state of {name} has changed by the time of: {when}; expected the "
+            "environment to use its own np_random",
+        )

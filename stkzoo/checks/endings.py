@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import closing
 from typing import Any
@@ -13,21 +14,13 @@ from stkzoo.checks.play import (
     NotApplicable,
     RandomPolicy,
     Step,
-    check_equal,
+    expect,
+    expect_equal,
     fingerprint,
     play,
     trace,
     whole_race,
 )
-
-__all__ = [
-    "check_actions_of_departed_agents_are_ignored",
-    "check_agents_leave_when_done",
-    "check_finished_agents_leave_the_rest_racing",
-    "check_keys_are_the_acting_agents",
-    "check_step_after_the_end_is_empty",
-    "check_types_of_rewards_and_ends",
-]
 
 
 def check_keys_are_the_acting_agents(make_env: EnvFactory) -> None:
@@ -40,11 +33,11 @@ def check_keys_are_the_acting_agents(make_env: EnvFactory) -> None:
         for name, part in step.parts.items():
             missing = [agent for agent in step.acting if agent not in part]
             surplus = [agent for agent in part if agent not in step.acting]
-            if missing or surplus:
-                raise CheckFailed(
-                    f"step {step.number}: {name} lacks {missing} and has {surplus} too many; "
-                    f"expected exactly the agents that acted: {list(step.acting)}"
-                )
+            expect(
+                not missing and not surplus,
+                f"step {step.number}: {name} lacks {missing} and has {surplus} too many; "
+                f"expected exactly the agents that acted: {list(step.acting)}",
+            )
 
 
 def check_agents_leave_when_done(make_env: EnvFactory) -> None:
@@ -59,12 +52,11 @@ def check_agents_leave_when_done(make_env: EnvFactory) -> None:
                 expected = tuple(env.possible_agents)
             else:
                 expected = tuple(a for a in step.acting if not step.is_end_of(a))
-            if step.agents != expected:
-                raise CheckFailed(
-                    f"step {step.number}: agents are {list(step.agents)}, expected "
-                    f"{list(expected)}: all at first, then those that were neither terminated "
-                    "nor truncated"
-                )
+            expect(
+                step.agents == expected,
+                f"step {step.number}: agents are {list(step.agents)}, expected {list(expected)}: "
+                "all at first, then those that were neither terminated nor truncated",
+            )
 
 
 def check_types_of_rewards_and_ends(make_env: EnvFactory) -> None:
@@ -76,17 +68,17 @@ def check_types_of_rewards_and_ends(make_env: EnvFactory) -> None:
     for step in _whole_race(make_env, 6):
         for name, kind in (("rewards", float), ("terminations", bool), ("truncations", bool)):
             for agent, value in getattr(step, name).items():
-                if type(value) is not kind or abs(value) == float("inf") or value != value:
-                    raise CheckFailed(
-                        f"step {step.number}: {name}[{agent!r}] is {value!r} of type "
-                        f"{type(value).__name__}, expected a finite {kind.__name__}"
-                    )
-        for agent in step.acting:
-            if step.terminations.get(agent) and step.truncations.get(agent):
-                raise CheckFailed(
-                    f"step {step.number}: agent {agent!r} is terminated and truncated at once; "
-                    "expected one of the two"
+                expect(
+                    type(value) is kind and math.isfinite(value),
+                    f"step {step.number}: {name}[{agent!r}] is {value!r} of type "
+                    f"{type(value).__name__}, expected a finite {kind.__name__}",
                 )
+        for agent in step.acting:
+            expect(
+                not (step.terminations.get(agent) and step.truncations.get(agent)),
+                f"step {step.number}: agent {agent!r} is terminated and truncated at once; "
+                "expected one of the two",
+            )
 
 
 def check_finished_agents_leave_the_rest_racing(make_env: EnvFactory) -> None:
@@ -101,11 +93,11 @@ def check_finished_agents_leave_the_rest_racing(make_env: EnvFactory) -> None:
     for step in _whole_race(make_env, 7):
         for name, part in step.parts.items():
             served = departed.intersection(part)
-            if served:
-                raise CheckFailed(
-                    f"step {step.number}: {name} still serves {sorted(map(repr, served))}, who "
-                    "left before; expected nothing for them"
-                )
+            expect(
+                not served,
+                f"step {step.number}: {name} still serves {sorted(map(repr, served))}, who left "
+                "before; expected nothing for them",
+            )
         if departed and before is not None:
             _check_moved(before, step)
         departed |= {agent for agent in step.acting if step.is_end_of(agent)}
@@ -132,11 +124,11 @@ def check_step_after_the_end_is_empty(make_env: EnvFactory) -> None:
                     f"{what} after the end (step {last}) raised {error!r}, expected five empty "
                     "dicts: several libraries make that call"
                 ) from error
-            if list(result) != [{}] * len(PARTS):
-                raise CheckFailed(
-                    f"{what} after the end (step {last}) returned {result!r}, expected five "
-                    "empty dicts"
-                )
+            expect(
+                list(result) == [{}] * len(PARTS),
+                f"{what} after the end (step {last}) returned {result!r}, expected five empty "
+                "dicts",
+            )
 
 
 def check_actions_of_departed_agents_are_ignored(make_env: EnvFactory) -> None:
@@ -156,7 +148,7 @@ def check_actions_of_departed_agents_are_ignored(make_env: EnvFactory) -> None:
         if len(set(lengths.values())) < 2:
             raise NotApplicable("all agents ended in the same step")
         loud = trace(play(env, 9, policy=RandomPolicy(env, with_departed=True)))
-    check_equal(trace(recorded), loud, "races without and with actions of departed agents")
+    expect_equal(trace(recorded), loud, "races without and with actions of departed agents")
 
 
 def _whole_race(make_env: EnvFactory, seed: int) -> Iterator[Step]:
@@ -167,11 +159,11 @@ def _whole_race(make_env: EnvFactory, seed: int) -> Iterator[Step]:
 def _check_moved(before: Step, step: Step) -> None:
     for agent in step.acting:
         last = fingerprint([before.observations.get(agent), before.infos.get(agent)])
-        if fingerprint([step.observations.get(agent), step.infos.get(agent)]) == last:
-            raise CheckFailed(
-                f"step {step.number}: nothing has moved for agent {agent!r} since another "
-                "agent left; expected the race to go on"
-            )
+        expect(
+            fingerprint([step.observations.get(agent), step.infos.get(agent)]) != last,
+            f"step {step.number}: nothing has moved for agent {agent!r} since another agent left; "
+            "expected the race to go on",
+        )
 
 
 def _only(actions: dict[Any, Any], agents: tuple[Any, ...]) -> dict[Any, Any]:

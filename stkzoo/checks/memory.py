@@ -14,7 +14,8 @@ from stkzoo.checks.play import (
     EnvFactory,
     RandomPolicy,
     Step,
-    check_equal,
+    expect,
+    expect_equal,
     fingerprint,
     play,
     short_race,
@@ -22,12 +23,6 @@ from stkzoo.checks.play import (
     whole_race,
 )
 from stkzoo.checks.spaces import arrays_in
-
-__all__ = [
-    "check_infos_are_plain_numbers",
-    "check_results_are_the_callers_own",
-    "check_results_share_no_memory",
-]
 
 _NUM_STEPS = 30
 
@@ -44,15 +39,17 @@ def check_infos_are_plain_numbers(make_env: EnvFactory) -> None:
         for step in play(env, 10):
             for agent, info in step.infos.items():
                 where = f"step {step.number}: infos[{agent!r}]"
-                if any(info is other for other in seen[-64:]):
-                    raise CheckFailed(f"{where} is a dict handed out before; expected a fresh one")
+                expect(
+                    not any(info is other for other in seen[-64:]),
+                    f"{where} is a dict handed out before; expected a fresh one",
+                )
                 seen.append(info)
                 keys = list(info) if keys is None else keys
-                if set(info) != set(keys):
-                    raise CheckFailed(
-                        f"{where} has the keys {sorted(map(str, info))}, expected those of the "
-                        f"first info: {sorted(map(str, keys))}"
-                    )
+                expect(
+                    set(info) == set(keys),
+                    f"{where} has the keys {sorted(map(str, info))}, expected those of the first "
+                    f"info: {sorted(map(str, keys))}",
+                )
                 _check_numbers(info, where)
 
 
@@ -84,16 +81,17 @@ def check_results_are_the_callers_own(make_env: EnvFactory) -> None:
     """
     with closing(short_race(make_env)()) as env:
         expected = trace(play(env, 12, max_steps=_NUM_STEPS))
-        last: tuple[Step, str] | None = None
+        last: Step | None = None
+        content = ""
         for step in play(env, 12, max_steps=_NUM_STEPS, policy=_Watched(env)):
-            if last is not None and _content(last[0]) != last[1]:
-                raise CheckFailed(
-                    f"step {step.number} changed what step {last[0].number} had returned; "
-                    "expected arrays that stay as they are"
-                )
-            last = step, _content(step)
+            expect(
+                last is None or fingerprint(last.parts) == content,
+                f"step {step.number} changed what step {step.number - 1} had returned; expected "
+                "arrays that stay as they are",
+            )
+            last, content = step, fingerprint(step.parts)
         spoiled = trace(_spoiling(play(env, 12, max_steps=_NUM_STEPS)))
-    check_equal(expected, spoiled, "races with results left alone and overwritten by the caller")
+    expect_equal(expected, spoiled, "races with results left alone and overwritten by the caller")
 
 
 class _Watched(RandomPolicy):
@@ -102,11 +100,11 @@ class _Watched(RandomPolicy):
     _last: tuple[dict[Any, Any], dict[Any, Any]] | None = None
 
     def __call__(self, step: Step) -> dict[Any, Any]:
-        if self._last is not None and fingerprint(self._last[0]) != fingerprint(self._last[1]):
-            raise CheckFailed(
-                f"step {step.number} changed the actions that were passed to it; expected them "
-                "to be left alone"
-            )
+        expect(
+            self._last is None or fingerprint(self._last[0]) == fingerprint(self._last[1]),
+            f"step {step.number} changed the actions that were passed to it; expected them to be "
+            "left alone",
+        )
         actions = super().__call__(step)
         self._last = actions, copy.deepcopy(actions)
         return actions
@@ -115,15 +113,11 @@ class _Watched(RandomPolicy):
 def _check_numbers(info: Mapping[Any, Any], where: str) -> None:
     for key, value in info.items():
         is_number = isinstance(value, (bool, int, float, np.generic, np.ndarray))
-        if not is_number or np.asarray(value).dtype.kind not in "biuf":
-            raise CheckFailed(
-                f"{where}[{key!r}] is {value!r} of type {type(value).__name__}, expected a "
-                "number; names belong elsewhere, since learners stack infos"
-            )
-
-
-def _content(step: Step) -> str:
-    return fingerprint(step.parts)
+        expect(
+            is_number and np.asarray(value).dtype.kind in "biuf",
+            f"{where}[{key!r}] is {value!r} of type {type(value).__name__}, expected a number; "
+            "names belong elsewhere, since learners stack infos",
+        )
 
 
 def _spoiling(steps: Iterator[Step]) -> Iterator[Step]:

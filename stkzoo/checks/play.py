@@ -31,6 +31,12 @@ class NotApplicable(StkzooError):
     """The check does not apply to this environment; the text says why."""
 
 
+def expect(is_met: object, failure: str) -> None:
+    """Raises :class:`CheckFailed` with a text, unless something is true."""
+    if not is_met:
+        raise CheckFailed(failure)
+
+
 #: Makes a fresh environment at every call.
 EnvFactory: TypeAlias = Callable[..., ParallelEnv[Any, Any, Any]]
 
@@ -222,11 +228,11 @@ def play(
     step = Step(0, agents, {}, observations, infos=infos, agents=agents)
     yield step
     while step.agents and step.number != max_steps:
-        if step.number == _MAX_STEPS:
-            raise CheckFailed(
-                f"the episode has no end: {', '.join(map(repr, step.agents))} still act after "
-                f"{_MAX_STEPS} steps; give the environment a limit (max_cycles)"
-            )
+        expect(
+            step.number < _MAX_STEPS,
+            f"the episode has no end: {', '.join(map(repr, step.agents))} still act after "
+            f"{_MAX_STEPS} steps; give the environment a limit (max_cycles)",
+        )
         actions = policy(step)
         results = _dicts("step", env.step(dict(actions)), len(PARTS))
         parts = dict(zip(PARTS, results, strict=True))
@@ -239,11 +245,11 @@ def _dicts(method: str, result: Any, count: int) -> tuple[dict[Any, Any], ...]:
         what = f"{len(result)} values" if isinstance(result, tuple) else type(result).__name__
         raise CheckFailed(f"{method}() returned {what}, expected a tuple of {count} dicts")
     for number, part in enumerate(result):
-        if not isinstance(part, dict):
-            raise CheckFailed(
-                f"{method}() returned a {type(part).__name__} in place {number}, expected a "
-                "dict by agent"
-            )
+        expect(
+            isinstance(part, dict),
+            f"{method}() returned a {type(part).__name__} in place {number}, expected a dict by "
+            "agent",
+        )
     return result
 
 
@@ -274,7 +280,7 @@ def first_difference(expected: Trace, actual: Trace) -> str | None:
     return None
 
 
-def check_equal(expected: Trace, actual: Trace, what: str) -> None:
+def expect_equal(expected: Trace, actual: Trace, what: str) -> None:
     """Compares two races that should be the same.
 
     Args:
@@ -286,8 +292,7 @@ def check_equal(expected: Trace, actual: Trace, what: str) -> None:
         CheckFailed: they differ.
     """
     difference = first_difference(expected, actual)
-    if difference is not None:
-        raise CheckFailed(f"{what} differ, {difference}; expected the same bits")
+    expect(difference is None, f"{what} differ, {difference}; expected the same bits")
 
 
 def _fingerprints_of_step(step: Step) -> Iterator[tuple[str, str]]:

@@ -9,37 +9,26 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cloudpickle  # type: ignore[import-untyped]
 
-from stkzoo.checks.play import CheckFailed, NotApplicable
+from stkzoo.checks.play import NotApplicable, expect
 
 _TIMEOUT = 600.0
 _CHILD = "import sys; from stkzoo.checks.processes import main; main(sys.argv[1])"
 
 
-@dataclass(frozen=True, slots=True)
-class FreshRun:
-    """What a fresh interpreter made of a function.
-
-    Attributes:
-        result: what the function returned.
-        output: everything that was written to the standard streams.
-    """
-
-    result: Any
-    output: str
-
-
-def run_fresh(function: Callable[..., Any], *arguments: Any) -> FreshRun:
+def run_fresh(function: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:
     """Calls a function in a new interpreter, with another order of hashes.
 
     Args:
         function: what to call; it and the arguments are sent by cloudpickle.
         *arguments: its arguments.
+
+    Returns:
+        What the function returned, and everything that was written to the standard streams.
 
     Raises:
         CheckFailed: the function raised there.
@@ -57,12 +46,13 @@ def run_fresh(function: Callable[..., Any], *arguments: Any) -> FreshRun:
         )
         output = run.stdout.decode(errors="replace").strip()
         answer = Path(folder, "answer")
-        if run.returncode != 0 or not answer.exists():
-            raise CheckFailed(f"a fresh process ended with code {run.returncode}: {output}")
+        expect(
+            run.returncode == 0 and answer.exists(),
+            f"a fresh process ended with code {run.returncode}: {output}",
+        )
         succeeded, result = pickle.loads(answer.read_bytes())  # noqa: S301 - written below
-    if not succeeded:
-        raise CheckFailed(f"in a fresh process: {result}")
-    return FreshRun(result, output)
+    expect(succeeded, f"in a fresh process: {result}")
+    return result, output
 
 
 def main(folder: str) -> None:

@@ -16,20 +16,15 @@ from stkzoo.checks.play import (
     Env,
     EnvFactory,
     NotApplicable,
+    expect,
     play,
     short_race,
     whole_race,
 )
 
-__all__ = [
-    "check_observations_are_in_their_spaces",
-    "check_spaces_are_constant",
-    "check_state_is_in_its_space",
-]
 
-
-def fault_in(space: spaces.Space[Any], value: Any, path: str) -> str | None:
-    """Describes why a value is not in a space; ``None`` if it is.
+def expect_in(space: spaces.Space[Any], value: Any, path: str) -> None:
+    """Checks that a value is in a space.
 
     Stricter than ``space.contains``: arrays must have the space's own dtype.
 
@@ -37,28 +32,27 @@ def fault_in(space: spaces.Space[Any], value: Any, path: str) -> str | None:
         space: the space.
         value: the value.
         path: what the value is called in the text.
+
+    Raises:
+        CheckFailed: it is not.
     """
     if isinstance(space, spaces.Dict):
-        return _fault_in_dict(space, value, path)
-    if isinstance(space, spaces.Sequence) and isinstance(value, tuple):
-        parts = ((space.feature_space, entry, f"{path}[{i}]") for i, entry in enumerate(value))
-        return next(filter(None, (fault_in(*part) for part in parts)), None)
-    if isinstance(value, np.ndarray) and space.dtype is not None and value.dtype != space.dtype:
-        return f"{path} has dtype {value.dtype}, expected {space.dtype}"
-    if not space.contains(value):
-        return f"{path} is {reprlib.repr(value)}, expected a value of {space}"
-    return None
-
-
-def _fault_in_dict(space: spaces.Dict, value: Any, path: str) -> str | None:
-    if not isinstance(value, Mapping):
-        return f"{path} is a {type(value).__name__}, expected a dict"
-    if value.keys() != space.spaces.keys():
+        expect(isinstance(value, Mapping), f"{path} is a {type(value).__name__}, expected a dict")
         missing = [key for key in space.spaces if key not in value]
         unknown = [key for key in value if key not in space.spaces]
-        return f"{path} lacks the keys {missing} and has the unknown keys {unknown}"
-    parts = ((part, value[key], f"{path}[{key!r}]") for key, part in space.spaces.items())
-    return next(filter(None, (fault_in(*part) for part in parts)), None)
+        expect(
+            not missing and not unknown,
+            f"{path} lacks the keys {missing} and has the unknown keys {unknown}",
+        )
+        for key, part in space.spaces.items():
+            expect_in(part, value[key], f"{path}[{key!r}]")
+    elif isinstance(space, spaces.Sequence) and isinstance(value, tuple):
+        for number, entry in enumerate(value):
+            expect_in(space.feature_space, entry, f"{path}[{number}]")
+    elif isinstance(value, np.ndarray) and space.dtype is not None and value.dtype != space.dtype:
+        raise CheckFailed(f"{path} has dtype {value.dtype}, expected {space.dtype}")
+    elif not space.contains(value):
+        raise CheckFailed(f"{path} is {reprlib.repr(value)}, expected a value of {space}")
 
 
 def arrays_in(value: Any, path: str) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
@@ -90,8 +84,7 @@ def check_spaces_are_constant(make_env: EnvFactory) -> None:
         for step in play(env, 1, max_steps=3):
             _check_same(env, first, f"at step {step.number}")
             strangers = [agent for agent in step.agents if agent not in env.possible_agents]
-            if strangers:
-                raise CheckFailed(f"agents {strangers} are not among possible_agents")
+            expect(not strangers, f"agents {strangers} are not among possible_agents")
         _check_groups(first)
 
 
@@ -105,9 +98,7 @@ def check_observations_are_in_their_spaces(make_env: EnvFactory) -> None:
         for step in play(env, 2):
             for agent, observation in step.observations.items():
                 path = f"step {step.number}: observations[{agent!r}]"
-                fault = fault_in(env.observation_space(agent), observation, path)
-                if fault:
-                    raise CheckFailed(fault)
+                expect_in(env.observation_space(agent), observation, path)
 
 
 def check_state_is_in_its_space(make_env: EnvFactory) -> None:
@@ -124,24 +115,22 @@ def check_state_is_in_its_space(make_env: EnvFactory) -> None:
         previous: Any = None
         for step in play(env, 3):
             state = env.state()
-            fault = fault_in(space, state, f"step {step.number}: state()")
-            if fault:
-                raise CheckFailed(fault)
-            if np.shares_memory(state, previous if previous is not None else env.state()):
-                raise CheckFailed(
-                    f"step {step.number}: state() shares memory with an earlier state; "
-                    "expected a fresh array each time"
-                )
+            expect_in(space, state, f"step {step.number}: state()")
+            expect(
+                not np.shares_memory(state, previous if previous is not None else env.state()),
+                f"step {step.number}: state() shares memory with an earlier state; expected a "
+                "fresh array each time",
+            )
             previous = state
 
 
 def _check_same(env: Env, first: dict[tuple[str, Any], Any], when: str) -> None:
     for (kind, agent), space in first.items():
-        if getattr(env, kind)(agent) is not space:
-            raise CheckFailed(
-                f"{kind}({agent!r}) is another object {when} than at first; expected the same "
-                "one each time, so that seeding it has an effect"
-            )
+        expect(
+            getattr(env, kind)(agent) is space,
+            f"{kind}({agent!r}) is another object {when} than at first; expected the same one each "
+            "time, so that seeding it has an effect",
+        )
 
 
 def _check_groups(spaces: dict[tuple[str, Any], Any]) -> None:
@@ -149,8 +138,8 @@ def _check_groups(spaces: dict[tuple[str, Any], Any]) -> None:
     for (kind, agent), space in spaces.items():
         group = re.sub(r"_\d+$", "", str(agent))
         leader = leaders.setdefault((kind, group), agent)
-        if space != spaces[kind, leader]:
-            raise CheckFailed(
-                f"{kind}({agent!r}) differs from {kind}({leader!r}): {space} and "
-                f"{spaces[kind, leader]}; expected equal spaces in a group of like names"
-            )
+        expect(
+            space == spaces[kind, leader],
+            f"{kind}({agent!r}) differs from {kind}({leader!r}): {space} and "
+            f"{spaces[kind, leader]}; expected equal spaces in a group of like names",
+        )

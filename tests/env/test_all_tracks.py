@@ -8,7 +8,7 @@ import pytest
 
 from stkzoo import race_v0
 from stkzoo.checks import play
-from stkzoo.checks.spaces import fault_in
+from stkzoo.checks.spaces import expect_in
 from stkzoo.engine.assets import find_assets
 from stkzoo.tracks import SPLITS
 
@@ -24,7 +24,7 @@ def test_a_track_can_be_raced_on(track, reverse):
     with make(num_kart=2) as env:
         for step in play(env, 1, max_steps=NUM_STEPS, policy=full_throttle):
             for agent, observation in step.observations.items():
-                assert fault_in(env.observation_space(agent), observation, agent) is None
+                expect_in(env.observation_space(agent), observation, agent)
             top_speed = max(top_speed, env.snapshot.karts["speed"].max())
         assert step.number == NUM_STEPS
         assert env.race.track == track

@@ -94,7 +94,7 @@ def test_a_spawned_process_drives_the_same_race_as_a_forked_one(monkeypatch):
 def test_the_game_in_this_process_drives_the_same_first_race():
     with make() as env:
         expected = race(env)
-    assert first_difference(expected, run_fresh(first_race_in_this_process).result) is None
+    assert first_difference(expected, run_fresh(first_race_in_this_process)[0]) is None
 
 
 def first_race_in_this_process():
