@@ -1,18 +1,11 @@
 """Names of ``pystk2_gymnasium.envs``."""
 
-from stkzoo.config import AgentSpec
-from stkzoo.env.gymnasium_base import GymnasiumRaceEnv as BaseSTKRaceEnv
-from stkzoo.env.multi import STKRaceMultiEnv
-from stkzoo.env.single import STKRaceEnv
-from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
-from stkzoo.names import Phase
+from stkzoo.config import AgentSpec as AgentSpec
+from stkzoo.env.gymnasium_base import GymnasiumRaceEnv
+from stkzoo.env.multi import STKRaceMultiEnv as STKRaceMultiEnv
+from stkzoo.env.single import STKRaceEnv as STKRaceEnv
+from stkzoo.mdp.spaces import kart_action_space as kart_action_space
+from stkzoo.mdp.spaces import kart_observation_space as kart_observation_space
+from stkzoo.names import Phase as Phase
 
-__all__ = [
-    "AgentSpec",
-    "BaseSTKRaceEnv",
-    "Phase",
-    "STKRaceEnv",
-    "STKRaceMultiEnv",
-    "kart_action_space",
-    "kart_observation_space",
-]
+BaseSTKRaceEnv = GymnasiumRaceEnv

@@ -1,15 +1,6 @@
 """Names of ``pystk2_gymnasium.wrappers``."""
 
-from stkzoo.wrappers import (
-    FlattenerWrapper,
-    FlattenMultiDiscreteActions,
-    MonoAgentWrapperAdapter,
-    SpaceFlattener,
-)
-
-__all__ = [
-    "FlattenMultiDiscreteActions",
-    "FlattenerWrapper",
-    "MonoAgentWrapperAdapter",
-    "SpaceFlattener",
-]
+from stkzoo.wrappers import FlattenerWrapper as FlattenerWrapper
+from stkzoo.wrappers import FlattenMultiDiscreteActions as FlattenMultiDiscreteActions
+from stkzoo.wrappers import MonoAgentWrapperAdapter as MonoAgentWrapperAdapter
+from stkzoo.wrappers import SpaceFlattener as SpaceFlattener

@@ -24,7 +24,8 @@ from stkzoo._os import write_whole
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.tracks import SPLITS, TEST_TRACKS
 
-_SORTS = ("name", "length", "time", "items")
+#: What ``--sort`` means.
+_SORTS = {"name": "track", "length": "length", "time": "time", "items": "items"}
 
 
 @dataclass
@@ -83,7 +84,8 @@ def run(arguments: argparse.Namespace) -> int:
         transient=True,
         disable=not console.is_terminal,
     )
-    facts = _in_order([track_facts(name, arguments.difficulty) for name in bar], arguments.sort)
+    facts = [track_facts(name, arguments.difficulty) for name in bar]
+    facts.sort(key=lambda fact: getattr(fact, _SORTS[arguments.sort]) or 0.0)
     if arguments.json:
         import json
 
@@ -133,16 +135,6 @@ def track_facts(track: str, difficulty: int) -> TrackFacts:
             time=medians[0].median if medians[0] else None,
             reversed_time=medians[1].median if medians[1] else None,
         )
-
-
-def _in_order(facts: list[TrackFacts], sort: str) -> list[TrackFacts]:
-    keys = {
-        "name": lambda fact: fact.track,
-        "length": lambda fact: fact.length,
-        "time": lambda fact: fact.time or 0.0,
-        "items": lambda fact: fact.items,
-    }
-    return sorted(facts, key=keys[sort])
 
 
 def _write_table(facts: Sequence[TrackFacts], difficulty: int) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from stkzoo import race_v0
 from stkzoo.checks import play
-from stkzoo.checks.spaces import expect_in
+from stkzoo.checks.values import expect_in
 from stkzoo.engine.assets import find_assets
 from stkzoo.tracks import SPLITS
 

@@ -74,20 +74,17 @@ class RaceServer:
         self._sessions: set[ClientSession] = set()  # including those that are ending
         self._replies = f"inproc://stkzoo-replies-{next(_NUMBERS)}"
         self._stop = threading.Event()
-        with contextlib.ExitStack() as resources:
-            self._context = self._zmq.Context()
-            resources.callback(self._context.destroy, 0)
+        self._context = self._zmq.Context()
+        try:
             self._authenticator = (
                 ClientAuthenticator(self._context, keys.allowed) if keys.own else None
             )
-            if self._authenticator is not None:
-                resources.callback(self._authenticator.socket.close, 0)
             self._outbox = self._context.socket(self._zmq.PULL)
-            resources.callback(self._outbox.close, 0)
             self._outbox.bind(self._replies)
             self._socket = server_socket(self._context, address, keys)
-            resources.callback(self._socket.close, 0)
-            self._resources = resources.pop_all()
+        except BaseException:
+            self._context.destroy(0)
+            raise
         #: Where it listens, with its port.
         self.address: str = self._socket.getsockopt_string(self._zmq.LAST_ENDPOINT)
 
@@ -130,7 +127,7 @@ class RaceServer:
         if any(session.is_alive() for session in self._sessions):
             self._socket.close(0)  # a socket must not be closed outside its thread
         else:
-            self._resources.close()
+            self._context.destroy(0)  # with its sockets
 
     # ------------------------------------------------------------------ incoming messages
 
