@@ -11,14 +11,13 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from stkzoo.engine.session import LocalSession, WorkerSession
+    from stkzoo.engine.session import WorkerSession
     from stkzoo.engine.setup import KartSetup, RaceSetup
     from stkzoo.engine.snapshot import Snapshot
     from stkzoo.engine.track import TrackMap, decode_track
 
 __all__ = [
     "KartSetup",
-    "LocalSession",
     "RaceSetup",
     "Snapshot",
     "TrackMap",
@@ -26,14 +25,15 @@ __all__ = [
     "decode_track",
 ]
 
-#: Names by module, loaded when they are first used: an engine process needs few.
-_LAZY = {
-    "session": ("LocalSession", "WorkerSession"),
-    "setup": ("KartSetup", "RaceSetup"),
-    "snapshot": ("Snapshot",),
-    "track": ("TrackMap", "decode_track"),
+#: Modules of the names, loaded when they are first used: an engine process needs few.
+_HOMES = {
+    "KartSetup": "setup",
+    "RaceSetup": "setup",
+    "Snapshot": "snapshot",
+    "TrackMap": "track",
+    "WorkerSession": "session",
+    "decode_track": "track",
 }
-_HOMES = {name: module for module, names in _LAZY.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:

@@ -6,19 +6,16 @@ import atexit
 import contextlib
 import json
 import os
+import select
 import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from stkzoo._os import LockedTemporaryDirectory
 from stkzoo.engine import wire
-from stkzoo.engine.fork_server import READY
 from stkzoo.engine.process import (
-    SELF_DESTRUCT_SECONDS,
     START_TIMEOUT,
     Log,
     RaceProcess,
@@ -28,7 +25,7 @@ from stkzoo.engine.process import (
     explain_os_errors,
     spawn_interpreter,
 )
-from stkzoo.errors import EngineCrashed, EngineError, EngineTimeout
+from stkzoo.errors import EngineCrashed, EngineTimeout
 
 
 def can_fork() -> bool:
@@ -56,20 +53,24 @@ def start_race_process(root: Path) -> RaceProcess:
 
 
 class ForkServerClient:
-    """This program's connection to one fork server."""
+    """This program's connection to one fork server.
+
+    Attributes:
+        root: the game's data.
+    """
 
     def __init__(self, root: Path) -> None:
+        self.root = root
         self._log = Log()
         self._home = LockedTemporaryDirectory("home")
         self._lock = threading.Lock()
-        self._is_ready = False
-        self._number = 0  # of the last request
-        self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._has_forked = False
+        self._control, theirs = wire.pair()
         self._control.settimeout(START_TIMEOUT)
         with theirs:
             self._process = spawn_interpreter(
                 "fork_server",
-                [theirs.fileno(), SELF_DESTRUCT_SECONDS],
+                theirs.fileno(),
                 engine_environment(root, str(self._home.path)),
                 self._log,
                 pass_fds=[theirs.fileno()],
@@ -77,31 +78,78 @@ class ForkServerClient:
 
     def fork(self) -> RaceProcess:
         """A new child that has run no race yet."""
-        with contextlib.ExitStack() as on_failure, self._lock:
-            ours, theirs, log = _connection_and_log(on_failure)
+        try:
+            process = self.fork_from(self._control, START_TIMEOUT)
+        except TimeoutError:
+            _retire(self)
+            raise EngineTimeout(
+                f"the game's fork server gave no answer in {START_TIMEOUT:.0f} s and was ended",
+                self._log.tail(),
+            ) from None
+        except (EOFError, ConnectionError):
+            log = self._log.tail()
+            what = "is gone" if self._has_forked else "could not start"
+            _retire(self)
+            raise EngineCrashed(
+                f"the game's fork server {what}; `stkzoo doctor` looks for the cause", log
+            ) from None
+        self._has_forked = True
+        return process
+
+    def fork_from(self, source: socket.socket, timeout: float | None) -> RaceProcess:
+        """A fork of the fork server or one of its children; ends by itself on a failure.
+
+        Args:
+            source: connection to the process to fork.
+            timeout: seconds that this may take.
+
+        Raises:
+            EngineError: it is not possible now.
+            EOFError: the process to fork is gone.
+            ConnectionError: likewise.
+            TimeoutError: it took too long.
+        """
+        with contextlib.ExitStack() as on_failure:
+            with explain_os_errors():
+                ours, theirs = map(on_failure.enter_context, wire.pair())
+                log = Log()
+                on_failure.callback(log.close)
             with theirs:
-                answer = self._ask({"do": "fork"}, [theirs.fileno(), log.fileno()])
-            if answer["pid"] is None:
-                raise OSError(answer["error"])
+                ours.settimeout(timeout)
+                if source is not self._control:  # a race's kernel takes no files: they follow
+                    wire.send(source, wire.FORK)
+                wire.send(source, wire.FORK, files=[theirs.fileno(), log.fileno()])
+            try:
+                kind, frames = wire.receive(ours)
+            except EOFError:
+                if _is_closed(source):
+                    raise
+                raise EngineCrashed(
+                    "a new process of the game ended before it could answer; it was killed, or "
+                    "are too many files open?",
+                    log.tail(),
+                ) from None
+            if kind == wire.ERROR:
+                with explain_os_errors():
+                    raise OSError(json.loads(frames[0])["message"])
             on_failure.pop_all()
-        return _ForkedProcess(ours, answer["pid"], log, self)
+        return _ForkedProcess(ours, int(frames[0]), log, self)
 
     def end_child(self, pid: int) -> int | None:
-        """Ends a child if it still lives; its wait status, ``None`` if unknown."""
-        with contextlib.suppress(EngineCrashed), self._lock:
-            status: int | None = self._ask({"do": "end", "pid": pid})["status"]
-            return status
+        """Ends a child if it still lives; its wait status, ``None`` if it is lost."""
+        with contextlib.suppress(EOFError, OSError), self._lock:
+            asked = str(pid).encode()
+            wire.send(self._control, wire.END, asked)
+            replied = b""
+            while replied != asked:  # a reply to an interrupted request may come first
+                _, (replied, status) = wire.receive(self._control)
+            return int(status)
         return None
 
     def drop_child(self, pid: int) -> None:
         """Ends a child without waiting for it."""
         with contextlib.suppress(OSError):
-            self._control.send(json.dumps({"do": "drop", "pid": pid}).encode())
-
-    def adopt(self, pid: int) -> None:
-        """Reports a clone that one of the fork server's children has made of itself."""
-        with contextlib.suppress(OSError):  # a fork server that is gone has ended the clone too
-            self._control.send(json.dumps({"do": "adopt", "pid": pid}).encode())
+            wire.send(self._control, wire.DROP, str(pid).encode())
 
     def close(self) -> None:
         """Ends the fork server and with it all its children."""
@@ -120,40 +168,12 @@ class ForkServerClient:
         self._process.returncode = 0  # not our child: nothing to wait for
         self._home.release()
 
-    def _ask(self, request: Mapping[str, Any], fds: list[int] | None = None) -> Any:
-        """Sends a request and waits for its reply; discards replies to interrupted requests."""
-        self._number += 1
-        message = json.dumps({"number": self._number, **request}).encode()
-        try:
-            socket.send_fds(self._control, [message], fds or [])
-        except OSError:
-            self._fail()
-        while True:
-            packet = self._receive() or self._fail()
-            if packet == READY:
-                self._is_ready = True
-            elif (answer := json.loads(packet))["number"] == self._number:
-                return answer
 
-    def _receive(self) -> bytes:
-        try:
-            return self._control.recv(65536)
-        except TimeoutError:
-            _retire(self)
-            raise EngineTimeout(
-                f"the game's fork server gave no answer in {START_TIMEOUT:.0f} s and was ended",
-                self._log.tail(),
-            ) from None
-        except OSError:
-            return b""
-
-    def _fail(self) -> bytes:
-        log = self._log.tail()
-        what = "is gone" if self._is_ready else "could not start"
-        _retire(self)
-        raise EngineCrashed(
-            f"the game's fork server {what}; `stkzoo doctor` looks for the cause", log
-        )
+def _is_closed(connection: socket.socket) -> bool:
+    """Whether the other end is closed, whatever it has sent before."""
+    poller = select.poll()
+    poller.register(connection, 0)
+    return bool(poller.poll(0))
 
 
 class _ForkedProcess(RaceProcess):
@@ -173,41 +193,7 @@ class _ForkedProcess(RaceProcess):
         self._free()
 
     def fork(self) -> RaceProcess:
-        with contextlib.ExitStack() as on_failure:
-            try:
-                ours, theirs, log = _connection_and_log(on_failure)
-            except OSError as error:
-                raise EngineError(
-                    f"there is no room for a clone of the game's process: {error}; close() some "
-                    "saved states, or raise the system's limit on open files (ulimit -n)"
-                ) from error
-            with theirs:
-                wire.send(self.connection, wire.FORK)
-                self.reply()
-                wire.send_files(self.connection, [theirs.fileno(), log.fileno()])
-            pid = int(self.reply()[0])
-            ours.settimeout(self.connection.gettimeout())
-            self._fork_server.adopt(pid)
-            on_failure.callback(self._fork_server.drop_child, pid)
-            try:
-                wire.receive(ours)
-            except (EOFError, OSError):
-                message = "a clone of the game's process ended before it could answer"
-                raise EngineCrashed(message, log.tail()) from None
-            on_failure.pop_all()
-        return _ForkedProcess(ours, pid, log, self._fork_server)
-
-
-def _connection_and_log(
-    on_failure: contextlib.ExitStack,
-) -> tuple[socket.socket, socket.socket, Log]:
-    """What a new process needs: both ends of a connection, and a log; closed on a failure."""
-    ours, theirs = wire.pair()
-    on_failure.callback(ours.close)
-    on_failure.callback(theirs.close)
-    log = Log()
-    on_failure.callback(log.close)
-    return ours, theirs, log
+        return self._fork_server.fork_from(self.connection, self.connection.gettimeout())
 
 
 _fork_servers: dict[Path, ForkServerClient] = {}
@@ -225,9 +211,8 @@ def start_fork_server(root: Path) -> ForkServerClient:
 
 def _retire(fork_server: ForkServerClient) -> None:
     with _fork_servers_lock:
-        for root, known in tuple(_fork_servers.items()):
-            if known is fork_server:
-                del _fork_servers[root]
+        if _fork_servers.get(fork_server.root) is fork_server:
+            del _fork_servers[fork_server.root]
     fork_server.close()
 
 

@@ -29,8 +29,6 @@ from stkzoo.errors import ConfigError, EngineCrashed, EngineError, EngineTimeout
 START_TIMEOUT = 60.0
 #: The same for the render process: without a graphics card, shaders take minutes.
 DRAWING_START_TIMEOUT = 300.0
-#: A request that still runs after this many seconds ends the engine process from inside.
-SELF_DESTRUCT_SECONDS = 600
 _LOG_TAIL_BYTES = 4096
 _TOKEN_BYTES = 32
 
@@ -42,7 +40,7 @@ sys.path[:] = [path for path in sys.path if path]
 sys.modules["stkzoo"] = package = types.ModuleType("stkzoo")
 package.__path__ = [sys.argv[1]]
 from stkzoo.engine.{module} import main
-main(*map(int, sys.argv[2:]))
+main(int(sys.argv[2]))
 """
 
 
@@ -139,20 +137,6 @@ class RaceProcess:
         self.log.close()
 
 
-def start_render_process(root: Path, graphics: str, variables: Mapping[str, str]) -> RaceProcess:
-    """Starts a render process (:mod:`stkzoo.engine.render_process`).
-
-    Args:
-        root: the game's full data.
-        graphics: as in :func:`stkzoo.engine.race.init_engine`.
-        variables: additional environment variables.
-
-    Raises: as :func:`start_race_process`.
-    """
-    with explain_os_errors():
-        return SpawnedProcess(root, "render_process", {"STKZOO_GRAPHICS": graphics, **variables})
-
-
 @contextlib.contextmanager
 def explain_os_errors() -> Iterator[None]:
     """Explains the error of a system that cannot start another process."""
@@ -160,8 +144,9 @@ def explain_os_errors() -> Iterator[None]:
         yield
     except OSError as error:
         raise EngineError(
-            f"the game's process cannot be started: {error}; close() what is no longer needed, "
-            "or raise the system's limits (ulimit -a shows them, df the room on its disks)"
+            f"no process of the game can be started: {error}; close() environments and saved "
+            "states that are no longer needed, or raise the system's limits (ulimit -a shows "
+            "them, df the room on its disks)"
         ) from error
 
 
@@ -185,13 +170,21 @@ def engine_environment(root: Path, home: str) -> dict[str, str]:
 
 
 def spawn_interpreter(
-    module: str, arguments: list[int], environment: Mapping[str, str], log: Log, **options: Any
+    module: str, channel: int, environment: Mapping[str, str], log: Log, **options: Any
 ) -> subprocess.Popen[bytes]:
-    """Starts a new interpreter that runs ``main`` of one of this package's modules."""
+    """Starts a new interpreter that runs ``main`` of one of this package's modules.
+
+    Args:
+        module: the module's name.
+        channel: the argument of ``main``: a descriptor or a port to reach this program.
+        environment: the process's environment.
+        log: receives its output.
+        **options: of :class:`subprocess.Popen`.
+    """
     package = Path(__file__).resolve().parents[1]
     code = _BOOTSTRAP.format(module=module)
     return subprocess.Popen(  # noqa: S603 - our own interpreter on our own code
-        [sys.executable, "-c", code, str(package), *map(str, arguments)],
+        [sys.executable, "-c", code, str(package), str(channel)],
         stdin=subprocess.DEVNULL,
         stdout=log.fileno(),
         stderr=log.fileno(),
@@ -215,9 +208,7 @@ class SpawnedProcess(RaceProcess):
         with socket.create_server(("127.0.0.1", 0)) as listener:
             listener.settimeout(0.25)
             port = listener.getsockname()[1]
-            self._process = spawn_interpreter(
-                module, [port, SELF_DESTRUCT_SECONDS], environment, log
-            )
+            self._process = spawn_interpreter(module, port, environment, log)
             try:
                 connection = self._accept(listener, token, log)
             except BaseException:

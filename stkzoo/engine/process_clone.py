@@ -1,6 +1,7 @@
-"""Clones a process in the middle of its race (Linux).
+"""Forks a process that has a connection and a log of its own (Linux).
 
-The clone must outlive the process that it was made from, and die with the fork server.
+A child of the fork server is an ordinary fork. A clone of a race must outlive the process
+that it was made from, and die with the fork server.
 A plain fork gives a child of the race's process, so the clone is forked as a *sibling*:
 the kernel's ``clone`` call with ``CLONE_PARENT`` makes it the fork server's own child from its
 first moment, which it can end and reap, and which the kernel ends when it dies. (A fork
@@ -12,12 +13,16 @@ processes with threads; a race without a window has none, which is checked.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import platform
 import signal
 import socket
+from collections.abc import Callable, Sequence
 from typing import Any
+
+from stkzoo.engine import wire
 
 _PR_SET_PDEATHSIG = 1
 _CLONE_PARENT = 0x8000
@@ -39,11 +44,46 @@ def die_with(parent: int) -> None:
         os._exit(1)
 
 
-def fork_beside(fork_server: int) -> int:
-    """Forks this process into a sibling: a child of its parent, not of its own.
+def serve_fork(
+    connection: socket.socket, files: Sequence[int], fork: Callable[[], int], fork_server: int
+) -> socket.socket | None:
+    """Serves a request of kind :data:`~stkzoo.engine.wire.FORK`.
 
     Args:
-        fork_server: process id of this process's parent.
+        connection: this process's own connection, which the new process closes.
+        files: descriptors of the new process's connection and log. They are closed here, so
+            the program sees the end of that connection if no process takes it.
+        fork: forks this process, as :func:`os.fork` does.
+        fork_server: process id of the new process's parent.
+
+    Returns:
+        In the new process its connection; ``None`` in this one.
+    """
+    with contextlib.ExitStack() as on_exit:
+        for file in files:
+            on_exit.callback(os.close, file)
+        if len(files) != 2:  # this process may open no more files
+            return None
+        session_fd, log_fd = files
+        try:
+            pid = fork()
+        except OSError as error:
+            with contextlib.suppress(OSError), socket.socket(fileno=os.dup(session_fd)) as session:
+                wire.send_error(session, error)
+            return None
+        if pid:
+            return None
+        die_with(fork_server)
+        for stream in (1, 2):
+            os.dup2(log_fd, stream)
+        connection.close()
+        session = socket.socket(fileno=os.dup(session_fd))
+    wire.send(session, wire.OK, str(os.getpid()).encode())
+    return session
+
+
+def fork_beside() -> int:
+    """Forks this process into a sibling: a child of its parent, not of its own.
 
     Returns:
         Process id of the new process; 0 in the new process itself.
@@ -61,24 +101,4 @@ def fork_beside(fork_server: int) -> int:
     if pid < 0:
         error = ctypes.get_errno()
         raise OSError(error, os.strerror(error))
-    if pid == 0:
-        die_with(fork_server)
     return pid
-
-
-def move_to(connection: socket.socket, session_fd: int, log_fd: int) -> socket.socket:
-    """Replaces this process's connection and log.
-
-    Args:
-        connection: the old connection; another process may keep using it.
-        session_fd: descriptor of the new connection.
-        log_fd: descriptor of the new output file; it is closed.
-
-    Returns:
-        The new connection.
-    """
-    connection.close()
-    os.dup2(log_fd, 1)
-    os.dup2(log_fd, 2)
-    os.close(log_fd)
-    return socket.socket(fileno=session_fd)

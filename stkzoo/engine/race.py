@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import socket
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,14 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.reader import BY_ATTRIBUTE, block_plans
-from stkzoo.engine.setup import KartSetup, RaceSetup
+from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.engine.starting import put_karts
 from stkzoo.engine.track import encode_track
 from stkzoo.errors import EngineError
 from stkzoo.kernel import GameStepper
 from stkzoo.kernel.reference import game_stepper
-from stkzoo.names import AttachmentType, ItemType, Phase, PowerupType
+from stkzoo.names import AttachmentType, CameraMode, ItemType, Phase, PowerupType
 
 #: More steps than any race needs before the engine shows READY (31 at 0.1 s).
 _MAX_WARMUP_STEPS = 100_000
@@ -50,13 +50,12 @@ class RaceStart:
         return cls(tuple(json.loads(kart_types)), track, Snapshot(snapshot))
 
 
-def init_engine(graphics: str = "none") -> None:
+def init_engine(graphics: str = '{"preset": "none"}') -> None:
     """Starts the engine in this process, once; later calls do nothing.
 
     Args:
         graphics: fields of ``pystk2.GraphicsConfig`` as a JSON object, in which ``preset``
-            names the preset for those left out; or the name of a preset alone, ``"none"``
-            for no graphics.
+            names the preset for those left out; ``"none"`` is no graphics.
     """
     global _is_initialised
     if _is_initialised:
@@ -69,8 +68,6 @@ def init_engine(graphics: str = "none") -> None:
 
 
 def _graphics_config(pystk2: Any, graphics: str) -> Any:
-    if not graphics.startswith("{"):
-        return getattr(pystk2.GraphicsConfig, graphics)()
     values = json.loads(graphics)
     preset = values.pop("preset", None)
     config = getattr(pystk2.GraphicsConfig, preset)() if preset else pystk2.GraphicsConfig()
@@ -103,13 +100,10 @@ class GameRace:
         self._setup = setup
         self._make_action = pystk2.Action
         self._actions = [self._make_action() for kart in setup.karts if not kart.is_bot]
-        self._phases = {
-            pystk2.WorldState.Phase.READY_PHASE: Phase.READY_PHASE,
-            pystk2.WorldState.Phase.SET_PHASE: Phase.SET_PHASE,
-            pystk2.WorldState.Phase.GO_PHASE: Phase.GO_PHASE,
-        }
+        phases = Phase.READY_PHASE, Phase.SET_PHASE, Phase.GO_PHASE
+        self._phases = {getattr(pystk2.WorldState.Phase, ours.name): ours for ours in phases}
         self._reporting = [i for i, kart in enumerate(setup.karts) if kart.reports_control]
-        self._race = pystk2.Race(_race_config(pystk2, setup))
+        self._race = pystk2.Race(race_config(setup))
         self._race.start()
         self._world = pystk2.WorldState()
         self._stepper: Any = None  # a GameStepper of the kernel, once the race is ready
@@ -131,13 +125,7 @@ class GameRace:
         self._stepper = self._new_stepper()
         return RaceStart(
             kart_types=tuple(kart.kart_type for kart in self._world.karts),
-            track=encode_track(
-                track.length,
-                track.path_nodes,
-                track.path_width,
-                track.path_distance,
-                track.successors,
-            ),
+            track=encode_track(track),
             snapshot=Snapshot(self._stepper.read(True)),
         )
 
@@ -151,21 +139,13 @@ class GameRace:
         return Snapshot(self._stepper.step(controls))
 
     @property
-    def can_serve(self) -> bool:
-        """Whether :meth:`serve` is available."""
-        return hasattr(self._stepper, "serve")
-
-    def serve(self, connection: socket.socket) -> bytes:
+    def serve(self) -> Callable[[int], bytes] | None:
         """Takes the steps that are asked for, until something else is, which it returns.
 
-        Args:
-            connection: one end of :func:`stkzoo.engine.wire.pair`, without a time-out.
-
-        Raises:
-            EOFError: the other end is gone.
+        Its argument is the descriptor of one end of :func:`stkzoo.engine.wire.pair`, without a
+        time-out. It raises EOFError when the other end is gone. ``None`` if it is not available.
         """
-        request: bytes = self._stepper.serve(connection.fileno())
-        return request
+        return getattr(self._stepper, "serve", None)
 
     def stop(self) -> None:
         """Ends the race; nothing else may be called afterwards."""
@@ -188,7 +168,15 @@ class GameRace:
         return by_block if is_right else by_attribute
 
 
-def _race_config(pystk2: Any, setup: RaceSetup) -> Any:
+def race_config(setup: RaceSetup, *, has_cameras: bool = False) -> Any:
+    """The engine's ``pystk2.RaceConfig``.
+
+    Args:
+        setup: the race.
+        has_cameras: follow the karts' ``camera_mode``; otherwise no kart has a camera.
+    """
+    import pystk2
+
     config = pystk2.RaceConfig(
         num_kart=len(setup.karts),
         seed=setup.seed,
@@ -198,19 +186,20 @@ def _race_config(pystk2: Any, setup: RaceSetup) -> Any:
     )
     config.reverse = setup.reverse
     config.step_size = setup.step_size
-    config.num_cameras = 0  # a camera without graphics is the end of the game
+    # Any other number is that of the first karts, whatever they ask for; a camera without
+    # graphics is the end of the game.
+    config.num_cameras = 0
     config.players.clear()
+    kinds = pystk2.PlayerConfig
     for kart in setup.karts:
-        config.players.append(_player_config(pystk2, kart))
+        player = kinds(
+            kart=kart.kart,
+            name=kart.name,
+            controller=kinds.Controller.AI_CONTROL
+            if kart.is_bot
+            else kinds.Controller.PLAYER_CONTROL,
+            camera_mode=kinds.CameraMode(kart.camera_mode if has_cameras else CameraMode.OFF),
+            color=kart.color,
+        )
+        config.players.append(player)
     return config
-
-
-def _player_config(pystk2: Any, kart: KartSetup) -> Any:
-    kinds = pystk2.PlayerConfig.Controller
-    return pystk2.PlayerConfig(
-        kart=kart.kart,
-        name=kart.name,
-        controller=kinds.AI_CONTROL if kart.is_bot else kinds.PLAYER_CONTROL,
-        camera_mode=pystk2.PlayerConfig.CameraMode.OFF,
-        color=kart.color,
-    )

@@ -14,7 +14,6 @@ dimensions and their length before them.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -76,30 +75,25 @@ _STATE_ITEM = np.dtype(
 #: Fields of a kart that the block does not hold, or not at a place that is known.
 BY_ATTRIBUTE = ("angular_velocity", "speed")
 
-_COPIED_KART = [name for name in _STATE_KART.names or () if not name.startswith("_")]
-_COPIED_ITEM = [name for name in _STATE_ITEM.names or () if not name.startswith("_")]
 
-
-def _copy_plan(source: Any, target: Any, names: Iterable[str]) -> npt.NDArray[np.int32]:
+def _copy_plan(source: Any, target: Any) -> npt.NDArray[np.int32]:
     """For each field, where it is, where it goes, and its 4-byte words; 0 for a single byte."""
-    plan = []
-    for name in names:
-        dtype, from_offset, *_ = source.fields[name]
-        plan.append((from_offset, target.fields[name][1], dtype.itemsize // 4))
+    names = [name for name in source.names if not name.startswith("_")]
+    plan = [
+        (source.fields[name][1], target.fields[name][1], source[name].itemsize // 4)
+        for name in names
+    ]
     return np.array(plan, np.int32)
 
 
-_KART_PLAN = _copy_plan(_STATE_KART, KART_DTYPE, _COPIED_KART)
-_ITEM_PLAN = _copy_plan(_STATE_ITEM, ITEM_DTYPE, _COPIED_ITEM)
-
-
-def _attribute_plan(target: Any, names: Iterable[str]) -> npt.NDArray[np.int32]:
-    """For each field, its place and how many floats it has."""
-    fields = [target.fields[name] for name in names]
+def _attribute_plan(target: Any) -> npt.NDArray[np.int32]:
+    """For each attribute, its place and how many floats it has."""
+    fields = [target.fields[name] for name in BY_ATTRIBUTE]
     return np.array([(offset, dtype.itemsize // 4) for dtype, offset, *_ in fields], np.int32)
 
 
-_ATTRIBUTE_PLAN = _attribute_plan(KART_DTYPE, BY_ATTRIBUTE)
+_KART_PLAN, _ITEM_PLAN = _copy_plan(_STATE_KART, KART_DTYPE), _copy_plan(_STATE_ITEM, ITEM_DTYPE)
+_ATTRIBUTE_PLAN = _attribute_plan(KART_DTYPE)
 
 
 def block_plans(world: Any) -> tuple[Any, ...] | None:

@@ -14,15 +14,15 @@ import os
 import socket
 import sys
 import time
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.engine import wire
+from stkzoo.engine.race import race_config
 from stkzoo.engine.setup import RaceSetup
-from stkzoo.engine.worker import connected, describe, set_alarm
+from stkzoo.engine.worker import RequestServer, connected
 
 #: Numbers of a pose: location [m], rotation (w, x, y, z), speed [m/s].
 _POSE_SIZE = 8
@@ -46,7 +46,17 @@ class MirroredRace:
         import pystk2
 
         self._coast = [pystk2.Action()] * len(setup.karts)
-        self._race = pystk2.Race(_config(pystk2, setup))
+        mirrored = RaceSetup(
+            setup.track,
+            tuple(replace(kart, is_bot=False, name="") for kart in setup.karts),
+            laps=_MANY_LAPS,
+            reverse=setup.reverse,
+            seed=setup.seed,
+            step_size=_WARMUP_STEP,
+        )
+        config = race_config(mirrored, has_cameras=True)
+        config.overlay = False
+        self._race = pystk2.Race(config)
         self._race.start()
         self._world = pystk2.WorldState()
         self._due = 0.0
@@ -74,13 +84,13 @@ class MirroredRace:
         self._due = max(self._due + seconds, now)
         time.sleep(min(self._due - now, seconds))
 
-    def pictures(self) -> list[npt.NDArray[np.uint8]]:
-        """What each camera sees: ``(H, W, 3)`` uint8."""
-        return [np.asarray(camera.image, np.uint8) for camera in self._race.render_data]
+    def pictures(self) -> npt.NDArray[np.uint8]:
+        """What each camera sees: ``(C, H, W, 3)`` uint8."""
+        return np.array([camera.image for camera in self._race.render_data], np.uint8)
 
-    def depths(self) -> list[npt.NDArray[np.float32]]:
-        """How far each camera sees: ``(H, W)`` float32, as the graphics library keeps it."""
-        return [np.asarray(camera.depth, np.float32) for camera in self._race.render_data]
+    def depths(self) -> npt.NDArray[np.float32]:
+        """How far each camera sees: ``(C, H, W)`` float32, as the graphics library keeps it."""
+        return np.array([camera.depth for camera in self._race.render_data], np.float32)
 
     def locations(self) -> npt.NDArray[np.float32]:
         """Where the drawn karts are: ``(K, 3)`` [m]."""
@@ -91,57 +101,25 @@ class MirroredRace:
         self._race.stop()
 
 
-def _config(pystk2: Any, setup: RaceSetup) -> Any:
-    config = pystk2.RaceConfig(
-        num_kart=len(setup.karts), seed=setup.seed, track=setup.track, laps=_MANY_LAPS
-    )
-    config.reverse = setup.reverse
-    config.step_size = _WARMUP_STEP
-    config.num_cameras = 0  # any other number is that of the first karts, whatever they ask for
-    config.overlay = False
-    config.players.clear()
-    kinds = pystk2.PlayerConfig
-    for kart in setup.karts:
-        config.players.append(
-            kinds(
-                kart=kart.kart,
-                controller=kinds.Controller.PLAYER_CONTROL,
-                camera_mode=kinds.CameraMode(kart.camera_mode),
-                color=kart.color,
-            )
-        )
-    return config
-
-
-def main(port: int, self_destruct_after: int) -> None:
+def main(port: int) -> None:
     """Draws for the program until it is gone."""
     with connected(port, os.environ.pop("STKZOO_GRAPHICS")) as connection:
-        _serve(connection, self_destruct_after)
+        _RenderServer(connection).run()
 
 
-def _serve(connection: socket.socket, self_destruct_after: int) -> None:
-    race: MirroredRace | None = None
-    while True:
-        try:
-            kind, frames = wire.receive(connection)
-            set_alarm(self_destruct_after)
-            answer: list[bytes] = []
-            with _ending_with(connection):
-                if kind == wire.BEGIN:
-                    if race is not None:
-                        race.stop()
-                        race = None  # the engine counts a race until its object is gone
-                    race = MirroredRace(RaceSetup.from_json(frames[0]))
-                elif kind == wire.DRAW and race is not None:
-                    answer = _draw(race, *frames)
-                else:
-                    return
-            wire.send(connection, wire.OK, *answer)
-        except (EOFError, OSError):
-            return
-        except Exception as error:  # noqa: BLE001 - the program reports it
-            wire.send(connection, wire.ERROR, describe(error))
-        set_alarm(0)
+class _RenderServer(RequestServer):
+    """Serves the requests of a :class:`stkzoo.engine.render_session.RenderSession`."""
+
+    def _serve(self, kind: bytes, frames: list[bytes]) -> Sequence[bytes] | None:
+        with _ending_with(self._connection):
+            return super()._serve(kind, frames)
+
+    def _begin(self, setup: RaceSetup) -> Sequence[bytes]:
+        self._race = MirroredRace(setup)
+        return []
+
+    def _advance(self, *frames: bytes) -> Sequence[bytes]:
+        return _draw(self._race, *frames)
 
 
 def _draw(race: MirroredRace, request: bytes, poses: bytes) -> list[bytes]:
@@ -149,16 +127,13 @@ def _draw(race: MirroredRace, request: bytes, poses: bytes) -> list[bytes]:
     wishes = json.loads(request)
     moments = np.frombuffer(poses, np.float32).reshape(-1, len(race.locations()), _POSE_SIZE)
     race.follow(moments, wishes["seconds"], in_real_time=wishes["in_real_time"])
-    images = race.pictures() if wishes["images"] else []
-    depths = race.depths() if wishes["depths"] else []
-    shape = (images or depths)[0].shape[:2] if images or depths else (0, 0)
-    facts = {"images": len(images), "depths": len(depths), "height": shape[0], "width": shape[1]}
-    return [
-        json.dumps(facts).encode(),
-        b"".join(image.tobytes() for image in images),
-        b"".join(depth.tobytes() for depth in depths),
-        race.locations().tobytes(),
-    ]
+    arrays = (
+        race.pictures() if wishes["images"] else np.empty((0, 0, 0, 3), np.uint8),
+        race.depths() if wishes["depths"] else np.empty((0, 0, 0), np.float32),
+        race.locations(),
+    )
+    shapes = json.dumps([array.shape for array in arrays])
+    return [shapes.encode(), *(array.tobytes() for array in arrays)]
 
 
 @contextlib.contextmanager

@@ -14,7 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine import wire
-from stkzoo.engine.process import DRAWING_START_TIMEOUT, RaceProcess, start_render_process
+from stkzoo.engine.process import (
+    DRAWING_START_TIMEOUT,
+    RaceProcess,
+    SpawnedProcess,
+    explain_os_errors,
+)
 from stkzoo.engine.session import ProcessSession
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.errors import ConfigError, EngineCrashed
@@ -150,15 +155,11 @@ class RenderSession(ProcessSession):
         moments = np.ascontiguousarray(poses, np.float32).tobytes()
         self._require_own()
         request = json.dumps(wishes).encode()
-        facts, image, depth, places = self._request(wire.DRAW, request, moments)
+        shapes, *blocks = self._request(wire.DRAW, request, moments)
         self._timeouts[wire.DRAW] = self._timeout
-        shape: dict[str, int] = json.loads(facts)
-        height, width = shape["height"], shape["width"]
-        return Footage(
-            np.frombuffer(image, np.uint8).reshape(shape["images"], height, width, 3),
-            np.frombuffer(depth, np.float32).reshape(shape["depths"], height, width),
-            np.frombuffer(places, np.float32).reshape(-1, 3),
-        )
+        kinds: tuple[type[Any], ...] = np.uint8, np.float32, np.float32
+        parts = zip(blocks, kinds, json.loads(shapes), strict=True)
+        return Footage(*(np.frombuffer(data, kind).reshape(shape) for data, kind, shape in parts))
 
     def _request(self, kind: bytes, *data: bytes) -> list[bytes]:
         try:
@@ -170,7 +171,8 @@ class RenderSession(ProcessSession):
 
     def _start_process(self) -> RaceProcess:
         try:
-            return start_render_process(self._root, self._graphics, self._variables())
+            with explain_os_errors():
+                return SpawnedProcess(self._root, "render_process", self._variables())
         except EngineCrashed as error:
             if not self._has_window:
                 raise
@@ -182,12 +184,13 @@ class RenderSession(ProcessSession):
             ) from None
 
     def _variables(self) -> dict[str, str]:
+        graphics = {"STKZOO_GRAPHICS": self._graphics}
         if sys.platform != "linux":
-            return {}
+            return graphics
         mesa = {} if has_graphics_card() else {"MESA_EXTENSION_OVERRIDE": _NO_ANISOTROPY}
         if not self._has_window:
-            return {"SDL_VIDEODRIVER": "offscreen", **mesa}
-        return {**mesa, **_window_variables()}
+            return {"SDL_VIDEODRIVER": "offscreen", **mesa, **graphics}
+        return {**mesa, **_window_variables(), **graphics}
 
 
 def _window_variables() -> dict[str, str]:

@@ -7,9 +7,9 @@ import contextlib
 import ctypes
 import os
 import weakref
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -31,15 +31,26 @@ from stkzoo.errors import ApiOrderError, EngineCrashed, EngineError, EngineTimeo
 Controls = npt.NDArray[np.float32]
 
 
-class Session(Protocol):
+#: Why a race in this process cannot be saved and copied.
+_NO_COPIES = (
+    "a race's state can be saved and copied only while it runs in a separate process; leave "
+    "use_subprocess at True"
+)
+
+
+class Session(ABC):
     """Runs races for one environment, one at a time."""
 
+    @abstractmethod
     def start(self, setup: RaceSetup) -> RaceStart:
         """Ends the race before and starts another; returns when the karts are on the grid."""
 
     def step(self, controls: Controls) -> Snapshot:
         """:meth:`step_async` and :meth:`step_wait` in one."""
+        self.step_async(controls)
+        return self.step_wait()
 
+    @abstractmethod
     def step_async(self, controls: Controls) -> None:
         """Requests one step; a separate process takes it while the caller goes on.
 
@@ -51,6 +62,7 @@ class Session(Protocol):
             EngineCrashed: the game's process died.
         """
 
+    @abstractmethod
     def step_wait(self) -> Snapshot:
         """The moment after the step that :meth:`step_async` requested.
 
@@ -65,14 +77,17 @@ class Session(Protocol):
         Raises:
             EngineError: races cannot be copied here, or the game's process has failed.
         """
+        raise EngineError(_NO_COPIES)
 
-    def resume(self, other: Session) -> None:
+    def resume(self, other: Session) -> None:  # noqa: ARG002 - the interface
         """Ends this session's race and continues with a copy of another's present moment.
 
         Raises:
             EngineError: as for :meth:`branch`; this session's race goes on.
         """
+        raise EngineError(_NO_COPIES)
 
+    @abstractmethod
     def close(self) -> None:
         """Ends the race. You may call it again; :meth:`start` still works."""
 
@@ -173,7 +188,7 @@ class ProcessSession:
             raise EngineCrashed(f"{self.what} {how}; {self.remedy}", log) from None
 
 
-class WorkerSession(ProcessSession):
+class WorkerSession(ProcessSession, Session):
     """Races in processes of their own: each race in a new one, so its results repeat bit for bit.
 
     Args:
@@ -193,11 +208,6 @@ class WorkerSession(ProcessSession):
         """See :meth:`Session.start`."""
         self.start_async(setup)
         return self.start_wait()
-
-    def step(self, controls: Controls) -> Snapshot:
-        """See :meth:`Session.step`."""
-        self.step_async(controls)
-        return self.step_wait()
 
     def start_async(self, setup: RaceSetup) -> None:
         """Requests a race; :meth:`start_wait` returns it."""
@@ -247,17 +257,11 @@ class WorkerSession(ProcessSession):
             raise
 
 
-#: Why a race in this process cannot be saved and copied.
-_NO_COPIES = (
-    "a race's state can be saved and copied only while it runs in a separate process; leave "
-    "use_subprocess at True"
-)
-
-#: The session that holds the engine of this process, if any.
-_holder: weakref.ref[LocalSession] | None = None
+#: The sessions of this process whose race may hold its engine.
+_local_sessions: weakref.WeakSet[LocalSession] = weakref.WeakSet()
 
 
-class LocalSession:
+class LocalSession(Session):
     """Races in this process, one at a time.
 
     With game bots, the second and later races of a process do not repeat bit for bit,
@@ -266,6 +270,7 @@ class LocalSession:
     """
 
     def __init__(self, root: Path) -> None:
+        _local_sessions.add(self)
         self._root = root
         self._race: GameRace | None = None
         self._controls: Controls | None = None
@@ -273,16 +278,16 @@ class LocalSession:
     def start(self, setup: RaceSetup) -> RaceStart:
         """See :meth:`Session.start`."""
         self.close()
-        self._take_engine()
+        if any(session._race is not None for session in _local_sessions):
+            raise ApiOrderError(
+                "use_subprocess=False runs the game in this process, which can hold one race "
+                "at a time, and another environment's race is running; close that "
+                "environment first, or leave use_subprocess at True"
+            )
         with _quiet_output():
             _init_here(self._root)
             self._race = GameRace(setup)
             return self._race.begin()
-
-    def step(self, controls: Controls) -> Snapshot:
-        """See :meth:`Session.step`."""
-        self.step_async(controls)
-        return self.step_wait()
 
     def step_async(self, controls: Controls) -> None:
         """See :meth:`Session.step_async`; nothing moves before :meth:`step_wait` here."""
@@ -297,14 +302,6 @@ class LocalSession:
             raise ApiOrderError("there is no request to wait for")
         return self._race.step(controls)
 
-    def branch(self) -> Session:
-        """See :meth:`Session.branch`; refused here."""
-        raise EngineError(_NO_COPIES)
-
-    def resume(self, other: Session) -> None:  # noqa: ARG002 - the interface
-        """See :meth:`Session.resume`; refused here."""
-        raise EngineError(_NO_COPIES)
-
     def close(self) -> None:
         """See :meth:`Session.close`."""
         race, self._race, self._controls = self._race, None, None
@@ -313,17 +310,6 @@ class LocalSession:
 
     def __del__(self) -> None:
         self.close()
-
-    def _take_engine(self) -> None:
-        global _holder
-        other = _holder() if _holder else None
-        if other is not None and other is not self and other._race is not None:
-            raise ApiOrderError(
-                "use_subprocess=False runs the game in this process, which can hold one race "
-                "at a time, and another environment's race is running; close that "
-                "environment first, or leave use_subprocess at True"
-            )
-        _holder = weakref.ref(self)
 
 
 @contextlib.contextmanager

@@ -19,9 +19,6 @@ from stkzoo.kernel import layouts
 #: The parts of a kart's control, in the order of the control arrays' last axis.
 CONTROLS = ("acceleration", "steer", "brake", "drift", "fire", "nitro", "rescue")
 
-#: One kart's control; buttons are 0 or 1.
-CONTROL_DTYPE = np.dtype([(name, "f4") for name in CONTROLS])
-
 HEADER_DTYPE = np.dtype(
     [
         ("time", "f4"),  # race clock since GO [s]
@@ -72,12 +69,8 @@ KART_DTYPE = np.dtype(
 
 ITEM_DTYPE = np.dtype([("location", "f4", 3), ("size", "f4"), ("type", "i4"), ("id", "i4")])
 
-_PHASE_AT = int(HEADER_DTYPE.fields["phase"][1])  # type: ignore[index]
-_COUNTS_AT = int(HEADER_DTYPE.fields["num_kart"][1])  # type: ignore[index]
-_RUNNING_AT = int(HEADER_DTYPE.fields["running"][1])  # type: ignore[index]
-_INT = struct.Struct("=i")
-#: The numbers of karts and items.
-_COUNTS = struct.Struct("=ii")
+#: The fields of :data:`HEADER_DTYPE`; numpy takes longer to read one.
+_HEADER = struct.Struct("=ffiiii")
 
 
 _OFFSETS = [
@@ -122,8 +115,7 @@ class Snapshot:
     @cached_property
     def karts(self) -> npt.NDArray[np.void]:
         """``(K,)`` records of :data:`KART_DTYPE`, in the order of the starting grid."""
-        count, _ = self._counts
-        return np.frombuffer(self.data, KART_DTYPE, count, offset=HEADER_DTYPE.itemsize)
+        return np.frombuffer(self.data, KART_DTYPE, self._head[3], offset=HEADER_DTYPE.itemsize)
 
     @cached_property
     def items(self) -> npt.NDArray[np.void]:
@@ -131,21 +123,20 @@ class Snapshot:
 
         ``M`` changes in a race when bubble gum is dropped.
         """
-        num_kart, count = self._counts
+        _, _, _, num_kart, count, _ = self._head
         begin = HEADER_DTYPE.itemsize + num_kart * KART_DTYPE.itemsize
         return np.frombuffer(self.data, ITEM_DTYPE, count, offset=begin)
 
     @property
     def phase(self) -> int:
         """Number of :class:`stkzoo.names.Phase`."""
-        return int(_INT.unpack_from(self.data, _PHASE_AT)[0])
+        return self._head[2]
 
     @property
     def running(self) -> bool:
         """Whether some player kart is still racing."""
-        return bool(_INT.unpack_from(self.data, _RUNNING_AT)[0])
+        return bool(self._head[5])
 
     @property
-    def _counts(self) -> tuple[int, int]:
-        num_kart, num_items = _COUNTS.unpack_from(self.data, _COUNTS_AT)
-        return num_kart, num_items
+    def _head(self) -> tuple[float, float, int, int, int, int]:
+        return _HEADER.unpack_from(self.data)

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.config import Start
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.errors import ConfigError
 
@@ -60,12 +59,10 @@ def put_karts(
         ConfigError: a place is off the road, or a kart does not stay there.
     """
     road = CentreLine(track)
-    _check_speeds(setup)
-    count = len(setup.starts)
-    places = [_Place(road, start, number, count) for number, start in enumerate(setup.starts)]
-    actions = [make_action() for kart in setup.karts if not kart.is_bot]
+    places = [_Place(road, setup, kart) for kart in range(len(setup.starts))]
+    players = [number for number, kart in enumerate(setup.karts) if not kart.is_bot]
     race.config.step_size = _TICK
-    mover = _Mover(race, world, actions, [kart.is_bot for kart in setup.karts])
+    mover = _Mover(race, world, {kart: make_action() for kart in players})
     mover.wait_for_go()
     _lead(mover, road, places)
     _set_down(mover, places)
@@ -74,22 +71,18 @@ def put_karts(
     _check(mover, places)
 
 
-def _check_speeds(setup: RaceSetup) -> None:
-    top = _TOP_SPEEDS[setup.difficulty]
-    for kart, start in enumerate(setup.starts):
+class _Place:
+    """A kart's start in the world."""
+
+    def __init__(self, road: CentreLine, setup: RaceSetup, kart: int) -> None:
+        self.kart, self.start = kart, setup.starts[kart]
+        start, top = self.start, _TOP_SPEEDS[setup.difficulty]
         if start.speed > top:
             raise ConfigError(
                 f"the start of kart {kart} asks for {start.speed:.1f} m/s, but karts reach "
                 f"{top:.0f} m/s at difficulty {setup.difficulty}"
             )
-
-
-class _Place:
-    """A kart's start in the world."""
-
-    def __init__(self, road: CentreLine, start: Start, kart: int, count: int) -> None:
-        self.kart, self.start = kart, start
-        self.side = ((kart + 0.5) / count - 0.5) * 3.0
+        self.side = ((kart + 0.5) / len(setup.starts) - 0.5) * 3.0
         self.distance = (
             float(start.distance)
             if start.distance is not None
@@ -125,30 +118,25 @@ class _Place:
 class _Mover:
     """Moves karts and the game, tick by tick."""
 
-    def __init__(self, race: Any, world: Any, actions: list[Any], is_bot: list[bool]) -> None:
+    def __init__(self, race: Any, world: Any, actions: dict[int, Any]) -> None:
         self.world = world
-        self._race, self._actions = race, actions
-        players = iter(range(len(actions)))
-        self._action_of = [None if bot else next(players) for bot in is_bot]
+        self._race, self._actions = race, actions  # of the karts that are no bots
+        self._arguments = [list(actions.values())] if actions else []
 
     def tick(self) -> None:
-        if self._actions:
-            self._race.step(self._actions)
-        else:
-            self._race.step()
+        self._race.step(*self._arguments)
         self.world.update()
 
     def put(self, kart: int, point: FloatArray, rotation: list[float], speed: float = 0.0) -> None:
         self.world.set_kart_location(kart, point.tolist(), rotation, speed)
 
     def throttle(self, kart: int, value: float) -> None:
-        row = self._action_of[kart]
-        if row is not None:
-            self._actions[row].acceleration = value
+        if kart in self._actions:
+            self._actions[kart].acceleration = value
 
     def drives(self, kart: int) -> bool:
         """Whether the kart follows our actions; bots do not."""
-        return self._action_of[kart] is not None
+        return kart in self._actions
 
     def wait_for_go(self) -> None:
         for _ in range(1000):
@@ -290,12 +278,10 @@ class CentreLine:
         marks = np.asarray(track.path_distance, np.float64)
         widths = np.asarray(track.path_width, np.float64).reshape(-1)
         chain = _main_line(track.successors)
-        self._marks = marks[chain].ravel()
-        self._points = nodes[chain].reshape(-1, 3)
-        self._half_widths = np.repeat(widths[chain] / 2, 2)
-        order = np.argsort(self._marks, kind="stable")
-        self._marks, self._points = self._marks[order], self._points[order]
-        self._half_widths = self._half_widths[order]
+        order = np.argsort(marks[chain].ravel(), kind="stable")
+        self._marks = marks[chain].ravel()[order]
+        self._points = nodes[chain].reshape(-1, 3)[order]
+        self._half_widths = np.repeat(widths[chain] / 2, 2)[order]
 
     def point(self, distance: float) -> FloatArray:
         """The centre line ``(3,)`` [m] at a distance [m]."""

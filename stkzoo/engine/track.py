@@ -6,6 +6,8 @@ import functools
 import json
 import struct
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +20,7 @@ IntArray = npt.NDArray[np.intp]
 _JSON_SIZE = struct.Struct("<I")
 
 
+@dataclass(eq=False)
 class TrackMap:
     """The graph of segments ("nodes") along a track. All arrays are read-only.
 
@@ -32,23 +35,19 @@ class TrackMap:
         graph: the same as the kernel has it.
     """
 
-    def __init__(
-        self,
-        *,
-        length: float,
-        path_nodes: FloatArray,
-        path_width: FloatArray,
-        path_distance: FloatArray,
-        successors: Sequence[Sequence[int]],
-    ) -> None:
-        self.length = float(length)
-        self.path_nodes = path_nodes
-        self.path_width = path_width
-        self.path_distance = path_distance
-        self.successors = tuple(tuple(nodes) for nodes in successors)
-        for array in (path_nodes, path_width, path_distance):
+    length: float
+    path_nodes: FloatArray
+    path_width: FloatArray
+    path_distance: FloatArray
+    successors: Sequence[Sequence[int]]
+
+    def __post_init__(self) -> None:
+        arrays = self.path_nodes, self.path_width, self.path_distance
+        for array in arrays:
             array.flags.writeable = False
-        self.graph = self._graph()
+        begins = np.cumsum([0, *map(len, self.successors)], dtype=np.intp)
+        successors = np.array([node for nodes in self.successors for node in nodes], np.intp)
+        self.graph = TrackGraph(*arrays, begins, successors, self.length)
         self._orders: dict[int, IntArray] = {}
 
     @property
@@ -77,24 +76,17 @@ class TrackMap:
             self._orders[node] = self.graph.ahead(node)
         return self._orders[node]
 
-    def _graph(self) -> TrackGraph:
-        begins = np.cumsum([0, *map(len, self.successors)], dtype=np.intp)
-        successors = np.array([node for nodes in self.successors for node in nodes], np.intp)
-        arrays = self.path_nodes, self.path_width, self.path_distance, begins, successors
-        return TrackGraph(*arrays, self.length)
 
+def encode_track(track: Any) -> bytes:
+    """A track as one block of bytes, for :func:`decode_track`.
 
-def encode_track(
-    length: float,
-    path_nodes: FloatArray,
-    path_width: FloatArray,
-    path_distance: FloatArray,
-    successors: Sequence[Sequence[int]],
-) -> bytes:
-    """A track as one block of bytes, for :func:`decode_track`."""
-    facts = json.dumps({"length": length, "successors": successors}).encode()
-    arrays = (np.ascontiguousarray(a, "f4") for a in (path_nodes, path_width, path_distance))
-    return b"".join([_JSON_SIZE.pack(len(facts)), facts, *(a.tobytes() for a in arrays)])
+    Args:
+        track: has the attributes of a :class:`TrackMap`, as a ``pystk2.Track`` does.
+    """
+    facts = json.dumps({"length": track.length, "successors": track.successors}).encode()
+    arrays = track.path_nodes, track.path_width, track.path_distance
+    blocks = (np.ascontiguousarray(array, "f4").tobytes() for array in arrays)
+    return b"".join([_JSON_SIZE.pack(len(facts)), facts, *blocks])
 
 
 @functools.lru_cache(maxsize=64)
@@ -103,13 +95,8 @@ def decode_track(data: bytes) -> TrackMap:
     (size,) = _JSON_SIZE.unpack_from(data)
     start = _JSON_SIZE.size + size
     facts = json.loads(data[_JSON_SIZE.size : start])
-    num_nodes = len(facts["successors"])
+    count = len(facts["successors"])
     numbers = np.frombuffer(data, "f4", offset=start).copy()  # aligned
-    nodes, widths, distances = np.split(numbers, [6 * num_nodes, 7 * num_nodes])
-    return TrackMap(
-        length=facts["length"],
-        path_nodes=nodes.reshape(num_nodes, 2, 3),
-        path_width=widths.reshape(num_nodes, 1),
-        path_distance=distances.reshape(num_nodes, 2),
-        successors=facts["successors"],
-    )
+    nodes, widths, distances = np.split(numbers, [6 * count, 7 * count])
+    shaped = nodes.reshape(count, 2, 3), widths.reshape(count, 1), distances.reshape(count, 2)
+    return TrackMap(facts["length"], *shaped, facts["successors"])

@@ -7,19 +7,23 @@ each end waits for the other's, so one read of a connection holds one message.
 
 from __future__ import annotations
 
-import os
+import json
 import socket
 import struct
 import threading
+import traceback
 from collections.abc import Sequence
 
-#: Requests: start a race (JSON), advance it (control array), end, and clone the process. To
-#: clone, the process sends an empty reply, receives a connection and a log for the clone
-#: (:func:`send_files`), and replies with the clone's process id. The clone sends an empty
-#: reply on its own connection.
-BEGIN, ACT, QUIT, FORK = b"B", b"A", b"Q", b"F"
+#: Requests: start a race (JSON), and advance it (control array).
+BEGIN, ACT = b"B", b"A"
+#: Request to fork the process, which brings a connection and a log for the new one. There is no
+#: reply: the new process sends its process id on its own connection.
+FORK = b"F"
+#: Requests to a fork server, with a child's process id: end the child and reply with its id and
+#: its wait status; and end it without a reply.
+END, DROP = b"X", b"D"
 #: Request to the render process (:mod:`stkzoo.engine.render_process`): move the karts and draw.
-DRAW = b"D"
+DRAW = b"P"
 #: Replies: the requested bytes, or a JSON object with ``type``, ``message``, ``traceback``.
 OK, ERROR = b"O", b"E"
 
@@ -38,10 +42,14 @@ def pair() -> tuple[socket.socket, socket.socket]:
     return socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
 
 
-def send(connection: socket.socket, kind: bytes, *frames: bytes) -> None:
-    """Sends one message."""
+def send(connection: socket.socket, kind: bytes, *frames: bytes, files: Sequence[int] = ()) -> None:
+    """Sends one message, and open files by their descriptors to a process on this machine."""
     head = struct.pack(f"<cB{len(frames)}I", kind, len(frames), *map(len, frames))
-    connection.sendall(b"".join([head, *frames]))
+    message = b"".join([head, *frames])
+    if files:
+        socket.send_fds(connection, [message], files)
+    else:
+        connection.sendall(message)
 
 
 def receive(connection: socket.socket) -> tuple[bytes, list[bytes]]:
@@ -53,6 +61,15 @@ def receive(connection: socket.socket) -> tuple[bytes, list[bytes]]:
     """
     room = _read_buffer.bytes
     return complete(connection, bytes(room[: connection.recv_into(room)]))
+
+
+def receive_with_files(connection: socket.socket) -> tuple[bytes, list[bytes], list[int]]:
+    """:func:`receive`, and the descriptors of at most two open files, which the caller owns.
+
+    Fewer come where this process may open no more.
+    """
+    data, files, _, _ = socket.recv_fds(connection, _ONE_READ, 2)
+    return (*complete(connection, data), list(files))
 
 
 def complete(connection: socket.socket, data: bytes) -> tuple[bytes, list[bytes]]:
@@ -78,29 +95,11 @@ def complete(connection: socket.socket, data: bytes) -> tuple[bytes, list[bytes]
     return kind, frames
 
 
-def send_files(connection: socket.socket, files: Sequence[int]) -> None:
-    """Sends open files by their descriptors, to a process on this machine.
-
-    They travel with one byte of their own, which keeps the stream of messages in order.
-    """
-    socket.send_fds(connection, [b"f"], files)
-
-
-def receive_files(connection: socket.socket, count: int) -> list[int]:
-    """Waits for the files of one :func:`send_files`; the caller owns the descriptors.
-
-    Raises:
-        EOFError: the other end is gone.
-        OSError: another number of files came, or this process may open no more.
-    """
-    data, files, _, _ = socket.recv_fds(connection, 1, count)
-    if not data:
-        raise EOFError("the connection was closed")
-    if len(files) != count:
-        for file in files:
-            os.close(file)
-        raise OSError(f"{len(files)} of {count} open files came; are too many open?")
-    return list(files)
+def send_error(connection: socket.socket, error: Exception) -> None:
+    """Replies with the error that is being handled."""
+    facts = {"type": type(error).__name__, "message": str(error)}
+    text = json.dumps({**facts, "traceback": traceback.format_exc()})
+    send(connection, ERROR, text.encode())
 
 
 class _ReadBuffer(threading.local):

@@ -1,36 +1,41 @@
 """The engine process's side: starts the engine and serves a program's requests for races.
 
 :func:`main` runs in an interpreter that a program has started for one race, where forking is
-not available. Children of the fork server call :func:`serve` alone.
+not available. Children of the fork server run a :class:`RaceServer` alone.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import shutil
 import signal
 import socket
-import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any
 
-from stkzoo.engine import process_clone, wire
+from stkzoo.engine import wire
+from stkzoo.engine.process_clone import fork_beside, serve_fork
 from stkzoo.engine.race import GameRace, init_engine
 from stkzoo.engine.setup import RaceSetup
+from stkzoo.engine.snapshot import Snapshot
+
+#: A request that still runs after this many seconds ends the engine process from inside, so that
+#: a game that hangs cannot outlive a program that can no longer end it.
+_SELF_DESTRUCT_SECONDS = 600
 
 
 @contextlib.contextmanager
-def connected(port: int, graphics: str = "none") -> Iterator[socket.socket]:
+def connected(port: int, *graphics: str) -> Iterator[socket.socket]:
     """Starts the engine, connects back to the program, and ends this process afterwards.
 
     Args:
         port: where the program listens.
-        graphics: as in :func:`stkzoo.engine.race.init_engine`.
+        *graphics: of :func:`stkzoo.engine.race.init_engine`.
     """
     token = bytes.fromhex(os.environ.pop("STKZOO_TOKEN"))
     try:
-        init_engine(graphics)
+        init_engine(*graphics)
         with socket.create_connection(("127.0.0.1", port)) as connection:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             connection.sendall(token)
@@ -40,96 +45,102 @@ def connected(port: int, graphics: str = "none") -> Iterator[socket.socket]:
     os._exit(0)
 
 
-def main(port: int, self_destruct_after: int) -> None:
+def main(port: int) -> None:
     """Serves the program's requests until it is gone."""
     with connected(port) as connection:
-        serve(connection, self_destruct_after=self_destruct_after)
+        RaceServer(connection).run()
 
 
-def serve(
-    connection: socket.socket, *, self_destruct_after: int, fork_server: int | None = None
-) -> None:
-    """Serves requests until the program quits or is gone.
+class RequestServer:
+    """Serves the requests of one program, one race after another.
 
     Args:
         connection: socket to the program.
-        self_destruct_after: seconds after which a single request that is still running
-            ends this process, so that a game that hangs cannot outlive a program that
-            can no longer end it. A child of a fork server ends with it instead.
-        fork_server: process id of the parent, if that is a fork server. Clones of this process
-            become its children; without a fork server this process cannot be cloned.
     """
-    race: GameRace | None = None
-    has_alarm = fork_server is None
-    while True:
-        try:
-            kind, frames = _next_request(connection, race, fork_server)
-            if has_alarm:
-                set_alarm(self_destruct_after)
-            if kind == wire.ACT and race is not None:
-                wire.send(connection, wire.OK, race.step(frames[0]).data)
-            elif kind == wire.BEGIN:
-                if race is not None:
-                    race.stop()
-                    race = None  # the engine counts a race until its object is gone
-                race = GameRace(RaceSetup.from_json(frames[0]))
-                wire.send(connection, wire.OK, *race.begin().to_frames())
-            elif kind == wire.FORK and fork_server is not None:
-                connection = _fork(connection, fork_server)
-            else:
+
+    _race: Any = None
+    _has_alarm = hasattr(signal, "alarm")
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+
+    def run(self) -> None:
+        """Serves requests until the program is gone."""
+        while True:
+            try:
+                kind, frames = self._next_request()
+                self._set_alarm(_SELF_DESTRUCT_SECONDS)
+                reply = self._serve(kind, frames)
+                if reply is not None:
+                    wire.send(self._connection, wire.OK, *reply)
+            except (EOFError, ConnectionError):
                 return
-        except (EOFError, ConnectionError):
-            return
-        except Exception as error:  # noqa: BLE001 - the program reports it
-            wire.send(connection, wire.ERROR, describe(error))
-        if has_alarm:
-            set_alarm(0)
+            except Exception as error:  # noqa: BLE001 - the program reports it
+                wire.send_error(self._connection, error)
+            self._set_alarm(0)
+
+    def _next_request(self) -> tuple[bytes, list[bytes]]:
+        return wire.receive(self._connection)
+
+    def _serve(self, kind: bytes, frames: list[bytes]) -> Sequence[bytes] | None:
+        """Carries out a request and returns the reply, if there is one."""
+        if kind != wire.BEGIN:
+            return self._advance(*frames)
+        if self._race is not None:
+            self._race.stop()
+            self._race = None  # the engine counts a race until its object is gone
+        return self._begin(RaceSetup.from_json(frames[0]))
+
+    def _begin(self, setup: RaceSetup) -> Sequence[bytes]:
+        raise NotImplementedError
+
+    def _advance(self, *frames: bytes) -> Sequence[bytes]:
+        raise NotImplementedError
+
+    def _set_alarm(self, seconds: int) -> None:
+        """Ends this process after ``seconds``, where the system can; 0 cancels it."""
+        if self._has_alarm:
+            signal.alarm(seconds)
 
 
-def _next_request(
-    connection: socket.socket, race: GameRace | None, fork_server: int | None
-) -> tuple[bytes, list[bytes]]:
-    """The next request that is not a step; the kernel takes the steps before it.
+class RaceServer(RequestServer):
+    """Serves the requests of a :class:`stkzoo.engine.session.WorkerSession`.
 
-    Only children of a fork server have a packet socket, and need no alarm.
+    Args:
+        connection: socket to the program.
+        fork_server: process id of the parent, if that is a fork server. Clones of this process
+            become its children; without a fork server this process cannot be cloned. A child of
+            a fork server ends with it and needs no alarm.
     """
-    if race is None or fork_server is None or not race.can_serve:
-        return wire.receive(connection)
-    return wire.complete(connection, race.serve(connection))
 
+    def __init__(self, connection: socket.socket, fork_server: int | None = None) -> None:
+        super().__init__(connection)
+        self._fork_server = fork_server
+        self._has_alarm = self._has_alarm and fork_server is None
 
-def _fork(connection: socket.socket, fork_server: int) -> socket.socket:
-    """Clones this process; returns the connection to serve, a new one in the clone."""
-    wire.send(connection, wire.OK)
-    session_fd, log_fd = wire.receive_files(connection, 2)
-    try:
-        pid = process_clone.fork_beside(fork_server)
-    except OSError:
-        os.close(session_fd)
-        os.close(log_fd)
-        raise
-    if pid:
-        os.close(session_fd)
-        os.close(log_fd)
-        wire.send(connection, wire.OK, str(pid).encode())
-    else:
-        connection = process_clone.move_to(connection, session_fd, log_fd)
-        wire.send(connection, wire.OK)
-    return connection
+    def _next_request(self) -> tuple[bytes, list[bytes]]:
+        """The next request that is not a step; the kernel takes the steps before it.
 
+        Only children of a fork server have a packet socket.
+        """
+        serve = self._race.serve if self._race is not None and self._fork_server else None
+        if serve is None:
+            return super()._next_request()
+        return wire.complete(self._connection, serve(self._connection.fileno()))
 
-def set_alarm(seconds: int) -> None:
-    """Ends this process after ``seconds``, where the system can; 0 cancels it."""
-    if hasattr(signal, "alarm"):
-        signal.alarm(seconds)
+    def _serve(self, kind: bytes, frames: list[bytes]) -> Sequence[bytes] | None:
+        if kind != wire.FORK or self._fork_server is None:
+            return super()._serve(kind, frames)
+        # The kernel takes no files, so they come with a second message.
+        _, _, files = wire.receive_with_files(self._connection)
+        session = serve_fork(self._connection, files, fork_beside, self._fork_server)
+        self._connection = session or self._connection
+        return None
 
+    def _begin(self, setup: RaceSetup) -> Sequence[bytes]:
+        race = self._race = GameRace(setup)
+        return race.begin().to_frames()
 
-def describe(error: Exception) -> bytes:
-    """The error that is being handled, as the content of a reply of kind ``ERROR``."""
-    return json.dumps(
-        {
-            "type": type(error).__name__,
-            "message": str(error),
-            "traceback": traceback.format_exc(),
-        }
-    ).encode()
+    def _advance(self, *frames: bytes) -> Sequence[bytes]:
+        snapshot: Snapshot = self._race.step(frames[0])
+        return [snapshot.data]

@@ -19,10 +19,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
-from hashlib import sha256
 from pathlib import Path
 
-from stkzoo.engine.assets.headless import SUMS, read_archive
+from stkzoo.engine.assets.headless import read_archive
 from stkzoo.engine.assets.staging import Progress
 from stkzoo.env.scenario import Scenario
 from stkzoo.errors import AssetError, ConfigError, ProtocolError
@@ -234,17 +233,12 @@ def _feed_archive(data: bytes) -> None:
 
 
 def _tar_of(data: bytes) -> bytes:
-    """The bytes themselves, or an archive whose files they name and fill, sums and all."""
+    """The bytes themselves, or an archive whose files they name and fill."""
     if not data or data[0] % 4 == 0:
         return data[1:]
     form = io.BytesIO()
     with tarfile.open(fileobj=form, mode="w:xz", preset=0) as archive:
         parts = [part.partition(b"=") for part in data[1:].split(b"\n")]
-        sums = "".join(
-            f"{sha256(content).hexdigest()}  {name[1:].decode(errors='replace')}\n"
-            for name, _, content in parts
-        )
-        _add(archive, SUMS, sums.encode())
         for name, _, content in parts:
             kinds = (tarfile.REGTYPE, tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.CHRTYPE)
             kind = kinds[name[0] % 4] if name and data[0] % 4 == 1 else tarfile.REGTYPE

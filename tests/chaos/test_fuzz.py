@@ -3,9 +3,7 @@
 By hand, by the million: ``python -m benchmarks.fuzz``.
 """
 
-import hashlib
 import importlib.util
-import io
 import itertools
 import json
 import os
@@ -106,11 +104,7 @@ def test_a_plan_of_more_races_than_can_be_is_refused():
 def test_an_archive_with_a_name_that_cannot_be_is_refused(tmp_path, name):
     file = tmp_path / "pack.tar.xz"
     with tarfile.open(file, "w:xz") as archive:
-        sums = f"{hashlib.sha256(b'').hexdigest()}  {name}\n".encode()
-        for member, content in (("SHA256SUMS", sums), (name, b"")):
-            about = tarfile.TarInfo(member)
-            about.size = len(content)
-            archive.addfile(about, io.BytesIO(content))
+        archive.addfile(tarfile.TarInfo(name))
     (tmp_path / "target").mkdir()
     with pytest.raises(AssetError):
         read_archive(file, tmp_path / "target", Progress())

@@ -16,7 +16,6 @@ from stkzoo.engine.assets.fetch import unpack_package
 from stkzoo.engine.assets.headless import (
     PLACEHOLDER_JPEG,
     PLACEHOLDER_PNG,
-    SUMS,
     build_headless,
 )
 from stkzoo.engine.assets.staging import check_space, lock
@@ -52,8 +51,8 @@ os._exit(0)
 CRASHING_INSTALL = """
 import sys, time
 from stkzoo.engine.assets.find import cache_folder
-from stkzoo.engine.assets.staging import Progress, lock, staging_folder
-with lock(cache_folder(), Progress()), staging_folder(cache_folder()) as folder:
+from stkzoo.engine.assets.staging import Progress, fresh_folder, lock
+with lock(cache_folder(), Progress()), fresh_folder(cache_folder()) as folder:
     (folder / "half").write_text("half")
     print(folder, flush=True)
     time.sleep(float(sys.argv[1]))
@@ -122,7 +121,7 @@ def system(cache, tmp_path, monkeypatch):  # noqa: ARG001 - a fixture on a fixtu
 def headless(system):  # noqa: ARG001 - a fixture on a fixture
     """The root of a headless pack of the installed game."""
     install()
-    return find.headless_folder()
+    return find.own_folder("headless")
 
 
 def visible(folder):
@@ -176,7 +175,7 @@ class TestFinding:
 
     @pytest.mark.usefixtures("headless")
     def test_environment_comes_first(self, monkeypatch):
-        monkeypatch.setenv("SUPERTUXKART_DATADIR", str(find.overlay_folder()))
+        monkeypatch.setenv("SUPERTUXKART_DATADIR", str(find.own_folder("system")))
         assert find_assets().source == "environment"
 
     @pytest.mark.usefixtures("headless")
@@ -263,7 +262,7 @@ class TestFinding:
 
     def test_survey_says_what_is_wrong_with_each_place(self, headless):
         (headless / MARKER).write_text("{")
-        assert "damaged" in survey()[0].problem
+        assert "damaged" in next(survey()).problem
 
 
 class TestInstalling:
@@ -319,7 +318,7 @@ class TestInstalling:
 
     @pytest.mark.usefixtures("system")
     def test_two_installs_at_once_make_one_good_pack(self):
-        root = find.full_folder()
+        root = find.own_folder("full")
         root.mkdir(parents=True)
         find_assets().root.joinpath("data").rename(root / "data")
         write_marker(root, "a test", headless=False)
@@ -419,7 +418,7 @@ class TestDebianPackage:
 
     def test_file_that_differs_from_the_packages_list_is_told(self, tmp_path):
         package = make_package(tmp_path / "package", spoil=True)
-        with pytest.raises(AssetError, match="1 wrong or missing files"):
+        with pytest.raises(AssetError, match=r"wrong or missing files.*FAILED"):
             unpack_package(package, self.empty(tmp_path), Progress())
 
     def test_truncated_package_is_told(self, package, tmp_path):
@@ -511,13 +510,6 @@ def named(name, kind=tarfile.REGTYPE, target=""):
     return member
 
 
-def with_sum(members, name, data):
-    """Puts a file's sum into the list, so that only its name is wrong."""
-    head, sums = members[0]
-    line = f"{hashlib.sha256(data).hexdigest()}  {name}\n".encode()
-    return [(head, sums + line), *members[1:]]
-
-
 class TestArchive:
     def test_is_the_same_bytes_each_time(self, archive, tmp_path):
         again = pack(output=tmp_path / "again.tar.xz")
@@ -527,11 +519,6 @@ class TestArchive:
         monkeypatch.setenv("STKZOO_CACHE", str(tmp_path / "elsewhere"))
         assert install(archive=archive).root == tmp_path / "elsewhere" / "headless"
         assert content(tmp_path / "elsewhere" / "headless") == content(headless)
-
-    def test_sums_are_those_that_sha256sum_checks(self, archive, tmp_path):
-        subprocess.run(["tar", "-xf", str(archive), "-C", str(tmp_path)], check=True)
-        command = ["sha256sum", "--check", "--strict", "--quiet", SUMS]
-        assert subprocess.run(command, cwd=tmp_path, check=False).returncode == 0
 
     @pytest.mark.usefixtures("headless")
     def test_cannot_be_written_into_a_missing_folder(self, tmp_path):
@@ -557,30 +544,31 @@ class TestArchive:
         archive.write_bytes(data)
         self.refused(archive, "is broken", cache)
 
-    def test_changed_file_is_told(self, archive, cache):
-        rebuild(archive, lambda members: [*members[:-1], (members[-1][0], b"other")])
-        self.refused(archive, "sum does not agree", cache)
+    def test_archive_without_its_marker_is_told(self, archive, cache):
+        rebuild(archive, lambda members: [m for m in members if m[0].name != MARKER])
+        self.refused(archive, "holds no headless pack", cache)
 
-    def test_missing_member_is_told(self, archive, cache):
-        rebuild(archive, lambda members: members[:-1])
-        self.refused(archive, "lacks 1 files", cache)
+    def test_missing_track_is_told(self, archive, cache):
+        name = "data/tracks/alps/track.xml"
+        rebuild(archive, lambda members: [m for m in members if m[0].name != name])
+        self.refused(archive, "has lost 'tracks/alps/track.xml'", cache)
 
-    def test_member_that_is_not_listed_is_told(self, archive, cache):
-        rebuild(archive, lambda members: [*members, (named("data/more.xml"), b"<x/>")])
-        self.refused(archive, "not in its list", cache)
+    def test_member_that_comes_twice_is_told(self, archive, cache):
+        rebuild(archive, lambda members: [*members, members[-1]])
+        self.refused(archive, "comes twice", cache)
 
     @pytest.mark.parametrize(
         "name", ["../evil", "data/../../evil", "/tmp/evil", "evil", "data/..\\evil"]
     )
     def test_member_outside_the_pack_is_told(self, archive, cache, tmp_path, name):
-        rebuild(archive, lambda all_: [*with_sum(all_, name, b"!"), (named(name), b"!")])
+        rebuild(archive, lambda members: [*members, (named(name), b"!")])
         self.refused(archive, "outside the pack", cache)
         assert not (tmp_path / "evil").exists()
 
     @pytest.mark.parametrize("kind", [tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.FIFOTYPE])
     def test_member_that_is_no_plain_file_is_told(self, archive, cache, kind):
         link = named("data/link", kind, "/etc/passwd")
-        rebuild(archive, lambda all_: [*with_sum(all_, "data/link", b""), (link, b"")])
+        rebuild(archive, lambda members: [*members, (link, b"")])
         self.refused(archive, "no plain file", cache)
 
     @staticmethod
@@ -605,7 +593,7 @@ class TestCommandLine:
     @pytest.mark.usefixtures("system")
     def test_install_says_where_the_data_is(self, capsys):
         assert main(["assets", "install"]) == 0
-        assert str(find.headless_folder()) in capsys.readouterr().out
+        assert str(find.own_folder("headless")) in capsys.readouterr().out
 
     @pytest.mark.usefixtures("system")
     def test_pack_writes_the_file(self, tmp_path):

@@ -557,7 +557,7 @@ def test_a_process_out_of_open_files_refuses_a_copy_and_races_on(env):
     expected = drive(started(env))
     started(env)
     resource.prlimit(env._session.pid, resource.RLIMIT_NOFILE, (5, 5))
-    with pytest.raises(EngineError, match="are too many open"):
+    with pytest.raises(EngineError, match="are too many files open"):
         env.save_state()
     assert drive(env) == expected
 
@@ -575,7 +575,7 @@ def test_a_program_out_of_open_files_keeps_its_race():
             while True:
                 states.append(env.save_state())
         except EngineError as error:
-            print(len(states) > 3, "close() some" in str(error))
+            print(len(states) > 3, "close() environments and saved" in str(error))
         states.pop().close()
         states.append(env.save_state())
         env.step({agent: env.action_space(agent).sample() for agent in env.agents})

@@ -31,11 +31,13 @@ def forked_track():
     begin = np.array([0, 10, 10, 15, 30], np.float32)
     return decode_track(
         encode_track(
-            40.0,
-            np.zeros((5, 2, 3), np.float32),
-            np.ones((5, 1), np.float32),
-            np.stack([begin, begin + 5], axis=1),
-            [[1, 2], [4], [3], [4], [0]],
+            TrackMap(
+                40.0,
+                np.zeros((5, 2, 3), np.float32),
+                np.ones((5, 1), np.float32),
+                np.stack([begin, begin + 5], axis=1),
+                [[1, 2], [4], [3], [4], [0]],
+            )
         )
     )
 

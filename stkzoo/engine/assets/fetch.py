@@ -8,7 +8,6 @@ sums.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shutil
 import subprocess
@@ -16,13 +15,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from email import message_from_string
+from pathlib import Path
+from typing import Any
 
-from stkzoo._os import file_digest
 from stkzoo.engine.assets.find import DATADIR_VARIABLE, pystk2_cache_folder
 from stkzoo.engine.assets.overlay import adapt
-from stkzoo.engine.assets.staging import Progress, check_space, discard, fresh_folder
+from stkzoo.engine.assets.staging import Progress, check_space, fresh_folder
 from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, check_files, write_marker
 from stkzoo.errors import AssetError
 
@@ -64,9 +63,12 @@ def _run(
             stderr=subprocess.STDOUT,
         )
         try:
-            _wait(process, watch)
+            while process.poll() is None:
+                watch()
+                time.sleep(_LOOK_EVERY)
         finally:
-            _end(process)
+            process.kill()
+            process.wait()
         log.seek(0)
         text = log.read()
     if process.returncode != 0:
@@ -82,34 +84,9 @@ def _ending_with_us() -> list[str]:
     return [setpriv, "--pdeathsig", "TERM", "--"] if setpriv else []
 
 
-def _wait(process: subprocess.Popen[bytes], watch: Callable[[], None]) -> None:
-    while process.poll() is None:
-        watch()
-        time.sleep(_LOOK_EVERY)
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    if process.poll() is None:
-        process.terminate()
-        try:
-            process.wait(5)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-
-
 PACKAGE = "supertuxkart-data"
 
-_INSIDE = PurePosixPath("usr/share/games/supertuxkart/data")
-
-
-@dataclass(frozen=True)
-class _Record:
-    """The package's entry in the package lists: version, download and unpacked size [bytes]."""
-
-    version: str
-    download: int
-    unpacked: int
+_INSIDE = "usr/share/games/supertuxkart/data"
 
 
 def fetch_debian(target: Path, work: Path, progress: Progress) -> None:
@@ -142,7 +119,7 @@ def _download(work: Path, progress: Progress) -> Path:
     options = _private_options(work)
     progress.begin("fetching the package lists")
     try:
-        _run(["apt-get", *options, "update"], folder=work, environment=_environment())
+        _apt("apt-get", *options, "update", folder=work)
     except AssetError as error:
         progress.note(f"some package lists could not be fetched ({error})")
     return _download_with(options, work, progress)
@@ -164,47 +141,34 @@ def _private_options(work: Path) -> list[str]:
     return [word for name, value in settings.items() for word in ("-o", f"{name}={value}")]
 
 
-def _environment() -> dict[str, str]:
-    return {**os.environ, "LC_ALL": "C", "DEBIAN_FRONTEND": "noninteractive"}
+def _apt(program: str, *words: str, **options: Any) -> str:
+    """Runs one of apt's programs."""
+    variables = {**os.environ, "LC_ALL": "C", "DEBIAN_FRONTEND": "noninteractive"}
+    return _run([program, *words], environment=variables, **options)
 
 
 def _download_with(options: list[str], work: Path, progress: Progress) -> Path:
-    record = _read_record(options, work)
-    check_space(work, record.download + record.unpacked + 150_000_000, "the game's data")
+    shown = _apt("apt-cache", *options, "show", "--no-all-versions", PACKAGE, folder=work)
+    record = message_from_string(shown)
+    try:
+        size, unpacked = int(record["Size"]), 1024 * int(record["Installed-Size"])
+    except (TypeError, ValueError) as error:
+        raise AssetError(f"the package lists do not know {PACKAGE} ({error!r}).") from error
+    check_space(work, size + unpacked + 150_000_000, "the game's data")
     for old in work.glob("*.deb"):
         old.unlink()
-    progress.begin(f"downloading {PACKAGE} {record.version}", record.download)
-    command = ["apt-get", *options, "-o", "APT::Sandbox::User=root", "download", PACKAGE]
-    _run(
-        command,
-        folder=work,
-        watch=lambda: progress.reach(_size_of_packages(work)),
-        environment=_environment(),
-    )
+    progress.begin(f"downloading {PACKAGE} {record['Version']}", size)
+    words = ["apt-get", *options, "-o", "APT::Sandbox::User=root", "download", PACKAGE]
+    _apt(*words, folder=work, watch=lambda: progress.reach(_size_of_packages(work)))
     found = sorted(work.glob("*.deb"))
-    if len(found) != 1 or found[0].stat().st_size != record.download:
-        raise AssetError(f"`{' '.join(command)}` downloaded no complete package.")
-    progress.reach(record.download)
+    if len(found) != 1 or found[0].stat().st_size != size:
+        raise AssetError(f"`{' '.join(words)}` downloaded no complete package.")
+    progress.reach(size)
     return found[0]
 
 
 def _size_of_packages(work: Path) -> int:
     return sum(path.stat().st_size for path in work.glob("*.deb*"))
-
-
-def _read_record(options: list[str], work: Path) -> _Record:
-    command = ["apt-cache", *options, "show", "--no-all-versions", PACKAGE]
-    text = _run(command, folder=work, environment=_environment())
-    lines = (line.split(": ", 1) for line in text.splitlines() if ": " in line)
-    fields = {key: value for key, value in lines}  # noqa: C416 - dict() confuses the types
-    try:
-        return _Record(
-            version=fields["Version"],
-            download=int(fields["Size"]),
-            unpacked=1024 * int(fields["Installed-Size"]),
-        )
-    except (KeyError, ValueError) as error:
-        raise AssetError(f"the package lists do not know {PACKAGE} ({error!r}).") from error
 
 
 def unpack_package(package: Path, target: Path, progress: Progress) -> None:
@@ -218,36 +182,18 @@ def unpack_package(package: Path, target: Path, progress: Progress) -> None:
     Raises:
         AssetError: the package is broken or holds other content.
     """
-    wanted = _read_sums(package)
     progress.begin(f"unpacking {package.name}")
-    whole = fresh_folder(target, "package")
-    command = ["dpkg-deb", "--extract", str(package.absolute()), str(whole)]
-    _run(command, folder=target, name=f"{package} cannot be unpacked: dpkg-deb")
-    data = (whole / _INSIDE).replace(target / "data")
-    discard(whole)
-    wrong = sorted(name for name, digest in wanted.items() if _md5(data / name) != digest)
-    if wrong:
-        raise AssetError(
-            f"{package} unpacked to {len(wrong)} wrong or missing files, such as {wrong[0]!r}."
-        )
-
-
-def _md5(path: Path) -> str:
-    return file_digest(path, hashlib.md5(usedforsecurity=False)) if path.is_file() else ""
-
-
-def _read_sums(package: Path) -> dict[str, str]:
-    """MD5 sums of the data files by name, from the package's own list."""
-    text = _run(["dpkg-deb", "--info", str(package.absolute()), "md5sums"], folder=package.parent)
-    sums = {}
-    for line in text.splitlines():
-        digest, _, name = line.partition("  ")
-        path = PurePosixPath(name)
-        if path.is_relative_to(_INSIDE):
-            sums[path.relative_to(_INSIDE).as_posix()] = digest
-    if not sums:
-        raise AssetError(f"{package} holds no files in {_INSIDE}.")
-    return sums
+    file = str(package.absolute())
+    with fresh_folder(target, "package") as whole:
+        broken = f"{package} cannot be unpacked: dpkg-deb"
+        _run(["dpkg-deb", "--extract", file, str(whole)], folder=target, name=broken)
+        sums = _run(["dpkg-deb", "--info", file, "md5sums"], folder=target, name=broken)
+        (whole / "md5sums").write_text(sums, encoding="utf-8")
+        wrong = f"{package} unpacked to wrong or missing files: md5sum"
+        _run(["md5sum", "--check", "--quiet", "md5sums"], folder=whole, name=wrong)
+        if not (whole / _INSIDE).is_dir():
+            raise AssetError(f"{package} holds no files in {_INSIDE}.")
+        (whole / _INSIDE).replace(target / "data")
 
 
 _ARCHIVE = f"SuperTuxKart-{ENGINE_DATA_VERSION}-src.tar.gz"

@@ -15,6 +15,8 @@ from stkzoo.engine.assets.overlay import SYSTEM_FOLDERS, system_overlay
 from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, Assets, load_assets
 from stkzoo.errors import AssetError
 
+_LOGGER = logging.getLogger(__name__)
+
 #: The engine's own variable: the folder that holds ``data``.
 DATADIR_VARIABLE = "SUPERTUXKART_DATADIR"
 
@@ -29,19 +31,14 @@ def cache_folder() -> Path:
     return folder.absolute()
 
 
-def full_folder() -> Path:
-    """Where a full set of data goes."""
-    return cache_folder() / "full"
+def own_folder(kind: str) -> Path:
+    """Where stkzoo's data of one kind goes.
 
-
-def headless_folder() -> Path:
-    """Where the headless pack goes."""
-    return cache_folder() / "headless"
-
-
-def overlay_folder() -> Path:
-    """Where the links into a system install go."""
-    return cache_folder() / "system"
+    Args:
+        kind: ``"full"``; ``"headless"`` for the pack; or ``"system"`` for the links into a
+            system install.
+    """
+    return cache_folder() / kind
 
 
 def pystk2_cache_folder() -> Path:
@@ -76,35 +73,21 @@ class PlaceReport:
         return sum(sizes.values())
 
 
-def named_place() -> PlaceReport | None:
-    """The folder that the user's environment names, ``None`` if it names none."""
-    value = os.environ.get(DATADIR_VARIABLE)
-    if not value:
-        return None
-    path = Path(value)
-    try:
-        return PlaceReport("environment", path, load_assets(path.absolute(), "environment"))
-    except AssetError as error:
-        problem = (
-            f"the environment variable {DATADIR_VARIABLE} is {str(path)!r}, but {error} "
-            f"Unset it and run `stkzoo assets install`, or point it to a folder that "
-            f"holds the game's 'data'."
-        )
-        return PlaceReport("environment", path, None, problem)
-
-
-def _own_places() -> Iterator[PlaceReport]:
-    """The machine's own places, in order; each is looked at when it is its turn."""
-    yield _look("headless pack", headless_folder())
-    yield _look("stkzoo cache", full_folder())
+def survey() -> Iterator[PlaceReport]:
+    """Looks at every place, in the order of :func:`find_assets`, each when it is its turn."""
+    if value := os.environ.get(DATADIR_VARIABLE):
+        yield _look("environment", Path(value), Path.absolute)
+    yield _look("headless pack", own_folder("headless"))
+    yield _look("stkzoo cache", own_folder("full"))
     yield _look("pystk2 cache", pystk2_cache_folder() / ENGINE_DATA_VERSION, _downloaded)
     for folder in SYSTEM_FOLDERS:
         yield _look("system", folder, _overlaid)
 
 
 def _look(source: str, path: Path, root_of: Callable[[Path], Path] = Path) -> PlaceReport:
+    is_named = source == "environment"
     try:
-        assets = load_assets(root_of(path), source) if path.is_dir() else None
+        assets = load_assets(root_of(path), source) if is_named or path.is_dir() else None
     except AssetError as error:
         return PlaceReport(source, path, None, str(error))
     return PlaceReport(source, path, assets)
@@ -117,12 +100,7 @@ def _downloaded(root: Path) -> Path:
 
 
 def _overlaid(data: Path) -> Path:
-    return system_overlay(data, overlay_folder())
-
-
-_LOGGER = logging.getLogger(__name__)
-
-_REMEDY = "Run `stkzoo assets install`."
+    return system_overlay(data, own_folder("system"))
 
 
 def find_assets(*, graphics: bool = False) -> Assets:
@@ -138,52 +116,21 @@ def find_assets(*, graphics: bool = False) -> Assets:
         AssetError: there is none, or what the environment names cannot be used; the
             message names the command that fixes it.
     """
-    found, problems = _first_usable(graphics)
-    if found is None:
-        raise AssetError(_missing_text(graphics, problems))
-    return found
-
-
-def find_assets_or_none(*, graphics: bool = False) -> Assets | None:
-    """Like :func:`find_assets`, but ``None`` where the machine has none.
-
-    Raises:
-        AssetError: what the environment names cannot be used.
-    """
-    return _first_usable(graphics)[0]
-
-
-def _first_usable(graphics: bool) -> tuple[Assets | None, list[str]]:
-    if (named := named_place()) is not None:
-        return _named_assets(named, graphics), []
-    problems: list[str] = []
-    for place in _own_places():
+    what = "the game's full data, which drawing needs," if graphics else "the game's data"
+    problems = [f"{what} is not on this machine. Run `stkzoo assets install`."]
+    for place in survey():
+        problem = place.problem
+        if graphics and place.assets is not None and place.assets.headless:
+            problem = "it is a headless pack, which has no pictures to draw with."
+        elif place.assets is not None:
+            return place.assets
+        if place.source == "environment":
+            raise AssetError(
+                f"the environment variable {DATADIR_VARIABLE} is {str(place.path)!r}, but "
+                f"{problem} Unset it and run `stkzoo assets install`, or point it to a folder "
+                "that holds the game's 'data'."
+            )
         if place.problem:
             _LOGGER.warning("skipping the %s: %s", place.source, place.problem)
             problems.append(f"In the {place.source}: {place.problem}")
-        elif place.assets is not None and not (graphics and place.assets.headless):
-            return place.assets, problems
-    return None, problems
-
-
-def _named_assets(place: PlaceReport, graphics: bool) -> Assets:
-    if place.assets is None:
-        raise AssetError(place.problem)
-    if graphics and place.assets.headless:
-        raise AssetError(
-            f"the environment variable SUPERTUXKART_DATADIR is {str(place.path)!r}, a headless "
-            f"pack, which has no pictures to draw with. Unset it and run "
-            f"`stkzoo assets install`."
-        )
-    return place.assets
-
-
-def _missing_text(graphics: bool, problems: list[str]) -> str:
-    what = "the game's full data, which drawing needs," if graphics else "the game's data"
-    return "\n".join([f"{what} is not on this machine. {_REMEDY}", *problems])
-
-
-def survey() -> list[PlaceReport]:
-    """Looks at every place, in the order of :func:`find_assets`."""
-    named = named_place()
-    return [*([named] if named else []), *_own_places()]
+    raise AssetError("\n".join(problems))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -11,20 +12,15 @@ from stkzoo.engine.assets.find import (
     DATADIR_VARIABLE,
     cache_folder,
     find_assets,
-    find_assets_or_none,
-    full_folder,
-    headless_folder,
-    named_place,
-    overlay_folder,
+    own_folder,
 )
 from stkzoo.engine.assets.headless import build_headless, read_archive, write_archive
 from stkzoo.engine.assets.staging import (
     Progress,
-    clear_leftovers,
     discard,
+    fresh_folder,
     lock,
     publish,
-    staging_folder,
 )
 from stkzoo.engine.assets.tree import MARKER, Assets, load_assets
 from stkzoo.errors import AssetError, unknown_name
@@ -64,10 +60,11 @@ def install(
         raise unknown_name("source of the game's data", source, SOURCES)
     progress = progress or Progress()
     with lock(cache_folder(), progress):
-        clear_leftovers(cache_folder())
         if archive is not None:
-            _take_archive(archive, progress)
-        elif named_place() is not None and not replace:
+            if not archive.is_file():
+                raise AssetError(f"there is no file {os.fspath(archive)!r}.")
+            _make(own_folder("headless"), lambda tree: read_archive(archive, tree, progress))
+        elif os.environ.get(DATADIR_VARIABLE) and not replace:
             progress.note(f"{DATADIR_VARIABLE} names the data; there is nothing to download")
         else:
             full = _full_assets(source, replace, progress)
@@ -93,12 +90,10 @@ def pack(
     """
     progress = progress or Progress()
     with lock(cache_folder(), progress):
-        clear_leftovers(cache_folder())
-        if replace or _usable_pack() is None:
-            _ensure_pack(find_assets(graphics=True), replace, progress)
+        _ensure_pack(None, replace, progress)
         if output is None:
-            return headless_folder()
-        write_archive(headless_folder(), output, progress)
+            return own_folder("headless")
+        write_archive(own_folder("headless"), output, progress)
         return output
 
 
@@ -115,8 +110,7 @@ def clean(*, progress: Progress | None = None) -> list[Path]:
     if not cache.is_dir():
         return []
     with lock(cache, progress or Progress()):
-        clear_leftovers(cache)
-        folders = [full_folder(), headless_folder(), overlay_folder()]
+        folders = map(own_folder, ("full", "headless", "system"))
         ours = [folder for folder in folders if (folder / MARKER).is_file()]
         for folder in ours:
             discard(folder)
@@ -124,21 +118,18 @@ def clean(*, progress: Progress | None = None) -> list[Path]:
 
 
 def _full_assets(source: str, replace: bool, progress: Progress) -> Assets:
-    found = None if replace else find_assets_or_none(graphics=True)
-    if found is not None:
-        progress.note(f"the full data is there: {found.root} ({found.source})")
-        return found
-    attempts: dict[str, Callable[[Progress], Assets]] = {
-        "debian": _from_debian,
-        "upstream": _from_upstream,
-    }
-    wanted = list(attempts) if source == "auto" else [source]
-    problems: list[str] = []
-    for name in wanted:
-        try:
-            return attempts[name](progress)
-        except AssetError as error:  # noqa: PERF203 - two rounds at most
-            problems.append(f"{name}: {error}")
+    if not replace:
+        with contextlib.suppress(AssetError):
+            found = find_assets(graphics=True)
+            progress.note(f"the full data is there: {found.root} ({found.source})")
+            return found
+    problems = []
+    for name, fetch in (("debian", _from_debian), ("upstream", _from_upstream)):
+        if source in ("auto", name):
+            try:
+                return fetch(progress)
+            except AssetError as error:
+                problems.append(f"{name}: {error}")
     raise AssetError(
         "the game's data could not be downloaded.\n"
         + "\n".join(problems)
@@ -149,38 +140,29 @@ def _full_assets(source: str, replace: bool, progress: Progress) -> Assets:
 
 
 def _from_debian(progress: Progress) -> Assets:
-    with staging_folder(cache_folder()) as tree, staging_folder(cache_folder()) as work:
-        fetch_debian(tree, work, progress)
-        publish(tree, full_folder())
-    return load_assets(full_folder(), "stkzoo cache")
+    with fresh_folder(cache_folder()) as work:
+        _make(own_folder("full"), lambda tree: fetch_debian(tree, work, progress))
+    return load_assets(own_folder("full"), "stkzoo cache")
 
 
 def _from_upstream(progress: Progress) -> Assets:
-    with staging_folder(cache_folder()) as work:
+    with fresh_folder(cache_folder()) as work:
         return load_assets(fetch_upstream(work, progress), "pystk2 cache")
 
 
-def _usable_pack() -> Assets | None:
-    try:
-        return load_assets(headless_folder(), "headless pack")
-    except AssetError:
-        return None
+def _make(folder: Path, fill: Callable[[Path], object]) -> None:
+    """Makes one of our folders, which appears when it is complete."""
+    with fresh_folder(cache_folder()) as tree:
+        fill(tree)
+        publish(tree, folder)
 
 
-def _ensure_pack(full: Assets, replace: bool, progress: Progress) -> None:
-    if not replace and _usable_pack() is not None:
-        progress.note(f"the headless pack is there: {headless_folder()}")
-        return
-    if full.headless:
-        raise AssetError(f"{full.root} is a headless pack; packing needs the full data.")
-    with staging_folder(cache_folder()) as tree:
-        build_headless(full.root, tree, progress)
-        publish(tree, headless_folder())
-
-
-def _take_archive(archive: Path, progress: Progress) -> None:
-    if not archive.is_file():
-        raise AssetError(f"there is no file {os.fspath(archive)!r}.")
-    with staging_folder(cache_folder()) as tree:
-        read_archive(archive, tree, progress)
-        publish(tree, headless_folder())
+def _ensure_pack(full: Assets | None, replace: bool, progress: Progress) -> None:
+    """Builds the headless pack from the full data, which is looked for if it is not given."""
+    if not replace:
+        with contextlib.suppress(AssetError):
+            load_assets(own_folder("headless"), "headless pack")
+            progress.note(f"the headless pack is there: {own_folder('headless')}")
+            return
+    root = (full or find_assets(graphics=True)).root
+    _make(own_folder("headless"), lambda tree: build_headless(root, tree, progress))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from stkzoo.engine.assets.staging import discard, fresh_folder, link_or_copy, publish
+from stkzoo.engine.assets.staging import fresh_folder, link_or_copy, publish
 from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, MARKER, read_marker, write_marker
 from stkzoo.errors import AssetError
 
@@ -88,14 +88,11 @@ def system_overlay(data: Path, target: Path) -> Path:
         return target
     _check_version(data)
     try:
-        staging = fresh_folder(target.parent, "overlay")
-        try:
+        with fresh_folder(target.parent, "overlay") as staging:
             _link(data, staging / "data")
             adapt(staging / "data")
             write_marker(staging, origin, headless=False)
             publish(staging, target)
-        finally:
-            discard(staging)
     except OSError as error:
         if not _is_current(target, origin):
             raise AssetError(f"links to {data} cannot be made in {target}: {error}.") from error
@@ -107,7 +104,7 @@ def _is_current(target: Path, origin: str) -> bool:
         marker = read_marker(target)
     except AssetError:
         return False
-    return marker is not None and marker.origin == origin
+    return marker is not None and marker.source == origin
 
 
 def _link(data: Path, target: Path) -> None:

@@ -47,7 +47,7 @@ _STALE = 600.0
 
 @contextmanager
 def lock(cache: Path, progress: Progress) -> Iterator[None]:
-    """Locks the cache for one process; others wait.
+    """Locks the cache for one process, and removes what interrupted ones left; others wait.
 
     The operating system releases the lock when the process ends, however it ends. A system
     without such locks locks nothing.
@@ -57,43 +57,32 @@ def lock(cache: Path, progress: Progress) -> Iterator[None]:
     """
     try:
         cache.mkdir(parents=True, exist_ok=True)
-        descriptor = _acquire(cache / _LOCK, progress)
+        descriptor = os.open(cache / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     except OSError as error:
         raise AssetError(
             f"the cache folder {cache} cannot be written ({error}). Set STKZOO_CACHE to a "
             f"folder of your own."
         ) from error
     try:
+        if not try_lock(descriptor):
+            progress.note("another stkzoo uses the same cache: waiting for it to end")
+            while not try_lock(descriptor):
+                time.sleep(_LOCK_POLL)
+        _clear_leftovers(cache)
         yield
     finally:
         os.close(descriptor)
 
 
-def _acquire(path: Path, progress: Progress) -> int:
-    while True:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        if not try_lock(descriptor):
-            progress.note("another stkzoo uses the same cache: waiting for it to end")
-            while not try_lock(descriptor):
-                time.sleep(_LOCK_POLL)
-        with suppress(FileNotFoundError):
-            if os.path.samestat(os.fstat(descriptor), path.stat()):
-                return descriptor
-        os.close(descriptor)  # the file was removed by the one we waited for
+@contextmanager
+def fresh_folder(parent: Path, kind: str = "staging") -> Iterator[Path]:
+    """An empty folder in ``parent``, removed at the end unless it was published.
 
-
-def fresh_folder(parent: Path, kind: str) -> Path:
-    """Makes an empty folder in ``parent`` whose name marks it as unfinished."""
+    Its name marks it as unfinished.
+    """
     parent.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{kind}-", dir=parent))
     folder.chmod(0o755)
-    return folder
-
-
-@contextmanager
-def staging_folder(parent: Path) -> Iterator[Path]:
-    """A fresh folder to work in, removed at the end unless it was published."""
-    folder = fresh_folder(parent, "staging")
     try:
         yield folder
     finally:
@@ -116,10 +105,9 @@ def publish(staging: Path, target: Path) -> None:
                 f"{target} holds files that stkzoo did not make. Move them away, or set "
                 f"STKZOO_CACHE to another folder."
             )
-        old = fresh_folder(target.parent, "old")
-        target.rename(old / "tree")
-        staging.rename(target)
-        discard(old)
+        with fresh_folder(target.parent, "old") as old:
+            target.rename(old / "tree")
+            staging.rename(target)
         return
     if target.is_dir():
         target.rmdir()
@@ -131,8 +119,7 @@ def discard(folder: Path) -> None:
     shutil.rmtree(folder, ignore_errors=True)
 
 
-def clear_leftovers(cache: Path) -> None:
-    """Removes what interrupted runs left; call it with the lock held."""
+def _clear_leftovers(cache: Path) -> None:
     for folder in cache.glob(f"{_PREFIX}*-*"):
         unlocked = folder.name.startswith(f"{_PREFIX}overlay-")
         with suppress(FileNotFoundError):

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from stkzoo.errors import AssetError
 
@@ -41,71 +40,57 @@ class Assets:
     karts: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Marker:
-    """What :data:`MARKER` says about a tree that stkzoo made.
-
-    Attributes:
-        origin: what the tree was made from.
-        headless: as in :class:`Assets`.
-        tracks: as in :class:`Assets`.
-        karts: as in :class:`Assets`.
-        layout: version of the tree's layout.
-    """
-
-    origin: str
-    headless: bool
-    tracks: tuple[str, ...]
-    karts: tuple[str, ...]
-    layout: int = 1
+#: Version of the trees that stkzoo makes.
+_LAYOUT = 1
 
 
 def write_marker(root: Path, origin: str, *, headless: bool) -> None:
     """Writes the marker of a finished tree, with its tracks and karts.
 
+    Args:
+        root: the tree.
+        origin: what it was made from.
+        headless: as in :class:`Assets`.
+
     Raises:
         AssetError: the tree is not usable.
     """
     tracks, karts = read_catalog(root)
-    marker = Marker(origin, headless, tracks, karts)
-    text = json.dumps(asdict(marker), indent=1, sort_keys=True) + "\n"
-    (root / MARKER).write_text(text, encoding="utf-8")
+    values = {"origin": origin, "headless": headless, "layout": _LAYOUT}
+    text = json.dumps({**values, "tracks": tracks, "karts": karts}, indent=1, sort_keys=True)
+    (root / MARKER).write_text(text + "\n", encoding="utf-8")
     check_shape(root)
 
 
-def read_marker(root: Path) -> Marker | None:
-    """The marker of a tree, ``None`` where stkzoo did not make it.
+def read_marker(root: Path) -> Assets | None:
+    """What the marker of a tree says, its origin as ``source``.
+
+    Returns:
+        ``None`` where stkzoo did not make the tree.
 
     Raises:
         AssetError: the marker is there but not readable.
     """
     try:
-        text = (root / MARKER).read_text(encoding="utf-8")
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    except (OSError, UnicodeDecodeError) as error:
-        raise AssetError(f"{root / MARKER} cannot be read: {error}.") from error
-    return _parse_marker(text, root)
-
-
-def _parse_marker(text: str, root: Path) -> Marker:
-    try:
-        values: dict[str, Any] = json.loads(text)
-        marker = Marker(
-            origin=str(values["origin"]),
+        values = json.loads((root / MARKER).read_text(encoding="utf-8"))
+        layout = int(values["layout"])
+        assets = Assets(
+            root,
+            source=str(values["origin"]),
             headless=bool(values["headless"]),
             tracks=tuple(str(name) for name in values["tracks"]),
             karts=tuple(str(name) for name in values["karts"]),
-            layout=int(values["layout"]),
         )
-    except (ValueError, KeyError, TypeError) as error:
-        raise AssetError(f"{root / MARKER} is damaged ({error!r}).") from error
-    if marker.layout != Marker.layout:
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise AssetError(f"{root / MARKER} is damaged or cannot be read ({error!r}).") from error
+    if layout != _LAYOUT:
         raise AssetError(
-            f"{root} was made by another version of stkzoo (layout {marker.layout}, "
-            f"this one makes {Marker.layout})."
+            f"{root} was made by another version of stkzoo (layout {layout}, "
+            f"this one makes {_LAYOUT})."
         )
-    return marker
+    return assets
 
 
 def check_shape(root: Path) -> None:
@@ -184,21 +169,16 @@ def check_files(root: Path) -> None:
     """
     check_shape(root)
     tracks, karts = read_catalog(root)
-    for name in tracks:
-        folder = root / "data" / "tracks" / name
-        for file in ("graph.xml", "quads.xml", "scene.xml"):
+    needed: dict[str, tuple[str, ...]]
+    needed = {f"tracks/{name}": ("graph.xml", "quads.xml", "scene.xml") for name in tracks}
+    needed |= {f"karts/{name}": ("kart.xml",) for name in karts}
+    for name, files in needed.items():
+        folder = root / "data" / name
+        for file in files:
             parse_xml(folder / file)
-        _check_models(folder)
-    for name in karts:
-        folder = root / "data" / "karts" / name
-        parse_xml(folder / "kart.xml")
-        _check_models(folder)
-
-
-def _check_models(folder: Path) -> None:
-    for model in folder.glob("*.spm"):
-        if model.stat().st_size == 0:
-            raise AssetError(f"{model} is empty.")
+        for model in folder.glob("*.spm"):
+            if model.stat().st_size == 0:
+                raise AssetError(f"{model} is empty.")
 
 
 def load_assets(root: Path, source: str) -> Assets:
@@ -210,7 +190,7 @@ def load_assets(root: Path, source: str) -> Assets:
     check_shape(root)
     marker = read_marker(root)
     if marker is not None:
-        return Assets(root, source, marker.headless, marker.tracks, marker.karts)
+        return replace(marker, source=source)
     data = root / "data"
     stamps = tuple((data / name).stat().st_mtime_ns for name in ("tracks", "karts"))
     tracks, karts = _catalog_once(root, stamps)

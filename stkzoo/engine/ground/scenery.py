@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,12 +37,13 @@ class Faces:
     is_zipper: npt.NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True)
-class _Material:
-    is_solid: bool = True
-    speed: float = 1.0
-    is_reset: bool = False
-    is_zipper: bool = False
+#: What karts meet on a material, as in :class:`Faces`.
+_MATERIAL = np.dtype([("speed", "f4"), ("is_reset", "?"), ("is_zipper", "?")])
+_PLAIN = (1.0, False, False)
+
+#: Materials by their texture's name in lower case: values of :data:`_MATERIAL`, ``None`` for one
+#: that is not solid.
+_Materials = dict[str, tuple[float, bool, bool] | None]
 
 
 def read_scenery(data: Path, track: str, *, reverse: bool = False) -> Faces:
@@ -72,14 +72,14 @@ class _SceneReader:
         self._data, self._reverse = data, reverse
         self._meshes: dict[Path, list[Part]] = {}  # one mesh may have many places
         self._corners: list[FloatArray] = []
-        self._of: list[_Material] = []
+        self._of: list[tuple[float, bool, bool]] = []
 
     def walk(
         self,
         node: ET.Element,
         folder: Path,
         place: FloatArray,
-        materials: Mapping[str, _Material],
+        materials: _Materials,
         scene: ET.Element,
     ) -> None:
         """Adds the objects below a node."""
@@ -97,32 +97,23 @@ class _SceneReader:
 
     def faces(self) -> Faces:
         counts = [len(corners) for corners in self._corners]
+        materials = np.repeat(np.array(self._of, _MATERIAL), counts)
+        corners = np.concatenate(self._corners).astype(np.float32)
+        return Faces(corners, *(materials[name].copy() for name in _MATERIAL.names or ()))
 
-        def of_each(name: str) -> npt.NDArray[np.generic]:
-            return np.repeat([getattr(material, name) for material in self._of], counts)
-
-        return Faces(
-            np.concatenate(self._corners).astype(np.float32),
-            of_each("speed").astype(np.float32),
-            of_each("is_reset").astype(np.bool_),
-            of_each("is_zipper").astype(np.bool_),
-        )
-
-    def _library(
-        self, entry: ET.Element, place: FloatArray, materials: Mapping[str, _Material]
-    ) -> None:
+    def _library(self, entry: ET.Element, place: FloatArray, materials: _Materials) -> None:
         folder = self._data / "library" / entry.get("name", "")
         if entry.find("curve") is None and (folder / "node.xml").exists():
             node = parse_xml(folder / "node.xml")
-            own = {**materials, **_materials(folder / "materials.xml")}
+            own = materials | _materials(folder / "materials.xml")
             self.walk(node, folder, place @ _matrix(entry), own, node)
 
-    def _add(self, file: Path, place: FloatArray, materials: Mapping[str, _Material]) -> None:
+    def _add(self, file: Path, place: FloatArray, materials: _Materials) -> None:
         if file not in self._meshes:
             self._meshes[file] = read_mesh(file)
         for part in self._meshes[file]:
-            material = materials.get(part.texture.rpartition("/")[2].lower(), _Material())
-            if material.is_solid:
+            material = materials.get(part.texture.rpartition("/")[2].lower(), _PLAIN)
+            if material is not None:
                 world = part.vertices @ place[:3, :3].T + place[:3, 3]
                 self._corners.append(world[part.triangles])
                 self._of.append(material)
@@ -184,22 +175,11 @@ def _turn(axis: int, angle: float) -> FloatArray:
     return turn
 
 
-def _materials(path: Path) -> dict[str, _Material]:
-    """By the texture's name in lower case."""
-    if not path.exists():
-        return {}
-    return dict(_each_material(parse_xml(path)))
-
-
-def _each_material(root: ET.Element) -> Iterator[tuple[str, _Material]]:
-    for entry in root.iter("material"):
+def _materials(path: Path) -> _Materials:
+    materials: _Materials = {}
+    for entry in parse_xml(path).iter("material") if path.exists() else ():
         is_solid = _YES not in (entry.get("ignore"), entry.get("surface"))
-        yield (
-            entry.get("name", "").lower(),
-            _Material(
-                is_solid,
-                float(entry.get("max-speed", 1.0)) or 1.0,
-                entry.get("reset") == _YES,
-                entry.find("zipper") is not None,
-            ),
-        )
+        speed = float(entry.get("max-speed", 1.0)) or 1.0
+        values = speed, entry.get("reset") == _YES, entry.find("zipper") is not None
+        materials[entry.get("name", "").lower()] = values if is_solid else None
+    return materials
