@@ -26,7 +26,7 @@ import traceback
 from stkzoo.engine import wire
 from stkzoo.engine.process_clone import serve_fork
 from stkzoo.engine.race import init_engine
-from stkzoo.engine.worker import RaceServer
+from stkzoo.engine.worker import WorkerServer
 
 _POLL_SECONDS = 0.5
 #: Time for a child to end by itself after its connection broke [s].
@@ -80,7 +80,7 @@ class _ForkServer:
             session = serve_fork(self._control, files, os.fork, self._pid)
             if session is None:
                 return
-            RaceServer(session, fork_server=self._pid).run()
+            WorkerServer(session, fork_server=self._pid).run()
             os._exit(0)
         except BaseException:
             traceback.print_exc()

@@ -1,7 +1,7 @@
 """The engine process's side: starts the engine and serves a program's requests for races.
 
 :func:`main` runs in an interpreter that a program has started for one race, where forking is
-not available. Children of the fork server run a :class:`RaceServer` alone.
+not available. Children of the fork server run a :class:`WorkerServer` alone.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def connected(port: int, *graphics: str) -> Iterator[socket.socket]:
 def main(port: int) -> None:
     """Serves the program's requests until it is gone."""
     with connected(port) as connection:
-        RaceServer(connection).run()
+        WorkerServer(connection).run()
 
 
 class RequestServer:
@@ -103,7 +103,7 @@ class RequestServer:
             signal.alarm(seconds)
 
 
-class RaceServer(RequestServer):
+class WorkerServer(RequestServer):
     """Serves the requests of a :class:`stkzoo.engine.session.WorkerSession`.
 
     Args:
