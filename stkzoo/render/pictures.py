@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.errors import ConfigError
+from stkzoo.errors import import_extra
 
 if TYPE_CHECKING:
     from PIL import ImageFont
@@ -23,14 +24,9 @@ def pillow() -> Any:
     Raises:
         ConfigError: Pillow is not installed.
     """
-    try:
-        import PIL
-        from PIL import Image, ImageDraw, ImageFont  # noqa: F401 - read as attributes
-    except ImportError:
-        raise ConfigError(
-            "drawing needs Pillow, which is not installed; run `pip install 'stkzoo[record]'`"
-        ) from None
-    return PIL
+    for name in ("Image", "ImageDraw", "ImageFont"):
+        import_extra(f"PIL.{name}", "drawing needs Pillow,", "record")
+    return sys.modules["PIL"]
 
 
 @lru_cache(maxsize=64)

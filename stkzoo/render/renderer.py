@@ -52,8 +52,7 @@ class RaceRenderer:
         self._game: GameView | None = None
         self._game_karts: tuple[int, ...] = ()
         self._is_game_ready = False
-        self._map: MapView | None = None
-        self._maps: dict[int, MapView] = {}
+        self._maps: dict[int | None, MapView] = {}  # by the kart that it follows
 
     @property
     def backend(self) -> str:
@@ -63,13 +62,14 @@ class RaceRenderer:
     def begin(self, scene: Scene) -> None:
         """Starts another race."""
         self._scene, self._is_game_ready = scene, False
-        self._map, self._maps = None, {}
+        self._maps = {}
 
     def remember(self, snapshot: Snapshot) -> None:
         """Records a moment for the trails of the map, even if it is not drawn."""
         if self._backend == "map":
-            for view in (self._whole_map(), *self._maps.values()):
+            for view in self._maps.values():
                 view.remember(snapshot)
+            self._map(None, snapshot)
 
     def picture(self, snapshot: Snapshot) -> Picture:
         """One picture of the race, ``(H, W, 3)`` uint8.
@@ -81,7 +81,7 @@ class RaceRenderer:
         """
         with self._drawing() as game:
             if game is None:
-                return self._whole_map().draw(snapshot)
+                return self._map(None, snapshot).draw(snapshot)
             by_kart = game.frames(snapshot)
         frames = [by_kart[kart] for kart in camera_karts(self._current())]
         return tiled(frames, self.size) if len(frames) > 1 else frames[0]
@@ -98,12 +98,7 @@ class RaceRenderer:
             if game is not None:
                 return game.frames(snapshot)
         karts = camera_karts(self._current())
-        for kart in karts:
-            if kart not in self._maps:
-                view = MapView(self._current(), self.size, follow=kart, panel=False)
-                view.remember(snapshot)
-                self._maps[kart] = view
-        return {kart: self._maps[kart].draw(snapshot) for kart in karts}
+        return {kart: self._map(kart, snapshot).draw(snapshot) for kart in karts}
 
     def pictures_and_depths(
         self, snapshot: Snapshot
@@ -144,10 +139,12 @@ class RaceRenderer:
         assert self._scene is not None  # noqa: S101 - callers begin first
         return self._scene
 
-    def _whole_map(self) -> MapView:
-        if self._map is None:
-            self._map = MapView(self._current(), self.size)
-        return self._map
+    def _map(self, kart: int | None, snapshot: Snapshot) -> MapView:
+        """The map around a kart, or of the whole track."""
+        if kart not in self._maps:
+            self._maps[kart] = MapView(self._current(), self.size, follow=kart, panel=kart is None)
+            self._maps[kart].remember(snapshot)
+        return self._maps[kart]
 
     @contextlib.contextmanager
     def _drawing(self) -> Iterator[GameView | None]:

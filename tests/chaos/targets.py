@@ -34,7 +34,7 @@ from stkzoo.evaluation import (
     plan_tournament,
 )
 from stkzoo.race import RaceResult, run_race
-from stkzoo.race.agents.files import members_of, unpack
+from stkzoo.race.agents.files import find_files, unpack
 from stkzoo.race.codec import Limits, decode, encode
 from stkzoo.race.replay import ReplayError, ReplayWriter, load_replay, save_replay
 
@@ -150,7 +150,8 @@ def _feed_agent_zip(data: bytes) -> None:
         file, home = folder / "agent.zip", folder / "home" / "agent"
         file.write_bytes(_zip_of(data))
         with suppress(ConfigError):
-            members_of(file)
+            find_files(str(file))
+        with suppress(ConfigError):
             unpack(file, home)
         assert {path.name for path in folder.iterdir()} <= {"agent.zip", "home"}
         for path in (folder / "home").rglob("*"):

@@ -147,7 +147,12 @@ def find_files(source: str) -> AgentFiles | None:
         if path.is_dir():
             _place_in(path, source)
         elif path.suffix == ".zip":
-            _require_actor(members_of(path), source)
+            with _opened(path) as archive:
+                names = {PurePosixPath(member.filename).name for member in _checked(archive)}
+            if not names & {f"{ACTOR_MODULE}.py", "__init__.py"}:
+                raise ConfigError(
+                    f"agent {source!r} has no {ACTOR_MODULE}.py in it; zip the folder that has one"
+                )
         elif path.suffix != ".py":
             raise ConfigError(
                 f"agent {source!r} is another kind of file; expected a folder, a .zip, or a .py "
@@ -195,24 +200,6 @@ def _only_folder(folder: Path) -> Path:
     entries = [entry for entry in folder.iterdir() if entry.name != "__MACOSX"]
     is_nested = len(entries) == 1 and entries[0].is_dir() and entries[0].name != _PACKAGE
     return entries[0] if is_nested else folder
-
-
-def _require_actor(members: list[str], source: str) -> None:
-    endings = (f"{ACTOR_MODULE}.py", "__init__.py")
-    if not any(name.rsplit("/", 1)[-1] in endings for name in members):
-        raise ConfigError(
-            f"agent {source!r} has no {ACTOR_MODULE}.py in it; zip the folder that has one"
-        )
-
-
-def members_of(path: Path) -> list[str]:
-    """Names of the files in a zip.
-
-    Raises:
-        ConfigError: it is not a zip, or one that :func:`unpack` rejects.
-    """
-    with _opened(path) as archive:
-        return [member.filename for member in _checked(archive)]
 
 
 def unpack(path: Path, folder: Path) -> None:

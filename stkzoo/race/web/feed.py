@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import threading
+from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -34,8 +36,7 @@ class TraceLog:
     def __init__(self, most: int = 3000) -> None:
         self._lock = threading.Lock()
         self._most, self._stride = most, 1
-        self._steps: list[int] = []
-        self._rows: list[FloatArray] = []
+        self._log: list[tuple[int, FloatArray]] = []
 
     def add(self, step: int, row: FloatArray) -> None:
         """Adds a step.
@@ -47,24 +48,21 @@ class TraceLog:
         if step % self._stride:
             return
         with self._lock:
-            self._steps.append(step)
-            self._rows.append(row)
-            if len(self._steps) > self._most:
+            self._log.append((step, row))
+            if len(self._log) > self._most:
                 self._stride *= 2
-                kept = [n for n, known in enumerate(self._steps) if known % self._stride == 0]
-                self._steps = [self._steps[n] for n in kept]
-                self._rows = [self._rows[n] for n in kept]
+                self._log = [entry for entry in self._log if entry[0] % self._stride == 0]
 
     def since(self, step: int) -> dict[str, Any]:
         """The steps after one, for JSON; ``steps`` is empty if there are none."""
         with self._lock:
-            first = int(np.searchsorted(self._steps, step, side="right"))
-            steps, rows = self._steps[first:], self._rows[first:]
-        if not rows:
+            first = bisect_right(self._log, step, key=itemgetter(0))
+            steps, rows = [*zip(*self._log[first:], strict=True)] or [(), ()]
+        if not steps:
             return {"steps": []}
         values = np.nan_to_num(np.stack(rows, axis=1).astype(np.float64)).round(3)
         columns = dict(zip(COLUMNS, values.tolist(), strict=True))
-        return {"steps": steps, "values": columns}
+        return {"steps": list(steps), "values": columns}
 
 
 @dataclass(frozen=True, slots=True)
