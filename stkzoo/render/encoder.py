@@ -7,7 +7,6 @@ import os
 import selectors
 import shutil
 import subprocess
-import tempfile
 import time
 from pathlib import Path
 from typing import IO, NoReturn, cast
@@ -16,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._os import write_whole
+from stkzoo.engine.process import Log
 from stkzoo.errors import ConfigError, StkzooError
 
 _H264 = ("-c:v", "libx264", "-preset", "veryfast", "-crf", "21", "-pix_fmt", "yuv420p")
@@ -35,7 +35,6 @@ FORMATS: dict[str, tuple[str, ...]] = {
 
 #: Seconds in which ffmpeg must take a picture, and end when all are there.
 _STALL_LIMIT, _END_LIMIT = 60.0, 120.0
-_LOG_BYTES = 2000
 
 
 class VideoError(StkzooError):
@@ -79,7 +78,7 @@ def _ffmpeg() -> str:
 
 
 class VideoWriter:
-    """Writes one video; a failure leaves no file.
+    """Writes one video until :meth:`close` or :meth:`abort`; a failure leaves no file.
 
     Pictures go to ffmpeg as they come, so that memory does not grow. The file appears under
     its name when :meth:`close` has succeeded.
@@ -148,15 +147,6 @@ class VideoWriter:
         with contextlib.suppress(_Aborted), self._resources:
             raise _Aborted
 
-    def __enter__(self) -> VideoWriter:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            self.close()
-        else:
-            self.abort()
-
     def _start(self, height: int, width: int) -> None:
         self._shape = height, width
         kind = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}")
@@ -164,12 +154,13 @@ class VideoWriter:
         command = (_ffmpeg(), "-y", "-hide_banner", "-loglevel", "error", *source, "-an")
         with contextlib.ExitStack() as resources:
             part = resources.enter_context(write_whole(self.path, "the video", VideoError))
-            self._log = resources.enter_context(tempfile.TemporaryFile(prefix="stkzoo-ffmpeg-"))
+            self._log = Log()
+            resources.callback(self._log.close)
             self._process = subprocess.Popen(  # noqa: S603 - ffmpeg with our own words
                 (*command, *FORMATS[self.path.suffix.lower()], part),
                 stdin=subprocess.PIPE,
-                stdout=self._log,
-                stderr=self._log,
+                stdout=self._log.fileno(),
+                stderr=self._log.fileno(),
                 start_new_session=True,  # a Ctrl-C is this program's, which then ends ffmpeg
             )
             self._pipe = cast("IO[bytes]", self._process.stdin)
@@ -196,9 +187,8 @@ class VideoWriter:
         process = cast("subprocess.Popen[bytes]", self._process)
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(1.0)
-        size = os.fstat(self._log.fileno()).st_size
-        text = os.pread(self._log.fileno(), _LOG_BYTES, max(0, size - _LOG_BYTES))
-        lines = f"\nffmpeg's last lines:\n{text.decode(errors='replace').strip()}" if text else ""
+        tail = self._log.tail()
+        lines = f"\nffmpeg's last lines:\n{tail}" if tail else ""
         self.abort()
         free = shutil.disk_usage(self.path.absolute().parent).free // 2**20
         raise VideoError(

@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import imageio_ffmpeg
@@ -38,6 +39,18 @@ def read(path):
     return np.frombuffer(raw, np.uint8).reshape(-1, height, width, 3), rate
 
 
+@contextmanager
+def video_writer(path):
+    """A video of 10 pictures a second: whole at the end, or discarded after an error."""
+    writer = VideoWriter(path, 10)
+    try:
+        yield writer
+    except BaseException:
+        writer.abort()
+        raise
+    writer.close()
+
+
 def overfill(writer, times=1000):
     """Gives more pictures than the pipe to ffmpeg holds."""
     for _ in range(times):
@@ -46,7 +59,7 @@ def overfill(writer, times=1000):
 
 def interrupted(path):
     """A video that ends by an error in the midst of it."""
-    with VideoWriter(path, 10) as writer:
+    with video_writer(path) as writer:
         writer.add(colour(1))
         assert path.read_bytes() == b"an older video"
         raise ZeroDivisionError
@@ -62,7 +75,7 @@ def colour(number, size=(64, 48)):
 @pytest.mark.parametrize("ending", sorted(FORMATS))
 def test_every_format_holds_what_was_put_in(tmp_path, ending):
     path = tmp_path / f"race{ending}"
-    with VideoWriter(path, 10) as writer:
+    with video_writer(path) as writer:
         for number in range(0, 200, 10):
             writer.add(colour(number))
     pictures, rate = read(path)
@@ -112,9 +125,10 @@ signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
 noise = np.random.default_rng(0)
 try:
-    with VideoWriter(sys.argv[1], 10) as writer:
-        for _ in range(60):
-            writer.add(noise.integers(0, 255, (240, 320, 3), np.uint8))
+    writer = VideoWriter(sys.argv[1], 10)
+    for _ in range(60):
+        writer.add(noise.integers(0, 255, (240, 320, 3), np.uint8))
+    writer.close()
 except VideoError as error:
     print(error)
 """
@@ -135,7 +149,7 @@ def test_a_path_that_cannot_be_is_refused_before_the_race(tmp_path, name, match)
 
 
 def test_pictures_of_another_size_or_kind_are_refused(tmp_path):
-    with VideoWriter(tmp_path / "a.mp4", 10) as video:
+    with video_writer(tmp_path / "a.mp4") as video:
         video.add(colour(1))
         with pytest.raises(ConfigError, match="resize it"):
             video.add(colour(1, (32, 32)))

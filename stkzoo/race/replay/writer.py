@@ -43,13 +43,12 @@ class ReplayWriter(RaceListener):
                 "existing folder"
             )
         self._head: Replay | None = None
-        self._controls: list[list[list[float]]] = []
-        self._digests: list[bytes] = []
+        self._first_digest = b""
+        self._steps: list[tuple[list[list[float]], bytes]] = []  # controls and digest of each
 
     def started(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        self._controls, self._digests = [], []
-        self._add_digest(race)
+        self._first_digest, self._steps = next_digest(b"", race.snapshot), []
         self._head = _head(race)
 
     def stepped(self, race: RaceProgress) -> None:
@@ -57,8 +56,8 @@ class ReplayWriter(RaceListener):
         still = [0.0] * len(CONTROLS)
         actions, agents = race.actions, race.env.possible_agents
         rows = [controls_of(actions[a]) if a in actions else still for a in agents]
-        self._add_digest(race)
-        self._controls.append(rows)
+        before = self._steps[-1][1] if self._steps else self._first_digest
+        self._steps.append((rows, next_digest(before, race.snapshot)))
 
     def ended(self, result: RaceResult) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
@@ -68,23 +67,16 @@ class ReplayWriter(RaceListener):
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
         self._write(None)
 
-    def _add_digest(self, race: RaceProgress) -> None:
-        before = self._digests[-1] if self._digests else b""
-        self._digests.append(next_digest(before, race.snapshot))
-
     def _write(self, result: RaceResult | None) -> None:
         """Writes the file once, if a race has started."""
         head, self._head = self._head, None
         if head is None:
             return
-        steps = min(
-            len(self._controls), len(self._digests) - 1
-        )  # an interrupt may come between them
-        shape = (steps, len(head.agents), len(CONTROLS))
-        links = np.frombuffer(b"".join(self._digests[: steps + 1]), np.uint8)
+        controls, digests = zip(*self._steps, strict=True) if self._steps else ((), ())
+        links = np.frombuffer(b"".join([self._first_digest, *digests]), np.uint8)
         replay = replace(
             head,
-            controls=np.array(self._controls[:steps], np.float32).reshape(shape),
+            controls=np.array(controls, np.float32).reshape(-1, *head.controls.shape[1:]),
             digests=links.reshape(-1, DIGEST_SIZE),
             status=result.status if result else head.status,
             result=result,

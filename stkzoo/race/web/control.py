@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from typing import Any
 
 from stkzoo.errors import ConfigError
@@ -37,8 +36,6 @@ class RaceControl:
         self._paused, self._stopped, self._over = paused, False, False
         self._steps = 0
         self._last = time.monotonic()
-        #: Called after every change, in the thread that made it.
-        self.on_change: Callable[[], None] = lambda: None
 
     @property
     def mode(self) -> str:
@@ -133,7 +130,6 @@ class RaceControl:
             for name, value in changes.items():
                 setattr(self, name, value)
             self._changed.notify_all()
-        self.on_change()
 
 
 def _checked(speed: object) -> float | None:

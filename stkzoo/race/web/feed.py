@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -34,7 +33,6 @@ class TraceLog:
     """
 
     def __init__(self, most: int = 3000) -> None:
-        self._lock = threading.Lock()
         self._most, self._stride = most, 1
         self._log: list[tuple[int, FloatArray]] = []
 
@@ -47,19 +45,18 @@ class TraceLog:
         """
         if step % self._stride:
             return
-        with self._lock:
-            self._log.append((step, row))
-            if len(self._log) > self._most:
-                self._stride *= 2
-                self._log = [entry for entry in self._log if entry[0] % self._stride == 0]
+        self._log.append((step, row))
+        if len(self._log) > self._most:
+            self._stride *= 2
+            self._log = [entry for entry in self._log if entry[0] % self._stride == 0]
 
     def since(self, step: int) -> dict[str, Any]:
         """The steps after one, for JSON; ``steps`` is empty if there are none."""
-        with self._lock:
-            first = bisect_right(self._log, step, key=itemgetter(0))
-            steps, rows = [*zip(*self._log[first:], strict=True)] or [(), ()]
-        if not steps:
+        log = self._log  # the other thread may append to it, or replace it
+        entries = log[bisect_right(log, step, key=itemgetter(0)) :]
+        if not entries:
             return {"steps": []}
+        steps, rows = zip(*entries, strict=True)
         values = np.nan_to_num(np.stack(rows, axis=1).astype(np.float64)).round(3)
         columns = dict(zip(COLUMNS, values.tolist(), strict=True))
         return {"steps": list(steps), "values": columns}

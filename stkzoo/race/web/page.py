@@ -51,7 +51,6 @@ class RaceBroadcast:
 
         self.control = RaceControl(speed, paused=paused)
         self._server = LiveServer(host, port, self.control)
-        self.control.on_change = self._server.wake
         self.port, self.url = self._server.port, self._server.url
         self._scene: Scene | None = None
 
@@ -81,7 +80,7 @@ class RaceBroadcast:
         self._scene = scene
         agents = tuple(f"kart_{number}" for number in range(len(scene.kart_indices)))
         race = text_of(lambda: race_message(scene, sources or {}, seed))
-        self._server.show(RaceNews(race, agents))
+        self._server.news = RaceNews(race, agents)
         self.control.begin()
         self.add(snapshot, 0, details=details)
 
@@ -124,7 +123,7 @@ class RaceBroadcast:
             return {**message, "failures": dict(failures or {})}
 
         moment = text_of(make_message)
-        self._server.show(replace(news, moment=moment, steps=steps, details=details or {}))
+        self._server.news = replace(news, moment=moment, steps=steps, details=details or {})
 
     def wait_turn(self) -> bool:
         """Waits until the viewers let the race continue.
@@ -143,7 +142,7 @@ class RaceBroadcast:
         """
         self.control.finish()
         message = text_of(lambda: {"type": "result", "result": result})
-        self._server.show(replace(self._server.news, result=message))
+        self._server.news = replace(self._server.news, result=message)
 
     def close(self) -> None:
         """Ends the page; viewers keep what they received. May be called again."""

@@ -111,7 +111,8 @@ class LiveServer:
     """The page and its viewers. It serves from the moment it is made.
 
     Attributes:
-        news: what it shows.
+        news: what it shows; the race's thread replaces it.
+        num_viewers: how many watch.
         port: the port that it listens on.
         url: address of the page, with the key for control if one is needed.
 
@@ -129,8 +130,7 @@ class LiveServer:
         self._control, self._guard = control, RequestGuard(host)
         self._pages = {f"/{file.name}": file for file in _FILES.iterdir() if file.is_file()}
         self._pages["/"] = _FILES / "index.html"
-        self._viewers: set[Viewer] = set()
-        self._is_waking = False
+        self.num_viewers = 0
         self._listener = _listener(host, port)
         self.port: int = self._listener.getsockname()[1]
         address, key = _shown(host, self._listener), self._guard.key
@@ -140,27 +140,12 @@ class LiveServer:
         self._thread = threading.Thread(target=self._run, name="stkzoo-live-page", daemon=True)
         self._thread.start()
 
-    @property
-    def num_viewers(self) -> int:
-        """Number of viewers."""
-        return len(self._viewers)
-
-    def show(self, news: RaceNews) -> None:
-        """Shows something else; from the race's thread, returns at once."""
-        self.news = news
-        self.wake()
-
-    def wake(self) -> None:
-        """Wakes the viewers' senders; from any thread, returns at once."""
-        if self._viewers and not self._is_waking and not self._loop.is_closed():
-            self._is_waking = True
-            self._call(self._wake_viewers)
-
     def close(self) -> None:
         """Sends viewers the last messages, then ends; may be called again."""
         if not self._thread.is_alive():
             return
-        self._call(self._closing.set)
+        with suppress(RuntimeError):  # it has ended in the meantime
+            self._loop.call_soon_threadsafe(self._closing.set)
         self._thread.join(_END)
         if self._thread.is_alive():
             logger.warning("the live page did not close in %.0f s", _END)
@@ -184,27 +169,11 @@ class LiveServer:
         try:
             await web.SockSite(runner, self._listener).start()
             await self._closing.wait()
-            await self._dismiss_viewers()
+            deadline = self._loop.time() + _FAREWELL
+            while self.num_viewers and self._loop.time() < deadline:
+                await asyncio.sleep(0.02)
         finally:
             await runner.cleanup()
-
-    def _call(self, function: Callable[[], object]) -> None:
-        try:
-            self._loop.call_soon_threadsafe(function)
-        except RuntimeError:  # it has ended in the meantime
-            logger.debug("the live page has ended")
-
-    def _wake_viewers(self) -> None:
-        self._is_waking = False
-        for viewer in self._viewers:
-            viewer.wake()
-
-    async def _dismiss_viewers(self) -> None:
-        leaving = [asyncio.ensure_future(viewer.leave()) for viewer in self._viewers]
-        if leaving:
-            _, late = await asyncio.wait(leaving, timeout=_FAREWELL)
-            for task in late:
-                task.cancel()
 
     # ------------------------------------------------------------------ requests
 
@@ -225,7 +194,7 @@ class LiveServer:
     async def _live(self, request: web.Request) -> web.StreamResponse:
         if request.query.get("version") != str(PROTOCOL_VERSION):
             raise web.HTTPBadRequest(text=f"expected ?version={PROTOCOL_VERSION}; reload /\n")
-        if len(self._viewers) >= _MOST_VIEWERS:
+        if self.num_viewers >= _MOST_VIEWERS:
             raise web.HTTPServiceUnavailable(
                 text=f"{_MOST_VIEWERS} viewers are connected already\n"
             )
@@ -234,12 +203,14 @@ class LiveServer:
         )
         await connection.prepare(request)
         may_steer = self._guard.may_steer(request.query.get("key", ""))
-        viewer = Viewer(connection, lambda: self.news, self._control, may_steer=may_steer)
-        self._viewers.add(viewer)
+        viewer = Viewer(
+            connection, lambda: self.news, self._control, self._closing, may_steer=may_steer
+        )
+        self.num_viewers += 1
         try:
             await viewer.serve()
         finally:
-            self._viewers.discard(viewer)
+            self.num_viewers -= 1
         return connection
 
 

@@ -30,7 +30,7 @@ _COMMANDS = ("run", "pause", "step", "stop", "speed")
 
 
 class Viewer:
-    """One connection. It gets the news whenever it has received the last.
+    """One connection. It looks for news 30 times a second, once it has received the last.
 
     A slow viewer misses moments; nothing waits for it.
 
@@ -38,6 +38,7 @@ class Viewer:
         socket: the connection.
         read_news: gives what there is to show.
         control: the control of the race.
+        closing: set when the page ends.
         may_steer: whether the viewer may control the race.
     """
 
@@ -46,40 +47,26 @@ class Viewer:
         socket: web.WebSocketResponse,
         read_news: Callable[[], RaceNews],
         control: RaceControl,
+        closing: asyncio.Event,
         *,
         may_steer: bool,
     ) -> None:
         self._socket, self._read_news, self._control = socket, read_news, control
-        self._may_steer = may_steer
-        self._has_news = asyncio.Event()
-        self._leaving = False
+        self._closing, self._may_steer = closing, may_steer
         self._sent: dict[str, Any] = {}  # the last message of each kind
         self._step = -1  # the last one of the traces
         self._watched: str | None = None
         self._next_observation = 0.0
-        self._sender: asyncio.Task[None] | None = None
-
-    def wake(self) -> None:
-        """Makes the sender look for news."""
-        self._has_news.set()
 
     async def serve(self) -> None:
-        """Sends and receives until the viewer leaves."""
-        self._has_news.set()
-        self._sender = asyncio.ensure_future(self._send())
+        """Sends and receives until the viewer leaves or the page ends."""
+        sender = asyncio.ensure_future(self._send())
         try:
             await self._listen()
         finally:
-            self._sender.cancel()
-            await asyncio.gather(self._sender, return_exceptions=True)
-
-    async def leave(self) -> None:
-        """Sends the last messages and closes."""
-        self._leaving = True
-        self._has_news.set()
-        if self._sender is not None:
-            await asyncio.gather(self._sender, return_exceptions=True)
-        await self._socket.close(code=WSCloseCode.GOING_AWAY)
+            if not self._closing.is_set():
+                sender.cancel()
+            await asyncio.gather(sender, return_exceptions=True)
 
     # ------------------------------------------------------------------ to the viewer
 
@@ -87,13 +74,12 @@ class Viewer:
         hello = {"type": "hello", "version": PROTOCOL_VERSION, "may_steer": self._may_steer}
         try:
             await self._put(encoded(hello))
-            while not self._leaving:
-                await self._has_news.wait()
-                self._has_news.clear()
+            while not self._closing.is_set():
                 await self._put_news()
-                await asyncio.sleep(0 if self._leaving else _MOMENT_PAUSE)
+                await asyncio.sleep(_MOMENT_PAUSE)
             await self._put_news()
             await self._put(encoded({"type": "bye"}))
+            await self._socket.close(code=WSCloseCode.GOING_AWAY)
         except (ConnectionError, asyncio.TimeoutError, RuntimeError) as error:
             logger.debug("a viewer is disconnected: %r", error)
             await self._socket.close(code=WSCloseCode.TRY_AGAIN_LATER, drain=False)
@@ -103,14 +89,12 @@ class Viewer:
         for text in self._texts(news):
             await self._put(text)
         details, seen = news.details.get(self._watched or ""), (self._watched, news.moment)
-        if details is None or self._sent.get("observation") == seen:
-            return
-        loop = asyncio.get_running_loop()
-        if not self._leaving and loop.time() < self._next_observation:
-            loop.call_at(self._next_observation, self.wake)
+        now = asyncio.get_running_loop().time()
+        is_time = now >= self._next_observation or self._closing.is_set()
+        if details is None or not is_time or self._sent.get("observation") == seen:
             return
         self._sent["observation"] = seen
-        self._next_observation = loop.time() + _OBSERVATION_PAUSE
+        self._next_observation = now + _OBSERVATION_PAUSE
         message = {"agent": self._watched, "steps": news.steps, "parts": plain(details)}
         await self._put(encoded({"type": "observation", **message}))
 
@@ -173,7 +157,6 @@ class Viewer:
             raise ProtocolError(f"agent is {agent!r:.50}, expected an agent of this race or null")
         self._watched = None if agent is None else str(agent)
         self._next_observation = 0.0
-        self.wake()
 
 
 def _parsed(message: Any) -> dict[str, Any]:
