@@ -78,7 +78,7 @@ class RaceFilm:
         self._size = width & ~1, height & ~1  # video formats hold whole pairs of pixels
         self._cameras, self._sub_steps = cameras, sub_steps
         self._card_seconds, self._on_frame = card_seconds, on_frame
-        self._backend, self._preset = backend, preset
+        self._renderer = RaceRenderer(backend, self._size, preset)
         self._writer: VideoWriter | None = None  # since begin
 
     @property
@@ -89,7 +89,7 @@ class RaceFilm:
     @property
     def backend(self) -> str:
         """The renderer in use; ``"auto"`` before the first picture."""
-        return self._backend
+        return self._renderer.backend
 
     def begin(self, scene: Scene, snapshot: Snapshot) -> None:
         """Adds the first picture: the karts on the grid.
@@ -107,13 +107,12 @@ class RaceFilm:
         self._tile = self._size[0] // columns, self._size[1] // rows
         self._has_free_tile = 1 < len(self._karts) < columns * rows
         self._map: MapView | None = None
-        self._renderer = RaceRenderer(self._backend, self._tile, self._preset)
+        self._renderer.size = self._tile
         self._renderer.begin(self._scene)
         self._writer = VideoWriter(self.path, self._fps)
         self._last = snapshot
         frames = self._renderer.pictures_between(snapshot, 1)
         self._write(next(iter(frames), None), snapshot)
-        self._backend = self._renderer.backend
 
     def add(self, snapshot: Snapshot) -> None:
         """Adds the pictures of one step.
@@ -155,7 +154,7 @@ class RaceFilm:
         """Ends without a file, unless :meth:`finish` wrote one; may be called again."""
         if self._writer is not None:
             self._writer.abort()
-            self._renderer.close()
+        self._renderer.close()
 
     def results(self, agents: Sequence[AgentResult] = ()) -> list[ResultRow]:
         """Result rows for :meth:`finish`, from the last snapshot.
