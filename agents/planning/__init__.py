@@ -31,10 +31,8 @@ from .driver import (
 from .kart import DRIFT_TURN, STEP
 from .memory import MEMORY_MIRROR, MEMORY_SIZE, DriverMemory, KartSituation
 from .parameters import DriverParameters
-from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, FREE, MANOEUVRES, PlanTable, plan_table
-from .rivals import Rivals, RivalTracker
-from .road import LINE_MARKS, RoadAhead, RoadPlaces
-from .worth import PlanOptions, PlanScene, weigh
+from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, FREE, MANOEUVRES
+from .road import LINE_MARKS, RoadAhead
 
 __all__ = [
     "ALL_LOOKS",
@@ -58,21 +56,13 @@ __all__ = [
     "DriverParameters",
     "KartSituation",
     "PlanDriver",
-    "PlanOptions",
-    "PlanScene",
-    "PlanTable",
     "PolicyInput",
-    "RivalTracker",
-    "Rivals",
     "RoadAhead",
-    "RoadPlaces",
     "is_drifting",
     "likeliest",
     "mirrored_choices",
     "mirrored_inputs",
     "mirrored_prior",
-    "plan_table",
     "plan_turns",
     "steer_of_turn",
-    "weigh",
 ]

@@ -10,10 +10,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from stkzoo.kernel import PlanTable
 
 from .kart import BOOST_STEPS, BRAKING, DRIFT_TURN, RELEASE_STEPS, STEP
 
@@ -58,69 +60,31 @@ def all_lanes(changes: int) -> Lanes:
     return [*kept, *itertools.permutations(np.linspace(-0.9, 0.9, changes).tolist(), 2)]
 
 
-class PlanTable(NamedTuple):
-    """The plans of all states: ``S`` states, ``T`` moments, ``C`` plans.
-
-    Attributes:
-        spans: ``(T,)`` how long the moments last [s].
-        least: ``(S, T, C)`` share of full lock that can be turned, positive to the right, from
-        most: ``(S, T, C)`` to this.
-        drifts: ``(S, T, C)`` 1 where the kart drifts.
-        releases: ``(S, T, C)`` 1 where it goes on turning after a drift.
-        slower: ``(S, T, C)`` change of speed [m/s].
-        lanes: ``(S, T, C)`` where to drive, -1 is the left edge of the road, 1 the right one.
-        items: ``(S, C)`` number of the item to drive over instead, -1 for none.
-        manoeuvres: ``(S, C)`` what the plan begins with; -1 is no plan.
-        boosts: ``(S, C)`` 0 if it earns the small boost, 1 if the big one, -1 if none.
-        boost_steps: ``(S, C)`` in how many steps.
-        needs_drift: ``(S, C)`` whether it is for karts that may begin a drift.
-    """
-
-    spans: FloatArray
-    least: FloatArray
-    most: FloatArray
-    drifts: FloatArray
-    releases: FloatArray
-    slower: FloatArray
-    lanes: FloatArray
-    items: IntArray
-    manoeuvres: IntArray
-    boosts: IntArray
-    boost_steps: FloatArray
-    needs_drift: npt.NDArray[np.bool_]
-
-
 #: The types of the columns that are not float32.
 _TYPES = {"items": np.intp, "manoeuvres": np.intp, "boosts": np.intp, "needs_drift": np.bool_}
 
-
-class _Plan(NamedTuple):
-    """A column of a :class:`PlanTable`: ``(T,)`` arrays for what goes by moments."""
-
-    least: FloatArray
-    most: FloatArray
-    drifts: FloatArray
-    releases: FloatArray
-    slower: FloatArray
-    lanes: FloatArray
-    items: int
-    manoeuvres: int
-    boosts: int
-    boost_steps: float
-    needs_drift: bool
-
-
 _ZEROS, _ONES = np.zeros_like(SPANS), np.ones_like(SPANS)
-_NOTHING = (_ZEROS, _ZEROS, _ZEROS, _ZEROS, _ZEROS, _ZEROS)
-_NO_PLAN = _Plan(*_NOTHING, items=-1, manoeuvres=-1, boosts=-1, boost_steps=0.0, needs_drift=False)
+#: A plan is a table of one state and one plan, without their axes; this one is none.
+_NO_PLAN = PlanTable(
+    SPANS,
+    *(_ZEROS, _ZEROS, _ZEROS, _ZEROS, _ZEROS, _ZEROS),
+    *(np.array(-1), np.array(-1), np.array(-1)),
+    boost_steps=np.zeros((), np.float32),
+    needs_drift=np.array(False),
+)
 
 
-def _free(lanes: Lanes, release: int, *, boost: int = -1, brake: bool = False) -> list[_Plan]:
+def _changed(plan: PlanTable, **columns: Any) -> PlanTable:
+    return plan._replace(**{name: np.asarray(column) for name, column in columns.items()})
+
+
+def _free(lanes: Lanes, release: int, *, boost: int = -1, brake: bool = False) -> list[PlanTable]:
     """Plans without any drift."""
     lost = -BRAKING * BRAKE_TIME
     regained = lost + GAIN * (ENDS[-1] - BRAKE_TIME)
     slower = np.interp(_BEGINS, [0.0, BRAKE_TIME, ENDS[-1]], [0.0, lost, regained])
-    plan = _NO_PLAN._replace(
+    plan = _changed(
+        _NO_PLAN,
         least=-_ONES,
         most=_ONES,
         releases=_between(0.0, release * STEP),
@@ -140,14 +104,15 @@ def _drift(
     wait: int = 0,
     swing: int = 0,
     is_new: bool = False,
-) -> list[_Plan]:
+) -> list[PlanTable]:
     """Plans with one drift: wait for the end of the last, swing away, drift, release."""
     swings, begin = wait * STEP, (wait + swing) * STEP
     end = begin + steps * STEP
     is_swing, is_drift = _between(swings, begin), _between(begin, end)
     lower, upper = sorted(side * share for share in DRIFT_TURN)
     now = DRIFT_RIGHT if side > 0 else DRIFT_LEFT
-    plan = _NO_PLAN._replace(
+    plan = _changed(
+        _NO_PLAN,
         least=np.select([is_swing > 0, is_drift > 0], [-side, lower], -1.0),
         most=np.select([is_swing > 0, is_drift > 0], [-side, upper], 1.0),
         drifts=is_drift,
@@ -160,13 +125,13 @@ def _drift(
     return _in_lanes(plan, lanes)
 
 
-def _in_lanes(plan: _Plan, lanes: Lanes) -> list[_Plan]:
+def _in_lanes(plan: PlanTable, lanes: Lanes) -> list[PlanTable]:
     """The plan in each lane, and for each item."""
     in_lanes = [
-        plan._replace(lanes=np.where(_MIDDLES < CHANGE_AT, before, after))
+        _changed(plan, lanes=np.where(_MIDDLES < CHANGE_AT, before, after))
         for before, after in lanes
     ]
-    return [*in_lanes, *(plan._replace(items=item) for item in range(ITEM_LANES))]
+    return [*in_lanes, *(_changed(plan, items=item) for item in range(ITEM_LANES))]
 
 
 def _between(begin: float, end: float) -> FloatArray:
@@ -174,7 +139,7 @@ def _between(begin: float, end: float) -> FloatArray:
     return (np.greater_equal(_MIDDLES, begin) & np.less(_MIDDLES, end)).astype(np.float32)
 
 
-def _without_drift(release: int, lanes: Lanes) -> list[_Plan]:
+def _without_drift(release: int, lanes: Lanes) -> list[PlanTable]:
     """The plans of a kart that does not drift but still turns for some steps after one."""
     plans = _free(lanes, release) + _free(FEW_LANES, release, brake=True)
     for side in (-1, 1):
@@ -185,7 +150,7 @@ def _without_drift(release: int, lanes: Lanes) -> list[_Plan]:
     return plans
 
 
-def _in_drift(side: int, steps: int, lanes: Lanes) -> list[_Plan]:
+def _in_drift(side: int, steps: int, lanes: Lanes) -> list[PlanTable]:
     """The plans of a kart that has drifted to a side for some steps."""
     small, big = (max(earned - steps, 0) for earned in BOOST_STEPS)
     earned = 1 if not big else 0 if not small else -1
@@ -214,7 +179,7 @@ def plan_table(changes: int) -> PlanTable:
     most = max(map(len, states))
     rows = [[*plans, *[_NO_PLAN] * (most - len(plans))] for plans in states]
     columns: dict[str, npt.NDArray[Any]] = {}
-    for name in _Plan._fields:
+    for name in PlanTable._fields[1:]:
         column = np.array([[getattr(plan, name) for plan in plans] for plans in rows])
         if column.ndim == 3:  # by moments too
             column = np.ascontiguousarray(column.swapaxes(1, 2))

@@ -1,9 +1,9 @@
 """The inner loops of a step, once in C and once in numpy.
 
-Every name here is a class or function of the compiled extension ``_kernel``, or its twin in
-:mod:`stkzoo.kernel.reference`, which does the same in numpy. This module alone decides which:
-the extension, unless it is not built here or ``STKZOO_KERNEL=off`` is set. The stub
-``_kernel.pyi`` types both, and ``tests/kernel`` runs each name against its twin.
+Every name here but :class:`PlanTable` is a class or function of the compiled extension
+``_kernel``, or its twin in :mod:`stkzoo.kernel.reference`, which does the same in numpy. This
+module alone decides which: the extension, unless it is not built here or ``STKZOO_KERNEL=off`` is
+set. The stub ``_kernel.pyi`` types both, and ``tests/kernel`` runs each name against its twin.
 
 Attributes:
     IS_COMPILED: whether the names are those of the extension.
@@ -15,6 +15,8 @@ import importlib
 import os
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
+
+from stkzoo.kernel.plan_table import PlanTable
 
 if TYPE_CHECKING:
     from stkzoo.kernel._kernel import (
@@ -36,6 +38,7 @@ __all__ = [
     "CarController",
     "GameStepper",
     "KartObserver",
+    "PlanTable",
     "RacingObserver",
     "StepScorer",
     "TrackGraph",

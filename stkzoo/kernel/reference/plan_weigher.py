@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.kernel.plan_table import PlanTable
+
 FloatArray = npt.NDArray[np.float32]
 DoubleArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
@@ -16,23 +18,6 @@ Arrays = tuple[npt.NDArray[Any], ...]
 _MANOEUVRES, _BRAKE = 4, 1
 #: The worth of a manoeuvre that no plan begins with.
 _NEVER = -1e4
-
-
-class _Table(NamedTuple):
-    """The plans of all states: ``(T,)``, then ``(S, T, C)``, then ``(S, C)``."""
-
-    spans: FloatArray
-    least: FloatArray
-    most: FloatArray
-    drifts: FloatArray
-    releases: FloatArray
-    slower: FloatArray
-    lanes: FloatArray
-    items: IntArray
-    manoeuvres: IntArray
-    boosts: IntArray
-    boost_steps: FloatArray
-    needs_drift: npt.NDArray[np.bool_]
 
 
 class _Rules(NamedTuple):
@@ -74,7 +59,7 @@ def weigh_plans(
     A kart steers for a point of its lane ahead, as far as its plan lets it.
 
     Args:
-        table: the plans of all states, in the order of ``stkzoo.agents.planning.PlanTable``.
+        table: the plans of all states, in the order of :class:`~stkzoo.kernel.PlanTable`.
         rules: ``(19,)``: what holds for all karts, in the order of ``_Rules``.
         rows: ``(A,)``: the karts' states.
         karts: ``(A, 11)``: speed [m/s], turn at full lock [rad/s], how far ahead it aims [m],
@@ -91,7 +76,7 @@ def weigh_plans(
             [m].
     """
     along, across, ahead, angles, turns = drive_plans(table, rules, rows, karts, road, items)
-    plans, costs, speed = _Table(*table), _Rules(*rules.tolist()), karts[:, 0]
+    plans, costs, speed = PlanTable(*table), _Rules(*rules.tolist()), karts[:, 0]
     danger = _danger(plans.spans, across, ahead, angles, speed, costs)
     worth = along[-1] - danger - np.float32(costs.angle_cost) * angles * angles
     worth += _boosts(plans, rows, karts, costs)
@@ -125,7 +110,7 @@ def drive_plans(
         Along the road, across it and how far across they may be, ``(T, A, C)`` each [m]; their
         last angle to the road [rad] and the turns by now, ``(A, C)`` each.
     """
-    known, physics = _Table(*table), _Rules(*rules.tolist())
+    known, physics = PlanTable(*table), _Rules(*rules.tolist())
     speed, lock, reach, own_turn, drift_turn, offset, own_angle = karts[:, :7, None].swapaxes(0, 1)
     # what turns into a share of full lock, for each m/s of speed
     pull = 2.0 / (reach * reach * lock)
@@ -197,7 +182,7 @@ def _danger(
     return cost
 
 
-def _boosts(table: _Table, rows: IntArray, karts: FloatArray, rules: _Rules) -> FloatArray:
+def _boosts(table: PlanTable, rows: IntArray, karts: FloatArray, rules: _Rules) -> FloatArray:
     """What plans earn by drifting, ``(A, C)`` [m]: less while such a boost still lasts."""
     wait, boosts = table.boost_steps[rows], table.boosts[rows]
     fresh = np.minimum(1.0 - (karts[:, 7:8] - wait) / rules.small_boost_lasts, 1.0)
