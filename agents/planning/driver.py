@@ -238,15 +238,6 @@ class PlanDriver:
         self.memory.forget(rows)
         self._tracker.forget(rows)
 
-    def state(self) -> dict[str, FloatArray]:
-        """What is remembered by name, for :meth:`restore`."""
-        return self.memory.state() | self._tracker.state()
-
-    def restore(self, state: Mapping[str, FloatArray]) -> None:
-        """Makes what is remembered what :meth:`state` was."""
-        self.memory.restore(state)
-        self._tracker.restore(state)
-
     @property
     def options(self) -> PlanOptions:
         """The best plans, of what was seen last."""

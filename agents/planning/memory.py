@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -255,12 +254,3 @@ class DriverMemory:
         """Resets some karts."""
         self._all[:, rows] = 0
         self._of.since_fire[rows] = _LONG_AGO
-
-    def state(self) -> dict[str, FloatArray]:
-        """The memory by name, for :meth:`restore`."""
-        return {name: getattr(self._of, name).copy() for name in _NAMES}
-
-    def restore(self, state: Mapping[str, FloatArray]) -> None:
-        """Makes it what :meth:`state` was."""
-        self._all = np.array([state[name] for name in _NAMES], np.float32)
-        self._of = _Fields(*self._all)

@@ -7,7 +7,6 @@ kart moves little in a step, so each is taken to be the one that was nearest to 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -165,15 +164,6 @@ class RivalTracker:
         nothing = _Moment.unknown(len(rows))
         for moment in (self._before, self._now):
             moment.put(rows, nothing)
-
-    def state(self) -> dict[str, FloatArray]:
-        """What :meth:`watch` needs by name, for :meth:`restore`."""
-        return {f"rivals {f.name}": getattr(self._before, f.name).copy() for f in fields(_Moment)}
-
-    def restore(self, state: Mapping[str, FloatArray]) -> None:
-        """Makes it what :meth:`state` was."""
-        kept = [np.array(state[f"rivals {f.name}"], np.float32) for f in fields(_Moment)]
-        self._before = _Moment(*kept)
 
 
 def _length(vectors: FloatArray) -> FloatArray:

@@ -3,7 +3,7 @@
     python -m stkzoo.agents.training.plot runs/first runs/second --output curves.png
 
 There is one panel per group of figures that the runs have: time ratios, places, rewards, wins, and
-the ratings of evaluations beside the training. A run of ``imitation`` has its own plot.
+the ratings of evaluations beside the training.
 """
 
 from __future__ import annotations
@@ -15,11 +15,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from stkzoo.evaluation import BLUE, GREY, INK, Rating, new_figure, save_figure, style_axes
+from stkzoo.evaluation import GREY, INK, new_figure, save_figure, style_axes
 
 from .common.command import command_parser, run_command
 from .common.training_log import require_log
+
+#: A rating: its value, and both ends of its interval.
+Interval = Sequence[float]
 
 #: Panels: title, and the log's figures with their labels.
 _PANELS: tuple[tuple[str, dict[str, str]], ...] = (
@@ -41,7 +45,10 @@ _PANELS: tuple[tuple[str, dict[str, str]], ...] = (
     ),
     ("Reward per step", {"reward": "reward"}),
     ("Explained variance of the value", {"explained": "explained"}),
-    ("Driving, last 100 karts", {"pace": "pace, of the AI's", "finished": "finished"}),
+    (
+        "Pace, and karts that finished",
+        {"pace": "pace, of the AI's", "finished": "share of karts that finished"},
+    ),
     (
         "Share of opponents beaten",
         {"beats_past": "past selves", "beats_bots": "the game's bots", "win_share": "past selves"},
@@ -49,7 +56,11 @@ _PANELS: tuple[tuple[str, dict[str, str]], ...] = (
     ("Return of a race", {"return": "return"}),
     (
         "Time over the AI's median time",
-        {"time_ratio_alone": "the network alone", "driver_time_ratio": "the driver"},
+        {
+            "time_ratio": "the driver; the teacher first",
+            "driver_time_ratio": "the driver",
+            "time_ratio_alone": "the network alone",
+        },
     ),
     ("Loss [nats]", {"loss": "loss"}),
 )
@@ -66,9 +77,6 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
         ConfigError: a run has no log, or matplotlib is missing.
     """
     logs = [(Path(folder).name, require_log(folder)) for folder in folders]
-    if any("time_ratio" in line for _, log in logs for line in log):
-        plot_imitation(logs[0][1], output)
-        return
     names = {name for _, log in logs for line in log for name in line}
     panels = [panel for panel in _PANELS if names & set(panel[1])]
     ratings = [(Path(folder).name, _read_ratings(Path(folder))) for folder in folders]
@@ -81,11 +89,15 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
         style_axes(axis, title)
         for run, log in logs:
             for entry, label in entries.items():
-                found = [(_x(line), line[entry]) for line in log if line.get(entry) is not None]
+                found = [line for line in log if line.get(entry) is not None]
                 if found:
                     whose = f"{label} ({run})" if len(logs) > 1 else label
-                    steps, values = np.array(found, float).T
-                    axis.plot(steps, _smooth(values), label=whose)
+                    steps = [_x(line) for line in found]
+                    values = _smooth(np.array([line[entry] for line in found], float))
+                    (curve,) = axis.plot(steps, values, label=whose)
+                    if entry == "time_ratio":
+                        error = 1.96 * np.array([line["error"] for line in found])
+                        _draw_band(axis, curve, steps, values - error, values + error)
     for run, policies in ratings:
         _draw_evaluations(axes[count - 2], axes[count - 1], run, policies)
     for axis in axes[:count]:
@@ -109,9 +121,9 @@ def _read_ratings(folder: Path) -> dict[str, Any]:
     return json.loads(file.read_text()) if file.exists() else {}
 
 
-def _smooth(values: np.ndarray[Any, np.dtype[np.float64]], width: int = 9) -> Any:
-    """A running mean; shorter at the ends."""
-    window = np.ones(min(width, len(values)))
+def _smooth(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """A running mean of up to nine values; shorter at the ends, and none of few values."""
+    window = np.ones(min(1 + len(values) // 10, 9))
     sums = np.convolve(values, window, mode="same")
     return sums / np.convolve(np.ones_like(values), window, mode="same")
 
@@ -120,21 +132,13 @@ def _draw_evaluations(rating_axis: Any, time_axis: Any, run: str, ratings: dict[
     """Ratings and time ratios of a run's kept policies."""
     policies = ratings["policies"]
     steps = [policy["kart_steps"] / 1e6 for policy in policies]
-    values, lows, highs, ratios = (
-        [policy[name] for policy in policies]
-        for name in ("rating", "rating_low", "rating_high", "time_ratio")
-    )
+    names = ("rating", "rating_low", "rating_high")
     style_axes(rating_axis, "Rating, with 95 % interval")
-    (line,) = rating_axis.plot(steps, values, marker="o", markersize=3, label=run)
-    rating_axis.fill_between(steps, lows, highs, color=line.get_color(), alpha=0.15, linewidth=0)
+    draw_ratings(rating_axis, run, steps, [[policy[n] for n in names] for policy in policies])
     others = {n: r["value"] for n, r in ratings["others"].items() if not n.startswith("policy-")}
-    across = rating_axis.get_yaxis_transform()
-    for names, value in _near_each_other(others):
-        rating_axis.axhline(value, color=GREY, linewidth=0.8, linestyle=":")
-        rating_axis.annotate(
-            names, (1.0, value), xycoords=across, fontsize=7, color=INK, va="center"
-        )
+    draw_levels(rating_axis, others)
     style_axes(time_axis, "Time over that of the game's AI, evaluated")
+    ratios = [policy["time_ratio"] for policy in policies]
     time_axis.plot(steps, ratios, marker="o", markersize=3, label=run)
     time_axis.set_yscale("log")
     ticks = [0.8, 1, 1.5, 2, 3, 5, 10]
@@ -144,8 +148,28 @@ def _draw_evaluations(rating_axis: Any, time_axis: Any, run: str, ratings: dict[
     time_axis.axhline(1.0, color=GREY, linewidth=0.8, linestyle=":")
 
 
-def _near_each_other(values: dict[str, float]) -> list[tuple[str, float]]:
-    """Joins names at nearly the same height; with that height."""
+def draw_ratings(
+    axis: Any, label: str, steps: Sequence[float], ratings: Sequence[Interval]
+) -> None:
+    """Draws the ratings of kept policies with their intervals.
+
+    Args:
+        axis: of matplotlib.
+        label: whose they are.
+        steps: millions of kart-steps of each.
+        ratings: the rating of each.
+    """
+    values, lows, highs = np.array(ratings, float).reshape(-1, 3).T
+    (curve,) = axis.plot(steps, values, marker="o", markersize=3, label=label, gid=f"curve {label}")
+    _draw_band(axis, curve, steps, lows, highs)
+
+
+def _draw_band(axis: Any, curve: Any, steps: Any, lows: Any, highs: Any) -> None:
+    axis.fill_between(steps, lows, highs, color=curve.get_color(), alpha=0.15, linewidth=0)
+
+
+def draw_levels(axis: Any, values: Mapping[str, float]) -> None:
+    """Draws lines across with their names; names at nearly the same height are joined."""
     room = 0.06 * (max(values.values()) - min(values.values())) if values else 0.0
     groups: list[list[str]] = []
     for name in sorted(values, key=lambda name: (values[name], name)):
@@ -153,77 +177,37 @@ def _near_each_other(values: dict[str, float]) -> list[tuple[str, float]]:
             groups[-1].append(name)
         else:
             groups.append([name])
-    return [(", ".join(sorted(g)), float(np.mean([values[n] for n in g]))) for g in groups]
+    across = axis.get_yaxis_transform()
+    for group in groups:
+        value = float(np.mean([values[name] for name in group]))
+        axis.axhline(value, color=GREY, linewidth=0.8, linestyle=":")
+        names = ", ".join(sorted(group))
+        axis.annotate(names, (1.0, value), xycoords=across, fontsize=7, color=INK, va="center")
 
 
-def draw_ratings(
-    curves: Mapping[str, Sequence[tuple[float, Rating]]],
-    ai: Rating | None,
-    count: int,
-    output: str | Path,
-) -> None:
-    """Plots the ratings of kept policies over kart-steps.
+def rating_figure(
+    curves: Mapping[str, Sequence[tuple[float, Interval]]],
+    levels: Mapping[str, float],
+    title: str | None = None,
+) -> Any:
+    """A figure of ratings over kart-steps.
 
     Args:
-        curves: by run: millions of kart-steps and rating of each policy.
-        ai: the rating of the game's AI.
-        count: how many races they come from.
-        output: the plot's file.
+        curves: by name: millions of kart-steps and rating of each policy.
+        levels: ratings of drivers that do not learn.
+        title: of the figure.
     """
     figure = new_figure(8, 4.5)
     axis = figure.subplots()
-    for run, points in sorted(curves.items()):
-        steps = [at for at, _ in points]
-        (line,) = axis.plot(steps, [r.value for _, r in points], marker="o", ms=3, label=run)
-        lows, highs = [r.low for _, r in points], [r.high for _, r in points]
-        axis.fill_between(steps, lows, highs, alpha=0.15, color=line.get_color(), lw=0)
-    if ai:
-        axis.axhline(ai.value, color="0.4", ls="--", label="the game's AI at its hardest")
-        axis.axhspan(ai.low, ai.high, color="0.4", alpha=0.1, lw=0)
-    axis.set_xlabel("million kart-steps")
-    axis.set_ylabel("rating (Plackett-Luce; bands: 95 %)")
-    axis.set_title(f"Kept policies in {count} races against one another", fontsize=10)
+    style_axes(axis, title)
+    for name, points in curves.items():
+        draw_ratings(axis, name, [at for at, _ in points], [rating for _, rating in points])
+    draw_levels(axis, levels)
+    axis.set_xlabel("million kart-steps", color=INK)
+    axis.set_ylabel("rating (Plackett-Luce; bands: 95 %)", color=INK)
     axis.grid(alpha=0.3)
-    axis.legend(fontsize=8)
-    save_figure(figure, output)
-
-
-def plot_imitation(log: Sequence[Mapping[str, Any]], output: str | Path) -> None:
-    """Plots a run of imitation: time ratio and share of finishers, round by round.
-
-    Args:
-        log: the run's.
-        output: the plot's file.
-
-    Raises:
-        ConfigError: matplotlib is missing.
-    """
-    figure = new_figure(8, 3.6)
-    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
-    teacher, *rounds = log
-    places = list(range(len(rounds)))
-    names = ["cloning", *(f"DAgger {n}" for n in places[1:])]
-    left.errorbar(
-        places,
-        [line["time_ratio"] for line in rounds],
-        yerr=[1.96 * line["error"] for line in rounds],
-        color=BLUE,
-        marker="o",
-        capsize=3,
-    )
-    left.axhline(teacher["time_ratio"], color=GREY, linestyle="--", linewidth=1)
-    left.text(
-        places[-1], teacher["time_ratio"], teacher["driver"], color=GREY, ha="right", va="bottom"
-    )
-    right.bar(places, [100 * line["finished"] for line in rounds], color=BLUE, width=0.6)
-    right.set_ylim(0, 100)
-    titles = ("Time over the AI's median time", "Karts that finished [%]")
-    for axis, title in zip((left, right), titles, strict=True):
-        axis.set_xticks(places, names, rotation=30, ha="right")
-        style_axes(axis, title)
-        axis.grid(axis="y", color=GREY, alpha=0.25, linewidth=0.6)
-        axis.set_axisbelow(True)
-    save_figure(figure, output)
+    axis.legend(fontsize=8, framealpha=0.0, labelcolor=INK)
+    return figure
 
 
 def main(words: list[str] | None = None) -> int:

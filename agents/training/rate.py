@@ -33,7 +33,7 @@ from stkzoo.agents.pretrained.mlp import is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation import Rating, percentile_interval
+from stkzoo.evaluation import Rating, percentile_interval, save_figure
 
 from .common.arguments import QUICK_TRACKS, track_names, write_json
 from .common.command import command_parser, limit_threads, run_command
@@ -50,7 +50,7 @@ from .common.matches import (
 from .common.plan_parameters import run_parameters
 from .common.training_log import read_json_lines
 from .league.matches import AI, SEATS, play_records
-from .plot import draw_ratings
+from .plot import rating_figure
 
 #: The policy that runs start from, and one that chooses at random.
 START, RANDOM = "start", "random"
@@ -197,14 +197,17 @@ def _rate_runs(runs: Sequence[Path], folder: Path, wanted: int, every: int) -> N
     ]
     report = {"matches": len(records), "learned_longer": asdict(progress), "ratings": rows}
     write_json(folder / RATINGS, report)
-    start = [(0.0, ratings[START])] if START in ratings else []
+    intervals = {name: [r.value, r.low, r.high] for name, r in ratings.items()}
+    start = [(0.0, intervals[START])] if START in ratings else []
     kept = sorted((_millions(name), name) for name in ratings if " " in name)
     curves = {
         run.name: start
-        + [(at, ratings[name]) for at, name in kept if name.startswith(f"{run.name} ")]
+        + [(at, intervals[name]) for at, name in kept if name.startswith(f"{run.name} ")]
         for run in runs
     }
-    draw_ratings(curves, ratings.get(AI), len(records), folder / _PLOT)
+    levels = {"the AI": ratings[AI].value} if AI in ratings else {}
+    title = f"Kept policies in {len(records)} races against one another"
+    save_figure(rating_figure(curves, levels, title), folder / _PLOT)
     for name, rating in sorted(ratings.items(), key=lambda item: -item[1].value):
         print(f"{rating.value:6.2f} ({rating.low:.2f}..{rating.high:.2f})  {name}")
     print(

@@ -16,25 +16,25 @@ same command continues exactly, also after a kill; and ``best.json``, the mean's
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import json
 import math
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from stkzoo.agents.planning import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo.errors import unknown_name
 from stkzoo.tracks import TRAIN_TRACKS
 
-from .common.arguments import QUICK_TRACKS, write_json
-from .common.command import command_parser, limit_threads, run_command, training_library
+from .common.arguments import QUICK_TRACKS, RunArguments, write_json
+from .common.command import limit_threads, parse_script, run_command, training_library
 from .common.matches import Match, plan_match_driver, play_matches
 from .common.training_log import LOG, read_json_lines
 
@@ -105,91 +105,81 @@ def drive_all(
     return [float(np.mean(own)) for own in np.split(np.array(logs), len(sets))]
 
 
-class _PlanSearch:
-    """The strategy and its log."""
+@dataclass(frozen=True, slots=True)
+class TuningArguments(RunArguments):
+    """Arguments of a search.
 
-    def __init__(self, options: argparse.Namespace) -> None:
-        cma = training_library("cma")
-        limit_threads()
-        self.folder = Path(options.output)
-        self.folder.mkdir(parents=True, exist_ok=True)
-        self.options = options
-        self._strategy = cma.CMAEvolutionStrategy(
-            to_unit(DriverParameters()),
-            options.sigma,
-            {
-                "bounds": [0.0, 1.0],
-                "popsize": options.population,
-                "seed": options.seed + 1,
-                "verbose": -9,
-            },
-        )
-        self.generation = 0
-        for line in read_json_lines(self.folder / LOG):
-            self._strategy.ask()
-            self._strategy.tell(line["asked"], line["told"])
-            self.generation += 1
+    Attributes:
+        generations: total generations.
+        population: sets per generation.
+        bots: karts of the game's AI.
+        sigma: first step, as a share of the ranges.
+        tracks: training tracks.
+    """
 
-    def run_one(self) -> dict[str, Any]:
-        """One generation; its line of the log."""
-        number = _FIRST_NUMBER + 1000 * self.options.seed + self.generation
-        places = list(itertools.product(self.options.tracks, (False, True), [number]))
-        asked = [list(map(float, point)) for point in self._strategy.ask()]
-        points = [*asked, to_unit(DriverParameters())]  # the last one is for comparison
-        *told, default = drive_all(
-            [from_unit(point) for point in points], self.options.bots, places
+    may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "bots")
+
+    generations: int = 40
+    population: int = 14
+    bots: int = 0
+    sigma: float = 0.07
+    tracks: tuple[str, ...] = QUICK_TRACKS
+
+    def __post_init__(self) -> None:
+        RunArguments.__post_init__(self)
+        for track in self.tracks:
+            if track not in TRAIN_TRACKS:
+                raise unknown_name("training track", track, TRAIN_TRACKS)
+
+
+def tune(arguments: TuningArguments, folder: Path) -> None:
+    """Searches, or continues a search.
+
+    Raises:
+        ConfigError: a library is missing.
+    """
+    cma = training_library("cma")
+    limit_threads()
+    folder.mkdir(parents=True, exist_ok=True)
+    present = to_unit(DriverParameters())
+    settings = {"popsize": arguments.population, "seed": arguments.seed + 1}
+    strategy = cma.CMAEvolutionStrategy(
+        present, arguments.sigma, {"bounds": [0.0, 1.0], "verbose": -9, **settings}
+    )
+    log = read_json_lines(folder / LOG)
+    for line in log:
+        strategy.ask()
+        strategy.tell(line["asked"], line["told"])
+    for generation in range(len(log), arguments.generations):
+        begin = time.perf_counter()
+        number = _FIRST_NUMBER + 1000 * arguments.seed + generation
+        places = list(itertools.product(arguments.tracks, (False, True), [number]))
+        asked = [list(map(float, point)) for point in strategy.ask()]
+        points = [*asked, present]  # the last one is for comparison
+        *told, default = drive_all([from_unit(point) for point in points], arguments.bots, places)
+        strategy.tell(asked, told)
+        line = {"generation": generation, "asked": asked, "told": told}
+        with (folder / LOG).open("a") as file:
+            file.write(json.dumps({**line, "default": default, "number": number}) + "\n")
+        mean = from_unit(list(map(float, strategy.result.xfavorite)))
+        write_json(folder / _BEST, asdict(mean))
+        print(
+            f"generation {generation}: time ratio {math.exp(np.mean(told)):.4f} on average, "
+            f"{math.exp(min(told)):.4f} at best, {math.exp(default):.4f} with the present "
+            f"parameters; {time.perf_counter() - begin:.0f} s",
+            flush=True,
         )
-        self._strategy.tell(asked, told)
-        line = {
-            "generation": self.generation,
-            "asked": asked,
-            "told": told,
-            "default": default,
-            "number": number,
-        }
-        self.generation += 1
-        with (self.folder / LOG).open("a") as log:
-            log.write(json.dumps(line) + "\n")
-        mean = from_unit(list(map(float, self._strategy.result.xfavorite)))
-        write_json(self.folder / _BEST, asdict(mean))
-        return line
 
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    parser = command_parser("tune_plans", __doc__)
-    parser.add_argument("--output", default="tuned", help="folder (tuned)")
-    parser.add_argument("--generations", type=int, default=40, help="total generations (40)")
-    parser.add_argument("--population", type=int, default=14, help="sets per generation (14)")
-    parser.add_argument("--bots", type=int, default=0, help="karts of the game's AI (0)")
-    parser.add_argument(
-        "--sigma", type=float, default=0.07, help="first step, as a share of the ranges (0.07)"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="seed of everything (0)")
-    parser.add_argument(
-        "--tracks",
-        nargs="+",
-        choices=TRAIN_TRACKS,
-        default=list(QUICK_TRACKS),
-        help="training tracks (all but black_forest, which takes long)",
-    )
-    options = parser.parse_args(words)
-    return run_command(lambda: _tune(options), "the same command continues")
+    output = {"type": Path, "default": Path("tuned"), "help": "folder (tuned)"}
 
+    def run() -> None:
+        arguments, own = parse_script("tune_plans", __doc__, TuningArguments, words, output=output)
+        tune(arguments, own["output"])
 
-def _tune(options: argparse.Namespace) -> None:
-    search = _PlanSearch(options)
-    while search.generation < options.generations:
-        begin = time.perf_counter()
-        line = search.run_one()
-        results = line["told"]
-        print(
-            f"generation {line['generation']}: time ratio "
-            f"{math.exp(sum(results) / len(results)):.4f} on average, "
-            f"{math.exp(min(results)):.4f} at best, {math.exp(line['default']):.4f} with the "
-            f"present parameters; {time.perf_counter() - begin:.0f} s",
-            flush=True,
-        )
+    return run_command(run, "the same command continues")
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import BRAKE as BRAKE_PEDAL
 from stkzoo.wrappers.racing import CHOICES, STEERS
+from tests.support.fleets import begin_at
 from tests.support.networks import small_network
 
 STEER, PEDAL, DRIFT, NITRO, FIRE = np.cumsum((0, *CHOICES[:-1]))
@@ -33,10 +34,10 @@ def ensemble(weight, *networks):
 @pytest.fixture(scope="module")
 def views():
     """What four karts see in a race that the plans drive, 50 moments of it."""
-    fleet = Fleet([Lineup(4, 0)], ["snowmountain"], 0, mirrors=False)
+    fleet = Fleet([Lineup(4, 0)], ["snowmountain"], mirrors=False)
     plans, seen = RacingPolicy.of_plans_alone(), []
     try:
-        view = fleet.begin_at([("snowmountain", False, 0)])
+        view = begin_at(fleet, [("snowmountain", False, 0)])
         for step in range(200):
             if step % 4 == 0:
                 seen.append(view)

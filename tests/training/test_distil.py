@@ -16,9 +16,10 @@ from stkzoo.agents.training.imitation import distill
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import CHOICES
+from tests.support.fleets import begin_at
 
 SMALL = distill.DistillationArguments(
-    rounds=2,
+    rounds=1,
     steps=300,
     tracks=("olivermath",),
     hidden=(16, 16),
@@ -30,7 +31,7 @@ SMALL = distill.DistillationArguments(
 
 @pytest.fixture
 def fleet():
-    fleet = Fleet([Lineup(1, 0)], ["lighthouse"], 0, mirrors=False)
+    fleet = Fleet([Lineup(1, 0)], ["lighthouse"], mirrors=False)
     yield fleet
     fleet.close()
 
@@ -42,12 +43,12 @@ def way_of(fleet):
 
 def test_the_plans_answers_drive_as_the_plans_do(fleet):
     start, plans = ("lighthouse", False, 0), RacingPolicy.of_plans_alone()
-    view = fleet.begin_at([start])
+    view = begin_at(fleet, [start])
     for _ in range(120):
         fleet.send(plans.best(view))
         view, _ = fleet.receive()
     there = way_of(fleet)
-    lesson = distill.LabelledRaces(fleet, fleet.begin_at([start]))
+    lesson = distill.LabelledRaces(fleet, begin_at(fleet, [start]))
     drifted = 0
     for _ in range(120):
         answers = lesson.labels()
@@ -61,8 +62,8 @@ def test_the_plans_answers_drive_as_the_plans_do(fleet):
 
 
 def test_a_fleet_mirrors_nobody_if_told(fleet):
-    fleet.begin()
-    assert not fleet.state()["is_mirrored"].any()
+    fleet.begin(0)
+    assert not fleet._is_mirrored.any()
 
 
 @pytest.fixture(scope="module")
@@ -74,8 +75,8 @@ def run(tmp_path_factory):
 @pytest.mark.slow
 def test_a_run_drives_by_plans_then_by_the_network(run):
     folder, log = run
-    assert [line["driver"] for line in log] == ["the plans", "the network"]
-    assert [line["lessons"] for line in log] == pytest.approx([300, 600], abs=60)
+    assert [line["driver"] for line in log] == ["the plans", "behaviour cloning"]
+    assert [line["examples"] for line in log] == pytest.approx([300, 600], abs=60)
     assert log[1]["loss"] < log[0]["loss"]
     assert [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()] == log
     driver = load_driver(folder / "policy.safetensors")

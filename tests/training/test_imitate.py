@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
-from stkzoo.agents.training.imitation.imitate import ImitationArguments, main, parse, run
+from stkzoo.agents.training.common.command import parse_script
+from stkzoo.agents.training.imitation.imitate import TeacherArguments, main, run
 from stkzoo.agents.training.imitation.network import fit, make_network, mirrored
-from stkzoo.agents.training.plot import plot_imitation
+from stkzoo.agents.training.plot import plot_runs
 from stkzoo.evaluation import record_demonstrations
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
 torch = pytest.importorskip("torch")
 
-SMALL = ImitationArguments(
+SMALL = TeacherArguments(
     teacher="pursuit",
     rounds=1,
     tracks=("olivermath",),
@@ -102,8 +103,8 @@ def test_a_run_clones_drives_and_learns_from_what_it_is_told(imitated):
 @pytest.mark.slow
 def test_a_run_that_is_given_again_drives_nothing_anew(imitated):
     folder, log = imitated
-    lessons = sorted(folder.glob("round_*/*.npz"))
-    assert len(lessons) == 2
+    lessons = sorted(folder.glob("lessons-*.npz"))
+    assert len(lessons) == 3
     before = [path.stat().st_mtime_ns for path in lessons]
     assert run(SMALL, folder) == log
     assert [path.stat().st_mtime_ns for path in lessons] == before
@@ -121,7 +122,7 @@ def test_its_policy_races_and_starts_self_play(imitated):
 
 @pytest.mark.slow
 def test_its_picture_is_drawn(imitated, tmp_path):
-    plot_imitation(imitated[1], tmp_path / "curve.png")
+    plot_runs([imitated[0]], tmp_path / "curve.png")
     assert (tmp_path / "curve.png").stat().st_size > 5000
 
 
@@ -160,6 +161,7 @@ def test_demonstrations_of_another_view_are_refused(tmp_path, capsys):
 
 
 def test_the_games_ai_can_be_cloned_but_not_asked():
-    arguments, _ = parse(["--output", "x", "--teacher", "ai", "--rounds", "0"])
+    words = ["--output", "x", "--teacher", "ai", "--rounds", "0"]
+    arguments, _ = parse_script("imitation.imitate", None, TeacherArguments, words)
     assert arguments.rounds == 0
     assert "black_forest" not in arguments.tracks

@@ -163,7 +163,7 @@ def test_rivals_drive_without_teaching(tmp_path):
         assert not among.rewards[:, ~among.active[0]].any()
         assert alone.active.all()
         race = learner._races[0][0]
-        race.is_whole, race.ranks = True, np.where(race.is_rival, [1, 2, 3, 4], [4, 3, 2, 1])
+        race.ranks = np.where(race.is_rival, [1, 2, 3, 4], [4, 3, 2, 1])
         race.racing[:] = False
         expected, rival = race.beaten, race.rival
         learner._update_race(race, {})
@@ -244,7 +244,7 @@ def test_the_page_fits_phones_and_desktops(tmp_path, width, is_dark):
         reader.show((tmp_path / "league.html").as_uri(), width=width, is_dark=is_dark)
         assert reader.text("h1") == "League"
         assert reader.run("return document.documentElement.scrollWidth") <= width
-        assert len(reader.all("circle")) == 3  # past selves
+        assert len(reader.all("[id^=curve] use")) == 3  # past selves
         cells = [cell.text for cell in reader.all(".who td")]
         assert cells.count("100") >= 2
         paper = reader.run("return getComputedStyle(document.body).backgroundColor")

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from stkzoo.agents.pretrained.mlp import MlpDriver
+from stkzoo.agents.training.common.command import parse_script
 from stkzoo.agents.training.rllib.races import MAIN, PolicyMap, ensure_assets, make_race, win_share
-from stkzoo.agents.training.rllib.selfplay import RLlibArguments, main, parse, sb3_names
+from stkzoo.agents.training.rllib.selfplay import RLlibArguments, main, sb3_names
 from stkzoo.engine.assets import find_assets
 from stkzoo.errors import AssetError, ConfigError
 from stkzoo.wrappers.racing import CHOICES, SIZE
@@ -102,8 +103,9 @@ def test_the_learned_weights_have_the_names_of_stable_baselines3():
 
 
 def test_the_command_line_is_read():
-    arguments, folder = parse(["--output", "run", "--tracks", "train", "--hidden", "64", "32"])
-    assert folder.name == "run"
+    words = ["--output", "run", "--tracks", "train", "--hidden", "64", "32"]
+    arguments, others = parse_script("rllib.selfplay", None, RLlibArguments, words)
+    assert others["output"].name == "run"
     assert arguments.hidden == (64, 32)
     assert len(arguments.all_tracks) == 15
     assert arguments.env_config()["learners"] == 2
@@ -132,4 +134,4 @@ def test_without_ray_it_says_what_to_install(tmp_path, capsys):
 
 def test_past_selves_need_a_slot():
     with pytest.raises(ConfigError, match="frozen is -1"):
-        PolicyMap(1, -1, 1)
+        RLlibArguments(frozen=-1)

@@ -7,7 +7,6 @@ import sys
 
 import numpy as np
 import pytest
-import torch
 from stable_baselines3 import PPO
 
 from stkzoo import Start
@@ -393,10 +392,10 @@ def test_an_agent_of_an_older_version_says_what_to_do(policy):
 
 def test_a_run_of_an_older_version_says_what_to_do(tmp_path):
     SB3Run(tmp_path, SB3Arguments(**SMALL)).close()
-    state = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
-    facts = json.loads(state["facts"])
-    facts["arguments"]["minibatch"] = facts["arguments"].pop("batch_size")
-    torch.save(state | {"facts": json.dumps(facts)}, tmp_path / "checkpoint.pt")
+    file = tmp_path / "arguments.json"
+    arguments = json.loads(file.read_text())
+    arguments["minibatch"] = arguments.pop("batch_size")
+    file.write_text(json.dumps(arguments))
     with pytest.raises(ConfigError, match=r"another version of stkzoo.*give another --output"):
         SB3Run(tmp_path, SB3Arguments(**SMALL))
 

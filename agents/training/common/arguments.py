@@ -7,10 +7,10 @@ import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from stkzoo._os import atomic_write
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, check_whole
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
 #: The file in a run's folder with the run's arguments.
@@ -20,18 +20,39 @@ QUICK_TRACKS = tuple(track for track in TRAIN_TRACKS if track != "black_forest")
 
 
 @dataclass(frozen=True, slots=True)
-class NetworkArguments:
-    """Arguments of every script that trains a network.
+class RunArguments:
+    """Arguments of every script.
 
     Attributes:
         seed: seed of everything.
+
+    Raises:
+        ConfigError: a whole number is below 1, or below 0 where 0 has a meaning.
+    """
+
+    #: Whole numbers that may be 0.
+    may_be_zero: ClassVar[tuple[str, ...]] = ("seed",)
+
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            if type(entry.default) is int:
+                least = int(entry.name not in self.may_be_zero)
+                check_whole(entry.name, getattr(self, entry.name), least)
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkArguments(RunArguments):
+    """Arguments of every script that trains a network.
+
+    Attributes:
         hidden: units of the hidden layers.
         learning_rate: learning rate of Adam at the start.
         batch_size: samples of one gradient step.
         n_epochs: passes over the collected data per update.
     """
 
-    seed: int = 0
     hidden: tuple[int, ...] = (256, 128)
     learning_rate: float = 3e-4
     batch_size: int = 512
@@ -135,11 +156,6 @@ def add_arguments(parser: argparse.ArgumentParser, kind: Any) -> None:
             parser.add_argument(flag, type=type(default), default=default, help=text)
 
 
-def values_of(options: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of parsed options as fields; lists become tuples."""
-    return {name: tuple(v) if isinstance(v, list) else v for name, v in options.items()}
-
-
 # ---------------------------------------------------------------------- a run's arguments
 
 
@@ -191,13 +207,16 @@ def check_resumed(
         )
 
 
-def keep_arguments(folder: Path, arguments: Any, free: Collection[str] = ()) -> None:
+def keep_arguments(
+    folder: Path, arguments: Any, free: Collection[str] = (), remedy: str = ""
+) -> None:
     """Writes the arguments of a new run, or checks those of a run that continues.
 
     Args:
         folder: the run's; it is created.
         arguments: a dataclass.
         free: names of fields that may change when a run continues, and are not written.
+        remedy: see :func:`check_resumed`.
 
     Raises:
         ConfigError: see :func:`check_resumed`.
@@ -205,7 +224,7 @@ def keep_arguments(folder: Path, arguments: Any, free: Collection[str] = ()) -> 
     now = {name: value for name, value in asdict(arguments).items() if name not in free}
     file = folder / ARGUMENTS
     if file.exists():
-        check_resumed(folder, json.loads(file.read_text()), now)
+        check_resumed(folder, json.loads(file.read_text()), now, remedy)
         return
     folder.mkdir(parents=True, exist_ok=True)
     write_json(file, now)

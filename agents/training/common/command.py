@@ -3,26 +3,65 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import sys
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
 
-from stkzoo.errors import ConfigError, StkzooError
+from stkzoo.errors import StkzooError, import_extra
+
+from .arguments import add_arguments
+
+A = TypeVar("A")
 
 
 def command_parser(module: str, description: str | None) -> argparse.ArgumentParser:
     """A parser for ``python -m stkzoo.agents.training.MODULE``.
 
     Args:
-        module: the module's name below this package.
+        module: the module's name below this package; ``stkzoo league`` has a command of its own.
         description: the module's docstring.
     """
+    own = {"league": "stkzoo league"}
     return argparse.ArgumentParser(
-        prog=f"python -m stkzoo.agents.training.{module}",
+        prog=own.get(module, f"python -m stkzoo.agents.training.{module}"),
         description=description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+
+
+def parse_script(
+    module: str,
+    description: str | None,
+    kind: Callable[..., A],
+    words: list[str] | None,
+    **options: Mapping[str, Any],
+) -> tuple[A, dict[str, Any]]:
+    """Parses the command line of a script that trains.
+
+    Args:
+        module: see :func:`command_parser`.
+        description: likewise.
+        kind: the dataclass of the run's arguments; each field is an option.
+        words: the command line; ``None`` takes the program's.
+        options: other options by name, as ``ArgumentParser.add_argument`` takes them. All scripts
+            have ``output``, the run's folder.
+
+    Returns:
+        The arguments, and the values of the other options by name.
+
+    Raises:
+        ConfigError: an argument is invalid.
+    """
+    parser = command_parser(module, description)
+    folder: Mapping[str, Any] = {"type": Path, "required": True, "help": "the run's folder"}
+    options = {"output": folder, **options}
+    for name, option in options.items():
+        parser.add_argument("--" + name.replace("_", "-"), **option)
+    add_arguments(parser, kind)
+    values = vars(parser.parse_args(words))
+    others = {name: values.pop(name) for name in options}
+    return kind(**{n: tuple(v) if isinstance(v, list) else v for n, v in values.items()}), others
 
 
 def run_command(run: Callable[[], object], if_interrupted: str = "") -> int:
@@ -104,12 +143,7 @@ def training_library(name: str, extra: str = "train") -> Any:
     Raises:
         ConfigError: it is not installed.
     """
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise ConfigError(
-            f"learning needs {error.name or name}; pip install 'stkzoo[{extra}]'"
-        ) from error
+    return import_extra(name, "learning needs", extra)
 
 
 def limit_threads() -> None:

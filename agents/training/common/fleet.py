@@ -1,15 +1,12 @@
 """Races for learning and for matches: many at a time, stepped as arrays.
 
 A race begins as a copy of one that stands at GO (a copy takes milliseconds, a start a tenth of
-a second); one such race is kept per track, direction, lineup and number. Everything random
-comes from a generator whose state can be saved, and the state of a race is the controls since GO:
-so a fleet continues exactly after the program was killed.
+a second); one such race is kept per track, direction, lineup and number.
 """
 
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -213,14 +210,12 @@ class _FleetRace:
         self.racing = np.ones(len(self.karts), bool)
         self.length = self._starts.length(self.start)
         self.road = self._starts.road(self.start)
-        self.controls: list[FloatArray] = []
         self.first_finish: float | None = None
 
     def send(self, controls: FloatArray) -> None:
         """Starts a step; a race that has ended stands still."""
         self._is_driving = bool(self.racing.any())
         if self._is_driving:
-            self.controls.append(controls)
             self._session.step_async(controls)
 
     def receive(self) -> tuple[FloatArray, BoolArray, list[Finish]]:
@@ -256,23 +251,6 @@ class _FleetRace:
         start = self.start
         rank = int(kart["position"])
         return Finish(start.track, start.reverse, self.lineup, ratio, estimate, rank)
-
-    def state(self) -> dict[str, Any]:
-        return {
-            "start": [self.start.track, self.start.reverse, self.start.number],
-            "controls": np.array(self.controls, np.float32).reshape(-1, len(self.karts), 7),
-            "racing": self.racing.tolist(),
-            "first_finish": self.first_finish,
-        }
-
-    def replay(self) -> None:
-        """Updates the race with a step that was replayed."""
-        self.snapshot = self._session.step_wait()
-
-    def resume(self, state: dict[str, Any]) -> None:
-        """Continues after the controls have been replayed."""
-        self.racing = np.array(state["racing"], bool)
-        self.first_finish = state["first_finish"]
 
     def close(self) -> None:
         self._session.close()
@@ -344,7 +322,6 @@ class Fleet(RaceFleet):
     Args:
         lineups: the lineup of each race.
         tracks: drawn evenly, in both directions.
-        seed: seed of the races.
         variants: starting points per track, direction and lineup.
         place_reward: reward per place; a metre is worth 0.05.
         starts: starting points to share with another fleet.
@@ -359,7 +336,6 @@ class Fleet(RaceFleet):
         self,
         lineups: Sequence[Lineup],
         tracks: Sequence[str],
-        seed: int,
         variants: int = 2,
         place_reward: float = 0.3,
         starts: RaceStarts | None = None,
@@ -369,21 +345,19 @@ class Fleet(RaceFleet):
     ) -> None:
         super().__init__(lineups, starts, place_reward)
         self._tracks, self._variants, self._mirrors = tuple(tracks), variants, mirrors
-        self._random = np.random.default_rng(seed)
+        self._random = np.random.default_rng()
         self.drivers = PlanDriver(self.num_slots, rules)
         self._is_mirrored = np.zeros(self.num_slots, bool)
 
-    def begin(self) -> PolicyInput:
-        """Begins all races; what the learners see first."""
+    def begin(self, seed: int | Sequence[int]) -> PolicyInput:
+        """Begins all races; what the learners see first.
+
+        Args:
+            seed: seed of these races and of those that follow them.
+        """
+        self._random = np.random.default_rng(seed)
         for number in range(len(self._races)):
             self._begin(number)
-        return self._look(is_later=False)
-
-    def begin_at(self, places: Sequence[tuple[str, bool, int]]) -> PolicyInput:
-        """Begins each race at a place, without mirrors; see :meth:`start_at`."""
-        self.start_at(places)
-        self.drivers.forget(np.arange(self.num_slots))
-        self._is_mirrored[:] = False
         return self._look(is_later=False)
 
     def send(self, choices: IntArray) -> BoolArray:
@@ -409,39 +383,6 @@ class Fleet(RaceFleet):
         if over:
             view = self._look(is_later=False)
         return view, replace(step, last_inputs=last)
-
-    def state(self) -> dict[str, Any]:
-        """All of it between two steps, for :meth:`restore`."""
-        return {
-            "random": json.dumps(self._random.bit_generator.state),
-            "races": [race.state() for race in self._races],
-            "memory": self.drivers.state(),
-            "is_mirrored": self._is_mirrored.copy(),
-        }
-
-    def restore(self, state: dict[str, Any]) -> PolicyInput:
-        """Restores a :meth:`state`; what the learners saw then."""
-        self._random.bit_generator.state = json.loads(state["random"])
-        self._replay(state["races"])
-        self.drivers.restore(state["memory"])
-        self._is_mirrored = np.array(state["is_mirrored"], bool)
-        return self._look(is_later=False)
-
-    def _replay(self, states: Sequence[dict[str, Any]]) -> None:
-        """Brings all races back to where they were, side by side."""
-        self.start_at([state["start"] for state in states])
-        for step in range(max(len(state["controls"]) for state in states)):
-            under_way = [
-                (race, state["controls"][step])
-                for race, state in zip(self._races, states, strict=True)
-                if step < len(state["controls"])
-            ]
-            for race, controls in under_way:
-                race.send(np.array(controls, np.float32))
-            for race, _ in under_way:
-                race.replay()
-        for race, state in zip(self._races, states, strict=True):
-            race.resume(state)
 
     def _begin(self, number: int) -> None:
         track = self._tracks[int(self._random.integers(len(self._tracks)))]

@@ -10,8 +10,8 @@ and the plans label what it should have done where it got to (DAgger: Ross, Gord
 2011). Each round it learns from all labels so far, and drives every track once alone.
 
 In the folder: ``policy.safetensors``, ``agent`` (`stkzoo race runs/distill/agent ai`),
-``log.jsonl`` and the rounds' lessons. The same command continues a run that was killed with the
-round that was under way.
+``log.jsonl``, ``imitation.png`` and the rounds' lessons. The same command continues a run that was
+killed with the round that was under way.
 """
 
 from __future__ import annotations
@@ -25,41 +25,23 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._os import atomic_write
 from stkzoo.agents.planning import BRAKE as BRAKE_PLAN
 from stkzoo.agents.planning import PolicyInput
 from stkzoo.agents.pretrained.action_filter import INPUT_SIZE, ActionFilter, steering
-from stkzoo.agents.pretrained.mlp import MlpDriver
+from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.agents.pretrained.policy import RacingPolicy
-from stkzoo.errors import check_whole
 from stkzoo.wrappers.racing import BRAKE, SIZE, controls_of_choices
 
-from ..common.arguments import (
-    QUICK_TRACKS,
-    NetworkArguments,
-    add_arguments,
-    keep_arguments,
-    values_of,
-)
-from ..common.command import ProgressBar, command_parser, run_command, training_torch
+from ..common.arguments import QUICK_TRACKS
+from ..common.command import parse_script, run_command, training_torch
 from ..common.fleet import Finish, Fleet, Lineup
 from ..common.matches import Match, network_driver, play_matches
-from ..common.network_policy import save_driver
-from ..common.training_log import LOG, read_json_lines, write_log
-from ..export import export_policy
-from .network import fit, load_weights_into, make_network
+from .lessons import ImitationArguments, Lesson, Numbers, Report, run_rounds, show_rounds
 
 IntArray = npt.NDArray[np.int64]
-Numbers = npt.NDArray[Any]
 
-_POLICY = "policy.safetensors"
-#: Alone, against others, and against the game's AI.
-_LINEUPS = [
-    *[Lineup(1, 0)] * 8,
-    *[Lineup(5, 0)] * 4,
-    *[Lineup(2, 3)] * 4,
-    *[Lineup(1, 4)] * 4,
-]
+#: Alone, against others, and against the game's AI: learners, bots, and so many races.
+_LINEUPS = ((1, 0, 8), (5, 0, 4), (2, 3, 4), (1, 4, 4))
 #: Drifts end when the plans say so.
 _HOLD = 1
 #: The time ratio of a kart that does not finish.
@@ -67,26 +49,19 @@ _UNFINISHED = 1.6
 
 
 @dataclass(frozen=True, slots=True)
-class DistillationArguments(NetworkArguments):
+class DistillationArguments(ImitationArguments):
     """Arguments of a run.
 
     Attributes:
-        rounds: how many.
         steps: kart-steps of each round.
         tracks: driven in both directions.
-        n_epochs_last: passes over all lessons in the last round.
     """
 
     batch_size: int = 1024
     learning_rate: float = 1.5e-3
-    rounds: int = 8
+    rounds: int = 7
     steps: int = 60_000
     tracks: tuple[str, ...] = QUICK_TRACKS
-    n_epochs_last: int = 12
-
-    def __post_init__(self) -> None:
-        for name in ("rounds", "steps", "n_epochs", "n_epochs_last", "batch_size"):
-            check_whole(name, getattr(self, name), 1)
 
 
 class LabelledRaces:
@@ -129,154 +104,94 @@ class LabelledRaces:
 
 
 def run(
-    arguments: DistillationArguments, folder: Path, bar: ProgressBar | None = None
+    arguments: DistillationArguments, folder: Path, report: Report = lambda *_: None
 ) -> list[dict[str, Any]]:
     """Distills, or continues a run.
 
     Args:
         arguments: of the run.
         folder: the run's.
-        bar: shows the progress.
+        report: called with what is being done, how much of it is done, and how much there is.
 
     Returns:
-        The log, one line per round: the driver, the loss [nats], the share of right choices, and
-        the time ratio of the network's most likely choices, alone on each track.
+        The log; see :func:`.lessons.run_rounds`. It also has the time ratio of each round's
+        network by its most likely choices, alone on each track, and how often it did not finish.
 
     Raises:
         ConfigError: torch is not installed, or the folder has another run.
     """
     training_torch()
-    keep_arguments(folder, arguments)
-    log = read_json_lines(folder / LOG)
-    network = make_network(arguments.hidden, arguments.seed, INPUT_SIZE)
-    if log:
-        load_weights_into(network, folder / _POLICY)
-    for number in range(len(log), arguments.rounds):
-        log.append(_round(arguments, folder, network, number, bar))
-        save_driver(folder / _POLICY, network, _HOLD)
-        write_log(folder, log)
-    export_policy(folder / _POLICY, "student", folder / "agent")
-    return log
-
-
-def _round(
-    arguments: DistillationArguments,
-    folder: Path,
-    network: Any,
-    number: int,
-    bar: ProgressBar | None,
-) -> dict[str, Any]:
-    """Drives, learns and evaluates; the round's line of the log."""
-    student = _driver(network) if number else None
-    driven = _drive(arguments, student, number, folder, bar)
-    lessons = [np.load(_lessons(folder, n)) for n in range(number + 1)]
-    seen, answers = (np.concatenate([one[key] for one in lessons]) for key in ("seen", "answers"))
-    is_last = number == arguments.rounds - 1
-    result = fit(
-        network,
-        seen,
-        answers,
-        n_epochs=arguments.n_epochs_last if is_last else arguments.n_epochs,
-        learning_rate=arguments.learning_rate,
-        batch_size=arguments.batch_size,
-        seed=arguments.seed + number,
+    return run_rounds(
+        arguments,
+        folder,
+        "the plans",
+        lambda number, policy: _drive(arguments, number, policy, report),
+        report,
+        inputs=INPUT_SIZE,
+        hold=_HOLD,
+        judge=lambda student: _alone(arguments, student),
     )
-    alone = _alone(arguments, _driver(network))
-    line = {
-        "round": number,
-        "driver": "the network" if number else "the plans",
-        "driver_time_ratio": _mean_ratio(driven),
-        "lessons": len(answers),
-        "loss": result.loss,
-        "accuracy": list(result.accuracy),
-        "time_ratio_alone": _mean_ratio(alone),
-        "unfinished": sum(finish.ratio is None for finish in alone),
-    }
-    if bar:
-        bar.show((number + 1) * arguments.steps, _summary(line))
-    return line
 
 
 def _drive(
-    arguments: DistillationArguments,
-    student: MlpDriver | None,
-    number: int,
-    folder: Path,
-    bar: ProgressBar | None,
-) -> list[Finish]:
-    """Collects a round's lessons; the finishes of its races."""
-    fleet = Fleet(_LINEUPS, arguments.tracks, arguments.seed + 1000 * number, mirrors=False)
+    arguments: DistillationArguments, number: int, policy: Path | None, report: Report
+) -> Lesson:
+    """Collects a round's lessons."""
+    student = load_driver(policy) if policy else None
+    lineups = [
+        Lineup(learners, bots, arguments.difficulty)
+        for learners, bots, races in _LINEUPS
+        for _ in range(races)
+    ]
+    fleet = Fleet(lineups, arguments.tracks, mirrors=False)
     random = np.random.default_rng([arguments.seed, number])
     finishes: list[Finish] = []
     seen, answers, count = [], [], 0
     try:
-        lesson = LabelledRaces(fleet, fleet.begin())
+        races = LabelledRaces(fleet, fleet.begin(arguments.seed + 1000 * number))
         while count < arguments.steps:
-            right, sees, active = lesson.labels(), lesson.seen, fleet.active
+            right, sees, active = races.labels(), races.seen, fleet.active
             seen.append(sees[active])
             answers.append(right[active])
             count += int(active.sum())
             choices = right
             if student:
                 choices = student.best(sees) if number % 2 else student.sample(sees, random)
-            finishes += lesson.step(choices)
-            if bar:
-                bar.show(number * arguments.steps + count, f"round {number} drives")
+            finishes += races.step(choices)
+            report(f"round {number} drives", count, arguments.steps)
     finally:
         fleet.close()
-    with atomic_write(_lessons(folder, number)) as part, part.open("wb") as file:
-        np.savez_compressed(
-            file, seen=np.concatenate(seen), answers=np.concatenate(answers).astype(np.int8)
-        )
-    return finishes
+    finished = sum(finish.ratio is not None for finish in finishes)
+    ratios = _ratios(finishes) or (_UNFINISHED,)  # steps may be too few for a whole race
+    return Lesson(np.concatenate(seen), np.concatenate(answers), ratios, finished)
 
 
-def _alone(arguments: DistillationArguments, student: MlpDriver) -> list[Finish]:
+def _alone(arguments: DistillationArguments, student: MlpDriver) -> dict[str, float]:
     """How the most likely choices drive each track in both directions, alone."""
     matches = [
-        Match(("student",), track, reverse, bots=0)
+        Match(("student",), track, reverse, bots=0, difficulty=arguments.difficulty)
         for track in arguments.tracks
         for reverse in (False, True)
     ]
-    drivers = {"student": network_driver(student.best, _HOLD)}
-    return [finish for (finish,) in play_matches(matches, drivers)]
+    played = play_matches(matches, {"student": network_driver(student.best, _HOLD)})
+    finishes = [finish for (finish,) in played]
+    return {
+        "time_ratio_alone": round(float(np.mean(_ratios(finishes))), 4),
+        "unfinished": sum(finish.ratio is None for finish in finishes),
+    }
 
 
-def _mean_ratio(finishes: Sequence[Finish]) -> float:
-    ratios = [_UNFINISHED if finish.ratio is None else finish.ratio for finish in finishes]
-    return round(float(np.mean(ratios)), 4) if ratios else _UNFINISHED
-
-
-def _driver(network: Any) -> MlpDriver:
-    return MlpDriver({name: value.numpy() for name, value in network.state_dict().items()})
-
-
-def _lessons(folder: Path, number: int) -> Path:
-    return folder / f"lessons-{number:02d}.npz"
-
-
-def _summary(line: dict[str, Any]) -> str:
-    return (
-        f"round {line['round']}: {line['lessons']:,} lessons, loss {line['loss']:.2f}, "
-        f"alone {line['time_ratio_alone']:.3f} of the AI's time, {line['unfinished']} unfinished"
-    )
+def _ratios(finishes: Sequence[Finish]) -> tuple[float, ...]:
+    return tuple(_UNFINISHED if f.ratio is None else f.ratio for f in finishes)
 
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    parser = command_parser("imitation.distill", __doc__)
-    parser.add_argument("--output", type=Path, required=True, help="the run's folder")
-    add_arguments(parser, DistillationArguments)
-    options = vars(parser.parse_args(words))
-    folder = options.pop("output")
 
     def distill() -> None:
-        arguments = DistillationArguments(**values_of(options))
-        with ProgressBar(arguments.rounds * arguments.steps) as bar:
-            log = run(arguments, folder, bar)
-        for line in log:
-            print(_summary(line))
-        print(f"stkzoo race {folder / 'agent'} ai ai --track lighthouse")
+        arguments, own = parse_script("imitation.distill", __doc__, DistillationArguments, words)
+        folder = own["output"]
+        show_rounds(lambda report: run(arguments, folder, report), folder)
 
     return run_command(distill, "the same command continues with its round")
 

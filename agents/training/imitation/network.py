@@ -33,7 +33,7 @@ class Fit:
     """
 
     loss: float
-    accuracy: tuple[float, ...]
+    accuracy: list[float]
 
 
 def make_network(hidden: Sequence[int], seed: int, inputs: int = SIZE) -> Any:
@@ -96,14 +96,8 @@ def fit(
     is_left_out = np.repeat(random.random(len(actions) // 100 + 1) < 0.05, 100)[: len(actions)]
     if is_left_out.all() or not is_left_out.any():
         is_left_out = np.arange(len(actions)) % 20 == 0
-    both = [
-        np.concatenate(pair)
-        for pair in zip(
-            (observations[~is_left_out], actions[~is_left_out]),
-            mirrored(observations[~is_left_out], actions[~is_left_out]),
-            strict=True,
-        )
-    ]
+    kept = observations[~is_left_out], actions[~is_left_out]
+    both = [np.concatenate(pair) for pair in zip(kept, mirrored(*kept), strict=True)]
     inputs = torch.from_numpy(both[0].astype(np.float32))
     targets = torch.from_numpy(both[1].astype(np.int64))
     bells = torch.from_numpy(_bells())
@@ -153,4 +147,4 @@ def _judge(torch: Any, network: Any, observations: Numbers, actions: Numbers) ->
         right = [
             float((part.argmax(1) == targets[:, n]).float().mean()) for n, part in enumerate(parts)
         ]
-    return Fit(round(loss, 4), tuple(round(share, 4) for share in right))
+    return Fit(round(loss, 4), [round(share, 4) for share in right])

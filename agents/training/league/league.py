@@ -19,7 +19,6 @@ which ``python -m stkzoo.agents.training.export`` makes agents of) and a run's f
 
 from __future__ import annotations
 
-import argparse
 import functools
 import json
 import sys
@@ -27,7 +26,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -38,8 +37,8 @@ from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import require_openskill
 
-from ..common.arguments import PPOArguments, add_arguments, check_resumed, values_of, write_json
-from ..common.command import ProgressBar, run_command
+from ..common.arguments import PPOArguments, check_resumed, write_json
+from ..common.command import ProgressBar, parse_script, run_command
 from ..common.matches import MatchRecord, plan_match_driver, rate_orders
 from ..common.training_log import TrainingLog
 from ..ppo.selfplay import SelfPlayArguments
@@ -74,6 +73,8 @@ class LeagueArguments(PPOArguments):
         warm_up: iterations at the start in which only the value is learned.
         init: policy file that all start from; empty starts from the plans alone.
     """
+
+    may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "exploiters", "league_exploiters", "warm_up")
 
     batch_size: int = 1024
     learning_rate: float = 1e-4
@@ -280,21 +281,13 @@ def _start_weights(arguments: LeagueArguments) -> Mapping[str, Any]:
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    parser = argparse.ArgumentParser(
-        prog="stkzoo league",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--output", required=True, help="the league's folder")
-    parser.add_argument(
-        "--total-timesteps", type=int, default=2_000_000, help="total kart-steps (2000000)"
-    )
-    add_arguments(parser, LeagueArguments)
-    options = vars(parser.parse_args(words))
-    folder, total = options.pop("output"), options.pop("total_timesteps")
+    total_option = {"type": int, "default": 2_000_000, "help": "total kart-steps (2000000)"}
 
     def play() -> None:
-        league = League(folder, LeagueArguments(**values_of(options)))
+        arguments, own = parse_script(
+            "league", __doc__, LeagueArguments, words, total_timesteps=total_option
+        )
+        league, total = League(own["output"], arguments), own["total_timesteps"]
         with ProgressBar(total, league.kart_steps) as bar:
             while league.kart_steps < total:
                 begin, before = time.perf_counter(), league.kart_steps

@@ -24,24 +24,18 @@ IntArray = npt.NDArray[np.intp]
 class _RivalRace:
     """The drivers and the state of one race."""
 
-    def __init__(self, lineup: Lineup, slots: IntArray, racing: npt.NDArray[np.bool_]) -> None:
+    def __init__(self, lineup: Lineup, slots: IntArray) -> None:
         self.lineup, self.slots = lineup, slots
         self.rival: str | None = None
         self.is_rival = np.zeros(len(slots), bool)
-        self.racing = racing
+        self.racing = np.ones(len(slots), bool)
         self.ranks = np.zeros(len(slots), int)
-        #: A race that was under way when a turn began does not count: others drove it before.
-        self.is_whole = False
 
     def assign(self, rival: str | None, random: np.random.Generator) -> None:
         """Gives half of the karts to a rival for the present race."""
         self.rival = rival
         order = random.permutation(len(self.slots))
         self.is_rival = order < len(self.slots) // 2 if rival else np.zeros(len(self.slots), bool)
-
-    def begin(self) -> None:
-        """Begins the next race."""
-        self.racing[:] = self.is_whole = True
 
     @property
     def beaten(self) -> float:
@@ -72,16 +66,19 @@ class LeagueLearner(PPOLearner):
         matchmaker: PlayerMatchmaker,
         seed: Sequence[int],
     ) -> None:
-        super().__init__(folder, arguments)
         self._matchmaker = matchmaker
         self._matchmaking = np.random.default_rng(seed)
-        lineups = lineups_of(parse_races(arguments.races))
+        super().__init__(folder, arguments)
+
+    def begin_races(self) -> None:
+        """Begins new races, and draws the rivals in them."""
+        super().begin_races()
+        lineups = lineups_of(parse_races(self.arguments.races))
         self._races: list[list[_RivalRace]] = []
-        for group, fleet in enumerate(self._fleets):
-            races, first, active = [], 0, fleet.active
-            for lineup in lineups[group :: arguments.groups]:
-                slots = np.arange(first, first + lineup.learners)
-                races.append(_RivalRace(lineup, slots, active[slots].copy()))
+        for group in range(self.arguments.groups):
+            races, first = [], 0
+            for lineup in lineups[group :: self.arguments.groups]:
+                races.append(_RivalRace(lineup, np.arange(first, first + lineup.learners)))
                 first += lineup.learners
             self._races.append(races)
             for race in races:
@@ -125,9 +122,9 @@ class LeagueLearner(PPOLearner):
                 race.ranks[row], race.racing[row] = ends[slot].rank, False
         if race.racing.any():
             return
-        if race.rival is not None and race.is_whole:
+        if race.rival is not None:
             self._matchmaker.update(race.rival, race.beaten)
-        race.begin()
+        race.racing[:] = True
         self._assign(race)
 
 

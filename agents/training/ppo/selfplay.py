@@ -11,26 +11,25 @@ the karts, drawn for each race, drive in the mirror: left is right. The reward i
 track and places won; a finish does not end the return, so that nobody slows down for it.
 
 The same command with more ``--total-timesteps`` continues the run, and so does the same command
-after a kill, bit for bit. In the folder are ``checkpoint.pt``, ``log.jsonl`` (one line per
-iteration), TensorBoard files, ``arguments.json``, and ``policy-STEPS.safetensors``, which
-``python -m stkzoo.agents.training.export`` makes an agent of.
+after a kill, bit for bit: all races begin anew after a checkpoint. In the folder are
+``checkpoint.pt``, ``log.jsonl`` (one line per iteration), TensorBoard files, ``arguments.json``,
+and ``policy-STEPS.safetensors``, which ``python -m stkzoo.agents.training.export`` makes an agent
+of.
 """
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._os import atomic_write
 from stkzoo.agents.planning import CHOICES, INPUT_SIZE, PolicyInput
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
@@ -40,14 +39,13 @@ from ..common.arguments import (
     ARGUMENTS,
     QUICK_TRACKS,
     PPOArguments,
-    add_arguments,
     check_version,
     differences,
     parse_races,
-    values_of,
     write_json,
 )
-from ..common.command import ProgressBar, command_parser, run_command
+from ..common.checkpoint import load_checkpoint, save_checkpoint
+from ..common.command import ProgressBar, parse_script, run_command
 from ..common.fleet import Finish, Fleet, FleetStep, Lineup, lineups_of
 from ..common.plan_parameters import plan_parameters
 from ..common.training_log import TrainingLog
@@ -55,7 +53,6 @@ from .network import NUM_LOGITS, VALUE_UNIT, ActorCritic, predict_values
 
 FloatArray = npt.NDArray[np.float32]
 
-_CHECKPOINT = "checkpoint.pt"
 #: Finished races in the means of the log.
 _RECENT = 200
 #: The time ratio of a kart that did not finish.
@@ -89,6 +86,8 @@ class SelfPlayArguments(PPOArguments):
         checkpoint_every: iterations between two checkpoints.
     """
 
+    may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "warm_up")
+
     batch_size: int = 4096
     n_epochs: int = 3
     gae_lambda: float = 0.85
@@ -111,54 +110,38 @@ class SelfPlayArguments(PPOArguments):
 # ---------------------------------------------------------------------- rollouts
 
 
-@dataclass(slots=True)
-class Rollout:
-    """The observations and actions of a group in one iteration; ``(T, S, ...)`` arrays."""
+#: The observations and actions of a group in one iteration: an array ``(T, S)`` of these.
+_ROLLOUT = np.dtype(
+    [
+        ("inputs", np.float32, INPUT_SIZE),
+        ("prior", np.float32, NUM_LOGITS),
+        ("choices", np.int64, len(CHOICES)),
+        ("log_probability", np.float32),
+        ("values", np.float32),
+        ("rewards", np.float32),
+        ("next_values", np.float32),  # of the last inputs of a race that ended
+        ("active", np.bool_),
+        ("driven", np.bool_),
+        ("ended", np.bool_),
+    ],
+    align=True,
+)
 
-    inputs: FloatArray
-    prior: FloatArray
-    choices: npt.NDArray[np.int64]
-    log_probability: FloatArray
-    values: FloatArray
-    rewards: FloatArray
-    active: npt.NDArray[np.bool_]
-    driven: npt.NDArray[np.bool_]
-    ended: npt.NDArray[np.bool_]
-    next_values: FloatArray  # of the last inputs of a race that ended
-    finishes: list[Finish] = field(default_factory=list)
 
-    @classmethod
-    def of_size(cls, steps: int, slots: int) -> Rollout:
-        """An empty one."""
-
-        def zeros(*shape: int, kind: type = np.float32) -> Any:
-            return np.zeros((steps, slots, *shape), kind)
-
-        return cls(
-            inputs=zeros(INPUT_SIZE),
-            prior=zeros(NUM_LOGITS),
-            choices=zeros(len(CHOICES), kind=np.int64),
-            log_probability=zeros(),
-            values=zeros(),
-            rewards=zeros(),
-            active=zeros(kind=np.bool_),
-            driven=zeros(kind=np.bool_),
-            ended=zeros(kind=np.bool_),
-            next_values=zeros(),
-        )
-
-    def advantages(self, last_values: FloatArray, gamma: float, gae_lambda: float) -> FloatArray:
-        """Generalised advantages ``(T, S)``; a race that ended is bootstrapped."""
-        advantages = np.zeros_like(self.rewards)
-        advantage, next_values = np.zeros_like(last_values), last_values
-        for step in reversed(range(len(self.rewards))):
-            ended = self.ended[step]
-            next_values = np.where(ended, self.next_values[step], next_values)
-            delta = self.rewards[step] + gamma * next_values - self.values[step]
-            advantage = delta + gamma * gae_lambda * np.where(ended, 0, advantage)
-            advantage = np.where(self.active[step], advantage, 0).astype(np.float32)
-            advantages[step], next_values = advantage, self.values[step]
-        return advantages
+def advantages_of(
+    rollout: np.recarray[Any, Any], last_values: FloatArray, gamma: float, gae_lambda: float
+) -> FloatArray:
+    """Generalised advantages ``(T, S)``; a race that ended is bootstrapped."""
+    advantages = np.zeros(rollout.shape, np.float32)
+    advantage, next_values = np.zeros_like(last_values), last_values
+    for step in reversed(range(len(rollout))):
+        ended = rollout.ended[step]
+        next_values = np.where(ended, rollout.next_values[step], next_values)
+        delta = rollout.rewards[step] + gamma * next_values - rollout.values[step]
+        advantage = delta + gamma * gae_lambda * np.where(ended, 0, advantage)
+        advantage = np.where(rollout.active[step], advantage, 0).astype(np.float32)
+        advantages[step], next_values = advantage, rollout.values[step]
+    return advantages
 
 
 # ---------------------------------------------------------------------- the algorithm
@@ -184,32 +167,37 @@ class PPOLearner:
         self._network = ActorCritic(
             arguments.hidden, arguments.seed, arguments.learns, arguments.init
         )
-        self._random = np.random.default_rng([arguments.seed, 1])
         self._rules = plan_parameters(arguments.plans)
         lineups = lineups_of(parse_races(arguments.races))
         self._fleets: list[Fleet] = []
         for group in range(arguments.groups):
-            seed = int(np.random.SeedSequence([arguments.seed, group]).generate_state(1)[0])
             fleet = Fleet(
                 lineups[group :: arguments.groups],
                 arguments.tracks,
-                seed,
                 place_reward=arguments.place_reward,
                 starts=self._fleets[0].starts if self._fleets else None,
                 rules=self._rules,
             )
             self._fleets.append(fleet)
         self._rollouts = [
-            Rollout.of_size(arguments.n_steps, fleet.num_slots) for fleet in self._fleets
+            np.zeros((arguments.n_steps, fleet.num_slots), _ROLLOUT).view(np.recarray)
+            for fleet in self._fleets
         ]
         self.kart_steps = self.iteration = 0
         self._history: list[dict[str, Any]] = [self._chapter()]
         self._recent: deque[Finish] = deque(maxlen=_RECENT)
-        if (self.folder / _CHECKPOINT).exists():
-            self._views = self._restore(may_change)
-        else:
-            self._views = [fleet.begin() for fleet in self._fleets]
+        if checkpoint := load_checkpoint(self.folder):
+            self._restore(*checkpoint, may_change)
         write_json(self.folder / ARGUMENTS, self._history)
+        self.begin_races()
+
+    def begin_races(self) -> None:
+        """Begins new races; everything random from here on comes from seed and iteration."""
+        seed = self.arguments.seed
+        self._random = np.random.default_rng([seed, self.iteration])
+        self._views = [
+            fleet.begin([seed, self.iteration, group]) for group, fleet in enumerate(self._fleets)
+        ]
 
     def iterate(self) -> dict[str, float]:
         """One iteration: collects rollouts and updates; its line of the log."""
@@ -223,8 +211,6 @@ class PPOLearner:
         self.iteration += 1
         steps = int(sum(rollout.active.sum() for rollout in self._rollouts))
         self.kart_steps += steps
-        for rollout in self._rollouts:
-            self._recent.extend(rollout.finishes)
         end = time.perf_counter()
         line = {
             "iteration": self.iteration,
@@ -240,8 +226,6 @@ class PPOLearner:
     def _collect(self) -> list[FloatArray]:
         """Fills the rollouts; the values of the last inputs."""
         actor, critic = self._network.actor(), self._network.critic()
-        for rollout in self._rollouts:
-            rollout.finishes.clear()
         for group in range(len(self._fleets)):
             self._act(group, 0, actor, critic)
         for step in range(self.arguments.n_steps):
@@ -251,7 +235,7 @@ class PPOLearner:
                 rollout = self._rollouts[group]
                 rollout.rewards[step], rollout.active[step] = outcome.rewards, outcome.active
                 rollout.ended[step] = outcome.ended
-                rollout.finishes += outcome.finishes
+                self._recent.extend(outcome.finishes)
                 if outcome.ended.any():
                     last = predict_values(critic, outcome.last_inputs[outcome.ended])
                     rollout.next_values[step, outcome.ended] = last
@@ -289,23 +273,15 @@ class PPOLearner:
     def _update(self, last_values: Sequence[FloatArray]) -> dict[str, float]:
         """Several epochs of gradient steps on the rollouts; figures for the log."""
         arguments, nets = self.arguments, self._network
-        parts = []
-        for rollout, last in zip(self._rollouts, last_values, strict=True):
-            advantages = rollout.advantages(last, arguments.gamma, arguments.gae_lambda)
-            rows = rollout.active & rollout.driven
-            parts.append(
-                (
-                    rollout.inputs[rows],
-                    rollout.prior[rows],
-                    rollout.choices[rows],
-                    rollout.log_probability[rows],
-                    advantages[rows],
-                    (advantages + rollout.values)[rows],
-                )
-            )
-        inputs, prior, choices, old, advantages, returns = (
-            np.concatenate(column) for column in zip(*parts, strict=True)
-        )
+        gained = [
+            advantages_of(rollout, last, arguments.gamma, arguments.gae_lambda)
+            for rollout, last in zip(self._rollouts, last_values, strict=True)
+        ]
+        rows = [rollout.active & rollout.driven for rollout in self._rollouts]
+        pairs = zip(self._rollouts, rows, strict=True)
+        seen = np.concatenate([rollout[chosen] for rollout, chosen in pairs])
+        advantages = np.concatenate([own[r] for own, r in zip(gained, rows, strict=True)])
+        returns = advantages + seen["values"]
         left = max(1.0 - self.kart_steps / arguments.anneal_timesteps, 0.0)
         rate = arguments.learning_rate * max(left, 0.05)
         ent_coef = arguments.ent_coef * max(left, 0.1)
@@ -314,10 +290,8 @@ class PPOLearner:
         nets.optimiser.param_groups[1]["lr"] = _VALUE_RATE * rate
         from_numpy = nets.torch.from_numpy
         data = (
-            nets.normalised(inputs),
-            from_numpy(prior),
-            from_numpy(choices),
-            from_numpy(old),
+            nets.normalised(seen["inputs"]),
+            *(from_numpy(seen[name].copy()) for name in ("prior", "choices", "log_probability")),
             from_numpy((advantages - advantages.mean()) / (advantages.std() + 1e-6)),
             from_numpy(returns / VALUE_UNIT),
         )
@@ -326,8 +300,8 @@ class PPOLearner:
         for _ in range(arguments.n_epochs):
             epochs += 1
             kl = []
-            for rows in self._batches(len(inputs)):
-                found = self._gradient_step([column[rows] for column in data], ent_coef)
+            for batch in self._batches(len(seen)):
+                found = self._gradient_step([column[batch] for column in data], ent_coef)
                 kl.append(found["kl"])
                 for name, value in found.items():
                     figures.setdefault(name, []).append(value)
@@ -339,7 +313,7 @@ class PPOLearner:
             "epochs": epochs,
             "learning_rate": rate,
             "explained": float(1.0 - unexplained),
-            "reward": float(sum(r.rewards.sum() for r in self._rollouts) / len(inputs)),
+            "reward": float(sum(r.rewards.sum() for r in self._rollouts) / len(seen)),
         }
 
     def _batches(self, count: int) -> list[Any]:
@@ -391,22 +365,14 @@ class PPOLearner:
     # ------------------------------------------------------------------ checkpoints
 
     def save_checkpoint(self) -> None:
-        """Writes ``checkpoint.pt``, from which the run continues exactly."""
+        """Writes ``checkpoint.pt``; :meth:`begin_races` continues as the next program would."""
         facts = {
             "history": self._history,
             "kart_steps": self.kart_steps,
             "iteration": self.iteration,
-            "random": self._random.bit_generator.state,
             "recent": [asdict(finish) for finish in self._recent],
         }
-        torch = self._network.torch
-        state = {
-            "facts": json.dumps(facts),
-            "network": self._network.state(),
-            "fleets": [_tensors(torch, fleet.state()) for fleet in self._fleets],
-        }
-        with atomic_write(self.folder / _CHECKPOINT) as part:
-            torch.save(state, part)
+        save_checkpoint(self.folder, facts, {"network": self._network.state()})
 
     def save_policy(self) -> Path:
         """Writes the present policy; its path."""
@@ -424,9 +390,7 @@ class PPOLearner:
         rules = asdict(self._rules)
         return {"from": kart_steps, "arguments": asdict(self.arguments), "rules": rules}
 
-    def _restore(self, may_change: bool) -> list[PolicyInput]:
-        state = self._network.torch.load(self.folder / _CHECKPOINT, weights_only=True)
-        facts = json.loads(state["facts"])
+    def _restore(self, facts: dict[str, Any], state: dict[str, Any], may_change: bool) -> None:
         self._history = facts["history"]
         now, last = self._chapter(facts["kart_steps"]), self._history[-1]
         check_version(self.folder, last["arguments"], now["arguments"])
@@ -440,14 +404,9 @@ class PPOLearner:
         if any(changed):
             self._history.append(now)
         self.kart_steps, self.iteration = facts["kart_steps"], facts["iteration"]
-        self._random.bit_generator.state = facts["random"]
         for finish in facts["recent"]:
             self._recent.append(Finish(**{**finish, "lineup": Lineup(**finish["lineup"])}))
         self._network.restore(state["network"])
-        return [
-            fleet.restore(_arrays(kept))
-            for fleet, kept in zip(self._fleets, state["fleets"], strict=True)
-        ]
 
 
 def _company(lineup: Lineup) -> str:
@@ -455,46 +414,27 @@ def _company(lineup: Lineup) -> str:
     return "rivals" if lineup.bots else "selfplay" if lineup.learners > 1 else "alone"
 
 
-def _tensors(torch: Any, value: Any) -> Any:
-    """Replaces arrays with tensors, which a file that nothing is unpickled from can hold."""
-    if isinstance(value, np.ndarray):
-        return torch.from_numpy(value)
-    if isinstance(value, dict):
-        return {key: _tensors(torch, part) for key, part in value.items()}
-    return [_tensors(torch, part) for part in value] if isinstance(value, list) else value
-
-
-def _arrays(value: Any) -> Any:
-    """The reverse of :func:`_tensors`."""
-    if isinstance(value, dict):
-        return {key: _arrays(part) for key, part in value.items()}
-    if isinstance(value, list):
-        return [_arrays(part) for part in value]
-    return value.numpy() if hasattr(value, "numpy") else value
-
-
 # ---------------------------------------------------------------------- the command
 
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    parser = command_parser("ppo.selfplay", __doc__)
-    parser.add_argument("--output", required=True, help="the run's folder")
-    parser.add_argument(
-        "--total-timesteps", type=int, required=True, help="total kart-steps to train for"
-    )
-    parser.add_argument(
-        "--may-change",
-        action="store_true",
-        help="continue with other arguments than the run had; arguments.json records both",
-    )
-    add_arguments(parser, SelfPlayArguments)
-    options = vars(parser.parse_args(words))
-    folder, total = options.pop("output"), options.pop("total_timesteps")
-    may_change = options.pop("may_change")
+    options: dict[str, dict[str, Any]] = {
+        "total_timesteps": {
+            "type": int,
+            "required": True,
+            "help": "total kart-steps to train for",
+        },
+        "may_change": {
+            "action": "store_true",
+            "help": "continue with other arguments than the run had; arguments.json records both",
+        },
+    }
 
     def train() -> None:
-        learner = PPOLearner(folder, SelfPlayArguments(**values_of(options)), may_change=may_change)
+        arguments, own = parse_script("ppo.selfplay", __doc__, SelfPlayArguments, words, **options)
+        learner = PPOLearner(own["output"], arguments, may_change=own["may_change"])
+        total = own["total_timesteps"]
         try:
             with (
                 TrainingLog(learner.folder, learner.iteration) as log,
@@ -518,6 +458,7 @@ def _train(learner: PPOLearner, log: TrainingLog, bar: ProgressBar, total_timest
             learner.save_policy()
         if learner.iteration % arguments.checkpoint_every == 0:
             learner.save_checkpoint()
+            learner.begin_races()
     learner.save_checkpoint()
     learner.save_policy()
 

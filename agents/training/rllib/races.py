@@ -14,7 +14,7 @@ from typing import Any
 
 from stkzoo import RaceParallelEnv, race_v0
 from stkzoo.engine.assets import cache_folder, find_assets, install, pack
-from stkzoo.errors import AssetError, ConfigError
+from stkzoo.errors import AssetError
 
 #: The module that learns.
 MAIN = "main"
@@ -36,11 +36,6 @@ class PolicyMap:
     learners: int
     frozen: int
     slots: int
-
-    def __post_init__(self) -> None:
-        for name, least in (("learners", 1), ("frozen", 0), ("slots", 1)):
-            if getattr(self, name) < least:
-                raise ConfigError(f"{name} is {getattr(self, name)}, expected {least} or more")
 
     @property
     def modules(self) -> list[str]:

@@ -27,34 +27,34 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.pretrained.weights import save_weights
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo.errors import ConfigError
 
 from ..common.arguments import (
     PPOArguments,
-    add_arguments,
+    RunArguments,
     keep_arguments,
     track_names,
-    values_of,
 )
-from ..common.command import command_parser, run_command
+from ..common.command import parse_script, run_command
 from ..common.training_log import TrainingLog
 from .races import MAIN, PackSender, PolicyMap, ensure_assets, make_race
 
 _CHECKPOINT, _POLICY = "checkpoint", "policy.safetensors"
 #: What may change when a run continues.
 _FREE = ("iterations", "address", "env_runners", "checkpoint_every", "pack", "cpus_per_runner")
-#: Layers in RLlib's module and in a policy of Stable-Baselines3.
-_LAYERS = (
-    ("encoder.actor_encoder.net.mlp.{}", "mlp_extractor.policy_net.{}"),
-    ("encoder.critic_encoder.net.mlp.{}", "mlp_extractor.value_net.{}"),
-)
-_HEADS = (("pi.net.mlp.0", "action_net"), ("vf.net.mlp.0", "value_net"))
+#: What Stable-Baselines3 calls the layers of RLlib's module.
+_LAYERS = {
+    "encoder.actor_encoder.net.mlp.": "mlp_extractor.policy_net.",
+    "encoder.critic_encoder.net.mlp.": "mlp_extractor.value_net.",
+    "pi.net.mlp.0.": "action_net.",
+    "vf.net.mlp.0.": "value_net.",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +82,10 @@ class RLlibArguments(PPOArguments):
         sample_timeout: seconds that an iteration waits for env runners.
     """
 
+    may_be_zero: ClassVar[tuple[str, ...]] = (
+        *("seed", "env_runners", "frozen", "bots", "difficulty"),
+    )
+
     n_epochs: int = 6
     gae_lambda: float = 0.9
     ent_coef: float = 0.003
@@ -105,11 +109,7 @@ class RLlibArguments(PPOArguments):
     sample_timeout: float = 600.0
 
     def __post_init__(self) -> None:
-        for name, least in (("iterations", 1), ("env_runners", 0), ("envs_per_runner", 1)):
-            check_whole(name, getattr(self, name), least)
-        for name, least in (("bots", 0), ("train_batch_size", 1), ("batch_size", 1)):
-            check_whole(name, getattr(self, name), least)
-        check_whole("checkpoint_every", self.checkpoint_every, 1)
+        RunArguments.__post_init__(self)
         if self.pack and not Path(self.pack).is_file():
             raise ConfigError(
                 f"there is no pack {self.pack!r}; stkzoo assets pack --output writes one"
@@ -118,7 +118,6 @@ class RLlibArguments(PPOArguments):
             raise ConfigError(f"promote_at is {self.promote_at}, expected 0 to 1")
         if self.learners + self.frozen + self.bots > 20:
             raise ConfigError("more than 20 karts in a race; give fewer learners, frozen or bots")
-        self.policies  # noqa: B018 - checks its arguments
 
     @property
     def policies(self) -> PolicyMap:
@@ -341,38 +340,20 @@ def _save(algorithm: Any, folder: Path) -> None:
 
 def sb3_names(state: Mapping[str, npt.NDArray[np.float32]]) -> dict[str, npt.NDArray[np.float32]]:
     """The weights of RLlib's module under the names that Stable-Baselines3 has for them."""
-    weights: dict[str, npt.NDArray[np.float32]] = {}
-    for name, array in state.items():
-        layer, _, part = name.rpartition(".")
-        for ours, theirs in _HEADS:
-            if layer == ours:
-                weights[f"{theirs}.{part}"] = array
-        for ours, theirs in _LAYERS:
-            prefix = ours.format("")
-            if layer.startswith(prefix):
-                weights[f"{theirs.format(layer.removeprefix(prefix))}.{part}"] = array
-    return weights
-
-
-def parse(words: list[str] | None = None) -> tuple[RLlibArguments, Path]:
-    """Parses the command line.
-
-    Raises:
-        ConfigError: an argument is invalid.
-    """
-    parser = command_parser("rllib.selfplay", __doc__)
-    parser.add_argument("--output", type=Path, required=True, help="the run's folder")
-    add_arguments(parser, RLlibArguments)
-    options = vars(parser.parse_args(words))
-    folder = options.pop("output")
-    return RLlibArguments(**values_of(options)), folder
+    return {
+        theirs + name.removeprefix(ours): array
+        for name, array in state.items()
+        for ours, theirs in _LAYERS.items()
+        if name.startswith(ours)
+    }
 
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
 
     def run() -> None:
-        arguments, folder = parse(words)
+        arguments, own = parse_script("rllib.selfplay", __doc__, RLlibArguments, words)
+        folder = own["output"]
         train(arguments, folder, functools.partial(print, flush=True))
         print(
             f"{folder / _POLICY} is the policy; the same command with more --iterations continues"

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import subprocess
 import sys
-from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,51 +24,44 @@ class BackgroundEvaluation:
 
     def __init__(self, run: Path, tracks: Sequence[str], races: int) -> None:
         self._run, self._tracks, self._races = run, tuple(tracks), races
-        self._waiting: deque[str] = deque()
+        self._started: set[str] = set()
         self._process: subprocess.Popen[bytes] | None = None
         self.failures = 0
 
-    def add(self, name: str) -> None:
-        """Adds a policy to the queue, unless it has been evaluated."""
-        is_done = (self._run / EVALUATIONS / f"{name}.json").exists()
-        if not is_done and name not in self._waiting:
-            self._waiting.append(name)
+    def poll(self, names: Sequence[str], wait: float = 0.0) -> bool:
+        """Starts the next evaluation if none runs; whether one has finished since the last call.
 
-    def poll(self) -> bool:
-        """Continues with the queue; whether an evaluation has finished since the last call."""
+        Args:
+            names: of the policies that are to be evaluated; each is evaluated once.
+            wait: for the present evaluation, at most this long [s].
+        """
         is_finished = False
         if self._process is not None:
-            code = self._process.poll()
-            if code is None:
+            try:
+                code = self._process.wait(wait)
+            except subprocess.TimeoutExpired:
                 return False
             self._process = None
             self.failures += code != 0
             is_finished = code == 0
-        if self._waiting:
-            self._start(self._waiting.popleft())
+        done = self._started | {path.stem for path in (self._run / EVALUATIONS).glob("*.json")}
+        if left := [name for name in names if name not in done]:
+            self._start(left[0])
         return is_finished
-
-    def wait(self, seconds: float) -> bool:
-        """Waits for the present evaluation, at most this long; see :meth:`poll`."""
-        if self._process is not None:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(seconds)
-        return self.poll()
 
     @property
     def is_busy(self) -> bool:
-        """Whether something is evaluated or waits for it."""
-        return self._process is not None or bool(self._waiting)
+        """Whether something is evaluated; what is due next is started as soon as it is over."""
+        return self._process is not None
 
     def close(self) -> None:
-        """Ends the present evaluation and empties the queue."""
-        self._waiting.clear()
+        """Ends the present evaluation."""
         if self._process is not None:
             self._process.terminate()
             self._process.wait()
-            self._process = None
 
     def _start(self, name: str) -> None:
+        self._started.add(name)
         words = ["-m", "stkzoo.agents.training.rate", str(self._run), "--policy", name]
         words += ["--matches", str(self._races), "--tracks", *self._tracks]
         self._process = subprocess.Popen(  # noqa: S603 - this program

@@ -36,25 +36,21 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from stkzoo._os import atomic_write
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.evaluation import require_openskill
 from stkzoo.wrappers.racing import CHOICES, RESCUE
 
 from ..common.arguments import (
-    ARGUMENTS,
     PPOArguments,
-    add_arguments,
-    check_resumed,
+    keep_arguments,
     parse_races,
-    values_of,
-    write_json,
 )
-from ..common.command import ProgressBar, command_parser, run_command, training_library
+from ..common.checkpoint import load_checkpoint, save_checkpoint
+from ..common.command import ProgressBar, parse_script, run_command, training_library
 from ..common.network_policy import initial_weights, save_driver
 from ..common.opponents import OpponentPool, bot_name
 from ..common.training_log import TrainingLog
@@ -63,7 +59,6 @@ from ..rate import RATINGS
 from .curriculum import EASY_TO_HARD, Curriculum
 from .evaluation import BackgroundEvaluation
 
-_CHECKPOINT = "checkpoint.pt"
 #: Initial bias of choices, by their place in the view: to go rather than to brake, and to drift or
 #: call for the rescue rarely. Without it every kart stands for most of its first races.
 _BIASES = {CHOICES[0]: 1.5, CHOICES[0] + RESCUE: -3.0, sum(CHOICES[:2]): 2.0}
@@ -101,6 +96,10 @@ class SB3Arguments(PPOArguments):
         evaluation_tracks: driven in turn.
         supersuit: through SuperSuit instead: plain self-play.
     """
+
+    may_be_zero: ClassVar[tuple[str, ...]] = (
+        *("seed", "hold", "warm_up", "decay_timesteps", "evaluation_races"),
+    )
 
     learning_rate: float = 5e-4
     ent_coef: float = 0.003
@@ -142,7 +141,8 @@ class SB3Run:
         training_library("stable_baselines3", _EXTRAS)
         require_openskill()
         self.folder, self.arguments = Path(folder), arguments
-        self.folder.mkdir(parents=True, exist_ok=True)
+        remedy = " (with --init to start from this run's weights)"
+        keep_arguments(self.folder, arguments, remedy=remedy)
         self.kart_steps = self.iteration = self.rounds = 0
         self._curriculum = Curriculum(arguments.tracks, arguments.pass_at)
         self._bots = OpponentPool(4, [bot_name(difficulty) for difficulty in range(4)])
@@ -153,15 +153,13 @@ class SB3Run:
         self.evaluation = BackgroundEvaluation(
             self.folder, arguments.evaluation_tracks, arguments.evaluation_races
         )
-        if (self.folder / _CHECKPOINT).exists():
-            self._restore()
+        if checkpoint := load_checkpoint(self.folder):
+            self._restore(*checkpoint)
         else:
             if arguments.init:
                 self._load(initial_weights(arguments.init, self._model.policy))
-            self._keep(is_rival=False)
-            self._evaluate_if_due(-1)
+            self._keep()
             self.save_checkpoint()
-        write_json(self.folder / ARGUMENTS, asdict(arguments))
 
     def play_round(self, report: Callable[[dict[str, float]], None]) -> None:
         """Trains for a round, keeps the policy if that is due, and writes the checkpoint.
@@ -178,15 +176,35 @@ class SB3Run:
         for _ in range(arguments.updates):
             report(self._update())
         self.rounds += 1
-        if self.kart_steps // arguments.keep_every > before // arguments.keep_every:
-            self._keep(is_rival=True)
-        self._evaluate_if_due(before)
+        is_rival = self.kart_steps // arguments.keep_every > before // arguments.keep_every
+        if is_rival or self._is_judged(before, self.kart_steps):
+            name = self._keep()
+            if is_rival and not arguments.supersuit:
+                self._snapshots.add(name)
+                self._make_ready(name)
         self.save_checkpoint()
+
+    def evaluate(self, wait: float = 0.0) -> bool:
+        """Goes on with the evaluations of kept policies; whether one has finished.
+
+        Args:
+            wait: for the present one, at most this long [s].
+        """
+        kept = sorted(self.folder.glob("policy-*.safetensors"))
+        steps = [int(path.stem.removeprefix("policy-")) for path in kept]
+        pairs = zip(kept, [-1, *steps], steps, strict=False)
+        due = [path.stem for path, last, now in pairs if self._is_judged(last, now)]
+        return self.evaluation.poll(due, wait)
+
+    def _is_judged(self, before: int, now: int) -> bool:
+        """Whether a policy is evaluated; the last one that was kept had other kart-steps."""
+        every = self.arguments.evaluate_every
+        is_due = before // every < now // every and now <= self.kart_steps
+        return is_due and self.arguments.evaluation_races > 0
 
     def save_checkpoint(self) -> None:
         """Writes ``checkpoint.pt``, from which the run continues exactly."""
         facts = {
-            "arguments": asdict(self.arguments),
             "kart_steps": self.kart_steps,
             "iteration": self.iteration,
             "rounds": self.rounds,
@@ -195,13 +213,9 @@ class SB3Run:
             "snapshots": self._snapshots.state(),
             "recent": [asdict(end) for end in self._recent],
         }
-        state = {
-            "facts": json.dumps(facts),
-            "policy": self._model.policy.state_dict(),
-            "optimiser": self._model.policy.optimizer.state_dict(),
-        }
-        with atomic_write(self.folder / _CHECKPOINT) as part:
-            self._torch.save(state, part)
+        policy = self._model.policy
+        state = {"policy": policy.state_dict(), "optimiser": policy.optimizer.state_dict()}
+        save_checkpoint(self.folder, facts, state)
 
     def save_agent(self) -> Path:
         """Writes the policy as an agent to race; its folder."""
@@ -335,39 +349,20 @@ class SB3Run:
                 figures[name] = float(np.mean(duels))
         return figures
 
-    def _keep(self, *, is_rival: bool) -> None:
-        """Writes the present policy, and adds it to the opponents."""
-        name = self._policy_name()
-        file = self.folder / f"{name}.safetensors"
-        save_driver(file, self._model.policy, self._held)
-        if is_rival and not self.arguments.supersuit:
-            self._snapshots.add(name)
-            self._make_ready(name)
+    def _keep(self) -> str:
+        """Writes the present policy; its name."""
+        name = f"policy-{self.kart_steps:09d}"
+        save_driver(self.folder / f"{name}.safetensors", self._model.policy, self._held)
+        return name
 
     def _make_ready(self, name: str) -> None:
-        path = self.folder / f"{name}.safetensors"
-        self._envs.add_driver(name, load_driver(path))
-
-    def _policy_name(self) -> str:
-        return f"policy-{self.kart_steps:09d}"
-
-    def _evaluate_if_due(self, before: int) -> None:
-        """Evaluates the policy if a multiple of ``evaluate_every`` has been passed."""
-        every = self.arguments.evaluate_every
-        if self.arguments.evaluation_races and self.kart_steps // every > before // every:
-            if not (self.folder / f"{self._policy_name()}.safetensors").exists():
-                self._keep(is_rival=False)
-            self.evaluation.add(self._policy_name())
+        self._envs.add_driver(name, load_driver(self.folder / f"{name}.safetensors"))
 
     def _load(self, weights: dict[str, Any]) -> None:
         tensors = {name: self._torch.from_numpy(array) for name, array in weights.items()}
         self._model.policy.load_state_dict(tensors)
 
-    def _restore(self) -> None:
-        state = self._torch.load(self.folder / _CHECKPOINT, weights_only=True)
-        facts = json.loads(state["facts"])
-        remedy = " (with --init to start from this run's weights)"
-        check_resumed(self.folder, facts["arguments"], asdict(self.arguments), remedy)
+    def _restore(self, facts: dict[str, Any], state: dict[str, Any]) -> None:
         self.kart_steps, self.iteration = facts["kart_steps"], facts["iteration"]
         self.rounds = facts["rounds"]
         self._curriculum.restore(facts["curriculum"])
@@ -379,19 +374,6 @@ class SB3Run:
         self._model.policy.optimizer.load_state_dict(state["optimiser"])
         for rival in self._snapshots.opponents:
             self._make_ready(rival.name)
-        self._queue_evaluations()
-
-    def _queue_evaluations(self) -> None:
-        """Queues the evaluations that were due when the program ended."""
-        if not self.arguments.evaluation_races:
-            return
-        last = -1
-        for path in sorted(self.folder.glob("policy-*.safetensors")):
-            steps = int(path.stem.removeprefix("policy-"))
-            every = self.arguments.evaluate_every
-            if last // every < steps // every and steps <= self.kart_steps:
-                self.evaluation.add(path.stem)
-            last = steps
 
 
 def _explained(buffer: Any) -> float:
@@ -409,24 +391,23 @@ def _seed(seed: int, number: int) -> int:
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    parser = command_parser("sb3.selfplay", __doc__)
-    parser.add_argument("--output", required=True, help="the run's folder")
-    parser.add_argument(
-        "--total-timesteps", type=int, default=10_000_000, help="total kart-steps (10000000)"
-    )
-    parser.add_argument("--minutes", type=float, help="stop after this time, at the round's end")
-    add_arguments(parser, SB3Arguments)
-    options = vars(parser.parse_args(words))
-    folder, total, minutes = (
-        options.pop(name) for name in ("output", "total_timesteps", "minutes")
-    )
+    options: dict[str, dict[str, Any]] = {
+        "total_timesteps": {
+            "type": int,
+            "default": 10_000_000,
+            "help": "total kart-steps (10000000)",
+        },
+        "minutes": {"type": float, "help": "stop after this time, at the round's end"},
+    }
 
     def train() -> None:
-        run = SB3Run(folder, SB3Arguments(**values_of(options)))
+        arguments, own = parse_script("sb3.selfplay", __doc__, SB3Arguments, words, **options)
+        total = own["total_timesteps"]
+        run = SB3Run(own["output"], arguments)
         try:
             with TrainingLog(run.folder, run.iteration) as log:
                 with ProgressBar(total, run.kart_steps) as bar:
-                    _train(run, log, bar, total, minutes)
+                    _train(run, log, bar, total, own["minutes"])
                 _finish(run, log)
         finally:
             run.close()
@@ -460,7 +441,7 @@ def _summary(line: dict[str, float]) -> str:
 
 def _log_evaluation(run: SB3Run, log: TrainingLog, wait: float = 0.0) -> None:
     """Adds an evaluation that has finished to the TensorBoard files."""
-    if not (run.evaluation.wait(wait) if wait else run.evaluation.poll()):
+    if not run.evaluate(wait):
         return
     latest = json.loads((run.folder / RATINGS).read_text())["policies"][-1]
     for name in ("rating", "rating_low", "rating_high", "time_ratio"):
@@ -470,6 +451,7 @@ def _log_evaluation(run: SB3Run, log: TrainingLog, wait: float = 0.0) -> None:
 def _finish(run: SB3Run, log: TrainingLog) -> None:
     """Writes the agent, waits for the evaluations, and prints the result."""
     agent = run.save_agent()
+    _log_evaluation(run, log)
     if run.evaluation.is_busy:
         print("the last evaluations ...", file=sys.stderr, flush=True)
     begin = time.monotonic()

@@ -65,6 +65,25 @@ def rows_of(own, around, rows):
     return {key: value[rows] for key, value in own.items()}, Surroundings(**parts)
 
 
+def memories(drivers):
+    """What drivers remember by name, as arrays with a row for each kart."""
+    parts = {"": drivers.memory._of, "rivals ": drivers._tracker._before}
+    return {
+        prefix + field.name: getattr(part, field.name)
+        for prefix, part in parts.items()
+        for field in dataclasses.fields(part)
+    }
+
+
+def remembered(drivers):
+    return {name: array.copy() for name, array in memories(drivers).items()}
+
+
+def remind(drivers, state):
+    for name, array in memories(drivers).items():
+        array[:] = state[name]
+
+
 def test_the_prior_alone_drives():
     for env, *_ in driven_race(150):
         moment = env.snapshot
@@ -77,7 +96,7 @@ def test_karts_see_together_what_each_sees_alone():
             continue
         for kart in range(3):
             alone = PlanDriver(1)
-            alone.restore({name: row[[kart]] for name, row in drivers.state().items()})
+            remind(alone, {name: row[[kart]] for name, row in remembered(drivers).items()})
             seen = alone.view(*rows_of(own, around, [kart]))
             np.testing.assert_allclose(seen.inputs[0], view.inputs[kart], atol=1e-3)
             np.testing.assert_allclose(seen.prior[0], view.prior[kart], atol=1e-2)
@@ -122,7 +141,7 @@ def mirrored_race(own, around):
 
 
 def test_the_mirrored_race_is_seen_mirrored():
-    signs = dict.fromkeys(PlanDriver(1).state(), 1.0)
+    signs = dict.fromkeys(remembered(PlanDriver(1)), 1.0)
     signs |= {"turn": -1.0, "drift_turn": -1.0, "drift_side": -1.0}
     signs |= dict.fromkeys(("rivals spots", "rivals velocity"), np.array([-1, 1], np.float32))
     signs |= {"rivals headings": -1.0}
@@ -130,7 +149,7 @@ def test_the_mirrored_race_is_seen_mirrored():
         if count % 15:
             continue
         twin = PlanDriver(3)
-        twin.restore({n: row * signs[n] for n, row in drivers.state().items()})
+        remind(twin, {n: row * signs[n] for n, row in remembered(drivers).items()})
         seen = twin.view(*mirrored_race(own, around))
         np.testing.assert_allclose(seen.inputs, mirrored_inputs(view.inputs), atol=2e-3)
         np.testing.assert_allclose(seen.prior, mirrored_prior(view.prior), atol=2e-2)

@@ -1,0 +1,237 @@
+"""Rounds of learning from a teacher, which both scripts share.
+
+In the first round the teacher drives, in the others the learner does, and the teacher labels what
+it would have done where the learner got to (DAgger: Ross, Gordon and Bagnell, 2011). After each
+round the network learns from all lessons so far.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo._os import atomic_write
+from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
+from stkzoo.errors import ConfigError
+from stkzoo.wrappers.racing import SIZE
+
+from ..common.arguments import NetworkArguments, keep_arguments
+from ..common.command import ProgressBar
+from ..common.network_policy import save_driver
+from ..common.training_log import LOG, read_json_lines, write_log
+from ..export import export_policy
+from ..plot import plot_runs
+from .network import fit, load_weights_into, make_network
+
+Numbers = npt.NDArray[Any]
+
+_POLICY, _PLOT = "policy.safetensors", "imitation.png"
+
+#: Gets what is being done, how much of it is done, and how much there is.
+Report = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class ImitationArguments(NetworkArguments):
+    """Arguments that both scripts have.
+
+    Attributes:
+        rounds: rounds in which the learner drives and learns.
+        n_epochs_last: passes over all lessons in the last round.
+        difficulty: of the game's AI, whose times are compared with.
+    """
+
+    may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "difficulty")
+    #: What may change when a run continues.
+    free: ClassVar[tuple[str, ...]] = ("rounds",)
+
+    rounds: int = 5
+    n_epochs_last: int = 12
+    difficulty: int = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Lesson:
+    """What came of a round's races: ``N`` moments of all karts together.
+
+    Attributes:
+        observations: ``(N, inputs)`` float32, what the learner saw.
+        actions: ``(N, 5)``: what the teacher would have done then.
+        ratios: each kart's time over the AI's; a worst case for one that did not finish.
+        finished: how many karts finished.
+    """
+
+    observations: Numbers
+    actions: Numbers
+    ratios: tuple[float, ...]
+    finished: int
+
+    @classmethod
+    def joined(cls, lessons: Sequence[Lesson]) -> Lesson:
+        """Several as one."""
+        return cls(
+            np.concatenate([lesson.observations for lesson in lessons]),
+            np.concatenate([lesson.actions for lesson in lessons]),
+            tuple(ratio for lesson in lessons for ratio in lesson.ratios),
+            sum(lesson.finished for lesson in lessons),
+        )
+
+    def save(self, path: Path) -> None:
+        """Writes it to a file atomically."""
+        arrays = {**asdict(self), "actions": self.actions.astype(np.int8)}
+        with atomic_write(path) as part, part.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+
+    @classmethod
+    def load(cls, path: Path) -> Lesson:
+        """Reads what :meth:`save` wrote.
+
+        Raises:
+            ConfigError: the file is damaged.
+        """
+        try:
+            with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+                ratios, finished = tuple(file["ratios"].tolist()), int(file["finished"])
+                return cls(file["observations"], file["actions"], ratios, finished)
+        except (OSError, ValueError, KeyError, TypeError, EOFError) as error:
+            raise ConfigError(
+                f"{path} is unreadable ({error}); delete it to drive the round again"
+            ) from error
+
+
+def run_rounds(
+    arguments: ImitationArguments,
+    folder: Path,
+    teacher: str,
+    drive: Callable[[int, Path | None], Lesson],
+    report: Report,
+    *,
+    inputs: int = SIZE,
+    hold: int = 0,
+    judge: Callable[[MlpDriver], dict[str, float]] | None = None,
+) -> list[dict[str, Any]]:
+    """Learns round by round, or continues a run.
+
+    Args:
+        arguments: of the run.
+        folder: the run's.
+        teacher: its name in the log.
+        drive: drives the races of a round's number; gets the file of the policy that drives, or
+            ``None`` for the teacher.
+        report: called in each round.
+        inputs: how many numbers the network sees.
+        hold: steps for which it holds a drift.
+        judge: figures for the log of each round's network; without it, a last round is only
+            driven.
+
+    Returns:
+        The log, a line for each round: the driver, its results, and the fit of the network.
+
+    Raises:
+        ConfigError: torch is not installed, or the folder has another run.
+    """
+    keep_arguments(folder, arguments, arguments.free)
+    log = [line for line in read_json_lines(folder / LOG) if "loss" in line]
+    network = make_network(arguments.hidden, arguments.seed, inputs)
+    if log:
+        load_weights_into(network, _policy(folder, len(log) - 1))
+    for number in range(len(log), arguments.rounds + (1 if judge else 2)):
+        lesson = _lesson(folder, number, drive)
+        log.append(_driven(number, teacher, lesson))
+        if judge is None and number > arguments.rounds:
+            break
+        lessons = Lesson.joined([Lesson.load(_file(folder, n)) for n in range(number + 1)])
+        report(f"round {number}: learning from {len(lessons.actions):,} examples", 0, 1)
+        result = fit(
+            network,
+            lessons.observations,
+            lessons.actions,
+            n_epochs=arguments.n_epochs_last if number == arguments.rounds else arguments.n_epochs,
+            learning_rate=arguments.learning_rate,
+            batch_size=arguments.batch_size,
+            seed=arguments.seed + number,
+        )
+        save_driver(_policy(folder, number), network, hold)
+        figures = judge(load_driver(_policy(folder, number))) if judge else {}
+        log[-1] |= {"examples": len(lessons.actions), **asdict(result), **figures}
+        write_log(folder, log)
+    write_log(folder, log)
+    with atomic_write(folder / _POLICY) as part:
+        shutil.copyfile(_policy(folder, arguments.rounds), part)
+    export_policy(folder / _POLICY, "student", folder / "agent")
+    return log
+
+
+def _lesson(folder: Path, number: int, drive: Callable[[int, Path | None], Lesson]) -> Lesson:
+    """A round's lesson; one that has a file is not driven again."""
+    file = _file(folder, number)
+    if not file.exists():
+        drive(number, _policy(folder, number - 1) if number else None).save(file)
+    return Lesson.load(file)
+
+
+def _file(folder: Path, number: int) -> Path:
+    return folder / f"lessons-{number:02d}.npz"
+
+
+def _policy(folder: Path, number: int) -> Path:
+    return folder / f"policy-{number:02d}.safetensors"
+
+
+def _driven(number: int, teacher: str, lesson: Lesson) -> dict[str, Any]:
+    """The log line of a round's races."""
+    ratios, names = lesson.ratios, (teacher, "behaviour cloning")
+    return {
+        "round": number,
+        "driver": names[number] if number < 2 else f"DAgger, round {number - 1}",
+        "time_ratio": round(float(np.mean(ratios)), 4),
+        "error": round(float(np.std(ratios) / max(len(ratios) - 1, 1) ** 0.5), 4),
+        "finished": round(lesson.finished / len(ratios), 4),
+        "karts": len(ratios),
+    }
+
+
+def _summary(line: Mapping[str, Any]) -> str:
+    text = (
+        f"{line['driver']}: time ratio {line['time_ratio']:.3f} +- {1.96 * line['error']:.3f}, "
+        f"{line['finished']:.0%} of {line['karts']} karts finished"
+    )
+    if "examples" in line:
+        steer = line["accuracy"][0]
+        text += f"; then learned from {line['examples']:,} examples: steering right in {steer:.0%}"
+    if "time_ratio_alone" in line:
+        text += (
+            f"; alone {line['time_ratio_alone']:.3f} of the AI's time, "
+            f"{line['unfinished']} unfinished"
+        )
+    return text
+
+
+def show_rounds(run: Callable[[Report], list[dict[str, Any]]], folder: Path) -> None:
+    """Runs a script, shows its progress, and prints and plots its results.
+
+    Args:
+        run: the script; returns the log.
+        folder: the run's.
+    """
+    stages: list[str] = []
+    with ProgressBar(1, unit="done") as bar:
+
+        def report(stage: str, done: int, total: int) -> None:
+            if not bar.is_shown and stage not in stages:
+                print(stage, file=sys.stderr, flush=True)
+            stages.append(stage)
+            bar.show(done, stage, total)
+
+        log = run(report)
+    for line in log:
+        print(_summary(line))
+    plot_runs([folder], folder / _PLOT)
+    print(f"more in {folder}: {_POLICY}, {_PLOT}, agent; try: stkzoo race {folder / 'agent'} ai")
