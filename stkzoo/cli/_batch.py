@@ -61,7 +61,8 @@ def run_batch(
             bars.update(task, completed=done, total=total, last=text)
 
         try:
-            options = RunOptions(arguments.jobs, arguments.race_timeout, update)
+            plots = not getattr(arguments, "no_plot", False)
+            options = RunOptions(arguments.jobs, arguments.race_timeout, update, plots)
             return run(options), 0
         except BatchError as error:
             print(f"stkzoo: {error}", file=sys.stderr)

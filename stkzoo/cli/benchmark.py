@@ -104,10 +104,10 @@ class BenchmarkArguments:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
-    from stkzoo.evaluation.benchmark.races import DECIDED
+    from stkzoo.evaluation import BenchmarkPlan
 
     add_options(parser, BenchmarkArguments)
-    add_batch_options(parser, DECIDED)
+    add_batch_options(parser, BenchmarkPlan.decided)
 
 
 @usage_errors
@@ -123,13 +123,13 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _benchmark(arguments: argparse.Namespace) -> int:
     from stkzoo.cli._batch import run_batch, say_kept
-    from stkzoo.evaluation.benchmark.run import run_benchmark_plan
+    from stkzoo.evaluation.batch.run import run_batch as run_races
 
     plan = _plan(arguments)
     folder = Path(arguments.output or Path("benchmark", plan.agent.label.replace("/", "_")))
     result, code = run_batch(
         arguments,
-        lambda options: run_benchmark_plan(plan, folder, options, plot=not arguments.no_plot),
+        lambda options: run_races(plan, folder, options),
         "the same command",
     )
     if result is None:
@@ -143,8 +143,7 @@ def _benchmark(arguments: argparse.Namespace) -> int:
 
 
 def _plan(arguments: argparse.Namespace) -> BenchmarkPlan:
-    from stkzoo.evaluation import FORMS, plan_benchmark
-    from stkzoo.evaluation.benchmark.races import DECIDED
+    from stkzoo.evaluation import FORMS, BenchmarkPlan, plan_benchmark
 
     if not arguments.agent:
         raise ConfigError("no agent; name one, such as heuristic, or see --help")
@@ -157,7 +156,7 @@ def _plan(arguments: argparse.Namespace) -> BenchmarkPlan:
         seeds=arguments.seeds,
         reverse=chosen_directions(arguments),
         ai_times=arguments.ai_times,
-        **settings_of(arguments, DECIDED),
+        **settings_of(arguments, BenchmarkPlan.decided),
     )
 
 

@@ -81,10 +81,10 @@ class DemosArguments:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
-    from stkzoo.evaluation.demonstrations.plan import DECIDED
+    from stkzoo.evaluation import DemoPlan
 
     add_options(parser, DemosArguments)
-    add_batch_options(parser, DECIDED)
+    add_batch_options(parser, DemoPlan.decided)
 
 
 @usage_errors
@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Records demonstrations, and checks them on request."""
     from stkzoo.cli._batch import run_batch
     from stkzoo.evaluation.demonstrations.minari import require_minari
-    from stkzoo.evaluation.demonstrations.run import record_plan
+    from stkzoo.evaluation.demonstrations.plan import record_plan
 
     plan = _plan(arguments)
     file = Path(arguments.output or "demos.npz")
@@ -108,8 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _plan(arguments: argparse.Namespace) -> DemoPlan:
-    from stkzoo.evaluation import plan_demonstrations
-    from stkzoo.evaluation.demonstrations.plan import DECIDED
+    from stkzoo.evaluation import DemoPlan, plan_demonstrations
     from stkzoo.race import find_driver
 
     check_whole("seeds", arguments.seeds, 1)
@@ -128,7 +127,7 @@ def _plan(arguments: argparse.Namespace) -> DemoPlan:
         karts=arguments.karts,
         rivals=arguments.rivals,
         substeps=arguments.substeps,
-        **settings_of(arguments, DECIDED),
+        **settings_of(arguments, DemoPlan.decided),
     )
 
 

@@ -94,7 +94,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _run(arguments: argparse.Namespace, folder: Path, options: RunOptions) -> TournamentResult:
     from stkzoo.evaluation import plan_tournament
-    from stkzoo.evaluation.tournament.run import resumed_plan, run_tournament_plan
+    from stkzoo.evaluation.batch.run import run_batch
+    from stkzoo.evaluation.tournament.plan import resumed_plan
 
     if arguments.resume and arguments.agents:
         raise ConfigError("--resume knows its agents; leave them out")
@@ -110,7 +111,7 @@ def _run(arguments: argparse.Namespace, folder: Path, options: RunOptions) -> To
             **settings_of(arguments, _DECIDED),
         )
     )
-    return run_tournament_plan(plan, folder, options, plot=not arguments.no_plot)
+    return run_batch(plan, folder, options)
 
 
 def _show(result: TournamentResult) -> None:

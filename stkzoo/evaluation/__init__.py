@@ -17,32 +17,19 @@ as it is over, so that the same call resumes after an interruption.
 """
 
 from stkzoo.evaluation.batch.entrants import Entrant
-from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.run import BatchError, BatchProgress, RunOptions
-from stkzoo.evaluation.benchmark.ai_times import (
-    AiTime,
-    AiTimes,
-    load_ai_times,
-    measure_ai_times,
-)
-from stkzoo.evaluation.benchmark.comparison import Comparison, GroupDifference, compare
-from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, plan_benchmark
-from stkzoo.evaluation.benchmark.plot import plot_benchmark
-from stkzoo.evaluation.benchmark.races import (
-    FORMS,
-    BenchmarkForm,
-    BenchmarkRace,
-    make_races,
-    race_seed,
-)
-from stkzoo.evaluation.benchmark.result import (
+from stkzoo.evaluation.benchmark.ai_times import AiTime, AiTimes, load_ai_times, measure_ai_times
+from stkzoo.evaluation.benchmark.comparison import Comparison, compare
+from stkzoo.evaluation.benchmark.outcomes import KartOutcome, RaceGroup, RaceOutcome
+from stkzoo.evaluation.benchmark.plan import (
+    BenchmarkPlan,
     BenchmarkResult,
-    KartOutcome,
-    RaceGroup,
-    RaceOutcome,
-    benchmark_result,
+    load_benchmark,
+    plan_benchmark,
+    run_benchmark,
 )
-from stkzoo.evaluation.benchmark.run import load_benchmark, run_benchmark
+from stkzoo.evaluation.benchmark.plot import plot_benchmark
+from stkzoo.evaluation.benchmark.races import FORMS, BenchmarkForm, BenchmarkRace
 from stkzoo.evaluation.demonstrations.check import DemoCheck, check_demonstrations
 from stkzoo.evaluation.demonstrations.dataset import (
     DemoEpisode,
@@ -52,42 +39,32 @@ from stkzoo.evaluation.demonstrations.dataset import (
     save_demonstrations,
 )
 from stkzoo.evaluation.demonstrations.minari import to_minari
-from stkzoo.evaluation.demonstrations.plan import DemoPlan, plan_demonstrations
+from stkzoo.evaluation.demonstrations.plan import (
+    DemoPlan,
+    plan_demonstrations,
+    record_demonstrations,
+)
 from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
-from stkzoo.evaluation.demonstrations.run import record_demonstrations
-from stkzoo.evaluation.plotting import (
-    BLUE,
-    GREY,
-    INK,
-    PALETTE,
-    new_figure,
-    save_figure,
-    style_axes,
-)
+from stkzoo.evaluation.plotting import BLUE, GREY, INK, new_figure, save_figure, style_axes
 from stkzoo.evaluation.ratings import Rating, rate, require_openskill
-from stkzoo.evaluation.statistics import (
-    CONFIDENCE,
-    Estimate,
-    estimate_mean,
-    percentile_interval,
-)
-from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament
-from stkzoo.evaluation.tournament.plot import plot_tournament
-from stkzoo.evaluation.tournament.result import Standing, TournamentResult, tournament_result
-from stkzoo.evaluation.tournament.run import (
+from stkzoo.evaluation.statistics import Estimate, percentile_interval
+from stkzoo.evaluation.tournament.plan import (
+    TournamentPlan,
+    TournamentResult,
     load_tournament,
+    plan_tournament,
     resume_tournament,
     run_tournament,
 )
-from stkzoo.evaluation.tournament.schedule import ScheduledRace, make_schedule
+from stkzoo.evaluation.tournament.plot import plot_tournament
+from stkzoo.evaluation.tournament.schedule import ScheduledRace
+from stkzoo.evaluation.tournament.standings import Standing
 
 __all__ = [
     "BLUE",
-    "CONFIDENCE",
     "FORMS",
     "GREY",
     "INK",
-    "PALETTE",
     "AiTime",
     "AiTimes",
     "BatchError",
@@ -106,10 +83,8 @@ __all__ = [
     "Entrant",
     "EpisodeFacts",
     "Estimate",
-    "GroupDifference",
     "KartOutcome",
     "RaceGroup",
-    "RaceOrder",
     "RaceOutcome",
     "Rating",
     "RunOptions",
@@ -117,16 +92,12 @@ __all__ = [
     "Standing",
     "TournamentPlan",
     "TournamentResult",
-    "benchmark_result",
     "check_demonstrations",
     "compare",
-    "estimate_mean",
     "load_ai_times",
     "load_benchmark",
     "load_demonstrations",
     "load_tournament",
-    "make_races",
-    "make_schedule",
     "measure_ai_times",
     "new_figure",
     "percentile_interval",
@@ -135,7 +106,6 @@ __all__ = [
     "plan_tournament",
     "plot_benchmark",
     "plot_tournament",
-    "race_seed",
     "rate",
     "record_demonstrations",
     "require_openskill",
@@ -146,5 +116,4 @@ __all__ = [
     "save_figure",
     "style_axes",
     "to_minari",
-    "tournament_result",
 ]

@@ -29,7 +29,6 @@ from stkzoo.evaluation import (
     BenchmarkPlan,
     BenchmarkResult,
     TournamentPlan,
-    benchmark_result,
     plan_benchmark,
     plan_tournament,
 )
@@ -213,7 +212,7 @@ def _feed_plans(data: bytes) -> None:
 def _plan_seeds() -> list[bytes]:
     tournament = plan_tournament(["heuristic", "ai"], tracks=["lighthouse"], races=2)
     benchmark = plan_benchmark("heuristic", split=["lighthouse"], forms=["PA"], seeds=1)
-    forms = (tournament, benchmark, benchmark_result(benchmark, {}))
+    forms = (tournament, benchmark, benchmark.summarize({}, Path()))
     return [form.to_json().encode() for form in forms]
 
 

@@ -55,7 +55,7 @@ def test_the_agent_drives_the_planned_races(small):
     for race, order in zip(result.plan.races(), result.plan.orders(), strict=True):
         kept = RaceResult.from_json((folder / "races" / f"{race.number:05d}.json").read_text())
         rows = sorted(kept.agents, key=lambda row: row.start_position)
-        assert [row.driver for row in rows] == order.labels
+        assert [row.driver for row in rows] == [text.rpartition("@:")[2] for text in order.drivers]
         assert (kept.track, kept.reverse, kept.difficulty) == ("lighthouse", False, 3)
         assert kept.seed == race.seed
         assert kept.status in ("awaited_finished", "finished")
@@ -93,7 +93,9 @@ def test_a_finished_benchmark_runs_nothing_again(small):
 
 def test_another_benchmark_in_the_folder_is_refused(small):
     folder, _, _ = small
-    with pytest.raises(ConfigError, match=r"has another benchmark: agent is 'random@:random' and"):
+    with pytest.raises(
+        ConfigError, match=r"has another benchmark: agents is \['random@:random'\] and"
+    ):
         run_benchmark("random", output=folder, **SMALL)
     with pytest.raises(ConfigError, match="seeds is 3 and was 2"):
         run_benchmark("heuristic", output=folder, **{**SMALL, "seeds": 3})

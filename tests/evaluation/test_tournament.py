@@ -258,9 +258,9 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_race_whose_process_is_killed_is_run_again():
+def test_a_race_whose_process_is_killed_is_run_again(tmp_path):
     plan = plan_tournament(["ai", "heuristic"], tracks=["lighthouse"], races=2, max_steps=300)
-    outcomes = run_in_parallel(plan.orders(), 1, 100)
+    outcomes = run_in_parallel(plan.orders(), tmp_path, 1, 100)
     first = next(outcomes)
     (worker,) = [pid for pid in children_of(os.getpid()) if "worker" in cmdline(pid)]
     os.kill(worker, signal.SIGKILL)

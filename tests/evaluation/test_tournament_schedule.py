@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stkzoo.evaluation import make_schedule
+from stkzoo.evaluation.tournament.schedule import make_schedule
 
 
 def spread(counts, keys):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import itertools
 import os
 from collections import Counter
@@ -14,7 +13,7 @@ from pathlib import Path, PurePath
 from stkzoo._os import file_digest
 from stkzoo.errors import ConfigError
 from stkzoo.race.agents.failures import printable
-from stkzoo.race.agents.files import find_files
+from stkzoo.race.agents.files import find_files, installed_module
 from stkzoo.race.drivers import driver_names, find_driver
 from stkzoo.race.settings import RaceSettings
 
@@ -119,20 +118,10 @@ def _home(source: str) -> Path | None:
     if files is None or files.path is not None:
         return files.path if files else None
     top = source.partition(".")[0]
-    for place in (*_places_of_module(top), top, f"{top}.py"):
-        if place and Path(place).exists():
-            return Path(place).resolve()
-    return None
-
-
-def _places_of_module(name: str) -> Sequence[str | None]:
-    try:
-        spec = importlib.util.find_spec(name)
-    except (ImportError, ValueError):
-        spec = None
-    if spec is None:
-        return ()
-    return list(spec.submodule_search_locations or ()) or [spec.origin]
+    spec = installed_module(top)
+    places = spec and (spec.submodule_search_locations or [spec.origin or ""])
+    found = (Path(place) for place in (*(places or ()), top, f"{top}.py") if place)
+    return next((place.resolve() for place in found if place.exists()), None)
 
 
 def _files(home: Path) -> Iterator[Path]:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
 
 from stkzoo._os import write_text
 from stkzoo.errors import ConfigError
@@ -15,12 +13,13 @@ from stkzoo.race.result import RaceResult
 from stkzoo.race.runner import run_race
 from stkzoo.race.settings import RaceSettings
 
-Result = TypeVar("Result")
+#: The folder of the races in a batch's folder.
+RACES = "races"
 
 
 @dataclass(frozen=True, slots=True)
-class BatchOrder(ABC, Generic[Result]):
-    """A race to run, and where its result is stored.
+class RaceOrder:
+    """A race to run. Its drivers have fixed start positions: the first driver starts in front.
 
     Attributes:
         number: counts the races of the batch, from 0.
@@ -34,49 +33,26 @@ class BatchOrder(ABC, Generic[Result]):
     settings: RaceSettings
     wait_for: tuple[int, ...] | None = None
 
-    @abstractmethod
-    def run(self) -> str:
-        """Runs the race, in a worker process, and returns its ``RaceResult`` as JSON."""
+    def run(self, folder: Path) -> RaceResult:  # noqa: ARG002 - orders may write more files
+        """Runs the race, in a worker process.
 
-    @abstractmethod
-    def load(self, folder: Path) -> Result | None:
-        """The stored result; ``None`` if the race has not been run.
-
-        Raises:
-            ConfigError: the file is damaged or belongs to another race.
+        Args:
+            folder: of the batch.
         """
-
-    @abstractmethod
-    def store(self, folder: Path, text: str) -> Result:
-        """Stores what :meth:`run` returned.
-
-        Raises:
-            ConfigError: the file cannot be written.
-        """
-
-
-@dataclass(frozen=True, slots=True)
-class RaceOrder(BatchOrder[RaceResult]):
-    """A race whose drivers have fixed start positions: the first driver starts in front."""
-
-    @property
-    def labels(self) -> list[str]:
-        """The drivers' names, in the same order; each text ends with one."""
-        return [text.rpartition(NAME_MARK)[2] for text in self.drivers]
-
-    def run(self) -> str:
-        """Runs the race."""
-        result = run_race(
+        return run_race(
             list(self.drivers),
             start_positions=range(1, len(self.drivers) + 1),
             wait_for=self.wait_for,
             settings=self.settings,
         )
-        return result.to_json()
 
     def load(self, folder: Path) -> RaceResult | None:
-        """The stored result."""
-        file = self._file(folder)
+        """The stored result; ``None`` if the race has not been run.
+
+        Raises:
+            ConfigError: the file is damaged or belongs to another race.
+        """
+        file = self.file(folder)
         try:
             result = RaceResult.from_json(file.read_text(encoding="utf-8"))
         except FileNotFoundError:
@@ -92,23 +68,31 @@ class RaceOrder(BatchOrder[RaceResult]):
         return result
 
     def store(self, folder: Path, text: str) -> RaceResult:
-        """Stores the result, atomically."""
-        write_text(self._file(folder), text + "\n")
+        """Stores the result, atomically.
+
+        Raises:
+            ConfigError: the file cannot be written.
+        """
+        write_text(self.file(folder), text + "\n")
         return RaceResult.from_json(text)
 
-    def _file(self, folder: Path) -> Path:
-        return folder / "races" / f"{self.number:05d}.json"
+    def file(self, folder: Path, ending: str = ".json") -> Path:
+        """The file of the race's result, or another one beside it."""
+        return folder / RACES / f"{self.number:05d}{ending}"
 
     def _matches(self, result: RaceResult) -> bool:
-        settings = asdict(self.settings)
-        grid = [row.driver for row in sorted(result.agents, key=lambda row: row.start_position)]
-        return grid == self.labels and all(
-            getattr(result, name) == settings[name]
+        rows = sorted(result.agents, key=lambda row: (len(row.agent), row.agent))
+        found = [
+            f"{row.source}{NAME_MARK}{row.driver}" if NAME_MARK in text else row.source
+            for row, text in zip(rows, self.drivers, strict=False)
+        ]
+        return found == list(self.drivers) and all(
+            getattr(result, name) == getattr(self.settings, name)
             for name in ("seed", "track", "reverse", "difficulty")
         )
 
 
-def load_orders(orders: Sequence[BatchOrder[Result]], folder: Path) -> dict[int, Result]:
+def load_orders(orders: Sequence[RaceOrder], folder: Path) -> dict[int, RaceResult]:
     """The stored results of a batch, by number.
 
     Raises:

@@ -1,157 +1,132 @@
-"""What the plans of all batches share: checks, JSON, and comparison with another plan."""
+"""What the plans of all batches share: fields, races, comparison with another plan, checks."""
 
 from __future__ import annotations
 
-import json
-import types
-import typing
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 from stkzoo.engine.assets import find_assets
 from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.evaluation.batch.document import Document
 from stkzoo.evaluation.batch.entrants import Entrant
-from stkzoo.evaluation.batch.order import BatchOrder
-from stkzoo.race.result import read_json, reading
+from stkzoo.evaluation.batch.order import RaceOrder
+from stkzoo.evaluation.plotting import require_matplotlib
+from stkzoo.race.result import RaceResult, versions_now
 from stkzoo.race.settings import RaceSettings
 
-#: The file of a plan in its batch's folder.
-PLAN_FILE = "plan.json"
+#: The files of the plan and of the result in a batch's folder.
+PLAN_FILE, RESULT_FILE = "plan.json", "result.json"
 _MAX_SHOWN = 80
-T = TypeVar("T")
-Plan = TypeVar("Plan", bound="BatchPlan")
+Result = TypeVar("Result")
+Plan = TypeVar("Plan", bound="BatchPlan[Any]")
 
 
-@dataclass(frozen=True, slots=True)
-class BatchPlan(ABC):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BatchPlan(Document, Generic[Result]):
     """A whole batch, from which its races follow.
 
-    A plan is a dataclass with the ``versions`` of the software, and ``settings`` if its races
-    share some.
+    The ``version`` of a plan's file grows when a plan would lead to other races.
+
+    Attributes:
+        tracks: the tracks.
+        settings: of every race.
+        versions: of the software.
     """
 
-    #: The ``type`` and ``schema_version`` of the JSON file. The version grows when a plan would
-    #: lead to other races.
-    kind: ClassVar[str]
-    version: ClassVar[int] = 1
+    origin: ClassVar[str] = f"a {PLAN_FILE} in the --output of one"
     #: What such a batch is called, and the command that resumes one in ``{folder}``.
     noun: ClassVar[str]
     resume_command: ClassVar[str]
     #: Fields of :class:`~stkzoo.race.RaceSettings` that the plan sets for each race.
     decided: ClassVar[tuple[str, ...]] = ()
+    #: The file of a result that is a :class:`Document`.
+    result_file: ClassVar[str] = RESULT_FILE
+    #: Whether there is a result of some races, which :meth:`draw` can plot.
+    is_gradual: ClassVar[bool] = True
+
+    tracks: tuple[str, ...]
+    settings: RaceSettings = field(default_factory=RaceSettings)
+    versions: Mapping[str, str] = field(default_factory=versions_now)
 
     @abstractmethod
-    def orders(self) -> Sequence[BatchOrder[Any]]:
+    def orders(self) -> Sequence[RaceOrder]:
         """All races, ready to run."""
 
-    def to_json(self) -> str:
-        """The plan as JSON."""
-        head = {"type": self.kind, "schema_version": self.version}
-        return json.dumps({**head, **self.to_dict()}, indent=2)
+    @abstractmethod
+    def summarize(self, results: Mapping[int, RaceResult], folder: Path, /) -> Result:
+        """The result of the races that have been run.
 
-    def to_dict(self) -> dict[str, Any]:
-        """The plan as JSON values."""
-        return asdict(self)
+        Args:
+            results: of the races, by number.
+            folder: of the batch.
+        """
 
-    @classmethod
-    def from_json(cls: type[Plan], text: str) -> Plan:
-        """Reads the output of :meth:`to_json`.
+    def draw(self, result: Result, path: Path) -> None:
+        """Plots the result into a file."""
+        raise NotImplementedError
+
+    def require_libraries(self, plot: bool) -> None:
+        """Checks that the libraries for the result and its plot are installed.
 
         Raises:
-            ConfigError: the text is something else, or has another version.
+            ConfigError: one is not.
         """
-        with cls._reading():
-            values: dict[str, Any] = read_json(text)
-            found = values.pop("type"), values.pop("schema_version")
-        if found != (cls.kind, cls.version):
-            raise ConfigError(
-                f"the plan is a {found[0]} of version {found[1]}, expected a {cls.kind} of "
-                f"version {cls.version}; resume it with the stkzoo version that started it"
-            )
-        return cls.from_dict(values)
+        if plot and self.is_gradual:
+            require_matplotlib(self.noun, "leave the plot out (--no-plot)")
 
-    @classmethod
-    def from_dict(cls: type[Plan], values: Mapping[str, Any]) -> Plan:
-        """Reads the output of :meth:`to_dict`.
-
-        Raises:
-            ConfigError: the values are no such plan.
-        """
-        with cls._reading():
-            plan = decode(cls, values)
-            plan.check()
-            return plan
-
-    def check(self) -> None:  # noqa: B027 - not all plans have numbers to check
-        """Checks the numbers on which the count of races depends.
-
-        Raises:
-            ConfigError: one is out of bounds.
-        """
+    @property
+    def agents(self) -> tuple[Entrant, ...]:
+        """The agents that take part."""
+        return ()
 
     def differences(self: Plan, other: Plan) -> list[str]:
         """What differs in another plan of the same kind, as sentences."""
         found = describe_differences(self._comparable(), other._comparable())
-        for mine, theirs in zip(self._entrants(), other._entrants(), strict=False):
+        for mine, theirs in zip(self.agents, other.agents, strict=False):
             if changed := mine.changed_files(theirs):
                 found.append(f"the files of agent {mine.label!r} have changed: {_shown(changed)}")
         return found
 
-    def _entrants(self) -> tuple[Entrant, ...]:
-        return ()
-
     def _comparable(self) -> dict[str, Any]:
         """The values that decide the races, by name."""
         values = self.to_dict()
-        versions, settings = values.pop("versions"), values.pop("settings", {})
+        versions, settings = values.pop("versions"), values.pop("settings")
+        for name in ("agent", "entrants"):
+            values.pop(name, None)
         values |= {name: value for name, value in settings.items() if name not in self.decided}
-        return values | {"engine": versions.get("pystk2"), "stkzoo": versions.get("stkzoo")}
+        software = {"engine": versions.get("pystk2"), "stkzoo": versions.get("stkzoo")}
+        return values | software | {"agents": [agent.text for agent in self.agents]}
 
     @classmethod
-    def _reading(cls) -> AbstractContextManager[None]:
-        return reading(f"the plan of the {cls.noun} cannot be read", f"a {PLAN_FILE} of stkzoo")
+    def choose_settings(
+        cls, settings: RaceSettings | None, changes: Mapping[str, Any]
+    ) -> RaceSettings:
+        """The settings of all races of a batch.
 
+        Args:
+            settings: the user's settings.
+            changes: fields that replace those of ``settings``.
 
-def read_plan(kind: type[Plan], folder: Path) -> Plan:
-    """The plan of the batch in a folder.
-
-    Raises:
-        ConfigError: there is none, or it cannot be read.
-    """
-    try:
-        return kind.from_json((folder / PLAN_FILE).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(
-            f"{folder} has no {kind.noun} ({error}); expected the --output of one"
-        ) from error
-
-
-def decode(kind: type[T], values: Mapping[str, Any]) -> T:
-    """Makes a dataclass of JSON values: lists become tuples, objects become dataclasses.
-
-    Raises:
-        TypeError: a value has the wrong type, or is missing.
-        KeyError: there is no such field.
-    """
-    hints = typing.get_type_hints(kind)
-    return kind(**{name: _decoded(hints[name], value) for name, value in values.items()})
-
-
-def _decoded(hint: Any, value: Any) -> Any:
-    if isinstance(hint, types.UnionType):
-        parts = [part for part in typing.get_args(hint) if part is not types.NoneType]
-        return None if value is None else _decoded(parts[0], value)
-    if typing.get_origin(hint) is tuple:
-        item = typing.get_args(hint)[0]
-        return tuple(_decoded(item, entry) for entry in value)
-    if isinstance(hint, type) and is_dataclass(hint):
-        return decode(hint, value)
-    return value
+        Raises:
+            ConfigError: a change names no field that a user may set, or a value is invalid.
+        """
+        known = {entry.name for entry in fields(RaceSettings)} - set(cls.decided)
+        for name in changes:
+            if name not in known:
+                raise unknown_name("setting of a race", name, known)
+        chosen = replace(settings or RaceSettings(), **changes)
+        if chosen.error_handling == "raise":
+            raise ConfigError(
+                "error_handling is 'raise', which would end the batch at the first error; choose "
+                "retire, catch or restart"
+            )
+        if chosen.adapter is not None:
+            chosen = replace(chosen, adapter=str(Path(chosen.adapter).resolve()))
+        return chosen
 
 
 def describe_differences(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> list[str]:
@@ -166,34 +141,6 @@ def describe_differences(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> 
 def _shown(value: object) -> str:
     text = repr(value)
     return text if len(text) <= _MAX_SHOWN else text[:_MAX_SHOWN] + "..."
-
-
-def choose_settings(
-    settings: RaceSettings | None, changes: Mapping[str, Any], decided: Sequence[str]
-) -> RaceSettings:
-    """The settings of all races of a batch.
-
-    Args:
-        settings: the user's settings.
-        changes: fields that replace those of ``settings``.
-        decided: fields that the plan sets itself.
-
-    Raises:
-        ConfigError: a change names no field, or a value is invalid.
-    """
-    known = {entry.name for entry in fields(RaceSettings)} - set(decided)
-    for name in changes:
-        if name not in known:
-            raise unknown_name("setting of a race", name, known)
-    chosen = replace(settings or RaceSettings(), **changes)
-    if chosen.error_handling == "raise":
-        raise ConfigError(
-            "error_handling is 'raise', which would end the batch at the first error; choose "
-            "retire, catch or restart"
-        )
-    if chosen.adapter is not None:
-        chosen = replace(chosen, adapter=str(Path(chosen.adapter).resolve()))
-    return chosen
 
 
 def find_tracks(tracks: str | Sequence[str], settings: RaceSettings) -> tuple[str, ...]:

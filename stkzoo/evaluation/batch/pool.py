@@ -11,10 +11,11 @@ import threading
 from collections.abc import Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass
-from typing import Any
+from pathlib import Path
+from queue import SimpleQueue
 
 from stkzoo._os import remove_stale_directories
-from stkzoo.evaluation.batch.order import BatchOrder
+from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.race.agents.failures import OutputTail
 
 #: How often a race is tried whose process dies.
@@ -34,80 +35,90 @@ class OrderOutcome:
         error: why it could not be run.
     """
 
-    order: BatchOrder[Any]
+    order: RaceOrder
     result: str = ""
     error: str = ""
 
 
 def run_in_parallel(
-    orders: Sequence[BatchOrder[Any]], jobs: int, race_timeout: float
+    orders: Sequence[RaceOrder], folder: Path, jobs: int, race_timeout: float
 ) -> Generator[OrderOutcome, None, None]:
     """Runs races and yields each as soon as it is over; closing it ends those that run.
 
     Args:
         orders: the races.
+        folder: of the batch.
         jobs: races at a time.
         race_timeout: for one race [s]; its process is ended then.
     """
-    workers = _Workers(race_timeout)
+    workers = [_Worker(folder, race_timeout) for _ in range(min(jobs, len(orders)))]
+    idle: SimpleQueue[_Worker] = SimpleQueue()
+    for worker in workers:
+        idle.put(worker)
+
+    def run(order: RaceOrder) -> OrderOutcome:
+        own = idle.get()  # there is one for each thread
+        try:
+            return own.run(order)
+        finally:
+            idle.put(own)
+
     threads = ThreadPoolExecutor(jobs)
     try:
-        waiting = {threads.submit(workers.run, order) for order in orders}
+        waiting = {threads.submit(run, order) for order in orders}
         while waiting:  # the timeout lets Ctrl-C through
             done, waiting = wait(waiting, _WAIT_INTERVAL, FIRST_COMPLETED)
             for future in done:
                 yield future.result()
     finally:
         threads.shutdown(wait=False, cancel_futures=True)
-        workers.close()
+        for worker in workers:
+            worker.close()
         threads.shutdown()
         remove_stale_directories()  # of races that were ended
 
 
-class _Workers:
-    """The worker processes, at most one for each thread that calls :meth:`run`."""
+class _Worker:
+    """Runs races one after another in a process of its own, and in a new one if that dies."""
 
-    def __init__(self, race_timeout: float) -> None:
-        self._race_timeout = race_timeout
+    def __init__(self, folder: Path, race_timeout: float) -> None:
+        self._folder, self._timeout = str(folder.absolute()), race_timeout
         self._lock = threading.Lock()
-        self._idle: list[_Worker] = []
-        self._busy: set[_Worker] = set()
+        self._process: _Process | None = None
         self._is_closed = False
 
-    def run(self, order: BatchOrder[Any]) -> OrderOutcome:
+    def run(self, order: RaceOrder) -> OrderOutcome:
         """Runs a race, again if its process dies."""
-        outcome = OrderOutcome(order, error="the batch was ended")
+        kind = type(order)
+        line = {"module": kind.__module__, "class": kind.__name__, "order": asdict(order)}
+        text = json.dumps({**line, "folder": self._folder}).encode()
+        error = ""
         for _ in range(_TRIES):
             with self._lock:
                 if self._is_closed:
-                    break
-                worker = self._idle.pop() if self._idle else _Worker()
-                self._busy.add(worker)
-            outcome = OrderOutcome(order, **worker.run(order, self._race_timeout))
-            with self._lock:
-                self._busy.discard(worker)
-                if worker.is_alive and not self._is_closed:
-                    self._idle.append(worker)
-            if not worker.is_alive:
-                worker.close()
-            if outcome.result or worker.was_late:
-                break
-        return outcome
+                    return OrderOutcome(order, error="the batch was ended")
+                self._process = process = self._process or _Process()
+            if answer := process.ask(text, self._timeout):
+                return OrderOutcome(order, **answer)
+            self._process = None
+            error = process.end(_END_TIMEOUT)
+            if process.was_late:
+                return OrderOutcome(order, error=f"it was not over after {self._timeout:g} s")
+        return OrderOutcome(order, error=error)
 
     def close(self) -> None:
-        """Ends all processes, also during a race."""
+        """Ends the process, also during a race."""
         with self._lock:
             self._is_closed = True
-            workers = [*self._idle, *self._busy]
-        for worker in workers:
-            worker.close()
+        if process := self._process:
+            process.end()
 
 
-class _Worker:
+class _Process:
     """A process of :mod:`stkzoo.evaluation.batch.worker`."""
 
     def __init__(self) -> None:
-        self.is_alive, self.was_late = True, False
+        self.was_late = False
         paths = [path for path in sys.path if path]
         self._process = subprocess.Popen(  # noqa: S603 - our own program
             [sys.executable, "-m", _WORKER],
@@ -120,29 +131,27 @@ class _Worker:
         )
         self._said = OutputTail(self._process.stderr)
 
-    def run(self, order: BatchOrder[Any], timeout: float) -> dict[str, str]:
-        """Runs one race; the answer has ``result`` or ``error``."""
-        kind, process = type(order), self._process
-        line = {"module": kind.__module__, "class": kind.__name__, "order": asdict(order)}
-        assert process.stdin is not None  # noqa: S101 - opened as pipes
-        assert process.stdout is not None  # noqa: S101 - opened as pipes
-        watch = threading.Timer(timeout, process.kill)
+    def ask(self, line: bytes, timeout: float) -> dict[str, str]:
+        """Runs one race; the answer has ``result`` or ``error``, and is empty if it died."""
+        assert self._process.stdin is not None  # noqa: S101 - opened as pipes
+        assert self._process.stdout is not None  # noqa: S101 - opened as pipes
+        watch = threading.Timer(timeout, self._process.kill)
         watch.start()
         try:
-            process.stdin.write(json.dumps(line).encode() + b"\n")
-            process.stdin.flush()
-            answer: dict[str, str] = json.loads(process.stdout.readline())
+            self._process.stdin.write(line + b"\n")
+            self._process.stdin.flush()
+            answer: dict[str, str] = json.loads(self._process.stdout.readline())
         except (OSError, ValueError):  # its output is closed, or cut off
-            self.is_alive = False
             self.was_late = watch.finished.is_set()
-            return {"error": self._why(timeout)}
+            return {}
         finally:
             watch.cancel()
         return answer
 
-    def close(self) -> None:
-        """Ends the process."""
-        self.is_alive = False
+    def end(self, patience: float = 0.0) -> str:
+        """Ends the process, after some time to end by itself [s]; says how it ended."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(patience)
         self._process.kill()
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(_END_TIMEOUT)
@@ -151,11 +160,5 @@ class _Worker:
             if stream is not None:
                 with contextlib.suppress(OSError):  # what was not sent yet
                     stream.close()
-
-    def _why(self, timeout: float) -> str:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(_END_TIMEOUT)
-        if self.was_late:
-            return f"it was not over after {timeout:g} s"
         code, said = self._process.returncode, self._said.text()
         return f"its process ended with code {code}" + (f"; last lines:\n{said}" if said else "")

@@ -9,35 +9,19 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic
 
 from stkzoo._os import PART_FILES, cpu_count, try_lock, write_text
 from stkzoo.errors import ConfigError, StkzooError, check_whole
-from stkzoo.evaluation.batch.order import BatchOrder, load_orders
-from stkzoo.evaluation.batch.plan import PLAN_FILE, BatchPlan, read_plan
+from stkzoo.evaluation.batch.document import AnyDocument, Document
+from stkzoo.evaluation.batch.order import RACES, RaceOrder, load_orders
+from stkzoo.evaluation.batch.plan import PLAN_FILE, RESULT_FILE, BatchPlan, Plan, Result
 from stkzoo.evaluation.batch.pool import run_in_parallel
-from stkzoo.evaluation.plotting import require_matplotlib
 from stkzoo.race.result import RaceResult
 
-#: The file of the result in a batch's folder.
-RESULT_FILE = "result.json"
-RACE_TIMEOUT = 3600.0  # [s]
 _MAX_ERRORS_SHOWN = 3
-
-
-class BatchSummary(Protocol):
-    """The result of a batch."""
-
-    def to_json(self) -> str:
-        """The result as JSON."""
-
-
-Plan = TypeVar("Plan", bound=BatchPlan)
-Result = TypeVar("Result")
-Summary = TypeVar("Summary")
-Writable = TypeVar("Writable", bound=BatchSummary)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +42,6 @@ class BatchProgress:
     error: str = ""
 
 
-ProgressListener = Callable[[BatchProgress], object]
-
-
 @dataclass(frozen=True, slots=True)
 class RunOptions:
     """How a batch is run; changes nothing in its results.
@@ -69,11 +50,13 @@ class RunOptions:
         jobs: races at a time; ``None`` for as many as there are processors.
         race_timeout: for one race [s].
         on_race: is called after every race.
+        plot: draw the result.
     """
 
     jobs: int | None = None
-    race_timeout: float = RACE_TIMEOUT
-    on_race: ProgressListener | None = None
+    race_timeout: float = 3600.0
+    on_race: Callable[[BatchProgress], object] | None = None
+    plot: bool = True
 
     def __post_init__(self) -> None:
         if self.jobs is not None:
@@ -81,20 +64,27 @@ class RunOptions:
         if not 0 < self.race_timeout < 1e9:
             raise ConfigError(f"race_timeout is {self.race_timeout!r}, expected seconds above 0")
 
+    @classmethod
+    def split(cls, options: Mapping[str, Any]) -> tuple[RunOptions, dict[str, Any]]:
+        """The options of a run that some keyword arguments have, and the other arguments."""
+        own = {entry.name for entry in fields(cls)} & set(options)
+        others = {name: value for name, value in options.items() if name not in own}
+        return cls(**{name: options[name] for name in own}), others
 
-class BatchError(StkzooError, Generic[Summary]):
+
+class BatchError(StkzooError, Generic[Result]):
     """Some races could not be run; the others are stored.
 
     Attributes:
         result: the result of the others; ``None`` where one needs all races.
     """
 
-    def __init__(self, message: str, result: Summary | None = None) -> None:
+    def __init__(self, message: str, result: Result | None = None) -> None:
         super().__init__(message)
         self.result = result
 
     @classmethod
-    def of(cls, errors: Mapping[int, str], total: int, result: Summary) -> BatchError[Summary]:
+    def of(cls, errors: Mapping[int, str], total: int, result: Result | None) -> BatchError[Result]:
         """The error for some of ``total`` races, with why each of them could not be run."""
         first = list(errors.items())[:_MAX_ERRORS_SHOWN]
         lines = "".join(f"\nrace {number}: {error}" for number, error in first)
@@ -106,112 +96,85 @@ class BatchError(StkzooError, Generic[Summary]):
         )
 
 
-@dataclass(slots=True)
-class Batch(Generic[Plan]):
-    """A batch in its folder.
-
-    Attributes:
-        folder: where it is stored.
-        plan: the plan as it was started there.
-        errors: why races could not be run, by number.
-    """
-
-    folder: Path
-    plan: Plan
-    errors: dict[int, str] = field(default_factory=dict)
-
-    def run(self, orders: Sequence[BatchOrder[Result]], options: RunOptions) -> dict[int, Result]:
-        """Runs the races that are not stored yet.
-
-        Returns:
-            The results of all races that have been run, by number.
-
-        Raises:
-            ConfigError: a stored race is damaged, or a race cannot be stored.
-        """
-        report = options.on_race or (lambda _: None)
-        results = load_orders(orders, self.folder)
-        report(BatchProgress(len(results), len(orders)))
-        left = [order for order in orders if order.number not in results]
-        running = run_in_parallel(left, options.jobs or cpu_count(), options.race_timeout)
-        with closing(running) as outcomes:  # an error here ends the races that run
-            for outcome in outcomes:
-                number, last = outcome.order.number, None
-                if outcome.error:
-                    self.errors[number] = outcome.error
-                else:
-                    results[number] = outcome.order.store(self.folder, outcome.result)
-                    last = RaceResult.from_json(outcome.result)
-                report(BatchProgress(len(results), len(orders), last, outcome.error))
-        return results
-
-    def write(self, name: str, text: str) -> None:
-        """Writes a text file into the folder, atomically.
-
-        Raises:
-            ConfigError: it cannot be written.
-        """
-        write_text(self.folder / name, text + "\n")
-
-
-@contextmanager
-def open_batch(plan: Plan, folder: str | os.PathLike[str]) -> Iterator[Batch[Plan]]:
-    """Starts or resumes a batch; no other program can use its folder meanwhile.
-
-    Args:
-        plan: the batch.
-        folder: its folder; it is created if needed.
-
-    Raises:
-        ConfigError: the folder cannot be used, another program runs this batch, or the folder has
-            another batch.
-    """
-    path = Path(folder)
-    with _locked(path, plan.noun):
-        for place in (path, path / "races"):
-            for part in place.glob(PART_FILES):  # left by a program that was killed while it wrote
-                part.unlink(missing_ok=True)
-        yield Batch(path, _keep_plan(plan, path))
-
-
 def run_batch(
-    plan: Plan,
-    output: str | os.PathLike[str],
-    options: RunOptions,
-    summarize: Callable[[Plan, Mapping[int, RaceResult]], Writable],
-    plot: Callable[[Writable, Path], None] | None = None,
-) -> Writable:
-    """Runs a batch of races, or resumes it, and writes its ``result.json`` and plot.
+    plan: BatchPlan[Result], output: str | os.PathLike[str], options: RunOptions
+) -> Result:
+    """Runs the races of a batch that are not stored yet, and writes the result and its plot.
 
     Args:
         plan: the batch.
-        output: its folder.
+        output: its folder; it is created if needed. No other program can use it meanwhile.
         options: how to run it.
-        summarize: makes the result of the races that have been run.
-        plot: draws the result into a file; ``None`` for no plot.
 
     Raises:
-        ConfigError: see :func:`open_batch`; or matplotlib is missing.
+        ConfigError: the folder cannot be used, another program runs this batch, the folder has
+            another batch or a damaged race, or a library is missing.
         BatchError: some races could not be run; it has the result of the others.
     """
-    if plot is not None:
-        require_matplotlib(plan.noun, "leave the plot out (--no-plot)")
-    with open_batch(plan, output) as batch:
-        orders = batch.plan.orders()
-        results = batch.run(orders, options)
-        result = summarize(batch.plan, results)
-        batch.write(RESULT_FILE, result.to_json())
-        if plot is not None and results:
-            plot(result, batch.folder / f"{plan.noun}.png")
-    if batch.errors:
-        raise BatchError.of(batch.errors, len(orders), result)
+    folder = Path(output)
+    plan.require_libraries(options.plot)
+    result = None
+    with _locked(folder, plan.noun):
+        plan = _keep_plan(plan, folder)
+        orders = plan.orders()
+        results, errors = _run_orders(orders, folder, options)
+        if plan.is_gradual or not errors:
+            result = plan.summarize(results, folder)
+            if isinstance(result, Document):
+                write_text(folder / plan.result_file, result.to_json() + "\n")
+            if plan.is_gradual and options.plot and results:
+                plan.draw(result, folder / f"{plan.noun}.png")
+    if errors or result is None:
+        raise BatchError.of(errors, len(orders), result)
     return result
+
+
+def load_batch(
+    plan_type: type[BatchPlan[AnyDocument]],
+    result_type: type[AnyDocument],
+    path: str | os.PathLike[str],
+) -> AnyDocument:
+    """The result of a batch so far, without running anything.
+
+    Args:
+        plan_type: of its plan.
+        result_type: of its result.
+        path: its folder, or the file of its result.
+
+    Raises:
+        ConfigError: there is none, it is damaged, or a library is missing.
+    """
+    place = Path(path)
+    if (place / PLAN_FILE).exists():
+        plan = plan_type.load(place / PLAN_FILE)
+        return plan.summarize(load_orders(plan.orders(), place), place)
+    return result_type.load(place / RESULT_FILE if place.is_dir() else place)
+
+
+def _run_orders(
+    orders: Sequence[RaceOrder], folder: Path, options: RunOptions
+) -> tuple[dict[int, RaceResult], dict[int, str]]:
+    """The results of all races that have been run, by number, and why others could not be run."""
+    report = options.on_race or (lambda _: None)
+    results, errors = load_orders(orders, folder), {}
+    report(BatchProgress(len(results), len(orders)))
+    left = [order for order in orders if order.number not in results]
+    running = run_in_parallel(left, folder, options.jobs or cpu_count(), options.race_timeout)
+    with closing(running) as outcomes:  # an error here ends the races that run
+        for outcome in outcomes:
+            number, last = outcome.order.number, None
+            if outcome.error:
+                errors[number] = outcome.error
+            else:
+                last = results[number] = outcome.order.store(folder, outcome.result)
+            report(BatchProgress(len(results), len(orders), last, outcome.error))
+    return results, errors
 
 
 @contextmanager
 def _locked(folder: Path, noun: str) -> Iterator[None]:
     try:
-        (folder / "races").mkdir(parents=True, exist_ok=True)
+        (folder / RACES).mkdir(parents=True, exist_ok=True)
         lock = (folder / "lock").open("a")
     except OSError as error:
         raise ConfigError(f"the {noun}'s folder {folder} cannot be used: {error}") from error
@@ -221,15 +184,19 @@ def _locked(folder: Path, noun: str) -> Iterator[None]:
                 f"another program runs the {noun} in {folder}; wait until it ends, or choose "
                 "another folder"
             )
+        for place in (folder, folder / RACES):
+            for part in place.glob(PART_FILES):  # left by a program that was killed while it wrote
+                part.unlink(missing_ok=True)
         yield
 
 
 def _keep_plan(plan: Plan, folder: Path) -> Plan:
     """Writes the plan, or returns the one in the folder if it leads to the same races."""
-    if not (folder / PLAN_FILE).exists():
-        Batch(folder, plan).write(PLAN_FILE, plan.to_json())
+    file = folder / PLAN_FILE
+    if not file.exists():
+        write_text(file, plan.to_json() + "\n")
         return plan
-    started = read_plan(type(plan), folder)
+    started = type(plan).load(file)
     if differences := started.differences(plan):
         raise ConfigError(
             f"{folder} has another {plan.noun}: {'; '.join(differences)}. Choose another folder, "

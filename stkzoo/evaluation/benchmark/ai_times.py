@@ -12,31 +12,17 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from stkzoo.errors import ConfigError, check_whole
+from stkzoo.evaluation.batch.document import Document, decode
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.plan import BatchPlan, find_tracks
-from stkzoo.evaluation.batch.run import (
-    RACE_TIMEOUT,
-    BatchError,
-    ProgressListener,
-    RunOptions,
-    open_batch,
-)
+from stkzoo.evaluation.batch.run import RunOptions, run_batch
 from stkzoo.evaluation.benchmark.races import FRONT, direction_name, race_seed
-from stkzoo.race.result import (
-    RaceResult,
-    json_with_rows,
-    read_document,
-    reading,
-    versions_now,
-)
+from stkzoo.race.result import RaceResult, versions_now
 from stkzoo.race.settings import RaceSettings
 
-#: Of the JSON file (``docs/schemas/ai-times.schema.json``).
-_TYPE, _SCHEMA_VERSION = "ai-times", 1
 AI_TIMES_FILE = "ai_times.json"
 _SHIPPED_FILE = Path(__file__).parent / AI_TIMES_FILE
 _KARTS = 5
-_DIFFICULTIES = (3, 2, 1, 0)
 _MAX_SEEDS = 1000
 
 RaceKey = tuple[str, bool, int]
@@ -77,13 +63,18 @@ class AiTime:
 
 
 @dataclass(frozen=True)
-class AiTimes:
+class AiTimes(Document):
     """The AI's times.
 
     Attributes:
         by_race: by track, ``reverse`` and difficulty.
         versions: of the software that measured them.
     """
+
+    # docs/schemas/ai-times.schema.json
+    kind: ClassVar[str] = "ai-times"
+    origin: ClassVar[str] = f"the {AI_TIMES_FILE} of `stkzoo benchmark --baseline`"
+    rows: ClassVar[str] = "times"
 
     by_race: Mapping[RaceKey, AiTime]
     versions: Mapping[str, str]
@@ -113,8 +104,8 @@ class AiTimes:
         found = {key: AiTime.of(times[key]) for key in sorted(times)}
         return cls({key: time for key, time in found.items() if time is not None}, versions_now())
 
-    def to_json(self) -> str:
-        """The times as JSON, one per line."""
+    def to_dict(self) -> dict[str, Any]:
+        """The times as JSON values."""
         rows = [
             {
                 "track": track,
@@ -124,26 +115,17 @@ class AiTimes:
             }
             for (track, reverse, difficulty), time in self.by_race.items()
         ]
-        head = {"type": _TYPE, "schema_version": _SCHEMA_VERSION, "versions": dict(self.versions)}
-        return json_with_rows(head, "times", rows)
+        return {"versions": dict(self.versions), "times": rows}
 
     @classmethod
-    def from_json(cls, text: str) -> AiTimes:
-        """Reads the output of :meth:`to_json`.
-
-        Raises:
-            ConfigError: the text is something else, or has another version.
-        """
-        what = "the text has no times of the game's AI"
-        with reading(what, "the output of `stkzoo benchmark --baseline`"):
-            values = read_document(text, _TYPE, _SCHEMA_VERSION)
-            return cls(dict(map(_entry, values["times"])), values["versions"])
+    def _decode(cls, values: Mapping[str, Any]) -> AiTimes:
+        return cls(dict(map(_entry, values["times"])), values["versions"])
 
 
 def _entry(values: dict[str, Any]) -> tuple[RaceKey, AiTime]:
     track, difficulty = values.pop("track"), values.pop("difficulty")
     is_reversed = values.pop("direction") == direction_name(True)
-    return (track, is_reversed, difficulty), AiTime(**values)
+    return (track, is_reversed, difficulty), decode(AiTime, values)
 
 
 def load_ai_times(path: str | os.PathLike[str] | None = None) -> AiTimes:
@@ -156,31 +138,34 @@ def load_ai_times(path: str | os.PathLike[str] | None = None) -> AiTimes:
     Raises:
         ConfigError: the file cannot be read.
     """
-    file = _SHIPPED_FILE if path is None else Path(path)
-    try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"the AI's times {file} cannot be read: {error}") from error
-    return AiTimes.from_json(text)
+    return AiTimes.load(_SHIPPED_FILE if path is None else Path(path))
 
 
-@dataclass(frozen=True, slots=True)
-class _BaselinePlan(BatchPlan):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AiTimesPlan(BatchPlan[AiTimes]):
+    """Races of the game's AI against itself in both directions.
+
+    Attributes:
+        seeds: races of five karts per time.
+        difficulties: levels of the AI.
+    """
+
     kind: ClassVar[str] = "ai-times-plan"
     noun: ClassVar[str] = "measurement"
     resume_command: ClassVar[str] = "stkzoo benchmark --baseline --output {folder}"
+    result_file: ClassVar[str] = AI_TIMES_FILE
+    is_gradual: ClassVar[bool] = False
 
-    tracks: tuple[str, ...]
     seeds: int
     difficulties: tuple[int, ...]
-    versions: Mapping[str, str]
 
-    def check(self) -> None:
+    def __post_init__(self) -> None:
         check_whole("seeds", self.seeds, 1, _MAX_SEEDS)
         for difficulty in self.difficulties:
             check_whole("difficulty", difficulty, 0, 3)
 
     def orders(self) -> list[RaceOrder]:
+        """All races, ready to run."""
         kinds = itertools.product(self.difficulties, self.tracks, (False, True), range(self.seeds))
         return [
             RaceOrder(
@@ -197,16 +182,18 @@ class _BaselinePlan(BatchPlan):
             for number, (difficulty, track, reverse, index) in enumerate(kinds)
         ]
 
+    def summarize(self, results: Mapping[int, RaceResult], _: Path) -> AiTimes:
+        """The times."""
+        return AiTimes.from_races(results[number] for number in sorted(results))
+
 
 def measure_ai_times(
     output: str | os.PathLike[str],
     *,
     tracks: str | Sequence[str] = "all",
     seeds: int = 5,
-    difficulties: Sequence[int] = _DIFFICULTIES,
-    jobs: int | None = None,
-    race_timeout: float = RACE_TIMEOUT,
-    on_race: ProgressListener | None = None,
+    difficulties: Sequence[int] = (3, 2, 1, 0),
+    **options: Any,
 ) -> AiTimes:
     """Races the game's AI against itself in both directions, or resumes that.
 
@@ -215,24 +202,13 @@ def measure_ai_times(
         tracks: names, or ``"train"``, ``"test"`` or ``"all"``.
         seeds: races of five karts per time.
         difficulties: levels of the AI.
-        jobs: see :class:`~stkzoo.evaluation.RunOptions`.
-        race_timeout: likewise.
-        on_race: likewise.
+        options: as in :class:`~stkzoo.evaluation.RunOptions`.
 
     Raises:
         ConfigError: an argument is invalid, or ``output`` has something else.
         AssetError: the game's data is missing.
         BatchError: some races could not be run.
     """
-    options = RunOptions(jobs, race_timeout, on_race)
     found = find_tracks(tracks, RaceSettings())
-    plan = _BaselinePlan(found, seeds, tuple(difficulties), versions_now())
-    plan.check()
-    with open_batch(plan, output) as batch:
-        orders = batch.plan.orders()
-        results = batch.run(orders, options)
-        if batch.errors:
-            raise BatchError.of(batch.errors, len(orders), None)
-        times = AiTimes.from_races(results[number] for number in sorted(results))
-        batch.write(AI_TIMES_FILE, times.to_json())
-    return times
+    plan = AiTimesPlan(tracks=found, seeds=seeds, difficulties=tuple(difficulties))
+    return run_batch(plan, output, RunOptions(**options))

@@ -1,33 +1,44 @@
-"""The plan of a benchmark, checked before the first race."""
+"""A benchmark: its plan, checked before the first race, and its result."""
 
 from __future__ import annotations
 
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
 from typing import Any, ClassVar
 
 from stkzoo.errors import ConfigError, check_whole
+from stkzoo.evaluation.batch.document import Document, decode
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.plan import (
     BatchPlan,
     check_directions,
-    choose_settings,
     describe_differences,
     find_tracks,
 )
+from stkzoo.evaluation.batch.run import RunOptions, load_batch, run_batch
 from stkzoo.evaluation.benchmark.ai_times import load_ai_times
+from stkzoo.evaluation.benchmark.outcomes import (
+    KartOutcome,
+    RaceGroup,
+    RaceOutcome,
+    find_group,
+    group_races,
+)
+from stkzoo.evaluation.benchmark.plot import plot_benchmark
 from stkzoo.evaluation.benchmark.races import (
-    DECIDED,
     FORMS,
     BenchmarkForm,
     BenchmarkRace,
     direction_name,
     make_races,
 )
-from stkzoo.race.result import versions_now
+from stkzoo.evaluation.statistics import CONFIDENCE
+from stkzoo.race.result import RaceResult
 from stkzoo.race.settings import RaceSettings
 
 #: A race ends after this multiple of the AI's median time.
@@ -36,38 +47,44 @@ _MAX_SEEDS = 10_000
 _STEP, _COUNTDOWN = 0.1, 20  # [s], and steps before the race's clock runs
 
 
-@dataclass(frozen=True, slots=True)
-class BenchmarkPlan(BatchPlan):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
     """A whole benchmark, from which its races follow.
 
     Attributes:
         agent: the agent to measure.
         split: the tracks as the user named them.
-        tracks: the tracks.
         directions: ``False`` is forward, ``True`` is reversed.
         forms: names of :class:`~stkzoo.evaluation.BenchmarkForm`.
         seeds: races of each kind.
         limit: the multiple of the AI's median time after which a race ends.
         ai_times: that time [s], by track and ``"forward"`` or ``"reversed"``.
-        settings: of every race.
-        versions: of the software.
     """
 
     kind: ClassVar[str] = "benchmark-plan"
     noun: ClassVar[str] = "benchmark"
     resume_command: ClassVar[str] = "stkzoo benchmark AGENT --output {folder}"
-    decided: ClassVar[tuple[str, ...]] = DECIDED
+    decided: ClassVar[tuple[str, ...]] = (
+        *("track", "laps", "difficulty", "reverse", "seed"),
+        *("max_steps", "max_steps_after_first", "karts_finished"),
+    )
 
     agent: Entrant
     split: str
-    tracks: tuple[str, ...]
     directions: tuple[bool, ...]
     forms: tuple[str, ...]
     seeds: int
-    limit: float
     ai_times: Mapping[str, Mapping[str, float]]
-    settings: RaceSettings
-    versions: Mapping[str, str]
+    limit: float = _LIMIT
+
+    def __post_init__(self) -> None:
+        check_whole("seeds", self.seeds, 1, _MAX_SEEDS)
+        self._forms()
+
+    @property
+    def agents(self) -> tuple[Entrant, ...]:
+        """The agent to measure."""
+        return (self.agent,)
 
     def races(self) -> tuple[BenchmarkRace, ...]:
         """All races."""
@@ -101,19 +118,27 @@ class BenchmarkPlan(BatchPlan):
             places,
         )
 
-    def check(self) -> None:
-        """Checks the number of seeds and the forms."""
-        check_whole("seeds", self.seeds, 1, _MAX_SEEDS)
-        self._forms()
+    def summarize(self, results: Mapping[int, RaceResult], _: Path) -> BenchmarkResult:
+        """The result of the races that have been run."""
+        races = [race for race in self.races() if race.number in results]
+        ai_times = [self.ai_time(race.track, race.reverse) for race in races]
+        return BenchmarkResult(
+            self,
+            tuple(
+                RaceOutcome.of(race, results[race.number], ai_time, self.limit)
+                for race, ai_time in zip(races, ai_times, strict=True)
+            ),
+        )
 
-    def _entrants(self) -> tuple[Entrant, ...]:
-        return (self.agent,)
+    def draw(self, result: BenchmarkResult, path: Path) -> None:
+        """Plots the result into a file."""
+        plot_benchmark(result, path)
 
     def _comparable(self) -> dict[str, Any]:
         values = BatchPlan._comparable(self)  # super() fails in slotted dataclasses
         del values["split"], values["ai_times"]
         directions = [direction_name(reverse) for reverse in self.directions]
-        return values | self._conditions() | {"agent": self.agent.text, "directions": directions}
+        return values | self._conditions() | {"directions": directions}
 
     def differing_conditions(self, other: BenchmarkPlan) -> list[str]:
         """The conditions that make two agents' results incomparable, as sentences."""
@@ -160,7 +185,7 @@ def plan_benchmark(
         reverse: the directions: ``False`` is forward, ``True`` is reversed.
         ai_times: a file with the AI's times; by default those that come with stkzoo.
         settings: of every race; the benchmark sets the fields in
-            :data:`~stkzoo.evaluation.benchmark.races.DECIDED` itself.
+            ``BenchmarkPlan.decided`` itself.
         changes: fields of :class:`~stkzoo.race.RaceSettings` that replace those of
             ``settings``.
 
@@ -169,7 +194,7 @@ def plan_benchmark(
         AssetError: the game's data is missing.
     """
     chosen = replace(
-        choose_settings(settings, changes, DECIDED),
+        BenchmarkPlan.choose_settings(settings, changes),
         track=None,
         laps=1,
         difficulty=difficulty,
@@ -186,14 +211,13 @@ def plan_benchmark(
         )
     times = load_ai_times(ai_times)
     (entrant,) = find_entrants([agent], chosen)
-    plan = BenchmarkPlan(
+    return BenchmarkPlan(
         agent=entrant,
         split=split if isinstance(split, str) else " ".join(split),
         tracks=tracks,
         directions=directions,
         forms=names,
         seeds=seeds,
-        limit=_LIMIT,
         ai_times={
             track: {
                 direction_name(way): times.of(track, way, difficulty).median for way in directions
@@ -201,7 +225,116 @@ def plan_benchmark(
             for track in tracks
         },
         settings=chosen,
-        versions=versions_now(),
     )
-    plan.check()
-    return plan
+
+
+@dataclass(frozen=True)
+class BenchmarkResult(Document):
+    """The result of a benchmark.
+
+    Attributes:
+        plan: the benchmark.
+        outcomes: the races that have been run.
+    """
+
+    # docs/schemas/benchmark-result.schema.json
+    kind: ClassVar[str] = "benchmark-result"
+    origin: ClassVar[str] = "the --output of `stkzoo benchmark`, or its result.json"
+    rows: ClassVar[str] = "races"
+
+    plan: BenchmarkPlan
+    outcomes: tuple[RaceOutcome, ...]
+
+    @property
+    def label(self) -> str:
+        """The agent's name."""
+        return self.plan.agent.label
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all races have been run."""
+        return len(self.outcomes) == len(self.plan.races())
+
+    @property
+    def errors(self) -> int:
+        """How often the agent failed."""
+        return sum(kart.errors for outcome in self.outcomes for kart in outcome.karts)
+
+    @cached_property
+    def groups(self) -> tuple[RaceGroup, ...]:
+        """The figures, over all races and over parts of them."""
+        return group_races(self.outcomes)
+
+    def group(self, by: str = "all", name: str = "") -> RaceGroup:
+        """The figures of some races.
+
+        Raises:
+            KeyError: there are no such races.
+        """
+        return find_group(self.groups, by, name)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result as JSON values."""
+        return {
+            "agent": self.label,
+            "is_complete": self.is_complete,
+            "interval": {"kind": "bootstrap over races", "confidence": CONFIDENCE},
+            "groups": [asdict(group) for group in self.groups],
+            "plan": self.plan.to_dict(),
+            "races": [outcome.to_dict() for outcome in self.outcomes],
+        }
+
+    @classmethod
+    def _decode(cls, values: Mapping[str, Any]) -> BenchmarkResult:
+        plan = BenchmarkPlan.from_dict(values["plan"])
+        races = {race.number: race for race in plan.races()}
+        return cls(
+            plan,
+            tuple(_outcome(entry, races[entry["number"]], plan) for entry in values["races"]),
+        )
+
+
+def _outcome(values: Mapping[str, Any], race: BenchmarkRace, plan: BenchmarkPlan) -> RaceOutcome:
+    expected = race.to_dict()
+    found = {name: values[name] for name in expected}
+    if found != expected:
+        raise ConfigError(
+            f"race {race.number} of the benchmark result is {found}, expected {expected}; another "
+            "version of stkzoo wrote it"
+        )
+    karts = tuple(decode(KartOutcome, kart) for kart in values["karts"])
+    ai_time = plan.ai_time(race.track, race.reverse)
+    return RaceOutcome(race, values["status"], ai_time, plan.limit, karts)
+
+
+def run_benchmark(agent: str, *, output: str | os.PathLike[str], **options: Any) -> BenchmarkResult:
+    """Measures an agent, or resumes that if it was started in ``output``.
+
+    Args:
+        agent: the agent to measure; see :func:`~stkzoo.evaluation.plan_benchmark`.
+        output: a folder of its own, for every race's result and finally ``result.json`` and
+            ``benchmark.png``.
+        options: ``jobs``, ``race_timeout``, ``on_race`` and ``plot``, as in
+            :class:`~stkzoo.evaluation.RunOptions`; all others as for
+            :func:`~stkzoo.evaluation.plan_benchmark`.
+
+    Raises:
+        ConfigError: an argument is invalid, a library is missing, or ``output`` has another
+            benchmark.
+        AssetError: the game's data is missing.
+        BatchError: some races could not be run.
+    """
+    run, plan = RunOptions.split(options)
+    return run_batch(plan_benchmark(agent, **plan), output, run)
+
+
+def load_benchmark(path: str | os.PathLike[str]) -> BenchmarkResult:
+    """The result of a benchmark so far, without running anything.
+
+    Args:
+        path: its folder, or a ``result.json``.
+
+    Raises:
+        ConfigError: there is none, or it is damaged.
+    """
+    return load_batch(BenchmarkPlan, BenchmarkResult, path)

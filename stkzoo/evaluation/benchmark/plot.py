@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from stkzoo.evaluation.benchmark.result import BenchmarkResult
 from stkzoo.evaluation.plotting import (
     GREY,
     INK,
@@ -17,6 +16,9 @@ from stkzoo.evaluation.plotting import (
     shorten,
     style_axes,
 )
+
+if TYPE_CHECKING:
+    from stkzoo.evaluation.benchmark.plan import BenchmarkResult
 
 #: The part of a row's height over which the agents are spread.
 _SPREAD = 0.5
@@ -34,7 +36,7 @@ def plot_benchmark(
     Raises:
         ConfigError: matplotlib is not installed, or the file cannot be written.
     """
-    drawn = [results] if isinstance(results, BenchmarkResult) else list(results)
+    drawn = list(results) if isinstance(results, Sequence) else [results]
     groups = [group for result in drawn for group in result.groups]
     rows = [
         (by, name)

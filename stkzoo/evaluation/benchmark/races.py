@@ -6,18 +6,13 @@ import hashlib
 import itertools
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from stkzoo.errors import ConfigError
 
 #: The race forms of the protocol.
 FORMS = ("PAAAA", "PPAAA", "P")
-#: Fields of :class:`~stkzoo.race.RaceSettings` that the protocol decides.
-DECIDED = (
-    *("track", "laps", "difficulty", "reverse", "seed"),
-    *("max_steps", "max_steps_after_first", "karts_finished"),
-)
-
 _FORM = re.compile(r"(P+)(A*)")
 _MAX_KARTS = 20
 _SEED_BYTES = 4
@@ -99,6 +94,10 @@ class BenchmarkRace:
     def seed(self) -> int:
         """The seed of all random choices in the race; the same for every agent."""
         return race_seed(*self.kind, self.index)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The race as JSON values."""
+        return {**asdict(self), "form": self.form.name, "seed": self.seed}
 
 
 def race_seed(track: str, reverse: bool, form: str, end: str, index: int) -> int:

@@ -1,8 +1,14 @@
-"""The plan of a data set, checked before the first race."""
+"""A data set to record: its plan, checked before the first race, and its recording.
+
+While races run they are stored in a folder beside the data set. When all are there, they are joined
+into the data set, and the folder is removed.
+"""
 
 from __future__ import annotations
 
 import itertools
+import os
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,27 +16,22 @@ from typing import Any, ClassVar
 
 from stkzoo.errors import ConfigError, StkzooError, check_whole
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
-from stkzoo.evaluation.batch.order import BatchOrder
-from stkzoo.evaluation.batch.plan import (
-    BatchPlan,
-    check_directions,
-    choose_settings,
-    find_tracks,
-)
+from stkzoo.evaluation.batch.order import RaceOrder
+from stkzoo.evaluation.batch.plan import BatchPlan, check_directions, find_tracks
+from stkzoo.evaluation.batch.run import RunOptions, run_batch
 from stkzoo.evaluation.demonstrations.dataset import (
     Demonstrations,
+    join,
     load_demonstrations,
     save_demonstrations,
 )
 from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
 from stkzoo.race.drivers import find_driver
-from stkzoo.race.result import versions_now
+from stkzoo.race.result import RaceResult
 from stkzoo.race.runner import run_race
 from stkzoo.race.settings import RaceSettings
 
-#: Fields of :class:`~stkzoo.race.RaceSettings` that the plan sets for each race.
-DECIDED = ("track", "reverse", "seed", "error_handling", "max_restarts")
-
+_ENDING, _PARTS = ".npz", ".parts"
 #: Default number of reads of the AI's controls per step; the AI decides 12 times.
 _SUBSTEPS_OF_AI = 4
 _SUBSTEPS = (1, 2, 3, 4, 6, 12)
@@ -38,20 +39,18 @@ _MAX_KARTS = 20
 
 
 @dataclass(frozen=True, slots=True)
-class DemoOrder(BatchOrder[Demonstrations]):
-    """One race to record.
+class DemoOrder(RaceOrder):
+    """One race to record; its episodes are stored beside its result.
 
     Attributes:
         view: the view to record in.
         substeps: see :class:`~stkzoo.evaluation.demonstrations.recorder.DemoRecorder`.
-        file: where its episodes are stored.
     """
 
     view: str = ""
     substeps: int = 1
-    file: str = ""
 
-    def run(self) -> str:
+    def run(self, folder: Path) -> RaceResult:
         """Runs and records the race, and stores its episodes."""
         karts = self.wait_for or ()
         recorder = DemoRecorder(len(karts), DemoView(self.view), self.substeps, self.number)
@@ -64,16 +63,12 @@ class DemoOrder(BatchOrder[Demonstrations]):
         episodes = recorder.episodes({"view": self.view})
         if episodes is None:
             raise StkzooError("the race was over before its first step")
-        save_demonstrations(episodes, self.file)
-        return result.to_json()
+        save_demonstrations(episodes, self.file(folder, _ENDING))
+        return result
 
-    def load(self, folder: Path) -> Demonstrations | None:  # noqa: ARG002 - it has its own file
-        """The stored episodes."""
-        return load_demonstrations(self.file) if Path(self.file).exists() else None
-
-    def store(self, folder: Path, text: str) -> Demonstrations:  # noqa: ARG002 - run() has done it
-        """The episodes that :meth:`run` has stored."""
-        return load_demonstrations(self.file)
+    def load(self, folder: Path) -> RaceResult | None:
+        """The stored result; ``None`` if the race has not been recorded."""
+        return RaceOrder.load(self, folder) if self.file(folder, _ENDING).exists() else None
 
     def _settings_in_substeps(self) -> RaceSettings:
         limits = {
@@ -83,8 +78,8 @@ class DemoOrder(BatchOrder[Demonstrations]):
         return replace(self.settings, **scaled)
 
 
-@dataclass(frozen=True, slots=True)
-class DemoPlan(BatchPlan):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DemoPlan(BatchPlan[Demonstrations]):
     """A whole data set, from which its races follow.
 
     Attributes:
@@ -92,43 +87,42 @@ class DemoPlan(BatchPlan):
         karts: karts it drives in each race.
         rivals: the other drivers.
         view: the view to record in.
-        tracks: the tracks.
         directions: ``False`` is forward, ``True`` is reversed.
         seeds: of the races of each track and direction.
         substeps: parts in which a step is driven; see
             :class:`~stkzoo.evaluation.demonstrations.recorder.DemoRecorder`.
-        settings: of every race.
-        versions: of the software.
     """
 
     kind: ClassVar[str] = "demonstrations-plan"
     noun: ClassVar[str] = "data set"
     resume_command: ClassVar[str] = "stkzoo demos AGENT --output {folder}"
-    decided: ClassVar[tuple[str, ...]] = DECIDED
+    decided: ClassVar[tuple[str, ...]] = (
+        *("track", "reverse", "seed"),
+        *("error_handling", "max_restarts"),
+    )
+    is_gradual: ClassVar[bool] = False
 
     agent: Entrant
     karts: int
     rivals: tuple[str, ...]
     view: str
-    tracks: tuple[str, ...]
     directions: tuple[bool, ...]
     seeds: tuple[int, ...]
     substeps: int
-    settings: RaceSettings
-    versions: Mapping[str, str]
 
     @property
-    def drivers(self) -> list[str]:
-        """Texts for :func:`~stkzoo.race.find_driver`, the recorded ones first."""
-        return [self.agent.source] * self.karts + list(self.rivals)
+    def agents(self) -> tuple[Entrant, ...]:
+        """The driver to record."""
+        return (self.agent,)
 
     def orders(self) -> list[DemoOrder]:
-        """All races, ready to run but for their files."""
+        """All races, ready to run."""
+        drivers = (self.agent.source,) * self.karts + self.rivals
         races = itertools.product(self.tracks, self.directions, self.seeds)
         return [
             DemoOrder(
                 number,
-                tuple(self.drivers),
+                drivers,
                 replace(self.settings, track=track, reverse=reverse, seed=seed),
                 tuple(range(self.karts)),
                 self.view,
@@ -137,12 +131,12 @@ class DemoPlan(BatchPlan):
             for number, (track, reverse, seed) in enumerate(races)
         ]
 
-    def _entrants(self) -> tuple[Entrant, ...]:
-        return (self.agent,)
-
-    def _comparable(self) -> dict[str, Any]:
-        values = BatchPlan._comparable(self)  # super() fails in slotted dataclasses
-        return values | {"agent": self.agent.text}
+    def summarize(self, results: Mapping[int, RaceResult], folder: Path) -> Demonstrations:  # noqa: ARG002
+        """Joins the episodes of all races into the data set, which lies beside the folder."""
+        parts = [load_demonstrations(order.file(folder, _ENDING)) for order in self.orders()]
+        demos = replace(join(parts), plan=self.to_dict())
+        save_demonstrations(demos, str(folder).removesuffix(_PARTS))
+        return demos
 
 
 def plan_demonstrations(
@@ -171,7 +165,7 @@ def plan_demonstrations(
         rivals: the drivers of the other karts, one each.
         substeps: how often the controls of the game's AI are read in a step: 1, 2, 3, 4, 6 or
             12; by default 4 for the AI, and 1 for all others, which decide once.
-        settings: of every race; the plan sets the fields in :data:`DECIDED` itself.
+        settings: of every race; the plan sets the fields in ``DemoPlan.decided`` itself.
         changes: fields of :class:`~stkzoo.race.RaceSettings` that replace those of
             ``settings``.
 
@@ -179,7 +173,7 @@ def plan_demonstrations(
         ConfigError: an argument is invalid, or there is no such agent or track.
         AssetError: the game's data is missing.
     """
-    chosen = replace(choose_settings(settings, changes, DECIDED), error_handling="raise")
+    chosen = replace(DemoPlan.choose_settings(settings, changes), error_handling="raise")
     check_whole("karts", karts, 1, _MAX_KARTS)
     if isinstance(rivals, str):
         raise ConfigError(f"rivals is {rivals!r}, expected a list of drivers")
@@ -196,7 +190,6 @@ def plan_demonstrations(
         seeds=_seeds(seeds),
         substeps=_substeps(substeps, [driver.is_game_ai for driver in drivers]),
         settings=chosen,
-        versions=versions_now(),
     )
 
 
@@ -224,3 +217,53 @@ def _substeps(substeps: int | None, are_game_ai: Sequence[bool]) -> int:
             "AI drive all karts"
         )
     return int(substeps)
+
+
+def record_demonstrations(
+    agent: str = "heuristic", *, output: str | os.PathLike[str], **options: Any
+) -> Demonstrations:
+    """Records a driver's races as a data set, or resumes that.
+
+    Args:
+        agent: the driver; see :func:`~stkzoo.evaluation.plan_demonstrations`.
+        output: the data set's file, whose name ends in ``.npz``. While races run they are stored
+            in a folder beside it, ``output.parts``; the same call resumes after an interruption.
+        options: ``jobs``, ``race_timeout`` and ``on_race``, as in
+            :class:`~stkzoo.evaluation.RunOptions`; all others as for
+            :func:`~stkzoo.evaluation.plan_demonstrations`.
+
+    Raises:
+        ConfigError: an argument is invalid, or ``output`` has other demonstrations.
+        AssetError: the game's data is missing.
+        BatchError: some races could not be recorded.
+    """
+    run, plan = RunOptions.split(options)
+    return record_plan(plan_demonstrations(agent, **plan), output, run)
+
+
+def record_plan(
+    plan: DemoPlan, output: str | os.PathLike[str], options: RunOptions
+) -> Demonstrations:
+    """Records a planned data set; see :func:`record_demonstrations`."""
+    target = Path(output)
+    if target.suffix != _ENDING:
+        raise ConfigError(
+            f"the data set is {str(output)!r}, expected a path that ends in {_ENDING}"
+        )
+    if target.exists():
+        return _load_same(plan, target)
+    parts = target.with_name(target.name + _PARTS)
+    demos = run_batch(plan, parts, options)
+    shutil.rmtree(parts, ignore_errors=True)
+    return demos
+
+
+def _load_same(plan: DemoPlan, target: Path) -> Demonstrations:
+    """The data set that exists already, if its plan is the same."""
+    demos = load_demonstrations(target)
+    if differences := DemoPlan.from_dict(demos.plan).differences(plan):
+        raise ConfigError(
+            f"{target} has other demonstrations: {'; '.join(differences)}. Choose another file, or "
+            "delete it"
+        )
+    return demos

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,7 +15,9 @@ from stkzoo.evaluation.plotting import (
     shorten,
     style_axes,
 )
-from stkzoo.evaluation.tournament.result import TournamentResult
+
+if TYPE_CHECKING:
+    from stkzoo.evaluation.tournament.plan import TournamentResult
 
 
 def plot_tournament(result: TournamentResult, path: str | os.PathLike[str]) -> None:

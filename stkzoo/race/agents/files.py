@@ -117,13 +117,13 @@ def _homes(top: str, place: AgentPlace) -> list[Path]:
     if place.package:
         return [Path(place.package)]
     first, last = ([Path(folder) / top] if folder else [] for folder in (place.first, place.last))
-    spec = _installed(top)
+    spec = installed_module(top)
     folders = list(spec.submodule_search_locations or []) if spec else []
     alone = [Path(spec.origin).with_suffix("")] if spec and spec.origin and not folders else []
     return [*first, *map(Path, folders), *alone, *last]
 
 
-def _installed(top: str) -> ModuleSpec | None:
+def installed_module(top: str) -> ModuleSpec | None:
     """The spec of a top-level module; the module does not run."""
     try:
         return importlib.util.find_spec(top)
@@ -167,7 +167,7 @@ def _is_module(name: str) -> bool:
     if not all(part.isidentifier() for part in parts):
         return False
     return (
-        _installed(parts[0]) is not None
+        installed_module(parts[0]) is not None
         or Path(parts[0]).is_dir()
         or Path(f"{parts[0]}.py").is_file()
     )

@@ -1,0 +1,124 @@
+"""What plans and results of batches share: a JSON file of a named type and version."""
+
+from __future__ import annotations
+
+import json
+import types
+import typing
+from abc import ABC
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from dataclasses import asdict, fields, is_dataclass
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
+
+from stkzoo.errors import ConfigError
+from stkzoo.race.result import json_with_rows, read_document, reading
+
+T = TypeVar("T")
+AnyDocument = TypeVar("AnyDocument", bound="Document")
+
+
+class Document(ABC):
+    """A dataclass that is kept as a JSON file."""
+
+    __slots__ = ()
+
+    #: The ``type`` and ``schema_version`` of the file.
+    kind: ClassVar[str]
+    version: ClassVar[int] = 1
+    #: Where such a file comes from, for errors.
+    origin: ClassVar[str]
+    #: A list to write last, with one entry per line.
+    rows: ClassVar[str] = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The document as JSON values, without its type and version."""
+        return asdict(self)  # type: ignore[call-overload, no-any-return]  # a dataclass
+
+    def to_json(self) -> str:
+        """The document as JSON."""
+        values = {"type": self.kind, "schema_version": self.version, **self.to_dict()}
+        if not self.rows:
+            return json.dumps(values, indent=2, allow_nan=False)
+        return json_with_rows(values, self.rows, values.pop(self.rows))
+
+    @classmethod
+    def from_json(cls: type[AnyDocument], text: str, place: str = "the text") -> AnyDocument:
+        """Reads the output of :meth:`to_json`.
+
+        Args:
+            text: the JSON.
+            place: where it was found, for errors.
+
+        Raises:
+            ConfigError: the text is something else, or has another version.
+        """
+        with cls._reading(place):
+            values = read_document(text, cls.kind, cls.version)
+            return cls.from_dict(values, place)
+
+    @classmethod
+    def from_dict(
+        cls: type[AnyDocument], values: Mapping[str, Any], place: str = "the text"
+    ) -> AnyDocument:
+        """Reads the output of :meth:`to_dict`; entries that are no fields do not count.
+
+        Raises:
+            ConfigError: the values are no such document.
+        """
+        with cls._reading(place):
+            return cls._decode(values)
+
+    @classmethod
+    def load(cls: type[AnyDocument], file: Path) -> AnyDocument:
+        """Reads a file.
+
+        Raises:
+            ConfigError: there is none, or it cannot be read.
+        """
+        try:
+            text = file.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigError(
+                f"{file} has no {cls._name()} ({error}); expected {cls.origin}"
+            ) from error
+        return cls.from_json(text, str(file))
+
+    @classmethod
+    def _decode(cls: type[AnyDocument], values: Mapping[str, Any]) -> AnyDocument:
+        names = [entry.name for entry in fields(cls)]  # type: ignore[arg-type]  # a dataclass
+        return decode(cls, {name: values[name] for name in names if name in values})
+
+    @classmethod
+    def _reading(cls, place: str) -> AbstractContextManager[None]:
+        return reading(f"{place} has no {cls._name()}", cls.origin)
+
+    @classmethod
+    def _name(cls) -> str:
+        return cls.kind.replace("-", " ")
+
+
+def decode(kind: type[T], values: Mapping[str, Any]) -> T:
+    """Makes a dataclass of JSON values: lists become tuples, objects become dataclasses.
+
+    Raises:
+        TypeError: a value has the wrong type, or is missing.
+        KeyError: there is no such field.
+    """
+    hints = typing.get_type_hints(kind)
+    return kind(**{name: _decoded(hints[name], value) for name, value in values.items()})
+
+
+def _decoded(hint: Any, value: Any) -> Any:
+    outer, inner = typing.get_origin(hint), typing.get_args(hint)
+    if isinstance(hint, types.UnionType):
+        parts = [part for part in inner if part is not types.NoneType]
+        return None if value is None else _decoded(parts[0], value)
+    if outer is tuple:
+        return tuple(_decoded(inner[0], entry) for entry in value)
+    if outer is not None and issubclass(outer, Mapping):
+        return {name: _decoded(inner[1], entry) for name, entry in value.items()}
+    if isinstance(hint, type) and is_dataclass(hint):
+        return decode(hint, value)
+    return value
