@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from stkzoo._os import write_whole
 from stkzoo.errors import ConfigError, import_extra
+from stkzoo.evaluation.ratings import Rating
+from stkzoo.evaluation.statistics import Estimate
 
 INK, BLUE, GREY = "#22303c", "#2f6db5", "#8a949c"
 #: Colours of several series in one plot.
@@ -49,20 +54,19 @@ def style_axes(axes: Any, title: str | None = None) -> None:
 
 def draw_intervals(
     axes: Any,
-    rows: Sequence[float],
-    values: Sequence[float],
-    intervals: Sequence[tuple[float, float]],
+    estimates: Mapping[float, Estimate | Rating],
     *,
+    scale: float = 1.0,
     color: str = BLUE,
     label: str | None = None,
 ) -> None:
-    """Draws one point with a horizontal interval per row."""
-    below = [max(value - low, 0.0) for value, (low, _) in zip(values, intervals, strict=True)]
-    above = [max(high - value, 0.0) for value, (_, high) in zip(values, intervals, strict=True)]
+    """Draws a point with a horizontal interval in each row, at a multiple of the estimates."""
+    values = scale * np.array([estimate.value for estimate in estimates.values()])
+    ends = scale * np.array([estimate.interval for estimate in estimates.values()]).reshape(-1, 2)
     axes.errorbar(
         values,
-        rows,
-        xerr=[below, above],
+        list(estimates),
+        xerr=np.maximum((values - ends[:, 0], ends[:, 1] - values), 0.0),
         fmt="o",
         color=color,
         elinewidth=1.6,
@@ -71,6 +75,28 @@ def draw_intervals(
         label=label,
     )
     axes.grid(axis="x", alpha=0.3)
+
+
+@contextmanager
+def two_panels(
+    path: str | os.PathLike[str], title: str, width: float, height: float, ratios: Sequence[float]
+) -> Iterator[Any]:
+    """Yields two axes side by side, whose figure is written when the block ends.
+
+    Args:
+        path: the file; its ending selects the format, such as ``.png`` or ``.svg``.
+        title: above both.
+        width: of the figure [inches].
+        height: of the figure [inches].
+        ratios: of the widths of the axes.
+
+    Raises:
+        ConfigError: matplotlib is not installed, or the file cannot be written.
+    """
+    figure = new_figure(width, height)
+    yield figure.subplots(1, 2, width_ratios=ratios)
+    figure.suptitle(title, color=INK, fontsize=11)
+    save_figure(figure, path)
 
 
 def shorten(label: str) -> str:

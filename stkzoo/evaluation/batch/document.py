@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import json
-import types
-import typing
 from abc import ABC
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar, cast
 
 from stkzoo.errors import ConfigError
-from stkzoo.race.result import json_with_rows, read_document, reading
+from stkzoo.race.result import json_with_rows, read_document, reading, typed
 
-T = TypeVar("T")
 AnyDocument = TypeVar("AnyDocument", bound="Document")
 
 
@@ -56,7 +53,7 @@ class Document(ABC):
         """
         with cls._reading(place):
             values = read_document(text, cls.kind, cls.version)
-            return cls.from_dict(values, place)
+            return cls._decode(values)
 
     @classmethod
     def from_dict(
@@ -87,8 +84,7 @@ class Document(ABC):
 
     @classmethod
     def _decode(cls: type[AnyDocument], values: Mapping[str, Any]) -> AnyDocument:
-        names = [entry.name for entry in fields(cls)]  # type: ignore[arg-type]  # a dataclass
-        return decode(cls, {name: values[name] for name in names if name in values})
+        return cast("AnyDocument", typed(cls, values))
 
     @classmethod
     def _reading(cls, place: str) -> AbstractContextManager[None]:
@@ -97,28 +93,3 @@ class Document(ABC):
     @classmethod
     def _name(cls) -> str:
         return cls.kind.replace("-", " ")
-
-
-def decode(kind: type[T], values: Mapping[str, Any]) -> T:
-    """Makes a dataclass of JSON values: lists become tuples, objects become dataclasses.
-
-    Raises:
-        TypeError: a value has the wrong type, or is missing.
-        KeyError: there is no such field.
-    """
-    hints = typing.get_type_hints(kind)
-    return kind(**{name: _decoded(hints[name], value) for name, value in values.items()})
-
-
-def _decoded(hint: Any, value: Any) -> Any:
-    outer, inner = typing.get_origin(hint), typing.get_args(hint)
-    if isinstance(hint, types.UnionType):
-        parts = [part for part in inner if part is not types.NoneType]
-        return None if value is None else _decoded(parts[0], value)
-    if outer is tuple:
-        return tuple(_decoded(inner[0], entry) for entry in value)
-    if outer is not None and issubclass(outer, Mapping):
-        return {name: _decoded(inner[1], entry) for name, entry in value.items()}
-    if isinstance(hint, type) and is_dataclass(hint):
-        return decode(hint, value)
-    return value

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from stkzoo.errors import StkzooError
-from stkzoo.evaluation.batch.document import decode
+from stkzoo.race.result import typed
 
 
 def serve() -> None:
@@ -43,7 +43,7 @@ def _read(lines: queue.SimpleQueue[dict[str, Any]]) -> None:
 def _run(line: dict[str, Any]) -> dict[str, str]:
     try:
         kind = getattr(import_module(line["module"]), line["class"])
-        return {"result": decode(kind, line["order"]).run(Path(line["folder"])).to_json()}
+        return {"result": typed(kind, line["order"]).run(Path(line["folder"])).to_json()}
     except StkzooError as error:
         return {"error": str(error)}
     except Exception:  # noqa: BLE001 - the program reports it to the user

@@ -7,12 +7,13 @@ import math
 import os
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
 from stkzoo.errors import ConfigError, check_whole
-from stkzoo.evaluation.batch.document import Document, decode
+from stkzoo.evaluation.batch.document import Document
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.plan import BatchPlan, find_tracks
 from stkzoo.evaluation.batch.run import RunOptions, run_batch
@@ -33,6 +34,9 @@ class AiTime:
     """The AI's finish times on one track, in one direction, at one difficulty.
 
     Attributes:
+        track: the track's name.
+        direction: ``"forward"`` or ``"reversed"``.
+        difficulty: level of the AI.
         median: of all karts; a kart that did not finish counts as slowest [s].
         best: the shortest [s].
         worst: the longest of a kart that finished [s].
@@ -40,6 +44,9 @@ class AiTime:
         finished: how many of them finished.
     """
 
+    track: str
+    direction: str
+    difficulty: int
     median: float
     best: float
     worst: float
@@ -47,13 +54,17 @@ class AiTime:
     finished: int
 
     @classmethod
-    def of(cls, times: Sequence[float | None]) -> AiTime | None:
+    def of(cls, race: RaceKey, times: Sequence[float | None]) -> AiTime | None:
         """The figures of some finish times; ``None`` if most karts did not finish."""
+        track, reverse, difficulty = race
         finished = [time for time in times if time is not None]
         median = statistics.median([math.inf if time is None else time for time in times])
         if not math.isfinite(median):
             return None
         return cls(
+            track=track,
+            direction=direction_name(reverse),
+            difficulty=difficulty,
             median=round(median, 3),
             best=round(min(finished), 3),
             worst=round(max(finished), 3),
@@ -67,8 +78,8 @@ class AiTimes(Document):
     """The AI's times.
 
     Attributes:
-        by_race: by track, ``reverse`` and difficulty.
         versions: of the software that measured them.
+        times: of each track, direction and difficulty.
     """
 
     # docs/schemas/ai-times.schema.json
@@ -76,8 +87,14 @@ class AiTimes(Document):
     origin: ClassVar[str] = f"the {AI_TIMES_FILE} of `stkzoo benchmark --baseline`"
     rows: ClassVar[str] = "times"
 
-    by_race: Mapping[RaceKey, AiTime]
     versions: Mapping[str, str]
+    times: tuple[AiTime, ...]
+
+    @cached_property
+    def by_race(self) -> dict[RaceKey, AiTime]:
+        """The times by track, ``reverse`` and difficulty."""
+        is_reversed = {direction_name(reverse): reverse for reverse in (False, True)}
+        return {(t.track, is_reversed[t.direction], t.difficulty): t for t in self.times}
 
     def of(self, track: str, reverse: bool, difficulty: int) -> AiTime:
         """The times on one track.
@@ -101,31 +118,8 @@ class AiTimes(Document):
         for result in results:
             of_race = times.setdefault((result.track, result.reverse, result.difficulty), [])
             of_race.extend(row.finish_time for row in result.agents)
-        found = {key: AiTime.of(times[key]) for key in sorted(times)}
-        return cls({key: time for key, time in found.items() if time is not None}, versions_now())
-
-    def to_dict(self) -> dict[str, Any]:
-        """The times as JSON values."""
-        rows = [
-            {
-                "track": track,
-                "direction": direction_name(reverse),
-                "difficulty": difficulty,
-                **asdict(time),
-            }
-            for (track, reverse, difficulty), time in self.by_race.items()
-        ]
-        return {"versions": dict(self.versions), "times": rows}
-
-    @classmethod
-    def _decode(cls, values: Mapping[str, Any]) -> AiTimes:
-        return cls(dict(map(_entry, values["times"])), values["versions"])
-
-
-def _entry(values: dict[str, Any]) -> tuple[RaceKey, AiTime]:
-    track, difficulty = values.pop("track"), values.pop("difficulty")
-    is_reversed = values.pop("direction") == direction_name(True)
-    return (track, is_reversed, difficulty), decode(AiTime, values)
+        found = (AiTime.of(race, times[race]) for race in sorted(times))
+        return cls(versions_now(), tuple(time for time in found if time is not None))
 
 
 def load_ai_times(path: str | os.PathLike[str] | None = None) -> AiTimes:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from stkzoo.errors import ConfigError, check_whole
-from stkzoo.evaluation.batch.document import Document, decode
+from stkzoo.evaluation.batch.document import Document
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.plan import (
@@ -38,7 +38,7 @@ from stkzoo.evaluation.benchmark.races import (
     make_races,
 )
 from stkzoo.evaluation.statistics import CONFIDENCE
-from stkzoo.race.result import RaceResult
+from stkzoo.race.result import RaceResult, typed
 from stkzoo.race.settings import RaceSettings
 
 #: A race ends after this multiple of the AI's median time.
@@ -302,7 +302,7 @@ def _outcome(values: Mapping[str, Any], race: BenchmarkRace, plan: BenchmarkPlan
             f"race {race.number} of the benchmark result is {found}, expected {expected}; another "
             "version of stkzoo wrote it"
         )
-    karts = tuple(decode(KartOutcome, kart) for kart in values["karts"])
+    karts = tuple(typed(KartOutcome, kart) for kart in values["karts"])
     ai_time = plan.ai_time(race.track, race.reverse)
     return RaceOutcome(race, values["status"], ai_time, plan.limit, karts)
 

@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from stkzoo.evaluation.plotting import (
     GREY,
-    INK,
     PALETTE,
     draw_intervals,
-    new_figure,
-    save_figure,
     shorten,
     style_axes,
+    two_panels,
 )
 
 if TYPE_CHECKING:
@@ -45,21 +43,20 @@ def plot_benchmark(
     ]
     chances = {group.name: group.chance for group in groups if group.by == "form"}
     contests = [("form", name) for name, chance in chances.items() if chance is not None]
-    figure = new_figure(10, 1.9 + len(rows) * (0.2 + 0.12 * len(drawn)))
-    times, wins = figure.subplots(1, 2, width_ratios=(3, 2))
-    _draw(times, drawn, rows, "time_ratio")
-    times.axvline(1.0, color=GREY, linewidth=1, linestyle="--", zorder=0)
-    style_axes(times, "Time as a multiple of the AI's; less is better")
-    _draw(wins, drawn, contests, "win_rate", scale=100)
-    for row, (_, name) in enumerate(contests):
-        chance = 100 * (chances[name] or 0.0)
-        wins.plot([chance, chance], [row - 0.35, row + 0.35], color=GREY, linewidth=2, zorder=0)
-    wins.set_xlim(-3, 103)
-    style_axes(wins, "Races won [%]; the mark is chance")
-    figure.suptitle(_title(drawn), color=INK, fontsize=11)
-    if len(drawn) > 1:
-        figure.legend(*times.get_legend_handles_labels(), loc="outside lower center", ncols=6)
-    save_figure(figure, path)
+    height = 1.9 + len(rows) * (0.2 + 0.12 * len(drawn))
+    with two_panels(path, _title(drawn), 10, height, (3, 2)) as (times, wins):
+        _draw(times, drawn, rows, "time_ratio")
+        times.axvline(1.0, color=GREY, linewidth=1, linestyle="--", zorder=0)
+        style_axes(times, "Time as a multiple of the AI's; less is better")
+        _draw(wins, drawn, contests, "win_rate", scale=100)
+        for row, (_, name) in enumerate(contests):
+            chance, ends = 100 * (chances[name] or 0.0), [row - 0.35, row + 0.35]
+            wins.plot([chance, chance], ends, color=GREY, linewidth=2, zorder=0)
+        wins.set_xlim(-3, 103)
+        style_axes(wins, "Races won [%]; the mark is chance")
+        if len(drawn) > 1:
+            handles = times.get_legend_handles_labels()
+            times.figure.legend(*handles, loc="outside lower center", ncols=6)
 
 
 def _draw(
@@ -72,13 +69,11 @@ def _draw(
     for number, result in enumerate(results):
         shift = _SPREAD * ((number + 0.5) / len(results) - 0.5)
         known = {(group.by, group.name): group.figures[figure] for group in result.groups}
-        estimates = {row: known.get(key) for row, key in enumerate(rows)}
-        points = {row: estimate for row, estimate in estimates.items() if estimate is not None}
+        found = {row + shift: known.get(key) for row, key in enumerate(rows)}
         draw_intervals(
             axes,
-            [row + shift for row in points],
-            [scale * estimate.value for estimate in points.values()],
-            [(scale * low, scale * high) for low, high in (e.interval for e in points.values())],
+            {row: estimate for row, estimate in found.items() if estimate is not None},
+            scale=scale,
             color=PALETTE[number % len(PALETTE)],
             label=shorten(result.label),
         )

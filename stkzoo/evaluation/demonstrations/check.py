@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.demonstrations.dataset import Demonstrations
+from stkzoo.evaluation.demonstrations.dataset import Columns, Demonstrations, is_by_step
 from stkzoo.evaluation.demonstrations.plan import DemoPlan
 from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
 from stkzoo.race.drivers import find_driver
@@ -71,30 +69,24 @@ def check_demonstrations(demos: Demonstrations, race: int = 0) -> DemoCheck:
     )
     again = recorder.episodes(demos.plan)
     firsts = [
-        _first_difference(demos[number].observations, again[place].observations)
+        _first_difference(demos.episode_columns(number), again.episode_columns(place))
         if again is not None and place < len(again)
         else 0
         for place, number in enumerate(numbers)
     ]
     found = [first for first in firsts if first is not None]
-    steps = sum(len(demos[number]) for number in numbers)
+    steps = sum(int(demos.lengths[number]) for number in numbers)
     return DemoCheck(race, steps, min(found) if found else None)
 
 
-def _first_difference(one: Any, two: Any) -> int | None:
+def _first_difference(mine: Columns, theirs: Columns) -> int | None:
     """The first moment in which the observations of two episodes differ."""
-    mine, theirs = _arrays(one), _arrays(two)
-    count = min(len(mine[0]), len(theirs[0]))
+    names = [name for name in mine if not is_by_step(name)]
+    lengths = len(mine[names[0]]), len(theirs[names[0]])
+    count = min(lengths)
     differs = np.zeros(count, np.bool_)
-    for column, other in zip(mine, theirs, strict=True):
-        differs |= (column[:count] != other[:count]).reshape(count, -1).any(axis=1)
+    for name in names:
+        differs |= (mine[name][:count] != theirs[name][:count]).reshape(count, -1).any(axis=1)
     if differs.any():
         return int(differs.argmax())
-    return None if len(mine[0]) == len(theirs[0]) else count
-
-
-def _arrays(tree: Any) -> list[npt.NDArray[Any]]:
-    """The arrays of an observation, which may be a dict."""
-    if isinstance(tree, dict):
-        return [array for key in sorted(tree) for array in _arrays(tree[key])]
-    return [tree]
+    return None if lengths[0] == lengths[1] else count

@@ -20,7 +20,7 @@ import os
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ import numpy.typing as npt
 from stkzoo._os import write_whole
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
+from stkzoo.race.result import typed
 
 _KIND, _VERSION = "demonstrations", 1
 #: What reading a damaged file can raise.
@@ -37,7 +38,6 @@ _DAMAGES = (
     *(OSError, ValueError, KeyError, TypeError, AttributeError, EOFError),
     *(NotImplementedError, zipfile.BadZipFile, zlib.error),
 )
-#: Arrays with a row for each step; observations have one more for each episode.
 _BY_STEP = ("actions", "controls", "rewards")
 
 Columns = dict[str, npt.NDArray[Any]]
@@ -136,14 +136,7 @@ class Demonstrations:
     def __getitem__(self, number: int) -> DemoEpisode:
         if not 0 <= number < len(self):
             raise IndexError(f"episode {number} of {len(self)}")
-        begin = int(self.lengths[:number].sum())
-        end = begin + int(self.lengths[number])
-        part = {
-            name: column[begin:end]
-            if _is_by_step(name)
-            else column[begin + number : end + number + 1]
-            for name, column in self.columns.items()
-        }
+        part = self.episode_columns(number)
         return DemoEpisode(
             self.facts[number],
             tree_of("observations", part),
@@ -151,6 +144,17 @@ class Demonstrations:
             part["controls"],
             part["rewards"],
         )
+
+    def episode_columns(self, number: int) -> Columns:
+        """The part of each column that belongs to an episode."""
+        begin = int(self.lengths[:number].sum())
+        end = begin + int(self.lengths[number])
+        return {
+            name: column[begin:end]
+            if is_by_step(name)
+            else column[begin + number : end + number + 1]
+            for name, column in self.columns.items()
+        }
 
     @property
     def view(self) -> str:
@@ -168,7 +172,7 @@ class Demonstrations:
         seen = {
             name: np.delete(column, last, axis=0)
             for name, column in self.columns.items()
-            if not _is_by_step(name)
+            if not is_by_step(name)
         }
         return tree_of("observations", seen), tree_of("actions", self.columns)
 
@@ -234,10 +238,7 @@ def _read(arrays: Columns) -> Demonstrations:
     found = about.pop("type"), about.pop("schema_version")
     if found != (_KIND, _VERSION):
         raise ValueError(f"it is {found[0]} of version {found[1]}")
-    known = [entry.name for entry in fields(EpisodeFacts)]
-    facts = tuple(
-        EpisodeFacts(**{name: values[name] for name in known}) for values in about.pop("episodes")
-    )
+    facts = typed(tuple[EpisodeFacts, ...], about.pop("episodes"), "episodes")
     lengths = arrays.pop("lengths").astype(np.int64)
     demos = Demonstrations(about, facts, lengths, arrays)
     _check(demos)
@@ -256,7 +257,7 @@ def _check(demos: Demonstrations) -> None:
     for name in ("observations", *_BY_STEP):
         tree_of(name, demos.columns)
     for name, column in demos.columns.items():
-        rows = demos.num_steps + (0 if _is_by_step(name) else len(demos))
+        rows = demos.num_steps + (0 if is_by_step(name) else len(demos))
         if len(column) != rows:
             raise ValueError(f"{name} has {len(column)} rows, expected {rows}")
     if demos.columns["controls"].shape[1:] != (len(CONTROLS),):
@@ -264,5 +265,6 @@ def _check(demos: Demonstrations) -> None:
     str(demos.plan["view"])
 
 
-def _is_by_step(name: str) -> bool:
+def is_by_step(name: str) -> bool:
+    """Whether a column has a row for each step; observations have one more for each episode."""
     return name.partition("/")[0] in _BY_STEP

@@ -7,6 +7,7 @@ into the data set, and the folder is removed.
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import shutil
 from collections.abc import Mapping, Sequence
@@ -134,7 +135,7 @@ class DemoPlan(BatchPlan[Demonstrations]):
     def summarize(self, results: Mapping[int, RaceResult], folder: Path) -> Demonstrations:  # noqa: ARG002
         """Joins the episodes of all races into the data set, which lies beside the folder."""
         parts = [load_demonstrations(order.file(folder, _ENDING)) for order in self.orders()]
-        demos = replace(join(parts), plan=self.to_dict())
+        demos = replace(join(parts), plan=json.loads(json.dumps(self.to_dict())))
         save_demonstrations(demos, str(folder).removesuffix(_PARTS))
         return demos
 

@@ -7,14 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stkzoo.evaluation.plotting import (
-    INK,
-    draw_intervals,
-    new_figure,
-    save_figure,
-    shorten,
-    style_axes,
-)
+from stkzoo.evaluation.plotting import INK, draw_intervals, shorten, style_axes, two_panels
+from stkzoo.evaluation.ratings import Rating
 
 if TYPE_CHECKING:
     from stkzoo.evaluation.tournament.plan import TournamentResult
@@ -30,39 +24,33 @@ def plot_tournament(result: TournamentResult, path: str | os.PathLike[str]) -> N
     Raises:
         ConfigError: matplotlib is not installed, or the file cannot be written.
     """
-    count = len(result.standings)
-    figure = new_figure(5.6 + 0.55 * count + 3, 2.2 + 0.42 * count)
-    ratings, matrix = figure.subplots(1, 2, width_ratios=(5.2, 2.4 + 0.62 * count))
-    labels = [shorten(standing.label) for standing in result.standings]
-    _draw_ratings(ratings, result, labels)
-    _draw_matrix(matrix, result, labels)
-    tracks = result.plan.tracks
+    count, tracks = len(result.standings), result.plan.tracks
     places = ", ".join(tracks) if len(tracks) <= 4 else f"{len(tracks)} tracks"
-    figure.suptitle(
-        f"{count} agents, {len(result.races)} races of {result.plan.per_race} on {places}",
-        color=INK,
-        fontsize=11,
-    )
-    save_figure(figure, path)
+    title = f"{count} agents, {len(result.races)} races of {result.plan.per_race} on {places}"
+    size, ratios = (5.6 + 0.55 * count + 3, 2.2 + 0.42 * count), (5.2, 2.4 + 0.62 * count)
+    labels = [shorten(standing.label) for standing in result.standings]
+    with two_panels(path, title, *size, ratios) as (ratings, matrix):
+        _draw_ratings(ratings, result, labels)
+        _draw_matrix(matrix, result, labels)
 
 
 def _draw_ratings(axes: Any, result: TournamentResult, labels: list[str]) -> None:
-    rows = range(len(labels))
-    ratings = [standing.rating for standing in result.standings]
-    values = [rating.value for rating in ratings]
-    draw_intervals(axes, rows, values, [rating.interval for rating in ratings])
-    for row, value in zip(rows, values, strict=True):
+    ratings: dict[float, Rating] = {
+        row: standing.rating for row, standing in enumerate(result.standings)
+    }
+    draw_intervals(axes, ratings)
+    for row, rating in ratings.items():
         axes.annotate(
-            f"{value:.1f}",
-            (value, row),
+            f"{rating.value:.1f}",
+            (rating.value, row),
             (0, 6),
             textcoords="offset points",
             ha="center",
             fontsize=8,
             color=INK,
         )
-    axes.set_yticks(rows, labels)
-    axes.set_ylim(len(rows) - 0.4, -0.7)
+    axes.set_yticks(range(len(labels)), labels)
+    axes.set_ylim(len(labels) - 0.4, -0.7)
     axes.margins(x=0.08)
     style_axes(axes, "Rating, with 95 % interval")
 

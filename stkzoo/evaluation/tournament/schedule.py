@@ -8,6 +8,9 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+#: A race or a group of an agent's races, and by node and place the other end of that edge.
+Node = tuple[str, int]
+Ends = dict[tuple[Node, int], Node]
 #: Swaps tried to even out who meets whom, a place in a race; and at most.
 _TRIES, _MOST_TRIES = 60, 200_000
 
@@ -136,56 +139,37 @@ def _grids(
             group_of[number, agent] = num_agents * (turn // size) + agent
     edges = list(group_of)
     chance.shuffle(edges)
-    # By race or group, then by place: the other end of the edge with that place.
-    at_race: list[dict[int, int]] = [{} for _ in races]
-    at_group: dict[int, dict[int, int]] = {group: {} for group in group_of.values()}
+    ends: Ends = {}
     for edge in edges:
-        _colour(edge[0], group_of[edge], at_race, at_group, size, chance)
+        _colour(("race", edge[0]), ("group", group_of[edge]), ends, size, chance)
     return [
-        tuple(at_race[number][place] % num_agents for place in range(size))
+        tuple(ends[("race", number), place][1] % num_agents for place in range(size))
         for number in range(len(races))
     ]
 
 
-def _colour(
-    race: int,
-    group: int,
-    at_race: Sequence[dict[int, int]],
-    at_group: dict[int, dict[int, int]],
-    size: int,
-    chance: random.Random,
-) -> None:
+def _colour(race: Node, group: Node, ends: Ends, size: int, chance: random.Random) -> None:
     """Gives one more edge a place that is free at both of its ends."""
-    free_here = [place for place in range(size) if place not in at_race[race]]
-    free_there = [place for place in range(size) if place not in at_group[group]]
+    free_here = [place for place in range(size) if (race, place) not in ends]
+    free_there = [place for place in range(size) if (group, place) not in ends]
     both = [place for place in free_here if place in free_there]
     if not both:
         here, there = chance.choice(free_here), chance.choice(free_there)
-        _flip(group, here, there, at_race, at_group)
+        _exchange_places(group, here, there, ends)
         both = [here]
     place = chance.choice(both)
-    at_race[race][place], at_group[group][place] = group, race
+    ends[race, place], ends[group, place] = group, race
 
 
-def _flip(
-    group: int,
-    first: int,
-    second: int,
-    at_race: Sequence[dict[int, int]],
-    at_group: dict[int, dict[int, int]],
-) -> None:
-    """Exchanges two places along the path that leaves a group by ``first``."""
-    path: list[tuple[int, int, int]] = []
-    place, other = first, second
-    while place in at_group[group]:
-        race = at_group[group][place]
-        path.append((race, group, place))
-        if other not in at_race[race]:
-            break
-        group = at_race[race][other]
-        path.append((race, group, other))
-    for race, group, place in path:
-        del at_race[race][place], at_group[group][place]
-    for race, group, place in path:
+def _exchange_places(start: Node, first: int, second: int, ends: Ends) -> None:
+    """Exchanges two places along the path that leaves a node by ``first``."""
+    path, node, places = [], start, itertools.cycle((first, second))
+    while (node, place := next(places)) in ends:
+        other = ends[node, place]
+        path.append((node, place, other))
+        node = other
+    for one, place, two in path:
+        del ends[one, place], ends[two, place]
+    for one, place, two in path:
         swapped = second if place == first else first
-        at_race[race][swapped], at_group[group][swapped] = group, race
+        ends[one, swapped], ends[two, swapped] = two, one
