@@ -48,7 +48,6 @@ if TYPE_CHECKING:
         BenchmarkResult,
         Comparison,
         Estimate,
-        GroupDifference,
         RaceGroup,
     )
 
@@ -252,7 +251,7 @@ def _show_comparison(comparison: Comparison) -> None:
 def _show_figures(
     columns: Sequence[str],
     rows: Sequence[Sequence[str]],
-    groups: Sequence[RaceGroup | GroupDifference],
+    groups: Sequence[RaceGroup],
     sign: str = "",
 ) -> None:
     """Prints a table of groups of races: the cells of each row, and the group's figures."""
