@@ -275,6 +275,12 @@ def test_what_is_no_result_is_refused(text):
         RaceResult.from_json(text)
 
 
+def test_a_field_of_a_result_with_another_type_is_refused_and_named(result):
+    text = result.to_json().replace('"rank": 1', '"rank": "first"')
+    with pytest.raises(ConfigError, match="rank is 'first', expected int"):
+        RaceResult.from_json(text)
+
+
 def test_a_result_of_another_version_is_refused(result):
     text = result.to_json().replace('"schema_version": 1', '"schema_version": 99')
     with pytest.raises(ConfigError, match="of version 99, expected"):

@@ -99,7 +99,7 @@ def read_module(
         )
     if create_actor is not None:
         get_actor = partial(create_actor, get_actor)
-    create_state = getattr(module, "create_state", _no_state)
+    create_state = getattr(module, "create_state", lambda: None)
 
     def make_actor(
         observation_space: spaces.Space[Any], action_space: spaces.Space[Any], _: int
@@ -112,17 +112,11 @@ def read_module(
     view = _view_of(getattr(module, "env_name", _DEFAULT_ENV))
     wrappers = list(getattr(module, "get_wrappers", list)() or [])
     name = str(getattr(module, "player_name", ""))
-    return AgentCode(partial(_wrap, view, wrappers), make_actor, name, scope or nullcontext())
+    wrap = partial(_wrap, [view, *wrappers])
+    return AgentCode(wrap, make_actor, name, scope or nullcontext())
 
 
-def _no_state() -> None:
-    return None
-
-
-def _wrap(
-    view: ViewFactory, wrappers: list[ViewFactory], env: gym.Env[Any, Any]
-) -> gym.Env[Any, Any]:
-    env = view(env)
+def _wrap(wrappers: list[ViewFactory], env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
     for wrapper in wrappers:
         env = wrapper(env)
     return env
@@ -143,7 +137,7 @@ def _view_of(env_name: object) -> ViewFactory:
         partial(load_env_creator(wrapper.entry_point), **(wrapper.kwargs or {}))
         for wrapper in spec.additional_wrappers
     ]
-    return partial(_wrap, VIEWS["full"], wrappers)
+    return partial(_wrap, [VIEWS["full"], *wrappers])
 
 
 def env_sees_ground(env_name: str) -> bool:
