@@ -135,11 +135,11 @@ class RaceVecEnv(VecEnv):
             Observations of all slots.
         """
         options = [dict(given) for given in self._options[:: self.races.num_agents]]
-        observations, infos = self.races.fleet.reset(self._race_seeds, options)
-        self.reset_infos = infos
+        steps = self.races.reset_slots(self._race_seeds, options)
+        self.reset_infos = steps.infos
         self._race_seeds = [None] * self.races.num_races
         self._reset_options()
-        return self._batch(observations)
+        return self._batch(steps.observations)
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
         """Asks all races for a step, which they take while the caller goes on.
@@ -158,7 +158,7 @@ class RaceVecEnv(VecEnv):
             Observations, rewards ``(num_envs,)`` float32, whose episode has ended
             ``(num_envs,)`` bool, and infos.
         """
-        steps = self.races.fleet.step_wait()
+        steps = self.races.wait_slots()
         done = steps.terminations | steps.truncations | ~steps.active
         infos = [{**info, "active": True} for info in steps.infos]
         for slot in np.flatnonzero(done).tolist():
@@ -201,12 +201,9 @@ class RaceVecEnv(VecEnv):
     def _race(self, slot: int) -> Any:
         return self.races.races[slot // self.races.num_agents]
 
-    def _idle_observation(self) -> Any:
-        return copy.deepcopy(self.races.fleet.idle_observation)
-
     def _ended(self, steps: SlotSteps, slot: int) -> dict[str, Any]:
         """The info of a slot whose episode has ended in this step, or that idles."""
-        last, info = steps.finals.get(slot) or (self._idle_observation(), {})
+        last, info = steps.finals.get(slot) or (copy.deepcopy(self.races.idle_observation), {})
         age = round(time.monotonic() - self._born, 6)
         episode = {"episode": {**info["episode"], "t": age}} if "episode" in info else {}
         return {
@@ -218,7 +215,7 @@ class RaceVecEnv(VecEnv):
         }
 
     def _batch(self, observations: Sequence[Any]) -> Any:
-        batch = self.races.fleet.batch(observations)
+        batch = self.races.batch(observations)
         if not self._is_flat:
             return batch
         flat = np.concatenate(_flat_parts(self._space, batch, self.num_envs), axis=1)

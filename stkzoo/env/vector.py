@@ -7,11 +7,10 @@ from functools import partial
 from typing import Any
 
 import gymnasium as gym
-from gymnasium import spaces
 from gymnasium.vector import AsyncVectorEnv
 
 from stkzoo.config import AgentSpec
-from stkzoo.env.vec.env import RaceVectorEnv
+from stkzoo.env.vec.env import RaceVectorEnv, is_of_fixed_size
 from stkzoo.errors import ConfigError
 
 
@@ -73,22 +72,10 @@ def make_stkrace_vec(
     """
     if not isinstance(num_envs, int) or num_envs < 1:
         raise ConfigError(f"num_envs is {num_envs!r}, expected a whole number of 1 or more")
-    make = partial(_make, env_id, dict(env_kwargs or {}))
+    make = partial(gym.make, env_id, **dict(env_kwargs or {}))
     if shared_memory is None:
         with make() as env:
-            vec_kwargs["shared_memory"] = not _varies_in_size(env.observation_space)
-    else:
-        vec_kwargs["shared_memory"] = shared_memory
-    return AsyncVectorEnv([make] * num_envs, context=context, **vec_kwargs)
-
-
-def _make(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
-    return gym.make(env_id, **env_kwargs)
-
-
-def _varies_in_size(space: spaces.Space[Any]) -> bool:
-    if isinstance(space, (spaces.Sequence, spaces.Graph)):
-        return True
-    if isinstance(space, spaces.Dict):
-        return any(map(_varies_in_size, space.spaces.values()))
-    return False
+            shared_memory = is_of_fixed_size(env.observation_space)
+    return AsyncVectorEnv(
+        [make] * num_envs, context=context, shared_memory=bool(shared_memory), **vec_kwargs
+    )

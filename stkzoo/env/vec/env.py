@@ -7,15 +7,17 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space, iterate
+from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
+from gymnasium.wrappers.utils import create_zero_array
 
-from stkzoo.env.parallel import RaceParallelEnv
-from stkzoo.env.vec.fleet import ParallelRaces
-from stkzoo.env.vec.slots import SlotSteps
-from stkzoo.errors import ActionError, ConfigError
+from stkzoo._os import cpu_count
+from stkzoo.env.vec.ahead import AheadRace
+from stkzoo.env.vec.slots import BoolArray, RaceSlots, SlotSteps
+from stkzoo.errors import ActionError, ApiOrderError, ConfigError, check_whole
+from stkzoo.views.actions import read_actions
 
-BoolArray = npt.NDArray[np.bool_]
 VectorStep = tuple[Any, npt.NDArray[np.float64], BoolArray, BoolArray, dict[str, Any]]
 
 
@@ -53,7 +55,9 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         num_races: how many races.
         num_agents: how many agents in each.
         num_envs: how many slots, races times agents.
-        fleet: the races themselves.
+        races: every race's environment, to look at; step them through this one alone.
+        prefetch: whether the next race of each race is started while it runs.
+        idle_observation: what slots see whose episode has ended before their race.
 
     Raises:
         ConfigError: an argument is invalid, or agents differ in what they see or do.
@@ -85,34 +89,33 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         prefetch: bool | None = None,
         **options: Any,
     ) -> None:
-        self.fleet = ParallelRaces(num_races, prefetch, {**options, "view": view})
-        self.num_races = num_races
-        self.num_agents = len(self.fleet.agents)
-        self.num_envs = self.fleet.num_slots
-        self.single_observation_space = self.fleet.single_observation_space
-        self.single_action_space = self.fleet.single_action_space
+        check_whole("num_races", num_races, 1)
+        if not isinstance(prefetch, (bool, type(None))):
+            raise ConfigError(f"prefetch is {prefetch!r}, expected True, False or None")
+        self.prefetch = cpu_count() > num_races if prefetch is None else prefetch
+        self.races = tuple(AheadRace(view=view, **options) for _ in range(num_races))
+        first, self.num_races = self.races[0], num_races
+        self.num_agents = len(first.possible_agents)
+        self.num_envs = num_races * self.num_agents
+        self.single_observation_space = _shared(first.observation_spaces, "observation")
+        self.single_action_space = _shared(first.action_spaces, "action")
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-
-    @property
-    def races(self) -> tuple[RaceParallelEnv, ...]:
-        """Every race's environment, to look at; step them through this one alone."""
-        return self.fleet.races
-
-    @property
-    def prefetch(self) -> bool:
-        """Whether the next race of each race is started while it runs."""
-        return self.fleet.prefetch
+        self.idle_observation = create_zero_array(self.single_observation_space)
+        self._rows = [RaceSlots(race, number) for number, race in enumerate(self.races)]
+        self._names = [f"{a} of race {n}" for n in range(num_races) for a in first.possible_agents]
+        self._is_player = np.array([not spec.use_ai for spec in first.specs] * num_races)
+        self._is_asked = False
 
     @property
     def num_crashes(self) -> int:
         """How often the game died or hung, in all races together."""
-        return self.fleet.num_crashes
+        return sum(row.num_crashes for row in self._rows)
 
     @property
     def racing(self) -> BoolArray:
         """``(num_envs,)`` bool: whose agent is in its race now, and so will act next."""
-        return self.fleet.racing
+        return np.concatenate([row.racing for row in self._rows])
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
@@ -142,13 +145,31 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
                 "options have a reset_mask, but races start again by themselves, all slots of "
                 "a race at once; leave it out"
             )
+        steps = self.reset_slots(seed, [options] * self.num_races)
+        return self.batch(steps.observations), self._infos(steps)
+
+    def reset_slots(
+        self,
+        seed: int | Sequence[int | None] | None,
+        options: Sequence[Mapping[str, Any] | None],
+    ) -> SlotSteps:
+        """:meth:`reset` with the results by slot.
+
+        Args:
+            seed: as for :meth:`reset`.
+            options: each race's options for this episode alone.
+        """
+        self._require_open("reset")
+        self._is_asked = False
         seeds = seeds_of_races(seed, self.num_races)
-        observations, infos = self.fleet.reset(seeds, [options] * self.num_races)
-        return self.fleet.batch(observations), {
-            **self._columns(infos),
-            **self._flag("active", self.racing),
-            **self._flag("crashed", np.zeros(self.num_envs, np.bool_)),
-        }
+        for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
+            row.race.prepare(own_seed, own)
+        steps = SlotSteps.idle(self.idle_observation, self.num_envs)
+        for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
+            row.reset(steps, own_seed, own)
+        steps.active |= self.racing
+        self._prefetch(self._rows)
+        return steps
 
     def step(self, actions: Any) -> VectorStep:
         """Advances all races by one step.
@@ -168,32 +189,95 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         return self.step_wait()
 
     def step_async(self, actions: Any) -> None:
-        """Asks all races for a step, which they take while the caller goes on."""
+        """Asks all races for a step, which they take while the caller goes on.
+
+        Raises: as :meth:`step`; also ApiOrderError, if it is called twice in a row.
+        """
         try:
             singles = list(iterate(self.action_space, actions))
         except (TypeError, KeyError, ValueError) as error:
             raise ActionError(
                 f"the actions are {actions!r}, expected a batch for {self.num_envs} slots in the "
                 f"form of {self.action_space}",
-                self.fleet.agents[0],
+                self.races[0].possible_agents[0],
             ) from error
-        self.fleet.step_async(singles)
+        self._require_open("step")
+        if self._is_asked:
+            raise ApiOrderError("step_async() twice without step_wait(); call step_wait() first")
+        if any(row.is_over for row in self._rows):
+            raise ApiOrderError("step() before reset(); call reset() first")
+        if len(singles) != self.num_envs:
+            raise ActionError(
+                f"{len(singles)} actions came for {self.num_envs} slots ({self.num_races} races "
+                f"of {self.num_agents} agents); send one for each, idle ones too",
+                self._names[0],
+            )
+        try:
+            controls = [row.decode(singles[row.slots]) for row in self._rows]
+        except ActionError:
+            self._name_the_race(singles)
+            raise
+        self._is_asked = True
+        for row, own in zip(self._rows, controls, strict=True):
+            row.send(own)
 
     def step_wait(self) -> VectorStep:
         """What came of the step that :meth:`step_async` asked for; see :meth:`step`."""
-        steps = self.fleet.step_wait()
+        steps = self.wait_slots()
         return (
-            self.fleet.batch(steps.observations),
+            self.batch(steps.observations),
             steps.rewards,
             steps.terminations,
             steps.truncations,
             self._infos(steps),
         )
 
+    def wait_slots(self) -> SlotSteps:
+        """:meth:`step_wait` with the results by slot; races that are over have started again.
+
+        Raises:
+            AgentException: a wrapper failed; ``reset`` starts a new race.
+            ApiOrderError: no step was asked for.
+        """
+        if not self._is_asked:
+            raise ApiOrderError("step_wait() without step_async(); call step_async() first")
+        self._is_asked = False
+        steps = SlotSteps.idle(self.idle_observation, self.num_envs)
+        for row in self._rows:
+            row.step_wait(steps)
+            if row.is_over:  # the next one starts while the others are waited for
+                row.race.prepare()
+        over = [row for row in self._rows if row.is_over]
+        for row in over:
+            row.reset(steps)
+        self._prefetch(over)
+        return steps
+
+    def batch(self, observations: Sequence[Any]) -> Any:
+        """Every slot's observation as one array, or dict of arrays, that nobody else holds."""
+        space = self.single_observation_space
+        empty: Any = create_empty_array(space, len(observations))
+        return concatenate(space, observations, empty)
+
     def close_extras(self, **_: Any) -> None:
         """Ends the games; see :meth:`close`."""
-        if hasattr(self, "fleet"):
-            self.fleet.close()
+        for row in getattr(self, "_rows", ()):
+            row.close()
+
+    def _name_the_race(self, actions: Sequence[Any]) -> None:
+        """Raises the error of an invalid action with its agent's race in it."""
+        racing = np.flatnonzero(self.racing & self._is_player).tolist()
+        names = [self._names[slot] for slot in racing]
+        read_actions(self.single_action_space, [actions[slot] for slot in racing], names)
+
+    def _prefetch(self, rows: Sequence[RaceSlots]) -> None:
+        if self.prefetch:
+            for row in rows:
+                row.race.prepare()
+
+    def _require_open(self, method: str) -> None:
+        if self.closed:
+            raise ApiOrderError(f"{method}() after close(); make a new environment")
 
     def _infos(self, steps: SlotSteps) -> dict[str, Any]:
         infos = self._columns(steps.infos)
@@ -243,3 +327,28 @@ def seeds_of_races(seed: int | Sequence[int | None] | None, num_races: int) -> l
     if not isinstance(seed, Sequence) or len(seed) != num_races:
         raise ConfigError(f"seed is {seed!r}, expected a whole number or {num_races}, one a race")
     return list(seed)
+
+
+def _shared(by_agent: Mapping[str, spaces.Space[Any]], kind: str) -> spaces.Space[Any]:
+    """The one space of all agents, of a kind that can be one array."""
+    first, *others = by_agent.values()
+    if any(space != first for space in others):
+        raise ConfigError(
+            f"the agents differ in their {kind} spaces: {dict(by_agent)}; slots of one batch "
+            "need one view for all agents, and none or all of them driven by the game's AI"
+        )
+    if not is_of_fixed_size(first):
+        raise ConfigError(
+            f"the {kind} space is {first}, whose values differ in size, so that those of many "
+            'slots are no array; choose view="simple", one of the flattened views, or a view of '
+            "yours with Box, Discrete, MultiDiscrete, MultiBinary, Text and Dict spaces"
+        )
+    return first
+
+
+def is_of_fixed_size(space: spaces.Space[Any]) -> bool:
+    """Whether all values of a space have one size, so that many are one array."""
+    if isinstance(space, spaces.Dict):
+        return all(map(is_of_fixed_size, space.spaces.values()))
+    kinds = spaces.Box, spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary, spaces.Text
+    return isinstance(space, kinds)

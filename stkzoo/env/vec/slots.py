@@ -58,49 +58,31 @@ class SlotSteps:
             **{name: np.zeros(count, np.bool_) for name in flags},
         )
 
-    @classmethod
-    def joined(cls, parts: Sequence[SlotSteps]) -> SlotSteps:
-        """The steps of several races as one."""
-        first = np.cumsum([0, *(len(part.rewards) for part in parts)]).tolist()
-        flags = ("rewards", "terminations", "truncations", "active", "crashed")
-        return cls(
-            observations=[obs for part in parts for obs in part.observations],
-            infos=[info for part in parts for info in part.infos],
-            finals={
-                before + slot: final
-                for before, part in zip(first, parts, strict=False)
-                for slot, final in part.finals.items()
-            },
-            **{name: np.concatenate([getattr(part, name) for part in parts]) for name in flags},
-        )
-
 
 class RaceSlots:
     """The slots of one race.
 
     Args:
         race: the race's environment.
-        number: its number among the races, for the log.
-        idle_obs: what slots see whose episode has ended before their race.
+        number: its number among the races.
 
     Attributes:
         race: the race's environment.
+        slots: where they stand among the slots of all races.
         num_crashes: how often the game died or hung.
     """
 
-    def __init__(self, race: AheadRace, number: int, idle_obs: Any) -> None:
+    def __init__(self, race: AheadRace, number: int) -> None:
         self.race = race
         self.num_crashes = 0
         self._number = number
         self._agents = race.possible_agents
-        self._idle_obs = idle_obs
+        count = len(self._agents)
+        self.slots = slice(number * count, (number + 1) * count)
         self._last: dict[str, tuple[Any, dict[str, Any]]] = {}  # by agent, observation and info
-        self._returns = np.zeros(len(self._agents))
+        self._returns = np.zeros(count)
         self._num_steps = 0
         self._failure: EngineError | None = None
-
-    def __len__(self) -> int:
-        return len(self._agents)
 
     @property
     def racing(self) -> BoolArray:
@@ -113,14 +95,18 @@ class RaceSlots:
         """Whether all agents' episodes have ended, so that :meth:`reset` is due."""
         return not self._last
 
-    def prepare(self, seed: int | None = None, options: Mapping[str, Any] | None = None) -> None:
-        """Starts the race of the next :meth:`reset` ahead."""
-        self.race.prepare(seed, options)
-
     def reset(
-        self, seed: int | None = None, options: Mapping[str, Any] | None = None
-    ) -> tuple[list[Any], list[dict[str, Any]]]:
-        """A new race: every slot's first observation and info.
+        self,
+        steps: SlotSteps,
+        seed: int | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Starts a new race.
+
+        Args:
+            steps: of all slots; takes the race's first observations and infos.
+            seed: as for :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`, as ``options``.
+            options: likewise.
 
         Raises:
             EngineError: the game died several times in a row.
@@ -130,10 +116,9 @@ class RaceSlots:
         self._returns[:] = 0.0
         self._num_steps = 0
         self._failure = None
-        return (
-            [observations.get(agent, self._idle_obs) for agent in self._agents],
-            [infos.get(agent, {}) for agent in self._agents],
-        )
+        for slot, agent in enumerate(self._agents, self.slots.start):
+            if agent in observations:
+                steps.observations[slot], steps.infos[slot] = self._last[agent]
 
     def decode(self, actions: Sequence[Any]) -> npt.NDArray[np.float32]:
         """Checks actions, one for each slot, those of idle ones unread; for :meth:`send`."""
@@ -146,10 +131,10 @@ class RaceSlots:
         except (EngineCrashed, EngineTimeout) as error:
             self._failure = error
 
-    def step_wait(self) -> SlotSteps:
-        """The step that was asked for."""
-        steps = SlotSteps.idle(self._idle_obs, len(self._agents))
-        steps.active |= self.racing
+    def step_wait(self, steps: SlotSteps) -> None:
+        """Writes the step that was asked for among those of all slots."""
+        steps.active[self.slots] = self.racing
+        self._num_steps += 1
         try:
             if self._failure is not None:
                 raise self._failure
@@ -159,7 +144,6 @@ class RaceSlots:
             self._cut_short(steps)
         else:
             self._take_in(steps, *result)
-        return steps
 
     def close(self) -> None:
         """Ends the race."""
@@ -190,30 +174,29 @@ class RaceSlots:
         truncations: Mapping[str, bool],
         infos: Mapping[str, dict[str, Any]],
     ) -> None:
-        self._num_steps += 1
-        for slot, agent in enumerate(self._agents):
+        for row, agent in enumerate(self._agents):
             if agent not in observations:
                 continue
+            slot = self.slots.start + row
             steps.rewards[slot] = rewards[agent]
-            self._returns[slot] += rewards[agent]
+            self._returns[row] += rewards[agent]
             steps.terminations[slot] = terminations[agent]
             steps.truncations[slot] = truncations[agent]
             self._last[agent] = observations[agent], infos[agent]
             if terminations[agent] or truncations[agent]:
-                steps.finals[slot] = self._final(slot)
+                steps.finals[slot] = self._final(row)
             else:
                 steps.observations[slot], steps.infos[slot] = self._last[agent]
 
     def _cut_short(self, steps: SlotSteps) -> None:
         """Ends what the game left undone, where each agent was seen last."""
-        self._num_steps += 1
-        steps.crashed |= True
-        steps.truncations |= steps.active
-        for slot in np.flatnonzero(steps.active).tolist():
-            steps.finals[slot] = self._final(slot)
+        steps.crashed[self.slots] = True
+        steps.truncations[self.slots] = steps.active[self.slots]
+        for row in np.flatnonzero(steps.active[self.slots]).tolist():
+            steps.finals[self.slots.start + row] = self._final(row)
 
-    def _final(self, slot: int) -> tuple[Any, dict[str, Any]]:
+    def _final(self, row: int) -> tuple[Any, dict[str, Any]]:
         """The last observation and info of a slot whose episode ends here."""
-        observation, info = self._last.pop(self._agents[slot])
-        episode = {"r": float(self._returns[slot]), "l": self._num_steps}
+        observation, info = self._last.pop(self._agents[row])
+        episode = {"r": float(self._returns[row]), "l": self._num_steps}
         return observation, {**info, "episode": episode}
