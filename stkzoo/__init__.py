@@ -47,10 +47,9 @@ from stkzoo.wrappers import (
 )
 
 if TYPE_CHECKING:
-    from stkzoo.env.multi import STKRaceMultiEnv
+    from stkzoo.env.gymnasium_api import STKRaceEnv, STKRaceMultiEnv
     from stkzoo.env.parallel import RaceParallelEnv
     from stkzoo.env.scenario import Scenario
-    from stkzoo.env.single import STKRaceEnv
     from stkzoo.env.starts import StartCurriculum
     from stkzoo.env.state import RaceState
     from stkzoo.env.vec.env import RaceVectorEnv
@@ -108,8 +107,8 @@ _LAZY = {
     "RaceState": "stkzoo.env.state",
     "RaceVectorEnv": "stkzoo.env.vec.env",
     "Reward": "stkzoo.mdp.rewards",
-    "STKRaceEnv": "stkzoo.env.single",
-    "STKRaceMultiEnv": "stkzoo.env.multi",
+    "STKRaceEnv": "stkzoo.env.gymnasium_api",
+    "STKRaceMultiEnv": "stkzoo.env.gymnasium_api",
     "Scenario": "stkzoo.env.scenario",
     "StartCurriculum": "stkzoo.env.starts",
     "make_stkrace_vec": "stkzoo.env.vector",

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Mapping
-from typing import Any, TypeAlias, cast
+from collections.abc import Mapping
+from typing import Any
 
 import gymnasium as gym
 from gymnasium import spaces
@@ -12,13 +12,8 @@ from gymnasium.wrappers.utils import create_zero_array
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
-from stkzoo.agent_names import by_agent
 from stkzoo.errors import ConfigError
-from stkzoo.views.actions import split
-from stkzoo.views.agent_chain import AgentChain, WrapperFactory
-
-#: Wrapper factories by agent: id, number or number as a string.
-Factories: TypeAlias = Mapping[Any, WrapperFactory]
+from stkzoo.views.walker import ChainWalker, Factories, StepParts
 
 
 class MonoAgentWrapperAdapter:
@@ -86,72 +81,66 @@ class GymAgentAdapter(
         )
         gym.Wrapper.__init__(self, env)
         self.keep_original = bool(keep_original)
-        observation_spaces = _spaces_by_agent(env.observation_space)
-        action_spaces = _spaces_by_agent(env.action_space)
-        self._set = _AgentWrappers(observation_spaces, action_spaces, wrapper_factories)
+        originals = _spaces_by_agent(env.observation_space)
+        self._walker = ChainWalker(originals, _spaces_by_agent(env.action_space), wrapper_factories)
         self._present: tuple[str, ...] = ()
-        self.action_space = spaces.Dict({a: c.action_space for a, c in self._set.chains.items()})
-        observed = {agent: chain.observation_space for agent, chain in self._set.chains.items()}
-        if self.keep_original:
-            for agent, space in observation_spaces.items():
-                observed[f"original/{agent}"] = copy.deepcopy(space)
-        self.observation_space = spaces.Dict(observed)
+        self.action_space = spaces.Dict(self._walker.action_spaces)
+        kept = self._handed_out(originals)
+        self.observation_space = spaces.Dict({**self._walker.observation_spaces, **kept})
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Resets the environment and all wrappers."""
         observations, info = self.env.reset(seed=seed, options=options)
-        infos = info.get("infos", {})
-        originals = self._copies(observations)
-        changed, new_infos = self._set.reset(observations, infos, seed, options)
+        originals = self._handed_out(observations)
+        changed, infos = self._known(observations), dict(info.get("infos", {}))
         self._present = tuple(changed)
-        info = {**info, "infos": {**infos, **new_infos}} if "infos" in info else dict(info)
+        self._walker.reset(self._present, changed, infos, seed, options)
+        info = {**info, "infos": infos} if "infos" in info else dict(info)
         return {**changed, **originals}, info
 
     def step(
         self, actions: Mapping[str, Any]
     ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Steps the environment with the base actions of the agents' actions."""
-        base = self._set.begin_step(actions, self._present)
+        base = self._walker.begin_step(actions, self._present)
         try:
             observations, reward, terminated, truncated, info = self.env.step(base)
-            originals = self._copies(observations)
-            results = {
-                agent: self._set.chains[agent].finish_step(
-                    _agent_part(agent, observation, info, (terminated, truncated))
-                )
-                for agent, observation in observations.items()
-                if agent in self._set.chains
-            }
+            originals = self._handed_out(observations)
+            parts = _parts_by_agent(self._known(observations), info, terminated, truncated)
+            changed, rewards, terminations, truncations, _ = parts
+            unchanged = dict(rewards)
+            self._walker.finish_step(tuple(changed), parts)
         finally:
-            self._set.abandon()
-        self._present = tuple(results)
-        changed = {agent: result[0] for agent, result in results.items()}
-        gains = (float(r[1]) - _reward(agent, info) for agent, r in results.items())
-        ends = [(r[2], r[3]) for r in results.values()]
-        if "terminated" in info and ends and all(map(any, ends)) and not (terminated or truncated):
-            terminated = all(end[0] for end in ends)
+            self._walker.abandon()
+        self._present = tuple(changed)
+        ends = [terminations[agent] or truncations[agent] for agent in changed]
+        if "terminated" in info and ends and all(ends) and not (terminated or truncated):
+            terminated = all(terminations.values())
             truncated = not terminated
         return (
             {**changed, **originals},
-            float(reward) + sum(gains),
+            float(reward) + sum(rewards[agent] - unchanged[agent] for agent in rewards),
             bool(terminated),
             bool(truncated),
-            _changed_info(info, results),
+            _changed_info(info, parts),
         )
 
     def close(self) -> None:
         """Closes all wrappers and the environment."""
-        self._set.close()
+        self._walker.close()
         super().close()
 
-    def _copies(self, observations: Mapping[str, Any]) -> dict[str, Any]:
+    def _known(self, observations: Mapping[str, Any]) -> dict[str, Any]:
+        return {
+            agent: observations[agent] for agent in observations if agent in self._walker.chains
+        }
+
+    def _handed_out(self, by_agent: Mapping[str, Any]) -> dict[str, Any]:
         """What is handed out beside the wrapped observations; taken before wrappers run."""
-        if not self.keep_original:
-            return {}
-        known = self._set.chains.keys() & observations.keys()
-        return {f"original/{agent}": copy.deepcopy(observations[agent]) for agent in known}
+        own = self._known(by_agent) if self.keep_original else {}
+        return {f"original/{agent}": copy.deepcopy(value) for agent, value in own.items()}
 
 
 class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any, Any]):
@@ -172,20 +161,22 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
         self.keep_original = bool(keep_original)
         self._retired: frozenset[str] = frozenset()
         agents = env.possible_agents
-        self._set = _AgentWrappers(
+        self._walker = ChainWalker(
             {agent: env.observation_space(agent) for agent in agents},
             {agent: env.action_space(agent) for agent in agents},
             wrapper_factories,
         )
-        self._observation_spaces = {
-            agent: self._handed_out_space(chain) for agent, chain in self._set.chains.items()
-        }
-
-    def _handed_out_space(self, chain: AgentChain) -> spaces.Space[Any]:
-        if not self.keep_original:
-            return chain.observation_space
-        original = copy.deepcopy(chain.base_observation_space)
-        return spaces.Dict({"observation": chain.observation_space, "original": original})
+        self._observation_spaces = self._walker.observation_spaces
+        if self.keep_original:
+            self._observation_spaces = {
+                agent: spaces.Dict(
+                    {
+                        "observation": space,
+                        "original": copy.deepcopy(env.observation_space(agent)),
+                    }
+                )
+                for agent, space in self._observation_spaces.items()
+            }
 
     @property
     def agents(self) -> list[str]:
@@ -198,7 +189,7 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
         """What the agent chooses from; the same object each time."""
-        return self._set.chains[agent].action_space
+        return self._walker.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -207,50 +198,34 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
         observations, infos = self.env.reset(seed=seed, options=options)
         self._retired = frozenset()
         originals = self._copies(observations)
-        changed, new_infos = self._set.reset(observations, infos, seed, options)
-        return self._with_originals(changed, originals), new_infos
+        observations, infos = dict(observations), dict(infos)
+        self._walker.reset(tuple(observations), observations, infos, seed, options)
+        return self._with_originals(observations, originals), infos
 
-    def step(
-        self, actions: dict[str, Any]
-    ) -> tuple[
-        dict[str, Any],
-        dict[str, float],
-        dict[str, bool],
-        dict[str, bool],
-        dict[str, dict[str, Any]],
-    ]:
+    def step(self, actions: dict[str, Any]) -> StepParts:
         """Steps the environment with the base actions of the agents' actions."""
         agents = self.agents
         if not agents:
             return {}, {}, {}, {}, {}
-        chains = self._set.chains
-        base = self._set.begin_step(actions, agents)
+        base = self._walker.begin_step(actions, agents)
         for agent in self._retired.intersection(self.env.agents):
-            base[agent] = create_zero_array(chains[agent].base_action_space)
+            base[agent] = create_zero_array(self.env.action_space(agent))
         try:
-            observations, *parts = self.env.step(base)
-            originals = self._copies(observations)
-            results = {
-                agent: chains[agent].finish_step(
-                    (observations[agent], *(part[agent] for part in parts))
-                )
-                for agent in agents
-                if agent in observations
-            }
+            results = self.env.step(base)
+            originals = self._copies(results[0])
+            present = [agent for agent in agents if agent in results[0]]
+            parts: Any = tuple({agent: part[agent] for agent in present} for part in results)
+            self._walker.finish_step(present, parts)
         finally:
-            self._set.abandon()
-        self._retired |= {agent for agent, r in results.items() if r[2] or r[3]}
-        return (
-            self._with_originals({a: r[0] for a, r in results.items()}, originals),
-            {agent: float(r[1]) for agent, r in results.items()},
-            {agent: r[2] for agent, r in results.items()},
-            {agent: r[3] for agent, r in results.items()},
-            {agent: r[4] for agent, r in results.items()},
-        )
+            self._walker.abandon()
+        observations, rewards, terminations, truncations, infos = parts
+        self._retired |= {agent for agent in present if terminations[agent] or truncations[agent]}
+        observations = self._with_originals(observations, originals)
+        return observations, rewards, terminations, truncations, infos
 
     def close(self) -> None:
         """Closes all wrappers and the environment."""
-        self._set.close()
+        self._walker.close()
         super().close()
 
     def _with_originals(
@@ -268,143 +243,42 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
         return copy.deepcopy(dict(observations)) if self.keep_original else {}
 
 
-class _AgentWrappers:
-    """One :class:`AgentChain` for each agent.
-
-    Attributes:
-        chains: the chains by agent.
-
-    Args:
-        observation_spaces: the agents' base observation spaces.
-        action_spaces: the agents' base action spaces.
-        factories: what wraps an agent's environment; agents left out have no wrappers.
-
-    Raises:
-        ConfigError: a factory is for no agent or cannot be called, or the spaces are not
-            for the same agents.
-        AgentException: a factory failed.
-    """
-
-    def __init__(
-        self,
-        observation_spaces: Mapping[str, spaces.Space[Any]],
-        action_spaces: Mapping[str, spaces.Space[Any]],
-        factories: Factories,
-    ) -> None:
-        if observation_spaces.keys() != action_spaces.keys():
-            raise ConfigError(
-                f"observations are for agents {', '.join(observation_spaces)}, but actions for "
-                f"{', '.join(action_spaces)}; expected the same agents."
-            )
-        found = by_agent(factories, observation_spaces)
-        for agent, factory in found.items():
-            if factory is not None and not callable(factory):
-                raise ConfigError(
-                    f"the wrapper factory of agent {agent!r} is {factory!r}; expected a callable "
-                    "that takes an environment and returns it wrapped, or None."
-                )
-        self.chains = {
-            agent: AgentChain(agent, space, action_spaces[agent], found.get(agent))
-            for agent, space in observation_spaces.items()
-        }
-
-    def reset(
-        self,
-        observations: Mapping[str, Any],
-        infos: Mapping[str, dict[str, Any]],
-        seed: int | None,
-        options: dict[str, Any] | None,
-    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """Resets the wrappers of all agents that have an observation.
-
-        Agent number ``n`` is seeded with ``seed + n``.
-        """
-        changed: dict[str, Any] = {}
-        new_infos: dict[str, dict[str, Any]] = {}
-        for number, (agent, chain) in enumerate(self.chains.items()):
-            if agent in observations:
-                changed[agent], new_infos[agent] = chain.reset(
-                    observations[agent],
-                    infos.get(agent, {}),
-                    seed=None if seed is None else seed + number,
-                    options=None if options is None else dict(options),
-                )
-        return changed, new_infos
-
-    def begin_step(self, actions: Mapping[str, Any], present: Collection[str]) -> dict[str, Any]:
-        """Base actions, in single form, for the agents that have an action.
-
-        Args:
-            actions: actions by agent; all are checked before any wrapper sees one.
-            present: the agents whose episode goes on; those without an action get no base
-                action, but their wrappers see an action of zeros.
-
-        Raises:
-            ActionError: an action is not in its agent's space.
-            AgentException: a wrapper failed.
-        """
-        checked = {
-            agent: self.chains[agent].read_action(actions[agent])
-            for agent in present
-            if agent in actions
-        }
-        base: dict[str, Any] = {}
-        try:
-            for agent in present:
-                chain = self.chains[agent]
-                if agent in checked:
-                    batch = chain.begin_base_step(checked[agent])
-                    base[agent] = split(chain.base_action_space, batch)[0]
-                else:
-                    chain.begin_step(create_zero_array(chain.action_space))
-        except BaseException:
-            self.abandon()
-            raise
-        return base
-
-    def abandon(self) -> None:
-        """Forgets steps that were begun and will not be finished."""
-        for chain in self.chains.values():
-            chain.abandon()
-
-    def close(self) -> None:
-        """Closes all wrappers."""
-        for chain in self.chains.values():
-            chain.close()
-
-
 def _spaces_by_agent(space: spaces.Space[Any]) -> dict[str, spaces.Space[Any]]:
     if not isinstance(space, spaces.Dict):
         raise ConfigError(f"expected a Dict space by agent, but found {space!r}.")
     return dict(space.spaces)
 
 
-def _reward(agent: str, info: Mapping[str, Any]) -> float:
-    return float(info.get("reward", {}).get(agent, 0.0))
-
-
-def _agent_part(
-    agent: str, observation: Any, info: Mapping[str, Any], ends: tuple[bool, bool]
-) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-    """One agent's share of a step of a Gymnasium environment of many."""
-    terminated = bool(info.get("terminated", {}).get(agent, ends[0]))
-    cut_short = ends[1] and not terminated
+def _parts_by_agent(
+    observations: dict[str, Any], info: Mapping[str, Any], terminated: bool, truncated: bool
+) -> StepParts:
+    """The agents' shares of a step of a Gymnasium environment of many."""
+    rewards, ends, cuts, infos = (
+        info.get(key, {}) for key in ("reward", "terminated", "truncated", "infos")
+    )
+    terminations = {agent: bool(ends.get(agent, terminated)) for agent in observations}
     return (
-        observation,
-        _reward(agent, info),
-        terminated,
-        bool(info.get("truncated", {}).get(agent, cut_short)),
-        cast("dict[str, Any]", info.get("infos", {}).get(agent, {})),
+        observations,
+        {agent: float(rewards.get(agent, 0.0)) for agent in observations},
+        terminations,
+        {a: bool(cuts.get(a, truncated and not terminations[a])) for a in observations},
+        {agent: infos.get(agent, {}) for agent in observations},
     )
 
 
-def _changed_info(info: Mapping[str, Any], results: Mapping[str, Any]) -> dict[str, Any]:
+def _changed_info(info: Mapping[str, Any], parts: StepParts) -> dict[str, Any]:
     """The info of a step with the agents' parts replaced, where it has such parts."""
     changed = dict(info)
-    for place, key in ((1, "reward"), (2, "terminated"), (3, "truncated"), (4, "infos")):
+    _, rewards, terminations, truncations, infos = parts
+    own: dict[str, Mapping[str, Any]] = {
+        "reward": rewards,
+        "terminated": terminations,
+        "truncated": truncations,
+        "infos": infos,
+    }
+    for key, part in own.items():
         if key in info or (key == "truncated" and "terminated" in info):
-            own = {agent: result[place] for agent, result in results.items()}
-            changed[key] = {**info.get(key, {}), **own}
+            changed[key] = {**info.get(key, {}), **part}
     if "done" in info:
-        changed["done"] = {agent: result[2] or result[3] for agent, result in results.items()}
+        changed["done"] = {agent: end or truncations[agent] for agent, end in terminations.items()}
     return changed

@@ -102,7 +102,7 @@ class CameraObservations(gym.ObservationWrapper[Any, Any, Any], gym.utils.Record
         backend: str = "auto",
     ) -> None:
         gym.utils.RecordConstructorArgs.__init__(
-            self, size=tuple(size), depth=depth, every=every, backend=backend
+            self, size=size, depth=depth, every=every, backend=backend
         )
         super().__init__(env)
         self._kind = _kind(size, depth, backend)
@@ -140,20 +140,34 @@ class CameraObservations(gym.ObservationWrapper[Any, Any, Any], gym.utils.Record
         return camera
 
 
-def _kind(size: Sequence[int], depth: bool, backend: str) -> CameraKind:
-    sides = tuple(check_whole("size", side, _SMALLEST) for side in size)
-    if len(sides) != 2 or max(sides) > _LARGEST:
+def checked_size(size: Sequence[int], name: str = "size") -> tuple[int, int]:
+    """Width and height of a picture as Python's own numbers [pixels].
+
+    Args:
+        size: what was asked for.
+        name: what the message calls it.
+
+    Raises:
+        ConfigError: it is invalid.
+    """
+    try:
+        width, height = (int(side) for side in size if int(side) == side)
+    except (TypeError, ValueError):
+        width = height = 0
+    if not all(_SMALLEST <= side <= _LARGEST for side in (width, height)):
         raise ConfigError(
-            f"size is {tuple(size)!r}, expected width and height from {_SMALLEST} to {_LARGEST} "
-            "pixels each"
+            f"{name} is {size!r}, expected (width, height) from {_SMALLEST} to {_LARGEST} pixels "
+            "each, such as (640, 480)"
         )
+    return width, height
+
+
+def _kind(size: Sequence[int], depth: bool, backend: str) -> CameraKind:
     if backend not in BACKENDS:
         raise unknown_name("backend", backend, BACKENDS)
-    if not depth:
-        return CameraKind((sides[0], sides[1]), depth=False, backend=backend)
-    if backend == "map":
+    if depth and backend == "map":
         raise ConfigError('the map has no depth; leave out depth, or backend="map"')
-    return CameraKind((sides[0], sides[1]), depth=True, backend="engine")
+    return CameraKind(checked_size(size), bool(depth), "engine" if depth else backend)
 
 
 def _space(inner: spaces.Space[Any], kind: CameraKind) -> spaces.Dict:

@@ -117,6 +117,11 @@ class ProcessSession:
         """Id of the process, if it runs."""
         return self._process.pid if self._process else None
 
+    @property
+    def is_own(self) -> bool:
+        """Whether this program started the process, and not one from which it was forked."""
+        return self._owner == os.getpid()
+
     def close(self) -> None:
         """Ends the process. You may call it again, and start another one afterwards."""
         process, self._process, self._asked = self._process, None, None
@@ -131,7 +136,7 @@ class ProcessSession:
         self._process, self._owner = process, os.getpid()
 
     def _require_own(self) -> None:
-        if self._owner != os.getpid():
+        if not self.is_own:
             raise ApiOrderError(
                 f"this race belongs to process {self._owner}, from which this process "
                 f"({os.getpid()}) was forked; call reset() to start one here"

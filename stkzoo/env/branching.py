@@ -1,29 +1,80 @@
-"""The part of the parallel core that keeps, restores and copies moments of a race."""
+"""The moment at which an environment's race is, and how it is kept, restored and copied."""
 
 from __future__ import annotations
 
 import contextlib
 import copy
+import os
 import weakref
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from gymnasium.utils import EzPickle, seeding
 
+from stkzoo.engine.assets import Assets
+from stkzoo.engine.ground import Ground
 from stkzoo.engine.session import Session
+from stkzoo.engine.snapshot import Snapshot
+from stkzoo.engine.track import TrackMap
 from stkzoo.env.episode import Episode
+from stkzoo.env.grid import RaceInfo, RaceRoster
 from stkzoo.env.options import RaceOptions
+from stkzoo.env.rendering import scene_of
 from stkzoo.env.scenario import Scenario, digest_of
 from stkzoo.env.state import Moment, RaceState
 from stkzoo.errors import ApiOrderError, ConfigError, check_whole
+from stkzoo.mdp.rewards import Reward
+from stkzoo.render.scene import Scene
 from stkzoo.views.chains import AgentChains
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
 
-class BranchingRace:
-    """Adds state as a value to :class:`~stkzoo.env.parallel.RaceParallelEnv`.
+class ClonableEnv(EzPickle):
+    """An environment that can go on from where another of its kind is."""
+
+    if TYPE_CHECKING:
+
+        def close(self) -> None:
+            """Ends the game's process."""
+
+    def follow(self, other: Self) -> None:
+        """Goes on from where another environment is now, like a clone of it.
+
+        Raises: as :meth:`clone`.
+        """
+        raise NotImplementedError
+
+    def clone(self) -> Self:
+        """An environment of its own that goes on from this moment.
+
+        Raises:
+            ApiOrderError: before the first ``reset``.
+            AgentException: an agent's wrapper holds something that cannot be copied.
+            EngineError: races are not forked here, or the game died.
+        """
+        make: Any = type(self)
+        twin: Self = make(*self._ezpickle_args, **self._ezpickle_kwargs)
+        twin.follow(self)
+        return twin
+
+    @contextlib.contextmanager
+    def lookahead(self) -> Iterator[Self]:
+        """A clone to try things in, closed at the end; this environment stays where it is.
+
+        Raises: as :meth:`clone`.
+        """
+        branch = self.clone()
+        try:
+            yield branch
+        finally:
+            branch.close()
+
+
+class BranchingRace(ClonableEnv):
+    """The moment at which :class:`~stkzoo.env.parallel.RaceParallelEnv` is, as a value too.
 
     Args:
         max_snapshots: how many saved states may be open at a time.
@@ -32,30 +83,60 @@ class BranchingRace:
     # What RaceParallelEnv brings.
     options: RaceOptions
     possible_agents: list[str]
-    agents: list[str]
-    _np_random: np.random.Generator | None
+    _assets: Assets
     _session: Session
     _chains: AgentChains
+    _rewards: Mapping[str, Reward]
     _ai_agents: set[str]
-    _episode: Episode | None
-    _asked: Episode | None
-    _ezpickle_args: tuple[Any, ...]
-    _ezpickle_kwargs: dict[str, Any]
 
     if TYPE_CHECKING:
-
-        @property
-        def np_random(self) -> np.random.Generator:
-            """The environment's random stream."""
-
-        def close(self) -> None:
-            """Ends the game's process."""
 
         def _running(self, method: str) -> Episode: ...
 
     def __init__(self, max_snapshots: int) -> None:
         self._max_snapshots = check_whole("max_snapshots", max_snapshots, 0)
         self._states: weakref.WeakSet[RaceState] = weakref.WeakSet()
+        self._np_random: np.random.Generator | None = None
+        self._end_race()
+
+    @property
+    def race(self) -> RaceInfo | None:
+        """Names of the present race and its karts; ``None`` before the first reset."""
+        return self._episode.race if self._episode else None
+
+    @property
+    def scene(self) -> Scene | None:
+        """The present race as pictures need it; ``None`` before the first reset."""
+        return scene_of(self._episode) if self._episode else None
+
+    @property
+    def track_map(self) -> TrackMap | None:
+        """The present race's track; ``None`` before the first reset."""
+        return self._episode.track_map if self._episode else None
+
+    @property
+    def ground(self) -> Ground | None:
+        """What karts drive on and run into there; ``None`` before the first reset.
+
+        Read from the track's own meshes, which takes 1 to 7 s the first time in a program.
+        """
+        return self._episode.ground if self._episode else None
+
+    @property
+    def snapshot(self) -> Snapshot | None:
+        """The present moment of the race; ``None`` before the first reset."""
+        return self._episode.snapshot if self._episode else None
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """The environment's random stream, which ``reset(seed=...)`` restarts."""
+        if self._np_random is None:
+            self._np_random, _ = seeding.np_random()
+        return self._np_random
+
+    @np_random.setter
+    def np_random(self, random: np.random.Generator) -> None:
+        self._np_random = random
 
     def save_state(self) -> RaceState:
         """Keeps this moment of the race; the race itself goes on as if nothing had been.
@@ -110,21 +191,7 @@ class BranchingRace:
         state.resume_in(self._session)
         self._go_on_from(state.moment)
 
-    def clone(self) -> Self:
-        """An environment of its own that goes on from this moment.
-
-        Raises:
-            ApiOrderError: before the first ``reset``.
-            AgentException: an agent's wrapper holds something that cannot be copied.
-            EngineError: races are not forked here, or the game died.
-        """
-        self._running("clone")
-        make: Any = type(self)
-        twin: Self = make(*self._ezpickle_args, **self._ezpickle_kwargs)
-        twin.follow(self)
-        return twin
-
-    def follow(self, other: BranchingRace) -> None:
+    def follow(self, other: Self) -> None:
         """Goes on from where another environment is now, like a clone of it.
 
         Raises: as :meth:`restore_state`.
@@ -136,36 +203,65 @@ class BranchingRace:
         self.options = other.options
         self._go_on_from(moment)
 
-    @contextlib.contextmanager
-    def lookahead(self) -> Iterator[Self]:
-        """A clone to try things in, closed at the end; this environment stays where it is.
-
-        Raises: as :meth:`clone`.
-        """
-        branch = self.clone()
-        try:
-            yield branch
-        finally:
-            branch.close()
-
     @property
     def num_snapshots(self) -> int:
         """How many states that this environment saved are open."""
         return sum(state.is_open for state in self._states)
 
-    def _racing_agents(self, state: object, options: Mapping[str, Any]) -> list[str]:
-        """The agents of an episode that starts from a state."""
-        moment = _checked_state(state).moment
-        moment.check_karts(self.options.num_kart, self.possible_agents, self._ai_agents)
-        fixed = set(RaceOptions.__dataclass_fields__) - {"max_cycles", "max_paths", "num_kart"}
-        if fixed & set(options):
-            raise ConfigError(
-                f"options have a state and {', '.join(sorted(fixed & set(options)))}, which the "
-                "state's race has already; leave out one or the other"
-            )
+    def _end_race(self) -> None:
+        """There is no race until another has started."""
+        self.agents: list[str] = []
+        self._episode: Episode | None = None
+        self._asked: Episode | None = None  # whose step is under way
+
+    def _from_state(
+        self, state: object, options: Mapping[str, Any], options_now: RaceOptions
+    ) -> tuple[list[str], Episode]:
+        """The agents of an episode that starts from a saved state, and the episode."""
+        kept = _checked_state(state)
+        moment = kept.moment
+        self._check_roster("state", moment.roster)
+        _check_beside("state", options)
         if not moment.agents:
             raise ApiOrderError("the state was saved when all agents had left; nobody can act")
-        return list(moment.agents)
+        kept.resume_in(self._session)
+        return list(moment.agents), moment.episode.restarted(options_now, self._rewards)
+
+    def _from_scenario(
+        self, scenario: object, options: Mapping[str, Any], options_now: RaceOptions
+    ) -> tuple[list[str], Episode]:
+        """The same from a scenario or its file."""
+        _check_beside("scenario", options)
+        if isinstance(scenario, (str, os.PathLike)):
+            scenario = Scenario.load(scenario)
+        if not isinstance(scenario, Scenario):
+            raise ConfigError(
+                f"scenario is {scenario!r}, expected a Scenario or the path of its file"
+            )
+        self._check_roster("scenario", scenario.roster)
+        if scenario.setup.track not in self._assets.tracks:
+            raise ConfigError(
+                f"the scenario's track {scenario.setup.track!r} is not here; `stkzoo assets "
+                "status` shows where the game's data comes from"
+            )
+        self._end_race()  # in case the start fails
+        setup, begun = scenario.setup, scenario.reach(self._session)
+        drawn = setup, scenario.kart_indices, begun
+        episode = Episode(options_now, *drawn, self._rewards, self._assets.root)
+        for row in scenario.controls:
+            episode.remember(row)
+        return [agent for agent in self.possible_agents if agent in scenario.agents], episode
+
+    def _roster(self) -> RaceRoster:
+        ai_agents = frozenset(self._ai_agents)
+        return RaceRoster(self.options.num_kart, len(self.possible_agents), ai_agents)
+
+    def _check_roster(self, what: str, roster: RaceRoster) -> None:
+        if roster != self._roster():
+            raise ConfigError(
+                f"the {what} is of {roster}, but this environment has {self._roster()}; take one "
+                "with the same"
+            )
 
     def _moment(self) -> Moment:
         if self._asked is not None:
@@ -173,10 +269,10 @@ class BranchingRace:
         episode = self._running("save_state").copy()
         random = copy.deepcopy(self.np_random)
         memory = self._chains.memory()
-        return Moment(episode, tuple(self.agents), frozenset(self._ai_agents), random, memory)
+        return Moment(episode, tuple(self.agents), self._roster(), random, memory)
 
     def _check_moment(self, moment: Moment) -> None:
-        moment.check_karts(self.options.num_kart, self.possible_agents, self._ai_agents)
+        self._check_roster("state", moment.roster)
         self._chains.check_memory(moment.memory)
 
     def _go_on_from(self, moment: Moment) -> None:
@@ -191,3 +287,14 @@ def _checked_state(state: object) -> RaceState:
     if not isinstance(state, RaceState):
         raise ConfigError(f"state is {state!r}, expected what save_state() returned")
     return state
+
+
+def _check_beside(what: str, options: Mapping[str, Any]) -> None:
+    """Checks that options of an episode do not choose what its state or scenario has chosen."""
+    own = {what, "num_kart", "max_cycles", "max_paths"}
+    both = ({*RaceOptions.__dataclass_fields__, "state"} - own) & set(options)
+    if both:
+        raise ConfigError(
+            f"options have a {what} and {', '.join(sorted(both))}, which the {what}'s race has "
+            "already; leave out one or the other"
+        )

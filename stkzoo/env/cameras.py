@@ -10,6 +10,7 @@ import gymnasium as gym
 
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.env.episode import Episode
+from stkzoo.env.options import MAX_CAMERAS
 from stkzoo.env.rendering import scene_of
 from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.names import CameraMode
@@ -17,8 +18,6 @@ from stkzoo.render.renderer import RaceRenderer
 from stkzoo.render.scene import Scene
 from stkzoo.views import ViewFactory
 from stkzoo.wrappers.camera import Camera, CameraKind, Shot
-
-_MOST_CAMERAS = 8
 
 
 class RaceCameras:
@@ -30,44 +29,21 @@ class RaceCameras:
     """
 
     def __init__(self, agents: Sequence[str], present: Callable[[], Episode | None]) -> None:
+        self.present = present
         self._numbers = {agent: number for number, agent in enumerate(agents)}
-        self._present = present
         self._drawings: dict[CameraKind, _Drawing] = {}
 
     def of(self, agent: str) -> Camera:
         """One agent's camera."""
-        return _AgentCamera(self, agent)
+        return _AgentCamera(self, self._numbers[agent])
 
     def connected(self, views: Mapping[str, ViewFactory]) -> dict[str, ViewFactory]:
         """The agents' views, around environments that have cameras."""
         return {agent: with_camera(view, self.of(agent)) for agent, view in views.items()}
 
-    def open(self, agent: str, kind: CameraKind) -> None:
-        """See :class:`~stkzoo.wrappers.camera.Camera`.
-
-        Raises:
-            ConfigError: there are too many.
-        """
-        drawing = self._drawings.setdefault(kind, _Drawing(kind))
-        drawing.add(self._numbers[agent])
-        if len(drawing.agents) > _MOST_CAMERAS:
-            raise ConfigError(
-                f"{len(drawing.agents)} agents want a camera, but the game draws at most "
-                f"{_MOST_CAMERAS}; give the other agents another view"
-            )
-
-    def look(self, agent: str, kind: CameraKind) -> Shot:
-        """See :class:`~stkzoo.wrappers.camera.Camera`.
-
-        Raises:
-            ApiOrderError: before the first reset.
-            EngineError: the game cannot draw, or died.
-        """
-        episode = self._present()
-        if episode is None:
-            raise ApiOrderError("there is nothing to see before reset(); call reset() first")
-        self.open(agent, kind)  # a copied wrapper has opened the camera of another race
-        return self._drawings[kind].shots(episode)[self._numbers[agent]]
+    def drawing(self, kind: CameraKind) -> _Drawing:
+        """All cameras of one kind."""
+        return self._drawings.setdefault(kind, _Drawing(kind))
 
     def close(self) -> None:
         """Ends the processes that draw."""
@@ -86,16 +62,21 @@ def with_camera(view: ViewFactory, camera: Camera) -> ViewFactory:
 
 
 class _AgentCamera:
-    """One agent's side of the cameras."""
+    """One agent's side of the cameras; see :class:`~stkzoo.wrappers.camera.Camera`."""
 
-    def __init__(self, cameras: RaceCameras, agent: str) -> None:
-        self._cameras, self._agent = cameras, agent
+    def __init__(self, cameras: RaceCameras, number: int) -> None:
+        self._cameras, self._number = cameras, number
 
     def open(self, kind: CameraKind) -> None:
-        self._cameras.open(self._agent, kind)
+        self._cameras.drawing(kind).add(self._number)
 
     def look(self, kind: CameraKind) -> Shot:
-        return self._cameras.look(self._agent, kind)
+        episode = self._cameras.present()
+        if episode is None:
+            raise ApiOrderError("there is nothing to see before reset(); call reset() first")
+        drawing = self._cameras.drawing(kind)
+        drawing.add(self._number)  # a copied wrapper has opened the camera of another race
+        return drawing.shots(episode)[self._number]
 
 
 class _Drawing:
@@ -110,10 +91,19 @@ class _Drawing:
         self._shots: dict[int, Shot] = {}
 
     def add(self, agent: int) -> None:
-        """One more agent has such a camera."""
+        """One more agent has such a camera.
+
+        Raises:
+            ConfigError: there are too many.
+        """
         if agent not in self.agents:
             self.agents.add(agent)
             self._shown = None
+        if len(self.agents) > MAX_CAMERAS:
+            raise ConfigError(
+                f"{len(self.agents)} agents want a camera, but the game draws at most "
+                f"{MAX_CAMERAS}; give the other agents another view"
+            )
 
     def shots(self, episode: Episode) -> dict[int, Shot]:
         """What they see at the present moment, by number of agent."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,10 @@ from stkzoo.agent_names import by_agent, find_agent
 from stkzoo.engine.ground import Ground, ground_of
 from stkzoo.engine.race import RaceStart
 from stkzoo.engine.setup import RaceSetup
-from stkzoo.engine.snapshot import Snapshot
+from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.engine.track import decode_track
 from stkzoo.env.grid import RaceInfo
 from stkzoo.env.options import RaceOptions
-from stkzoo.env.scenario import past_controls
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import StepScorer
 from stkzoo.mdp.observations import ai_actions, observe_karts
@@ -49,7 +48,7 @@ class Episode:
     Args:
         options: the options of this race.
         setup: what the engine was given.
-        race: what was drawn; its kart types are filled in from ``start``.
+        kart_indices: each agent's kart.
         start: what the engine answered.
         rewards: every agent's reward, in agent order.
         root: of the game's data.
@@ -66,16 +65,18 @@ class Episode:
         self,
         options: RaceOptions,
         setup: RaceSetup,
-        race: RaceInfo,
+        kart_indices: tuple[int, ...],
         start: RaceStart,
         rewards: Mapping[str, Reward],
         root: Path,
     ) -> None:
         self.setup, self._root = setup, root
-        self.race = replace(race, kart_types=start.kart_types)
+        names = ("track", "reverse", "laps", "difficulty", "seed")
+        chosen = {name: getattr(setup, name) for name in names}
+        self.race = RaceInfo(**chosen, kart_indices=kart_indices, kart_types=start.kart_types)
         self.track_map = decode_track(start.track)
         self.snapshot = start.snapshot
-        self._kart_of = dict(zip(rewards, race.kart_indices, strict=True))
+        self._kart_of = dict(zip(rewards, kart_indices, strict=True))
         self._players = np.flatnonzero([not kart.is_bot for kart in setup.karts])
         nobody = np.empty(0, np.intp)
         self._asked_for: tuple[tuple[str, ...], tuple[IntArray, IntArray]] = (), (nobody, nobody)
@@ -123,7 +124,12 @@ class Episode:
 
     def past_controls(self) -> npt.NDArray[np.float32]:
         """The controls of all steps since the race began: ``(T, P, 7)`` float32."""
-        return past_controls(self._past, self.num_players)
+        rows, past = [], self._past
+        while past is not None:
+            past, row = past
+            rows.append(row)
+        numbers = np.frombuffer(b"".join(reversed(rows)), np.float32)
+        return np.array(numbers.reshape(len(rows), self.num_players, len(CONTROLS)))
 
     def advance(self, snapshot: Snapshot, agents: Sequence[str]) -> Ends:
         """Goes on to the moment after a step.
@@ -295,19 +301,13 @@ class EpisodeRecord:
 def _groups(
     rewards: Mapping[str, Reward], karts: IntArray, columns: Mapping[str, int]
 ) -> list[_RewardGroup]:
-    members: dict[int, list[int]] = {}
-    for row, reward in enumerate(rewards.values()):
-        members.setdefault(id(reward), []).append(row)
     of_row = list(rewards.values())
-    return [
-        _RewardGroup(
-            reward=of_row[rows[0]],
-            rows=np.array(rows, np.intp),
-            karts=karts[rows],
-            columns=np.array([columns[name] for name in of_row[rows[0]].terms], np.intp),
-        )
-        for rows in members.values()
-    ]
+    groups = []
+    for reward in {id(reward): reward for reward in of_row}.values():
+        rows = np.array([row for row, own in enumerate(of_row) if own is reward], np.intp)
+        own_columns = np.array([columns[name] for name in reward.terms], np.intp)
+        groups.append(_RewardGroup(reward, rows, karts[rows], own_columns))
+    return groups
 
 
 def _is_agent(name: object, agents: Sequence[str]) -> bool:

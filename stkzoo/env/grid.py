@@ -25,7 +25,7 @@ class RaceInfo:
         difficulty: the bots' level.
         seed: the engine's own seed.
         kart_indices: each agent's kart, as an index in grid order.
-        kart_types: model name of each kart, in grid order; empty until the race stands.
+        kart_types: model name of each kart, in grid order.
     """
 
     track: str
@@ -34,14 +34,26 @@ class RaceInfo:
     difficulty: int
     seed: int
     kart_indices: tuple[int, ...]
-    kart_types: tuple[str, ...] = ()
+    kart_types: tuple[str, ...]
 
-    @classmethod
-    def of(cls, setup: RaceSetup, kart_indices: tuple[int, ...]) -> RaceInfo:
-        """The names of a race that has not started yet."""
-        return cls(
-            setup.track, setup.reverse, setup.laps, setup.difficulty, setup.seed, kart_indices
-        )
+
+@dataclass(frozen=True, slots=True)
+class RaceRoster:
+    """Who races, as far as a saved race and an environment have to agree.
+
+    Attributes:
+        num_kart: number of karts.
+        num_agents: number of agents.
+        ai_agents: the agents that the game's AI drives.
+    """
+
+    num_kart: int
+    num_agents: int
+    ai_agents: frozenset[str]
+
+    def __str__(self) -> str:
+        of_ai = f" ({', '.join(sorted(self.ai_agents))} with use_ai)" if self.ai_agents else ""
+        return f"{self.num_kart} karts and {self.num_agents} agents{of_ai}"
 
 
 def draw_race(
@@ -51,11 +63,14 @@ def draw_race(
     num_cameras: int,
     has_window: bool,
     random: np.random.Generator,
-) -> tuple[RaceSetup, RaceInfo]:
+) -> tuple[RaceSetup, tuple[int, ...]]:
     """Draws what is left to chance: the track, the engine's seed and the free grid places.
 
     In a window for which neither ``num_cameras`` nor an agent asks for a camera, those
     agents get one that the game's AI does not drive; if there are none, the first agent.
+
+    Returns:
+        What the engine is told, and each agent's kart as an index in grid order.
     """
     track = tracks[int(random.integers(len(tracks)))]
     seed = int(random.integers(2**16))
@@ -85,7 +100,7 @@ def draw_race(
         num_cameras=num_cameras,
         starts=draw_starts(options.start, names, kart_indices, options.num_kart, random),
     )
-    return setup, RaceInfo.of(setup, kart_indices)
+    return setup, kart_indices
 
 
 def _with_cameras(agents: Sequence[AgentSpec], modes: Sequence[CameraMode]) -> list[CameraMode]:

@@ -39,7 +39,7 @@ def register_gymnasium_ids() -> None:
         _register_view_id(name)
     gymnasium.register(
         id=f"{_NAMESPACE}/multi-full-v0",
-        entry_point="stkzoo.env.multi:STKRaceMultiEnv",
+        entry_point="stkzoo.env.gymnasium_api:STKRaceMultiEnv",
         max_episode_steps=MAX_EPISODE_STEPS,
     )
 
@@ -84,7 +84,7 @@ def _is_same(view: ViewFactory, other: ViewFactory) -> bool:
 def _register_view_id(name: str) -> None:
     gymnasium.register(
         id=f"{_NAMESPACE}/{name}-v0",
-        entry_point="stkzoo.env.single:STKRaceEnv",
+        entry_point="stkzoo.env.gymnasium_api:STKRaceEnv",
         vector_entry_point="stkzoo.env.vector:single_kart_races",
         kwargs={"view": name},
         max_episode_steps=MAX_EPISODE_STEPS,

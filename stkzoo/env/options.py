@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
+from gymnasium.utils import seeding
 
 from stkzoo.config import AgentSpec
 from stkzoo.env.starts import check_start
@@ -30,7 +31,6 @@ _WHOLE = {
 _OPTIONAL = ("max_paths", "max_cycles")
 #: As many views as the game's window can be split into.
 MAX_CAMERAS = 8
-_ENGINE_TIMEOUTS = 1e-3, 1e6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +70,7 @@ class RaceOptions:
                 object.__setattr__(self, name, check_whole(name, value, low, high))
         if not isinstance(self.reverse, bool):
             raise ConfigError(f"reverse is {self.reverse!r}, expected True or False")
-        _check_real("step_size", self.step_size, 1e-3, _MAX_STEP_SIZE)
+        check_real("step_size", self.step_size, 1e-3, _MAX_STEP_SIZE)
         if isinstance(self.track, Sequence) and not isinstance(self.track, str):
             object.__setattr__(self, "track", tuple(self.track))
         elif not isinstance(self.track, (str, type(None))):
@@ -133,7 +133,7 @@ def check_agents(agents: Sequence[AgentSpec], num_kart: int, karts: Sequence[str
             )
         if agent.rank_start is not None:
             check_whole(f"rank_start of agent {index}", agent.rank_start, 0, num_kart - 1)
-        _check_real(f"color of agent {index}", agent.color, 0.0, 1.0)
+        check_real(f"color of agent {index}", agent.color, 0.0, 1.0)
         if not isinstance(agent.kart, str) or (agent.kart and agent.kart not in karts):
             raise unknown_name("kart", agent.kart, karts)
         if not isinstance(agent.name, str):
@@ -156,22 +156,17 @@ def camera_mode(agent: AgentSpec) -> CameraMode:
         ) from None
 
 
-def check_num_cameras(value: int) -> None:
-    """Checks how many cameras the game's window shows."""
-    check_whole("num_cameras", value, 0, MAX_CAMERAS)
+def random_stream(seed: int | None) -> np.random.Generator:
+    """A random stream, as ``reset(seed=...)`` begins it."""
+    return seeding.np_random(None if seed is None else check_whole("seed", seed, 0))[0]
 
 
-def check_engine_timeout(value: float) -> None:
-    """Checks how long the game may take for one step [s]."""
-    _check_real("engine_timeout", value, *_ENGINE_TIMEOUTS)
+def check_real(name: str, value: object, low: float, high: float) -> None:
+    """Checks a number.
 
-
-def checked_seed(seed: int | None) -> int | None:
-    """The seed as Python's own number."""
-    return None if seed is None else check_whole("seed", seed, 0)
-
-
-def _check_real(name: str, value: object, low: float, high: float) -> None:
+    Raises:
+        ConfigError: it is none, or out of range.
+    """
     try:
         number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):

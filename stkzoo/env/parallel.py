@@ -11,44 +11,36 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
-from gymnasium.utils import EzPickle, seeding
+from gymnasium.utils import EzPickle
 from pettingzoo import ParallelEnv
 
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import Assets, find_assets
 from stkzoo.engine.fork_client import can_fork, start_fork_server
-from stkzoo.engine.ground import Ground
+from stkzoo.engine.race import RaceStart
 from stkzoo.engine.session import LocalSession, Session, WorkerSession
-from stkzoo.engine.snapshot import CONTROLS, Snapshot
-from stkzoo.engine.track import TrackMap
+from stkzoo.engine.setup import RaceSetup
+from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.env.branching import BranchingRace
 from stkzoo.env.cameras import RaceCameras
 from stkzoo.env.episode import Episode, rewards_of_agents
-from stkzoo.env.graphics import RENDER_MODES, frame_rate
-from stkzoo.env.grid import RaceInfo, draw_race
-from stkzoo.env.options import (
-    RaceOptions,
-    check_agents,
-    check_engine_timeout,
-    check_num_cameras,
-    checked_seed,
-)
-from stkzoo.env.rendering import Rendering, scene_of
-from stkzoo.env.scenario import read_scenario
+from stkzoo.env.grid import draw_race
+from stkzoo.env.options import MAX_CAMERAS, RaceOptions, check_agents, check_real, random_stream
+from stkzoo.env.rendering import RENDER_MODES, Rendering, frame_rate
 from stkzoo.env.starts import MAX_START_DRAWS, is_random
-from stkzoo.errors import ApiOrderError, ConfigError, unknown_name
+from stkzoo.errors import ApiOrderError, ConfigError, check_whole, unknown_name
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.mdp.state import state_space
-from stkzoo.render.scene import Scene
 from stkzoo.views import sees_ground, views_of_agents
-from stkzoo.views.chains import AgentChains, StepParts
+from stkzoo.views.chains import AgentChains
+from stkzoo.views.walker import StepParts
 
 logger = logging.getLogger(__name__)
 
 Observations = dict[str, Any]
 
 
-class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
+class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
     """One race of SuperTuxKart in which every agent drives a kart.
 
     Agents are named ``kart_0`` to ``kart_{n-1}``. An agent whose kart finishes is
@@ -117,20 +109,12 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
     ) -> None:
         arguments = {name: value for name, value in locals().items() if name != "self"}
         EzPickle.__init__(self, **arguments)
-        self.options = RaceOptions(
-            num_kart=num_kart,
-            track=track,
-            laps=laps,
-            difficulty=difficulty,
-            reverse=reverse,
-            max_paths=max_paths,
-            step_size=0.1 if step_size is None else step_size,
-            max_cycles=max_cycles,
-            start=start,
-        )
+        arguments["step_size"] = 0.1 if step_size is None else step_size
+        chosen = {name: arguments[name] for name in RaceOptions.__dataclass_fields__}
+        self.options = RaceOptions(**chosen)
         self.specs = _specs(agents, num_kart)
-        check_num_cameras(num_cameras)
-        check_engine_timeout(engine_timeout)
+        check_whole("num_cameras", num_cameras, 0, MAX_CAMERAS)
+        check_real("engine_timeout", engine_timeout, 1e-3, 1e6)
         BranchingRace.__init__(self, max_snapshots)
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": frame_rate(self.options.step_size)}
@@ -141,7 +125,6 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
 
         check_agents(self.specs, num_kart, self._assets.karts)
         self.possible_agents = [f"kart_{index}" for index in range(len(self.specs))]
-        self.agents: list[str] = []
         self._ai_agents = self._agents_of_ai()
         self._rewards = rewards_of_agents(reward, self.possible_agents)
         this = weakref.ref(self)  # cameras do not keep the environment alive
@@ -160,10 +143,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         self.observation_spaces = self._chains.observation_spaces
         self.action_spaces = self._chains.action_spaces
         self.state_space = state_space(num_kart)
-        self._np_random: np.random.Generator | None = None
         self._session = _session(self._assets, use_subprocess, float(engine_timeout))
-        self._episode: Episode | None = None
-        self._asked: Episode | None = None  # whose step is under way
 
     # ------------------------------------------------------------------ PettingZoo's API
 
@@ -194,20 +174,17 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
             Observations and infos by agent.
         """
         if seed is not None or self._np_random is None:
-            self._np_random, _ = seeding.np_random(checked_seed(seed))
+            self._np_random = random_stream(seed)
         options = {} if options is None else options
         options_now = self._options_now(options)
         self._check_specs()
-        state, scenario = options.get("state"), options.get("scenario")
-        if scenario is not None:
-            agents, self._episode = self._reach(scenario, options, options_now)
-        elif state is None:
-            agents = list(self.possible_agents)
-            self._episode = self._new_race(options_now, self._np_random)
+        if options.get("scenario") is not None:
+            found = self._from_scenario(options["scenario"], options, options_now)
+        elif options.get("state") is not None:
+            found = self._from_state(options["state"], options, options_now)
         else:
-            agents = self._racing_agents(state, options)
-            state.resume_in(self._session)
-            self._episode = state.moment.episode.restarted(options_now, self._rewards)
+            found = list(self.possible_agents), self._new_race(options_now, self._np_random)
+        agents, self._episode = found
         self.agents, self._asked = [], None  # in case a wrapper fails
         result = self._chains.reset(
             agents,
@@ -333,7 +310,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
 
     def close(self) -> None:
         """Ends the game's process; ``reset`` may be called again."""
-        self.agents, self._episode, self._asked = [], None, None
+        self._end_race()
         self._session.close()
         self._rendering.close()
         self.cameras.close()
@@ -353,48 +330,9 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
         return self
 
     @property
-    def race(self) -> RaceInfo | None:
-        """Names of the present race and its karts; ``None`` before the first reset."""
-        return self._episode.race if self._episode else None
-
-    @property
-    def scene(self) -> Scene | None:
-        """The present race as pictures need it; ``None`` before the first reset."""
-        return scene_of(self._episode) if self._episode else None
-
-    @property
     def render_backend(self) -> str:
         """What draws: ``"engine"`` or ``"map"``; ``"auto"`` until a picture was asked for."""
         return self._rendering.backend
-
-    @property
-    def track_map(self) -> TrackMap | None:
-        """The present race's track; ``None`` before the first reset."""
-        return self._episode.track_map if self._episode else None
-
-    @property
-    def ground(self) -> Ground | None:
-        """What karts drive on and run into there; ``None`` before the first reset.
-
-        Read from the track's own meshes, which takes 1 to 7 s the first time in a program.
-        """
-        return self._episode.ground if self._episode else None
-
-    @property
-    def snapshot(self) -> Snapshot | None:
-        """The present moment of the race; ``None`` before the first reset."""
-        return self._episode.snapshot if self._episode else None
-
-    @property
-    def np_random(self) -> np.random.Generator:
-        """The environment's random stream, which ``reset(seed=...)`` restarts."""
-        if self._np_random is None:
-            self._np_random, _ = seeding.np_random()
-        return self._np_random
-
-    @np_random.setter
-    def np_random(self, random: np.random.Generator) -> None:
-        self._np_random = random
 
     @property
     def max_cycles(self) -> int | None:
@@ -433,35 +371,22 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any], EzPickle):
     def _new_race(self, options: RaceOptions, random: np.random.Generator) -> Episode:
         tracks = options.tracks(self._assets.tracks)
         has_window = self.render_mode == "human"
-        self.agents, self._episode, self._asked = [], None, None  # in case the start fails
+        self._end_race()  # in case the start fails
         for draws_left in reversed(range(MAX_START_DRAWS)):
-            setup, race = draw_race(
+            setup, kart_indices = draw_race(
                 options, self.specs, tracks, self._num_cameras, has_window, random
             )
             try:
-                begun = self._session.start(setup)
+                begun = self._begin(setup)
                 break
             except ConfigError:  # a place where no kart can stand
                 if not draws_left or not is_random(options.start):
                     raise
-        return Episode(options, setup, race, begun, self._rewards, self._assets.root)
+        return Episode(options, setup, kart_indices, begun, self._rewards, self._assets.root)
 
-    def _reach(
-        self, value: object, options: Mapping[str, Any], options_now: RaceOptions
-    ) -> tuple[list[str], Episode]:
-        """The agents of an episode that starts from a scenario, and the episode."""
-        fixed = {*RaceOptions.__dataclass_fields__, "state"} - {"max_cycles", "max_paths"}
-        scenario = read_scenario(value, options, fixed - {"num_kart"})
-        scenario.check_karts(
-            self.options.num_kart, self.possible_agents, self._ai_agents, self._assets.tracks
-        )
-        self.agents, self._episode, self._asked = [], None, None  # in case the start fails
-        begun = scenario.reach(self._session)
-        race, root = RaceInfo.of(scenario.setup, scenario.kart_indices), self._assets.root
-        episode = Episode(options_now, scenario.setup, race, begun, self._rewards, root)
-        for row in scenario.controls:
-            episode.remember(row)
-        return [agent for agent in self.possible_agents if agent in scenario.agents], episode
+    def _begin(self, setup: RaceSetup) -> RaceStart:
+        """Starts a race."""
+        return self._session.start(setup)
 
     def _running(self, method: str) -> Episode:
         if self._episode is None:

@@ -1,7 +1,9 @@
-"""The part of the parallel core that shows the race."""
+"""The part of the parallel core that shows the race, and its arguments checked."""
 
 from __future__ import annotations
 
+import os
+import sys
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -9,11 +11,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.engine.render_session import has_graphics_card
 from stkzoo.env.episode import Episode
-from stkzoo.env.graphics import check_render_mode, checked_size, drawing_preset
-from stkzoo.errors import ApiOrderError
-from stkzoo.render.renderer import RaceRenderer
+from stkzoo.errors import ApiOrderError, ConfigError, unknown_name
+from stkzoo.render.renderer import BACKENDS, RaceRenderer
 from stkzoo.render.scene import Scene
+from stkzoo.wrappers.camera import checked_size
+
+#: ``None`` draws nothing.
+RENDER_MODES = ("human", "rgb_array", "rgb_array_list")
+
+_PRESETS = ("ld", "sd", "hd")
 
 Picture = npt.NDArray[np.uint8]
 
@@ -24,10 +32,10 @@ class Rendering:
     Nothing here touches a race: pictures are made from its snapshots.
 
     Args:
-        mode: one of :data:`~stkzoo.env.graphics.RENDER_MODES`, or ``None``.
+        mode: one of :data:`RENDER_MODES`, or ``None``.
         backend: what draws: ``"auto"``, ``"engine"`` or ``"map"``.
         size: width and height of a picture [pixels].
-        graphics_config: see :func:`~stkzoo.env.graphics.drawing_preset`.
+        graphics_config: see :func:`drawing_preset`.
 
     Raises:
         ConfigError: an argument is invalid.
@@ -39,9 +47,8 @@ class Rendering:
         check_render_mode(mode, backend)
         self.mode = mode
         preset = drawing_preset(mode, graphics_config)
-        self._renderer = RaceRenderer(
-            backend, checked_size(size), preset, has_window=mode == "human"
-        )
+        pixels = checked_size(size, "render_size")
+        self._renderer = RaceRenderer(backend, pixels, preset, has_window=mode == "human")
         self._scene: Scene | None = None
         self._shown: Episode | None = None
         self._list: list[Picture] = []
@@ -121,3 +128,62 @@ def _running(episode: Episode | None, method: str) -> Episode:
     if episode is None:
         raise ApiOrderError(f"{method}() before reset(); call reset() first")
     return episode
+
+
+def check_render_mode(mode: str | None, backend: str) -> None:
+    """Checks a render mode and who is to draw.
+
+    Raises:
+        ConfigError: they are invalid, or there is no display for a window.
+    """
+    if mode is not None and not (isinstance(mode, str) and mode in RENDER_MODES):
+        raise ConfigError(
+            f"render_mode is {mode!r}, expected None or one of {', '.join(RENDER_MODES)}"
+        )
+    if not (isinstance(backend, str) and backend in BACKENDS):
+        raise unknown_name("render_backend", backend, BACKENDS)
+    if mode != "human":
+        return
+    if backend == "map":
+        raise ConfigError(
+            'render_mode="human" opens the game\'s window, but render_backend is "map"; take '
+            'render_mode="rgb_array" for pictures of the map, or another render_backend'
+        )
+    if sys.platform == "linux" and not _has_display():
+        raise ConfigError(
+            "render_mode is 'human', but neither DISPLAY nor WAYLAND_DISPLAY names a "
+            "display; start a desktop session or `xvfb-run`, or use render_mode=None"
+        )
+
+
+def drawing_preset(mode: str | None, choice: Any) -> str | dict[str, Any]:
+    """How finely the game draws, for :class:`stkzoo.engine.render_session.RenderSession`.
+
+    Args:
+        mode: the render mode.
+        choice: a preset's name, a ``pystk2.GraphicsConfig``, or ``None``: the finest in a
+            window if there is a graphics card, else the quickest.
+
+    Raises:
+        ConfigError: the choice is invalid.
+    """
+    if choice is None:
+        return "hd" if mode == "human" and has_graphics_card() else "ld"
+    if isinstance(choice, str) and choice in _PRESETS:
+        return choice
+    if not hasattr(choice, "screen_width"):
+        raise unknown_name("graphics_config", choice, _PRESETS)
+    names = [name for name in dir(choice) if not name.startswith("_")]
+    values = {name: getattr(choice, name) for name in names}
+    return {name: v for name, v in values.items() if isinstance(v, (bool, int, float))}
+
+
+def frame_rate(step_size: float) -> float:
+    """Pictures a second of game time, one a step; whole where it is whole."""
+    rate = 1 / step_size
+    return round(rate) if abs(rate - round(rate)) < 1e-6 else rate
+
+
+def _has_display() -> bool:
+    names = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
+    return any(os.environ.get(name) for name in names)

@@ -6,11 +6,9 @@ import hashlib
 import json
 import os
 import zipfile
-from collections.abc import Mapping, Sequence, Set
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +18,9 @@ from stkzoo.engine.race import RaceStart
 from stkzoo.engine.session import Session
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
-from stkzoo.errors import ConfigError
+from stkzoo.env.grid import RaceRoster
+from stkzoo.env.options import RaceOptions
+from stkzoo.errors import ConfigError, check_whole
 
 _TYPE, _FORMAT = "stkzoo-scenario", 1
 _ABOUT, _CONTROLS = "scenario.json", "controls.f4"
@@ -59,15 +59,9 @@ class Scenario:
         Raises:
             ConfigError: it cannot be written.
         """
-        about = {
-            "type": _TYPE,
-            "format": _FORMAT,
-            "setup": asdict(self.setup),
-            "kart_indices": self.kart_indices,
-            "agents": self.agents,
-            "digest": self.digest,
-            "engine": self.engine,
-        }
+        names = ("kart_indices", "agents", "digest", "engine")
+        about = {"type": _TYPE, "format": _FORMAT, "setup": asdict(self.setup)}
+        about |= {name: getattr(self, name) for name in names}
         file = Path(path)
         try:
             with atomic_write(file) as part, zipfile.ZipFile(part, "w") as archive:
@@ -123,49 +117,14 @@ class Scenario:
             )
         return replace(begun, snapshot=snapshot)
 
-    def check_karts(
-        self, num_kart: int, agents: Sequence[str], ai_agents: Set[str], tracks: Sequence[str]
-    ) -> None:
-        """Checks that an environment can go on from here.
-
-        Raises:
-            ConfigError: it has other karts or agents, or not the track.
-        """
+    @property
+    def roster(self) -> RaceRoster:
+        """Who races."""
         karts = self.setup.karts
-        driven = {
-            agent
-            for agent, kart in zip(agents, self.kart_indices, strict=False)
-            if karts[kart].is_bot
-        }
-        if (len(karts), len(self.kart_indices)) != (num_kart, len(agents)) or driven != ai_agents:
-            raise ConfigError(
-                f"the scenario is of {len(karts)} karts and {len(self.kart_indices)} agents, "
-                f"{len(driven)} of them with use_ai, but this environment has {num_kart}, "
-                f"{len(agents)} and {len(ai_agents)}; take one with the same"
-            )
-        if self.setup.track not in tracks:
-            raise ConfigError(
-                f"the scenario's track {self.setup.track!r} is not here; `stkzoo assets status` "
-                "shows where the game's data comes from"
-            )
-
-
-def read_scenario(value: object, options: Mapping[str, Any], fixed: Set[str]) -> Scenario:
-    """What is in ``options["scenario"]``: a scenario or its file.
-
-    Raises:
-        ConfigError: it is neither, or options of the race stand beside it.
-    """
-    if fixed & set(options):
-        raise ConfigError(
-            f"options have a scenario and {', '.join(sorted(fixed & set(options)))}, which the "
-            "scenario's race has already; leave out one or the other"
+        driven = (n for n, kart in enumerate(self.kart_indices) if karts[kart].is_bot)
+        return RaceRoster(
+            len(karts), len(self.kart_indices), frozenset(f"kart_{number}" for number in driven)
         )
-    if isinstance(value, (str, os.PathLike)):
-        return Scenario.load(value)
-    if not isinstance(value, Scenario):
-        raise ConfigError(f"scenario is {value!r}, expected a Scenario or the path of its file")
-    return value
 
 
 def digest_of(snapshot: Snapshot) -> str:
@@ -174,17 +133,6 @@ def digest_of(snapshot: Snapshot) -> str:
     for name in ("location", "rotation", "velocity"):
         seen.update(np.ascontiguousarray(snapshot.karts[name], "<f4").tobytes())
     return seen.hexdigest()
-
-
-def past_controls(past: Any, num_players: int) -> npt.NDArray[np.float32]:
-    """The chain of an episode's controls, latest first, as ``(T, P, 7)`` in driving order."""
-    rows = []
-    while past is not None:
-        past, row = past
-        rows.append(row)
-    shape = len(rows), num_players, len(CONTROLS)
-    numbers = np.frombuffer(b"".join(reversed(rows)), np.float32)
-    return np.array(numbers.reshape(shape))
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> bytes:
@@ -223,12 +171,13 @@ def _check(scenario: Scenario) -> None:
     low = np.array([0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     if (controls < low).any() or (controls > 1.0).any():
         raise ValueError("controls are out of range")
-    if not 1 <= len(setup.karts) <= 256 or len(setup.starts) not in (0, len(setup.karts)):
+    options = {
+        name: getattr(setup, name) for name in ("laps", "difficulty", "reverse", "step_size")
+    }
+    RaceOptions(num_kart=len(setup.karts), **options)
+    if len(setup.starts) not in (0, len(setup.karts)):
         raise ValueError("karts and starts do not fit")
-    if not 1e-3 <= setup.step_size <= 1.0 or not 1 <= setup.laps <= 1000:
-        raise ValueError("step_size or laps cannot be")
-    if setup.difficulty not in range(4) or not 0 <= setup.seed < 2**31:
-        raise ValueError("difficulty or seed cannot be")
+    check_whole("seed", setup.seed, 0, 2**31 - 1)
     indices = scenario.kart_indices
     if len(set(indices)) != len(indices) or not set(indices) <= set(range(len(setup.karts))):
-        raise ValueError("agents' karts cannot be")
+        raise ValueError("agents' karts are invalid")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -12,8 +11,8 @@ import numpy as np
 from stkzoo.engine.session import Session, WorkerSession
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.env.episode import Episode
-from stkzoo.env.grid import RaceInfo
-from stkzoo.errors import ApiOrderError, ConfigError
+from stkzoo.env.grid import RaceInfo, RaceRoster
+from stkzoo.errors import ApiOrderError
 from stkzoo.views.chains import ChainsMemory
 
 
@@ -24,35 +23,16 @@ class Moment:
     Attributes:
         episode: the race and its counts.
         agents: who is still racing.
-        ai_agents: the agents that the game's AI drives.
+        roster: who races.
         random: the environment's random stream.
         memory: what the agents' wrappers remember.
     """
 
     episode: Episode
     agents: tuple[str, ...]
-    ai_agents: frozenset[str]
+    roster: RaceRoster
     random: np.random.Generator
     memory: ChainsMemory
-
-    def check_karts(self, num_kart: int, agents: Sequence[str], ai_agents: Set[str]) -> None:
-        """Checks that an environment can go on from here.
-
-        Args:
-            num_kart: its number of karts.
-            agents: its agents.
-            ai_agents: those that the game's AI drives.
-
-        Raises:
-            ConfigError: the state is of other karts or agents.
-        """
-        race = self.episode.race
-        saved = len(race.kart_types), len(race.kart_indices), self.ai_agents
-        if saved != (num_kart, len(agents), ai_agents):
-            raise ConfigError(
-                f"the state is of {_described(*saved)}, but this environment has "
-                f"{_described(num_kart, len(agents), ai_agents)}; restore it in one with the same"
-            )
 
 
 class RaceState:
@@ -66,6 +46,8 @@ class RaceState:
 
     Attributes:
         front: what the environment around the core remembers, if there is one.
+        is_open: whether the state has not been closed.
+        moment: what the environment knew beside the game.
     """
 
     def __init__(self, session: Session, moment: Moment) -> None:
@@ -74,14 +56,9 @@ class RaceState:
             session.remedy = "the state is lost; save another"
         self.front: Any = None
         self._session = session
-        self._moment = moment
-        self._is_open = True
+        self.moment = moment
+        self.is_open = True
         self._lock = threading.Lock()
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the state has not been closed."""
-        return self._is_open
 
     @property
     def pid(self) -> int | None:
@@ -91,22 +68,17 @@ class RaceState:
     @property
     def race(self) -> RaceInfo:
         """Names of the race and its karts."""
-        return self._moment.episode.race
+        return self.moment.episode.race
 
     @property
     def agents(self) -> tuple[str, ...]:
         """The agents that were still racing."""
-        return self._moment.agents
+        return self.moment.agents
 
     @property
     def snapshot(self) -> Snapshot:
         """The moment as the game told it."""
-        return self._moment.episode.snapshot
-
-    @property
-    def moment(self) -> Moment:
-        """What the environment knew beside the game."""
-        return self._moment
+        return self.moment.episode.snapshot
 
     def resume_in(self, session: Session) -> None:
         """Makes a session go on with a copy of the saved race.
@@ -117,14 +89,14 @@ class RaceState:
             EngineTimeout: its process gave no answer in time.
             EngineError: the session's races cannot be saved and copied.
         """
-        if not self._is_open:
+        if not self.is_open:
             raise ApiOrderError("the state was closed; save another with save_state()")
         with self._lock:  # environments in several threads may restore one state
             session.resume(self._session)
 
     def close(self) -> None:
         """Ends the process that keeps the game; may be called again."""
-        self._is_open = False
+        self.is_open = False
         self._session.close()
 
     def __enter__(self) -> RaceState:
@@ -140,11 +112,6 @@ class RaceState:
         )
 
     def __repr__(self) -> str:
-        is_open = "" if self._is_open else ", closed"
+        is_open = "" if self.is_open else ", closed"
         time = float(self.snapshot.header["time"])
         return f"<RaceState of {self.race.track!r} at {time:.2f} s{is_open}>"
-
-
-def _described(num_kart: int, num_agents: int, ai_agents: Set[str]) -> str:
-    of_ai = f" ({', '.join(sorted(ai_agents))} with use_ai)" if ai_agents else ""
-    return f"{num_kart} karts and {num_agents} agents{of_ai}"

@@ -72,10 +72,15 @@ def make_stkrace_vec(
     """
     if not isinstance(num_envs, int) or num_envs < 1:
         raise ConfigError(f"num_envs is {num_envs!r}, expected a whole number of 1 or more")
-    make = partial(gym.make, env_id, **dict(env_kwargs or {}))
+    make = partial(_make, env_id, dict(env_kwargs or {}))
     if shared_memory is None:
         with make() as env:
             shared_memory = is_of_fixed_size(env.observation_space)
     return AsyncVectorEnv(
         [make] * num_envs, context=context, shared_memory=bool(shared_memory), **vec_kwargs
     )
+
+
+def _make(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
+    """Registers the ids in a worker too, because it belongs to stkzoo."""
+    return gym.make(env_id, **env_kwargs)

@@ -8,29 +8,20 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float32]
 
 
+#: The entries of the matrix as sums of products of a quaternion's parts.
+_ENTRIES = (
+    *("+ww+xx-yy-zz", "+xy+xy-wz-wz", "+xz+xz+wy+wy"),
+    *("+xy+xy+wz+wz", "+ww-xx+yy-zz", "+yz+yz-wx-wx"),
+    *("+xz+xz-wy-wy", "+yz+yz+wx+wx", "+ww-xx-yy+zz"),
+)
+
+
 def _product_weights() -> FloatArray:
     """``(16, 9)``: how the matrix's entries are made of the products of w, x, y, z."""
-    w, x, y, z = range(4)
-    squares = {
-        (0, 0): {w: 1, x: 1, y: -1, z: -1},
-        (1, 1): {w: 1, x: -1, y: 1, z: -1},
-        (2, 2): {w: 1, x: -1, y: -1, z: 1},
-    }
-    mixed = {
-        (0, 1): ((x, y, 2), (w, z, -2)),
-        (0, 2): ((x, z, 2), (w, y, 2)),
-        (1, 0): ((x, y, 2), (w, z, 2)),
-        (1, 2): ((y, z, 2), (w, x, -2)),
-        (2, 0): ((x, z, 2), (w, y, -2)),
-        (2, 1): ((y, z, 2), (w, x, 2)),
-    }
-    weights = np.zeros((4, 4, 3, 3), np.float32)
-    for (row, column), signs in squares.items():
-        for part, sign in signs.items():
-            weights[part, part, row, column] = sign
-    for (row, column), terms in mixed.items():
-        for first, second, factor in terms:
-            weights[first, second, row, column] = factor
+    weights = np.zeros((4, 4, 9), np.float32)
+    for column, entry in enumerate(_ENTRIES):
+        for sign, first, second in zip(entry[::3], entry[1::3], entry[2::3], strict=True):
+            weights["wxyz".index(first), "wxyz".index(second), column] += float(f"{sign}1")
     return weights.reshape(16, 9)
 
 

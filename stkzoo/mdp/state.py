@@ -2,39 +2,31 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo.engine.snapshot import Snapshot
+from stkzoo.engine.snapshot import KART_DTYPE, Snapshot
 from stkzoo.mdp.transition import progress_of
 
 #: What the state tells first: seconds since GO, phase number, lap length [m], laps.
 GLOBAL_FEATURES = ("time", "phase", "track_length", "laps")
 
 _KART_FIELDS = (
-    ("location", 3),
-    ("rotation", 4),
-    ("velocity", 3),
-    ("angular_velocity", 3),
-    ("speed", 1),
-    ("energy", 1),
-    ("skeed_factor", 1),
-    ("shield_time", 1),
-    ("attachment_type", 1),
-    ("attachment_time_left", 1),
-    ("powerup_type", 1),
-    ("powerup_num", 1),
-    ("node", 1),
-    ("position", 1),
-    ("finished_laps", 1),
-    ("has_finished_race", 1),
-    ("finish_time", 1),
+    *("location", "rotation", "velocity", "angular_velocity", "speed"),
+    *("energy", "skeed_factor", "shield_time", "attachment_type", "attachment_time_left"),
+    *("powerup_type", "powerup_num", "node", "position", "finished_laps"),
+    *("has_finished_race", "finish_time"),
 )
 
 #: What it tells of each kart, in agent order and then bots in grid order: fields of
 #: :data:`stkzoo.engine.snapshot.KART_DTYPE` with their sizes, and the metres driven.
-KART_FEATURES = (*_KART_FIELDS, ("distance", 1))
+KART_FEATURES = (
+    *((name, math.prod(KART_DTYPE[name].shape)) for name in _KART_FIELDS),
+    ("distance", 1),
+)
 
 
 def state_space(num_kart: int) -> spaces.Box:
@@ -56,6 +48,6 @@ def race_state(
     """
     general = (snapshot.header["time"], snapshot.phase, track_length, laps)
     karts = snapshot.karts[order]
-    columns = [karts[name].reshape(len(order), size) for name, size in _KART_FIELDS]
+    columns = [karts[name].reshape(len(order), -1) for name in _KART_FIELDS]
     columns.append(progress_of(snapshot)[order, None])
     return np.concatenate([general, np.hstack(columns).ravel()]).astype(np.float32)

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from typing import Any
 
-from stkzoo.env.graphics import checked_size
 from stkzoo.env.keyboard import keys_to_action
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.names import Phase, PowerupType
@@ -16,6 +15,7 @@ from stkzoo.play.screen import PlayScreen
 from stkzoo.race import ActorMaker, Driver, RaceListener, RaceProgress, RaceResult, run_race
 from stkzoo.render.renderer import BACKENDS, RaceRenderer
 from stkzoo.views import VIEWS
+from stkzoo.wrappers.camera import checked_size
 
 #: A step is a whole number of the game's ticks of 1/60 s.
 RATES = (10, 12, 15, 20, 30, 60)

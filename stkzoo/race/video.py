@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
-from stkzoo.env.graphics import checked_size
 from stkzoo.errors import ConfigError, EngineError, check_whole
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.result import AgentResult, RaceResult
@@ -28,6 +27,7 @@ from stkzoo.render.motion import snapshots_between
 from stkzoo.render.pictures import grid_of, tiled
 from stkzoo.render.renderer import RaceRenderer, camera_karts
 from stkzoo.render.scene import Scene, clock, standings
+from stkzoo.wrappers.camera import checked_size
 
 logger = logging.getLogger(__name__)
 

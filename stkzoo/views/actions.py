@@ -1,8 +1,4 @@
-"""Actions as they come from users, checked and brought into batch form.
-
-The *batch form* of a value has the agents as the leading axis: ``(A,)`` for ``Discrete`` and
-``Text``, ``(A, *shape)`` for ``Box`` and its like, a dict of these for ``Dict``. The *single form*
-is Gymnasium's own: ``int``, ``str``, array, tuple, dict.
+"""Actions as they come from users, checked and brought into Gymnasium's own form.
 
 The form is taken kindly: a bare number for an array of one entry, lists, Python's and
 numpy's numbers, ``bool`` for a choice, whole ``float`` numbers for whole ones. The value
@@ -12,11 +8,10 @@ is taken strictly: nothing infinite, undefined, out of range or of another shape
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo.errors import ActionError
@@ -25,79 +20,54 @@ from stkzoo.errors import ActionError
 BOUND_TOLERANCE = 1e-6
 
 
-def read_actions(
-    space: spaces.Space[Any], actions: Sequence[object], agents: Sequence[str], name: str = "action"
-) -> Any:
-    """Checks actions of agents that share a space; returns them in batch form.
+def read_action(space: spaces.Space[Any], action: object, agent: str, name: str = "action") -> Any:
+    """Checks an agent's action.
 
     Args:
-        space: the space of each action. Kinds other than ``Dict``, ``Box``, ``Discrete``
-            and ``MultiDiscrete`` are left to their own ``contains``.
-        actions: one action for each agent.
-        agents: the agents' ids, for the message.
-        name: what the values are called in the message.
+        space: the space of the action. Kinds other than ``Dict``, ``Box``, ``Discrete`` and
+            ``MultiDiscrete`` are left to their own ``contains``.
+        action: the action.
+        agent: the agent's id, for the message.
+        name: what the value is called in the message.
 
     Returns:
-        For ``Dict`` a dict of arrays, for the other three an array, each with the agents
-        as the leading axis and the space's dtype; else the actions in a list. Nothing
-        shares memory with the input.
+        The action in Gymnasium's form and of the space's dtype: an ``int`` for ``Discrete``, an
+        array for ``Box`` and ``MultiDiscrete``, a dict of these for ``Dict``. It shares no memory
+        with the input.
 
     Raises:
-        ActionError: an action is not in the space; the text names agent, key and value.
+        ActionError: the action is not in the space; the text names agent, key and value.
     """
-    batch = _batch(space, actions)
-    if batch is not None:
-        return batch
-    for agent, action in zip(agents, actions, strict=True):
-        if _batch(space, [action]) is None:
-            raise ActionError(_complaint(space, action, agent, name), agent)
-    singles = [_batch(space, [action]) for action in actions]
-    return _joined(space, singles)
+    value = _value(space, action)
+    if value is None:
+        raise ActionError(_complaint(space, action, agent, name), agent)
+    return value
 
 
-def _joined(space: spaces.Space[Any], batches: list[Any]) -> Any:
+def _value(space: spaces.Space[Any], action: Any) -> Any:
+    """The action in Gymnasium's form, or ``None`` if it is not in the space."""
     if isinstance(space, spaces.Dict):
-        parts = space.spaces.items()
-        return {key: _joined(part, [batch[key] for batch in batches]) for key, part in parts}
-    if isinstance(batches[0], list):
-        return [single for batch in batches for single in batch]
-    return np.concatenate(batches)
-
-
-def _batch(space: spaces.Space[Any], values: Sequence[Any]) -> Any:
-    """The values in batch form, or ``None`` if they are not all in the space."""
-    if isinstance(space, spaces.Dict):
-        return _dict_batch(space, values)
-    if isinstance(space, (spaces.Box, spaces.Discrete, spaces.MultiDiscrete)):
-        return _array_batch(space, values)
-    return list(values) if all(space.contains(value) for value in values) else None
-
-
-def _dict_batch(space: spaces.Dict, values: Sequence[Any]) -> dict[str, Any] | None:
-    keys = space.spaces.keys()
-    if not all(isinstance(value, Mapping) and value.keys() == keys for value in values):
-        return None
-    batch = {}
-    for key, part in space.spaces.items():
-        column = _batch(part, [value[key] for value in values])
-        if column is None:
+        if not isinstance(action, Mapping) or action.keys() != space.spaces.keys():
             return None
-        batch[key] = column
-    return batch
+        values = {key: _value(part, action[key]) for key, part in space.spaces.items()}
+        return None if any(value is None for value in values.values()) else values
+    if isinstance(space, (spaces.Box, spaces.Discrete, spaces.MultiDiscrete)):
+        return _number_or_array(space, action)
+    return action if space.contains(action) else None
 
 
-def _array_batch(
-    space: spaces.Box | spaces.Discrete | spaces.MultiDiscrete, values: Sequence[Any]
-) -> npt.NDArray[Any] | None:
+def _number_or_array(
+    space: spaces.Box | spaces.Discrete | spaces.MultiDiscrete, action: Any
+) -> Any:
     try:
-        array = np.asarray(values)
+        array = np.asarray(action)
     except (TypeError, ValueError, OverflowError, RuntimeError):
         return None
+    shape = space.shape or ()
     if array.dtype.kind not in "biuf":
         return None
-    shape = (len(values), *(space.shape or ()))
     if array.shape != shape:
-        if array.size != len(values) or np.prod(shape) != len(values):
+        if array.size != 1 or np.prod(shape) != 1:
             return None
         array = array.reshape(shape)
     low, high = _bounds(space)
@@ -108,7 +78,10 @@ def _array_batch(
     else:
         above, below = low - BOUND_TOLERANCE, high + BOUND_TOLERANCE
         is_inside = bool(np.all((array >= above) & (array <= below) & np.isfinite(array)))
-    return np.clip(array, low, high).astype(space.dtype) if is_inside else None
+    if not is_inside:
+        return None
+    value = np.clip(array, low, high).astype(space.dtype)
+    return int(value) if isinstance(space, spaces.Discrete) else value
 
 
 def _bounds(space: spaces.Box | spaces.Discrete | spaces.MultiDiscrete) -> tuple[Any, Any]:
@@ -138,7 +111,7 @@ def _complaint(space: spaces.Space[Any], value: Any, agent: str, name: str) -> s
                 f"keys {', '.join(space.spaces)}. Send all of them."
             )
         for key, part in space.spaces.items():
-            if _batch(part, [value[key]]) is None:
+            if _value(part, value[key]) is None:
                 return _complaint(part, value[key], agent, f"{name}[{key!r}]")
     return _sentence(agent, name, value, _expectation(space))
 
@@ -162,25 +135,3 @@ def _expectation(space: spaces.Space[Any]) -> str:
     )
     count = int(np.prod(space.shape or ()))
     return f"a {noun} {limits}" if count == 1 else f"{space.shape} {noun}s {limits}"
-
-
-def split(space: spaces.Space[Any], batch: Any) -> list[Any]:
-    """The single forms of a batch, which share no memory with it.
-
-    Args:
-        space: the space of each single form.
-        batch: values in batch form.
-
-    Returns:
-        One value for each row.
-    """
-    if isinstance(space, spaces.Dict):
-        columns = [split(part, batch[key]) for key, part in space.spaces.items()]
-        keys = tuple(space.spaces)
-        return [dict(zip(keys, row, strict=True)) for row in zip(*columns, strict=True)]
-    if isinstance(space, (spaces.Discrete, spaces.Text)):
-        values: list[Any] = np.asarray(batch).tolist()
-        return values
-    if isinstance(space, spaces.Sequence):
-        return [tuple(row) for row in np.array(batch)]
-    return list(np.array(batch)) if isinstance(batch, np.ndarray) else list(batch)

@@ -10,7 +10,7 @@ import gymnasium as gym
 from gymnasium import spaces
 
 from stkzoo.errors import ActionError, AgentError, AgentException
-from stkzoo.views.actions import read_actions, split
+from stkzoo.views.actions import read_action
 from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
 from stkzoo.views.memory import WrapperMemory
 from stkzoo.views.plan import ViewPlan
@@ -142,12 +142,12 @@ class AgentChain:
             self._door.start(None)
 
     def read_action(self, action: object) -> Any:
-        """The single form of an action that is in the agent's space.
+        """An action that is in the agent's space, in Gymnasium's form.
 
         Raises:
             ActionError: it is not.
         """
-        return split(self.action_space, read_actions(self.action_space, [action], [self.agent]))[0]
+        return read_action(self.action_space, action, self.agent)
 
     def begin_step(self, action: Any) -> Any:
         """Runs the half before the race's step: the base action for the agent's action."""
@@ -166,15 +166,12 @@ class AgentChain:
     def begin_base_step(self, action: Any) -> Any:
         """Like :meth:`begin_step`, and the base action is checked.
 
-        Returns:
-            The base action in batch form, with one row.
-
         Raises:
             ActionError: the wrappers made an action that is not in the base space.
         """
         base = self.begin_step(action)
         name = "action after its wrappers" if self._wrappers else "action"
-        return read_actions(self.base_action_space, [base], [self.agent], name)
+        return read_action(self.base_action_space, base, self.agent, name)
 
     def finish_step(self, result: AgentStep) -> AgentStep:
         """Runs the half after the race's step on the agent's part of the result."""
@@ -223,41 +220,41 @@ class AgentChain:
             self._split_step.abandon()
             self._split_step = None
 
-    def memory(self) -> WrapperMemory | None:
-        """What the wrappers remember between steps; ``None`` if they are pure functions.
+    def _remembering(self) -> tuple[Any, ...]:
+        """What has a memory: nothing, if the wrappers are pure functions."""
+        return () if self.is_pure else self._owners
+
+    def memory(self) -> WrapperMemory:
+        """What the wrappers remember between steps.
 
         Raises:
             AgentException: they hold something that cannot be copied.
         """
-        if self.is_pure:
-            return None
         self.abandon()
         with agent_failures(self.agent, "have their state copied"):
-            return WrapperMemory.of(self._owners)
+            return WrapperMemory.of(self._remembering())
 
-    def check_memory(self, memory: WrapperMemory | None) -> None:
+    def check_memory(self, memory: WrapperMemory) -> None:
         """Checks that :meth:`recall` can take a memory.
 
         Raises:
             AgentException: it is one of other wrappers.
         """
         with agent_failures(self.agent, "take over a saved state"):
-            if self.is_pure != (memory is None):
-                raise TypeError("they are of another kind than the state's")
-            if memory is not None:
-                memory.check(self._owners)
+            memory.check(self._remembering())
 
-    def recall(self, memory: WrapperMemory | None) -> None:
+    def recall(self, memory: WrapperMemory) -> None:
         """Makes the wrappers remember what :meth:`memory` gave, here or in an equal chain.
 
+        Args:
+            memory: one that :meth:`check_memory` takes.
+
         Raises:
-            AgentException: it is one of other wrappers.
+            AgentException: a wrapper's memory cannot be copied.
         """
         self.abandon()
-        self.check_memory(memory)
-        if memory is not None:
-            with agent_failures(self.agent, "take over a saved state"):
-                memory.give_to(self._owners)
+        with agent_failures(self.agent, "take over a saved state"):
+            memory.give_to(self._remembering())
 
     def close(self) -> None:
         """Forgets a begun step and closes the wrappers."""

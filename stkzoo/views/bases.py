@@ -17,9 +17,6 @@ class ActionObservationWrapper(gym.Wrapper[Any, Any, Any, Any]):
     and ``observation_space`` where these differ from the wrapped environment's.
     """
 
-    def __init__(self, env: gym.Env[Any, Any]) -> None:
-        super().__init__(env)
-
     def action(self, action: Any) -> Any:
         """The wrapped environment's form of an action of this wrapper."""
         raise NotImplementedError

@@ -4,35 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias, cast
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
-from gymnasium.wrappers.utils import create_zero_array
 
-from stkzoo.errors import ActionError, AgentException, ConfigError
-from stkzoo.kernel import ActionReader, CarController, KartObserver
-from stkzoo.views.actions import read_actions, split
-from stkzoo.views.agent_chain import AgentChain, WrapperFactory
+from stkzoo.errors import ActionError, AgentException
+from stkzoo.kernel import ActionReader, CarController
 from stkzoo.views.memory import WrapperMemory
 from stkzoo.views.plan import ObservationSource, Observer, ViewPlan
-from stkzoo.views.split_step import AgentStep
+from stkzoo.views.walker import ChainWalker, Factories, StepParts
 
 IntArray = npt.NDArray[np.intp]
 FloatArray = npt.NDArray[np.float32]
-
-#: Observations, rewards, terminations, truncations and infos, each by agent.
-StepParts: TypeAlias = tuple[
-    dict[str, Any],
-    dict[str, float],
-    dict[str, bool],
-    dict[str, bool],
-    dict[str, dict[str, Any]],
-]
-
-
-_Dicts: TypeAlias = tuple[dict[str, Any], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +31,8 @@ class _Group:
         reader: reads what they do.
         acting: those whose action it reads as it comes.
         acting_rows: their places.
+        walking: those whose action it reads after wrappers that the kernel does not do.
+        walking_rows: their places.
         car: turns actions in physical units into controls, if they are in such units.
         numbers: of all agents of the group, among all agents of the race.
     """
@@ -56,27 +43,25 @@ class _Group:
     reader: ActionReader
     acting: tuple[str, ...]
     acting_rows: IntArray
+    walking: tuple[str, ...]
+    walking_rows: IntArray
     car: CarController | None
     numbers: IntArray
 
 
 @dataclass(frozen=True, slots=True)
-class _Walked:
-    """An agent with wrappers that the kernel does not do."""
-
-    agent: str
-    row: IntArray
-    chain: AgentChain
-    reader: ActionReader
-
-
-@dataclass(frozen=True, slots=True)
 class _Roster:
-    """The agents of one call, sorted by what there is to do for them."""
+    """The agents of one call, sorted by what there is to do for them.
+
+    Attributes:
+        agents: all of them.
+        groups: those with equal plans together.
+        walked: those with wrappers that the kernel does not do.
+    """
 
     agents: tuple[str, ...]
     groups: tuple[_Group, ...]
-    walked: tuple[_Walked, ...]
+    walked: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,11 +69,11 @@ class ChainsMemory:
     """What the wrappers of all agents remember at one moment.
 
     Attributes:
-        wrappers: of each agent those that run by themselves; ``None`` if they are pure functions.
+        wrappers: of each agent those that run by themselves.
         cars: of each agent what the kernel remembers for those that act in physical units.
     """
 
-    wrappers: Mapping[str, WrapperMemory | None]
+    wrappers: Mapping[str, WrapperMemory]
     cars: npt.NDArray[np.float64]
 
 
@@ -112,33 +97,25 @@ class AgentChains:
         ignored: agents that the game's AI drives. They may leave out their action; it is
             not looked at, and their base action is all zeros.
         columns: the keys of the base actions in the order in which :meth:`decode` gives
-            them; by default the order of their space.
+            them.
 
     Raises:
         AgentException: a factory raised, or returned no wrapper of what it was given.
-        ConfigError: the base action spaces differ, or a factory belongs to no agent.
+        ConfigError: a factory is for no agent or cannot be called.
     """
 
     def __init__(
         self,
-        observation_spaces: Mapping[str, spaces.Space[Any]],
-        action_spaces: Mapping[str, spaces.Space[Any]],
-        factories: Mapping[str, WrapperFactory],
-        ignored: Collection[str] = (),
-        columns: Sequence[str] | None = None,
+        observation_spaces: Mapping[str, spaces.Dict],
+        action_spaces: Mapping[str, spaces.Dict],
+        factories: Factories,
+        ignored: Collection[str],
+        columns: Sequence[str],
     ) -> None:
-        self._columns = tuple(_shared_space(action_spaces) if columns is None else columns)
-        strangers = [agent for agent in factories if agent not in observation_spaces]
-        if strangers:
-            raise ConfigError(
-                f"wrappers for {', '.join(map(repr, strangers))}, which is no agent; the agents "
-                f"are {', '.join(observation_spaces)}."
-            )
-        self._chains = {
-            agent: AgentChain(agent, space, action_spaces[agent], factories.get(agent))
-            for agent, space in observation_spaces.items()
-        }
-        self._plans = {agent: chain.compile(self._columns) for agent, chain in self._chains.items()}
+        self._columns = tuple(columns)
+        self._walker = ChainWalker(observation_spaces, action_spaces, factories)
+        self._chains = self._walker.chains
+        self._plans = {agent: chain.compile(columns) for agent, chain in self._chains.items()}
         self._identities = {agent: plan.identity() for agent, plan in self._plans.items()}
         self._numbers = {agent: number for number, agent in enumerate(self._chains)}
         self._ignored = frozenset(ignored)
@@ -147,8 +124,8 @@ class AgentChains:
         #: acts in physical units (:class:`~stkzoo.kernel.reference.car_controller.CarController`).
         self._cars = np.zeros((len(self._chains), 3))
         self._present: _Roster | None = None
-        self.observation_spaces = {a: chain.observation_space for a, chain in self._chains.items()}
-        self.action_spaces = {a: chain.action_space for a, chain in self._chains.items()}
+        self.observation_spaces = self._walker.observation_spaces
+        self.action_spaces = self._walker.action_spaces
 
     def decode(
         self,
@@ -191,11 +168,12 @@ class AgentChains:
         if unread or roster.walked:
             self._require_actions(actions, agents)
             for group in unread:
-                if not group.acting:
-                    continue
-                usual = self._in_usual_form(group, actions)
+                usual = {a: self._chains[a].read_action(actions[a]) for a in group.acting}
                 group.reader.read(usual, group.acting, rows[group.acting_rows], controls)
-            self._walk_actions(roster.walked, actions, rows, controls)
+            asked = {a: actions[a] for a in roster.walked if a not in self._ignored}
+            base = self._walker.begin_step(asked, roster.walked)
+            for group in roster.groups:
+                group.reader.read(base, group.walking, rows[group.walking_rows], controls)
         for group in roster.groups:
             if group.car is not None and source is not None:
                 karts, data = source.karts(agents)[group.rows], source.snapshot.data
@@ -244,18 +222,12 @@ class AgentChains:
         Raises:
             AgentException: a wrapper failed.
         """
-        self._abandon()
+        self._walker.abandon()
         self._reset_cars(options or {})
         observations = self.observe(agents, source)
         new_infos = {agent: dict(infos[agent]) for agent in agents}
-        for walked in self._roster(agents).walked:
-            agent = walked.agent
-            observations[agent], new_infos[agent] = walked.chain.reset(
-                observations[agent],
-                new_infos[agent],
-                seed=None if seed is None else seed + self._numbers[agent],
-                options=None if options is None else dict(options),
-            )
+        walked = self._roster(agents).walked
+        self._walker.reset(walked, observations, new_infos, seed, options)
         return observations, new_infos
 
     def finish(self, agents: Sequence[str], parts: StepParts) -> None:
@@ -269,14 +241,9 @@ class AgentChains:
         Raises:
             AgentException: a wrapper failed.
         """
-        try:
-            for walked in self._roster(agents).walked:
-                own = walked.chain.finish_step(_part(parts, walked.agent))
-                for part, value in zip(cast(_Dicts, parts), own, strict=True):
-                    part[walked.agent] = value
-        except BaseException:
-            self._abandon()
-            raise
+        walked = self._roster(agents).walked
+        if walked:
+            self._walker.finish_step(walked, parts)
 
     def memory(self) -> ChainsMemory:
         """What the agents' wrappers remember between steps, as a value.
@@ -306,8 +273,11 @@ class AgentChains:
     def recall(self, memory: ChainsMemory) -> None:
         """Makes the wrappers remember what :meth:`memory` gave, here or in equal chains.
 
+        Args:
+            memory: one that :meth:`check_memory` takes.
+
         Raises:
-            AgentException: an agent's wrappers are others.
+            AgentException: a wrapper's memory cannot be copied.
         """
         for agent, chain in self._chains.items():
             chain.recall(memory.wrappers[agent])
@@ -315,8 +285,7 @@ class AgentChains:
 
     def close(self) -> None:
         """Closes all wrappers."""
-        for chain in self._chains.values():
-            chain.close()
+        self._walker.close()
 
     def _reset_cars(self, options: Mapping[str, Any]) -> None:
         self._cars[:] = 0.0
@@ -335,30 +304,29 @@ class AgentChains:
         for row, agent in enumerate(agents):
             members.setdefault(self._identities[agent], []).append(row)
         groups = tuple(self._group(agents, rows) for rows in members.values())
-        walked = tuple(
-            _Walked(agent, np.array([agents.index(agent)], np.intp), chain, group.reader)
-            for group in groups
-            for agent in group.agents
-            for chain in [self._chains[agent]]
-            if not chain.is_empty
-        )
+        walked = tuple(agent for agent in agents if not self._chains[agent].is_empty)
         return _Roster(agents, groups, walked)
 
     def _group(self, agents: tuple[str, ...], rows: list[int]) -> _Group:
         own = tuple(agents[row] for row in rows)
-        acting = [a for a in own if self._chains[a].is_empty and a not in self._ignored]
         identity, plan = self._identities[own[0]], self._plans[own[0]]
         if identity not in self._made:
-            made = _new_observer(plan), plan.new_reader(), plan.new_controller()
+            observer = plan.observer or _RecordsObserver(plan)
+            made = observer, plan.new_reader(), plan.new_controller()
             self._made[identity] = made
         observer, reader, car = self._made[identity]
+        players = [row for row in rows if agents[row] not in self._ignored]
+        acting = [row for row in players if self._chains[agents[row]].is_empty]
+        walking = [row for row in players if row not in acting]
         return _Group(
             agents=own,
             rows=np.array(rows, np.intp),
             observer=observer,
             reader=reader,
-            acting=tuple(acting),
-            acting_rows=np.array([agents.index(agent) for agent in acting], np.intp),
+            acting=tuple(agents[row] for row in acting),
+            acting_rows=np.array(acting, np.intp),
+            walking=tuple(agents[row] for row in walking),
+            walking_rows=np.array(walking, np.intp),
             car=car,
             numbers=np.array([self._numbers[agent] for agent in own], np.intp),
         )
@@ -382,87 +350,21 @@ class AgentChains:
                 missing[0],
             )
 
-    def _in_usual_form(self, group: _Group, actions: Mapping[str, Any]) -> dict[str, Any]:
-        """A group's actions in a form that the kernel reads."""
-        space = self.action_spaces[group.acting[0]]
-        batch = read_actions(space, [actions[a] for a in group.acting], group.acting)
-        return dict(zip(group.acting, split(space, batch), strict=True))
 
-    def _walk_actions(
-        self,
-        walked: Sequence[_Walked],
-        actions: Mapping[str, Any],
-        rows: IntArray,
-        controls: FloatArray,
-    ) -> None:
-        """Runs the first half of the steps of wrappers that the kernel does not do."""
-        checked = [
-            create_zero_array(one.chain.action_space)
-            if one.agent in self._ignored
-            else one.chain.read_action(actions[one.agent])
-            for one in walked
-        ]
-        try:
-            for one, action in zip(walked, checked, strict=True):
-                batch = one.chain.begin_base_step(action)
-                if one.agent not in self._ignored:
-                    base = {one.agent: split(one.chain.base_action_space, batch)[0]}
-                    one.reader.read(base, (one.agent,), rows[one.row], controls)
-        except BaseException:
-            self._abandon()
-            raise
+class _RecordsObserver:
+    """Makes observations straight from the game's records, and of the ground if they tell of it."""
 
-    def _abandon(self) -> None:
-        for chain in self._chains.values():
-            chain.abandon()
-
-
-class _Records:
-    """Observations straight from the game's records."""
-
-    def __init__(self, observer: KartObserver) -> None:
-        self._observer = observer
+    def __init__(self, plan: ViewPlan) -> None:
+        self._observer = plan.new_observer()
+        self._names = plan.names if plan.sees_ground else ()
 
     def observe(self, source: ObservationSource, karts: IntArray) -> list[Any]:
         """See :class:`Observer`."""
-        return self._observer.observe(*source.course, source.snapshot.data, karts)
-
-
-class _GroundRecords(_Records):
-    """The same, and what is beside the road ahead."""
-
-    def __init__(self, observer: KartObserver, names: tuple[str, ...]) -> None:
-        super().__init__(observer)
-        self._names = names
-
-    def observe(self, source: ObservationSource, karts: IntArray) -> list[Any]:
-        """See :class:`Observer`."""
+        observations = self._observer.observe(*source.course, source.snapshot.data, karts)
+        if not self._names:
+            return observations
         ahead = source.ground_ahead(karts)
-        observations = []
-        for row, own in enumerate(super().observe(source, karts)):
+        for row, own in enumerate(observations):
             seen = own | {key: values[row] for key, values in ahead.items()}
-            observations.append({name: seen[name] for name in self._names})
+            observations[row] = {name: seen[name] for name in self._names}
         return observations
-
-
-def _new_observer(plan: ViewPlan) -> Observer:
-    if plan.observer is not None:
-        return plan.observer
-    made = plan.new_observer()
-    return _GroundRecords(made, plan.names) if plan.sees_ground else _Records(made)
-
-
-def _part(result: StepParts, agent: str) -> AgentStep:
-    """One agent's part of a step's result, its info a copy."""
-    observations, rewards, terminations, truncations, infos = result
-    info = dict(infos[agent])
-    return observations[agent], rewards[agent], terminations[agent], truncations[agent], info
-
-
-def _shared_space(action_spaces: Mapping[str, spaces.Space[Any]]) -> spaces.Dict:
-    """The one base action space of all agents."""
-    found = list(action_spaces.values())
-    first = found[0] if found else spaces.Dict()
-    if not isinstance(first, spaces.Dict) or any(space != first for space in found):
-        raise ConfigError(f"agents need one Dict space for all base actions, but have {found!r}.")
-    return first

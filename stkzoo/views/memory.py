@@ -47,12 +47,8 @@ class WrapperMemory:
         """Makes other objects, or the same ones, remember this; their spaces stay theirs.
 
         Args:
-            others: objects of the same classes in the same order.
-
-        Raises:
-            TypeError: they are of other classes.
+            others: objects of the same classes in the same order (:meth:`check`).
         """
-        self.check(others)
         memo: dict[int, Any] = dict(zip(map(id, self.owners), others, strict=True))
         for owner, other in zip(self.owners, others, strict=True):
             for name, value in vars(owner).items():
@@ -70,4 +66,4 @@ def _spaces(owners: Sequence[Any]) -> dict[int, Any]:
 
 
 def _names(kinds: list[type]) -> str:
-    return ", ".join(kind.__name__ for kind in kinds)
+    return ", ".join(kind.__name__ for kind in kinds) or "pure functions"

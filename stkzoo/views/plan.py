@@ -162,9 +162,8 @@ class ViewPlan:
 
     def new_observer(self) -> KartObserver:
         """What makes observations from the game's records, but for the ground."""
-        names = tuple(name for name in self.names if not name.startswith("ground_"))
         return KartObserver(
-            names,
+            tuple(name for name in self.names if not name.startswith("ground_")),
             **self.sizes,
             polar=self.is_polar,
             flat=self.is_flat,

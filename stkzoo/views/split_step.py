@@ -11,7 +11,7 @@ from collections.abc import Callable
 from contextvars import copy_context
 from queue import SimpleQueue
 from threading import Thread
-from typing import TYPE_CHECKING, Any, Protocol, SupportsFloat
+from typing import TYPE_CHECKING, Any, SupportsFloat
 
 import gymnasium as gym
 from gymnasium import spaces
@@ -23,29 +23,21 @@ if TYPE_CHECKING:
 AgentStep = tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]
 
 
-class StepHandler(Protocol):
-    """Turns one agent's action into the race's answer."""
-
-    def step(self, action: Any) -> AgentStep:
-        """The answer to the action, once the race has moved."""
-        ...
-
-
 class AgentSide:
     """One agent's side of a race, in place of an environment that moves by itself.
 
     All agents move together, so it hands out what :meth:`start` was given, and passes actions
-    to a handler.
+    to a step under way.
     """
 
-    _handler: StepHandler | None = None
+    _handler: SplitStep | None = None
     _first: tuple[Any, dict[str, Any]] | None = None
 
     def start(self, first: tuple[Any, dict[str, Any]] | None) -> None:
         """Sets what ``reset`` returns; ``None`` refuses resets from now on."""
         self._first = first
 
-    def connect(self, handler: StepHandler | None) -> None:
+    def connect(self, handler: SplitStep | None) -> None:
         """Sets what answers ``step``; ``None`` refuses steps from now on."""
         self._handler = handler
 

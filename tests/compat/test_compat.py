@@ -133,7 +133,7 @@ ids = {str(spec.entry_point).split(".")[0] for name, spec in gymnasium.registry.
 classes = pystk2_gymnasium.envs.STKRaceEnv, pystk2_gymnasium.AgentSpec
 print(*names, *ids, *(kind.__module__ for kind in classes))
 """
-COMPLETE = "stkzoo stkzoo stkzoo.env.single stkzoo.config"
+COMPLETE = "stkzoo stkzoo stkzoo.env.gymnasium_api stkzoo.config"
 
 
 @pytest.mark.parametrize("again", ["", "stkzoo.compat.install(replace=True)"])
@@ -196,7 +196,7 @@ def test_where_the_reference_is_missing_importing_compat_is_enough():
     from pystk2_gymnasium.envs import STKRaceEnv
     print(STKRaceEnv.__module__)
     """
-    assert on_reference(code) == "stkzoo.env.single"
+    assert on_reference(code) == "stkzoo.env.gymnasium_api"
 
 
 def test_installing_twice_is_harmless():

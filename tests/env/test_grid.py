@@ -16,20 +16,20 @@ def draw(agents, num_kart=4, num_cameras=0, has_window=False, seed=0):
 
 
 def cameras(agents, **options):
-    setup, race = draw(agents, **options)
-    return [CameraMode(setup.karts[index].camera_mode) for index in race.kart_indices]
+    setup, kart_indices = draw(agents, **options)
+    return [CameraMode(setup.karts[index].camera_mode) for index in kart_indices]
 
 
 def test_chosen_places_are_kept_and_free_ones_are_drawn():
     agents = [AgentSpec(rank_start=2), AgentSpec(), AgentSpec(rank_start=0)]
-    places = {draw(agents, seed=seed)[1].kart_indices for seed in range(20)}
+    places = {draw(agents, seed=seed)[1] for seed in range(20)}
     assert places == {(2, 1, 0), (2, 3, 0)}
 
 
 def test_every_kart_has_a_setup_and_bots_fill_the_grid():
-    setup, race = draw([AgentSpec(name="me"), AgentSpec(use_ai=True)])
+    setup, kart_indices = draw([AgentSpec(name="me"), AgentSpec(use_ai=True)])
     assert len(setup.karts) == 4
-    assert [setup.karts[index].is_bot for index in race.kart_indices] == [False, True]
+    assert [setup.karts[index].is_bot for index in kart_indices] == [False, True]
     assert sum(kart.is_bot for kart in setup.karts) == 3
 
 

@@ -26,7 +26,6 @@ from stkzoo import (
     RaceVectorEnv,
     race_v0,
 )
-from stkzoo.engine.session import WorkerSession
 from stkzoo.views import VIEWS
 
 OPTIONS = {"num_kart": 3, "agents": 2, "track": "olivermath", "max_cycles": 30}
@@ -68,6 +67,11 @@ def same(one, other):
 
 def pids(envs):
     return [race._session.pid for race in envs.races]
+
+
+def next_pids(envs):
+    """The processes of races that were started ahead."""
+    return [race._next[1].pid for race in envs.races if race._next]
 
 
 def is_gone(pid, patience=5.0):
@@ -136,11 +140,11 @@ def test_prefetch_changes_no_bit():
 def test_with_prefetch_the_next_race_is_the_one_that_was_started_ahead():
     envs = make(1, prefetch=True)
     envs.reset(seed=1)
-    ahead = envs.races[0]._session.next_pid
+    ahead = next_pids(envs)
     before = pids(envs)
     for action in random_actions(envs, 30):
         envs.step(action)
-    assert pids(envs) == [ahead]
+    assert pids(envs) == ahead
     assert all(map(is_gone, before))
     envs.close()
 
@@ -148,7 +152,7 @@ def test_with_prefetch_the_next_race_is_the_one_that_was_started_ahead():
 def test_without_prefetch_no_race_waits():
     envs = make(1, prefetch=False)
     envs.reset(seed=1)
-    assert envs.races[0]._session.next_pid is None
+    assert next_pids(envs) == []
     envs.close()
 
 
@@ -157,7 +161,7 @@ def test_a_race_that_was_started_ahead_and_died_is_started_again():
     actions = random_actions(envs)
     expected = play(envs, actions)
     trace = [envs.reset(seed=1)]
-    os.kill(envs.races[0]._session.next_pid, signal.SIGKILL)
+    os.kill(next_pids(envs)[0], signal.SIGKILL)
     trace.extend(envs.step(action) for action in actions)
     assert same(trace, expected)
     assert envs.num_crashes == 0
@@ -169,7 +173,7 @@ def test_a_seeded_reset_throws_away_what_was_started_ahead():
     actions = random_actions(envs, 5)
     expected = play(envs, actions, seed=9)
     play(envs, actions, seed=1)
-    ahead = envs.races[0]._session.next_pid
+    (ahead,) = next_pids(envs)
     assert same(play(envs, actions, seed=9), expected)
     assert is_gone(ahead)
     envs.close()
@@ -527,14 +531,15 @@ def test_a_reset_may_come_between_asking_and_waiting():
 def test_a_race_that_will_not_start_is_an_error(monkeypatch):
     envs = make(1, prefetch=False)
     envs.reset(seed=1)
-    session = envs.races[0]._session
+    (race,) = envs.races
+    session = race._session
 
     def start_and_die(setup):
-        WorkerSession.start(session, setup)
+        session.start(setup)
         os.kill(session.pid, signal.SIGKILL)
         session.step(np.zeros((2, 7), np.float32))
 
-    monkeypatch.setattr(session, "start", start_and_die)
+    monkeypatch.setattr(race, "_begin", start_and_die)
     with pytest.raises(EngineCrashed, match="SIGKILL"):
         envs.reset()
     assert envs.num_crashes == 2
@@ -550,8 +555,7 @@ def test_a_race_that_will_not_start_is_an_error(monkeypatch):
 def test_closing_leaves_no_process(prefetch):
     envs = make(prefetch=prefetch)
     envs.reset(seed=1)
-    ahead = [race._session.next_pid for race in envs.races]
-    everybody = [pid for pid in (*pids(envs), *ahead) if pid is not None]
+    everybody = [*pids(envs), *next_pids(envs)]
     assert len(everybody) == (4 if prefetch else 2)
     envs.close()
     envs.close()
@@ -561,7 +565,7 @@ def test_closing_leaves_no_process(prefetch):
 def test_what_is_dropped_leaves_no_process():
     envs = make(prefetch=True)
     envs.reset(seed=1)
-    everybody = [*pids(envs), *(race._session.next_pid for race in envs.races)]
+    everybody = [*pids(envs), *next_pids(envs)]
     del envs
     assert all(map(is_gone, everybody))
 
@@ -573,8 +577,8 @@ def test_a_program_that_is_killed_leaves_no_process():
         import stkzoo
         envs = stkzoo.RaceVectorEnv(2, num_kart=2, track="olivermath", prefetch=True)
         envs.reset(seed=1)
-        sessions = [race._session for race in envs.races]
-        print(*(pid for session in sessions for pid in (session.pid, session.next_pid)), flush=True)
+        sessions = [s for race in envs.races for s in (race._session, race._next[1])]
+        print(*(session.pid for session in sessions), flush=True)
         time.sleep(60)
     """
     command = [sys.executable, "-c", textwrap.dedent(code)]

@@ -15,7 +15,7 @@ from stkzoo.engine.track import TrackMap
 from stkzoo.kernel import KartObserver
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.names import AttachmentType, ItemType, Phase, PowerupType
-from stkzoo.views.actions import read_actions, split
+from stkzoo.views.actions import read_action
 from stkzoo.wrappers import (
     ConstantSizedObservations,
     DiscreteActionsWrapper,
@@ -116,6 +116,18 @@ def number_env(steps=3):
 
     box = spaces.Box(0, 100, (1,), np.float32)
     return ScriptedEnv(box, spaces.Discrete(3), reset, step)
+
+
+def split(space, batch):
+    """The rows of a batch, each in Gymnasium's form."""
+    if isinstance(space, spaces.Dict):
+        columns = [split(part, batch[key]) for key, part in space.spaces.items()]
+        return [dict(zip(space.spaces, row, strict=True)) for row in zip(*columns, strict=True)]
+    if isinstance(space, (spaces.Discrete, spaces.Text)):
+        return np.asarray(batch).tolist()
+    if isinstance(space, spaces.Sequence):
+        return [tuple(row) for row in np.array(batch)]
+    return list(np.array(batch))
 
 
 def random_batch(rng, count, *, items=7, karts=4, paths=9, use_ai=False):
@@ -243,7 +255,7 @@ class SmallRace(ParallelEnv):
     def step(self, actions):
         acted = self.agents
         for agent in acted:
-            read_actions(self.action_space(agent), [actions[agent]], [agent])
+            read_action(self.action_space(agent), actions[agent], agent)
         self.last_actions = actions
         self.steps += 1
         ended = {

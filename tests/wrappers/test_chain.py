@@ -37,6 +37,7 @@ def make_chains(*factories, ai=()):
         {agent: kart_action_space() for agent in agents},
         dict(zip(agents, factories, strict=True)),
         ignored=ai,
+        columns=tuple(kart_action_space()),
     )
 
 
@@ -626,9 +627,13 @@ def test_a_race_goes_on_after_a_failure_and_a_reset():
 
 
 def test_factories_for_strangers_are_refused():
-    with pytest.raises(ConfigError, match="'kart_9', which is no agent"):
+    with pytest.raises(ConfigError, match="unknown agent 'kart_9'"):
         AgentChains(
-            {"kart_0": kart_observation_space()}, {"kart_0": kart_action_space()}, {"kart_9": None}
+            {"kart_0": kart_observation_space()},
+            {"kart_0": kart_action_space()},
+            {"kart_9": None},
+            ignored=(),
+            columns=tuple(kart_action_space()),
         )
 
 

@@ -16,7 +16,6 @@ from hypothesis.extra import numpy as npst
 import stkzoo.wrappers
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
-from stkzoo.views.actions import split
 from stkzoo.wrappers import (
     ActionObservationWrapper,
     CompiledWrapper,
@@ -36,6 +35,7 @@ from tests.support.generic_env import (
     import_reference,
     kart_env,
     random_batch,
+    split,
     wrap,
     wrap_as_reference,
 )

@@ -4,93 +4,25 @@ from __future__ import annotations
 
 import copy
 import logging
-import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
-
-from gymnasium.utils import seeding
 
 from stkzoo.engine.race import RaceStart
 from stkzoo.engine.session import WorkerSession
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.env.grid import draw_race
-from stkzoo.env.options import checked_seed
+from stkzoo.env.options import random_stream
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import ConfigError, EngineError
 
 logger = logging.getLogger(__name__)
 
 
-class AheadSession(WorkerSession):
-    """Races in processes of their own, the next of which may be started ahead.
-
-    Every race is the first of its process, so it makes no difference to a race whether
-    it was started ahead.
-
-    Args:
-        root: the game's data.
-        timeout: seconds that one step may take.
-    """
-
-    def __init__(self, root: Path, timeout: float) -> None:
-        self._next: tuple[RaceSetup, WorkerSession] | None = None
-        self._timeout = timeout
-        super().__init__(root, timeout=timeout)
-
-    @property
-    def next_pid(self) -> int | None:
-        """Process id of the race that waits to be started, if any."""
-        return self._next[1].pid if self._next else None
-
-    def prepare(self, setup: RaceSetup) -> None:
-        """Starts a race beside the present one, and does not wait for it.
-
-        :meth:`start` takes it if it asks for the same, else it is thrown away. A failure
-        shows when :meth:`start` fails as well.
-        """
-        if self._next and self._next[0] == setup:
-            return
-        self._forget()
-        session = WorkerSession(self._root, timeout=self._timeout)
-        try:
-            session.start_async(setup)
-        except EngineError as error:
-            logger.info("a race could not be started ahead: %s", error)
-        else:
-            self._next = setup, session
-
-    def start(self, setup: RaceSetup) -> RaceStart:
-        """See :meth:`stkzoo.engine.session.Session.start`."""
-        (asked, session), self._next = self._next or (None, None), None
-        if session is None:
-            return super().start(setup)
-        if asked == setup and session._owner == os.getpid():
-            try:
-                start = session.start_wait()
-            except (ConfigError, EngineError) as error:
-                logger.info("a race that was started ahead was lost: %s", error)
-            else:
-                self.close()
-                self._process, session._process = session._process, None
-                self._owner = session._owner
-                return start
-        session.close()
-        return super().start(setup)
-
-    def close(self) -> None:
-        """See :meth:`stkzoo.engine.session.Session.close`."""
-        self._forget()
-        super().close()
-
-    def _forget(self) -> None:
-        ahead, self._next = self._next, None
-        if ahead is not None:
-            ahead[1].close()
-
-
 class AheadRace(RaceParallelEnv):
     """A race with :meth:`prepare`; in all else the parallel environment.
+
+    Every race is the first of its process, so it makes no difference to a race whether it was
+    started ahead.
 
     Args:
         **options: those of :class:`~stkzoo.env.parallel.RaceParallelEnv`.
@@ -108,23 +40,56 @@ class AheadRace(RaceParallelEnv):
                     "race_v0.parallel_env"
                 )
         super().__init__(**options)
-        self._ahead = AheadSession(self._assets.root, float(options.get("engine_timeout", 30.0)))
-        self._session = self._ahead
+        self._next: tuple[RaceSetup, WorkerSession] | None = None
 
     def prepare(self, seed: int | None = None, options: Mapping[str, Any] | None = None) -> None:
         """Starts the race that :meth:`reset` with the same arguments will ask for.
 
-        Returns at once. What ``reset`` draws and gives is the same with and without it.
+        Returns at once. What ``reset`` draws and gives is the same with and without it. A failure
+        shows when ``reset`` fails as well.
         """
         options = {} if options is None else options
         now = self.options.changed(options)
         if "state" in options:
             return
-        random = (
-            copy.deepcopy(self.np_random)
-            if seed is None
-            else seeding.np_random(checked_seed(seed))[0]
-        )
+        random = copy.deepcopy(self.np_random) if seed is None else random_stream(seed)
         tracks = now.tracks(self._assets.tracks)
         setup, _ = draw_race(now, self.specs, tracks, self._num_cameras, False, random)
-        self._ahead.prepare(setup)
+        if self._next and self._next[0] == setup:
+            return
+        self._forget_next()
+        arguments: dict[str, Any] = self._ezpickle_kwargs
+        session = WorkerSession(self._assets.root, timeout=float(arguments["engine_timeout"]))
+        try:
+            session.start_async(setup)
+        except EngineError as error:
+            logger.info("a race could not be started ahead: %s", error)
+        else:
+            self._next = setup, session
+
+    def close(self) -> None:
+        """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.close`."""
+        self._forget_next()
+        super().close()
+
+    def _begin(self, setup: RaceSetup) -> RaceStart:
+        """Starts a race, or takes the one that was started ahead if it is the same."""
+        if self._next is None:
+            return super()._begin(setup)
+        asked, session = self._next
+        if asked == setup and session.is_own:
+            try:
+                begun = session.start_wait()
+            except (ConfigError, EngineError) as error:
+                logger.info("a race that was started ahead was lost: %s", error)
+            else:
+                self._session.close()
+                self._session, self._next = session, None
+                return begun
+        self._forget_next()
+        return super()._begin(setup)
+
+    def _forget_next(self) -> None:
+        if self._next is not None:
+            self._next[1].close()
+            self._next = None

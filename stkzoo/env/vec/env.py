@@ -16,7 +16,7 @@ from stkzoo._os import cpu_count
 from stkzoo.env.vec.ahead import AheadRace
 from stkzoo.env.vec.slots import BoolArray, RaceSlots, SlotSteps
 from stkzoo.errors import ActionError, ApiOrderError, ConfigError, check_whole
-from stkzoo.views.actions import read_actions
+from stkzoo.views.actions import read_action
 
 VectorStep = tuple[Any, npt.NDArray[np.float64], BoolArray, BoolArray, dict[str, Any]]
 
@@ -266,9 +266,8 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
 
     def _name_the_race(self, actions: Sequence[Any]) -> None:
         """Raises the error of an invalid action with its agent's race in it."""
-        racing = np.flatnonzero(self.racing & self._is_player).tolist()
-        names = [self._names[slot] for slot in racing]
-        read_actions(self.single_action_space, [actions[slot] for slot in racing], names)
+        for slot in np.flatnonzero(self.racing & self._is_player).tolist():
+            read_action(self.single_action_space, actions[slot], self._names[slot])
 
     def _prefetch(self, rows: Sequence[RaceSlots]) -> None:
         if self.prefetch:

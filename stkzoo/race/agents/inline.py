@@ -17,7 +17,6 @@ from stkzoo.errors import AgentError, AgentTimeout
 from stkzoo.race.agents.code import AgentCode
 from stkzoo.race.agents.failures import agent_trace, in_words
 from stkzoo.race.instances import Decision, DriverRequest
-from stkzoo.views.actions import split
 from stkzoo.views.agent_chain import AgentChain
 
 
@@ -101,7 +100,7 @@ class InlineInstance:
         checked = self._chain.read_action(action)
         if self._chain.is_pure:
             return self._chain.begin_step(checked)
-        return split(self._request.action_space, self._chain.begin_base_step(checked))[0]
+        return self._chain.begin_base_step(checked)
 
     def _skip_step(self) -> None:
         """Begins a step for an agent that failed, so that its wrappers keep their memory."""

@@ -1,0 +1,309 @@
+"""The race through Gymnasium's API: one agent's, or a dictionary of agents."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from gymnasium.utils import EzPickle
+
+from stkzoo.config import AgentSpec
+from stkzoo.engine.assets import find_assets
+from stkzoo.engine.fork_client import can_fork, start_fork_server
+from stkzoo.engine.track import TrackMap
+from stkzoo.env.branching import ClonableEnv
+from stkzoo.env.keyboard import keys_to_action
+from stkzoo.env.parallel import RaceParallelEnv
+from stkzoo.env.rendering import RENDER_MODES
+from stkzoo.env.state import RaceState
+from stkzoo.env.world import WorldView
+from stkzoo.errors import ActionError, ApiOrderError, ConfigError
+from stkzoo.views import views_of_agents
+from stkzoo.views.walker import StepParts
+from stkzoo.wrappers.camera import Camera
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+
+class _TrackNames:
+    """The names of all race tracks, read when they are first asked for."""
+
+    def __get__(self, instance: object, owner: type | None = None) -> list[str]:
+        return list(find_assets().tracks)
+
+
+class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
+    """A Gymnasium environment over the parallel core.
+
+    Attributes:
+        core: the :class:`~stkzoo.env.parallel.RaceParallelEnv` that it is a view of.
+        TRACKS: names of all race tracks.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's convention
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 10,
+    }
+    TRACKS = _TrackNames()
+
+    def __init__(self, agents: Sequence[AgentSpec] | int | None, **options: Any) -> None:
+        # Gymnasium's TimeLimit, which the registered ids bring, cuts long races.
+        options.setdefault("max_cycles", None)
+        self.core = RaceParallelEnv(agents=agents, **options)
+        self.render_mode = self.core.render_mode
+        self.metadata = {**self.metadata, "render_fps": self.core.metadata["render_fps"]}
+
+    @classmethod
+    def initialize(
+        cls,
+        with_graphics: bool = False,
+        use_subprocess: bool = True,
+        graphics_config: Any = None,  # noqa: ARG003 - the reference's argument
+    ) -> list[str]:
+        """Starts the game's process ahead of the first race and returns the track names.
+
+        Calling it is never needed.
+        """
+        assets = find_assets(graphics=with_graphics)
+        if use_subprocess and not with_graphics and can_fork():
+            start_fork_server(assets.root)
+        return list(assets.tracks)
+
+    @property
+    def num_kart(self) -> int:
+        """Number of karts in the race."""
+        return self.core.options.num_kart
+
+    @property
+    def default_track(self) -> str | Sequence[str] | None:
+        """The track that was asked for; ``None`` for any."""
+        return self.core.options.track
+
+    @property
+    def current_track(self) -> str | None:
+        """Name of the present race's track; ``None`` before the first reset."""
+        return self.core.race.track if self.core.race else None
+
+    @property
+    def track(self) -> TrackMap | None:
+        """The present race's track; ``None`` before the first reset."""
+        return self.core.track_map
+
+    @property
+    def world(self) -> WorldView | None:
+        """The present moment of the race; ``None`` before the first reset."""
+        return self.world_update() if self.core.snapshot is not None else None
+
+    def world_update(self, keep: bool = True) -> WorldView:  # noqa: ARG002 - as the reference
+        """The present moment of the race."""
+        if self.core.snapshot is None or self.core.race is None:
+            raise ApiOrderError("there is no race before reset(); call reset() first")
+        return WorldView.of(self.core.snapshot, self.core.race.kart_types)
+
+    def render(self) -> Any:
+        """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.render`."""
+        return self.core.render()
+
+    def frames(self) -> dict[str, npt.NDArray[np.uint8]]:
+        """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.frames`."""
+        return self.core.frames()
+
+    def close(self) -> None:
+        """Ends the game's process; ``reset`` may be called again."""
+        self.core.close()
+
+    def save_state(self) -> RaceState:
+        """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.save_state`.
+
+        What wrappers around this environment count, as ``TimeLimit`` does, is not in it.
+        """
+        state = self.core.save_state()
+        state.front = self._front()
+        return state
+
+    def restore_state(self, state: RaceState) -> None:
+        """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.restore_state`."""
+        self.core.restore_state(state)
+        self._go_on(state.front)
+
+    def follow(self, other: Self) -> None:
+        """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.follow`."""
+        self.core.follow(other.core)
+        self._go_on(other._front())
+
+    def _go_on(self, front: Any) -> None:
+        self.np_random = self.core.np_random
+        self._recall(front)
+
+    def _front(self) -> Any:
+        """What this environment remembers beside the core, as a value."""
+        return None
+
+    def _recall(self, front: Any) -> None:
+        """Remembers what :meth:`_front` gave; with ``None``, what the core knows."""
+
+    def _reset_core(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Any, Any]:
+        """Resets the core, which draws from this environment's stream, as Gymnasium seeds it."""
+        gym.Env.reset(self, seed=seed)
+        self.core.np_random = self.np_random
+        return self.core.reset(options=options)
+
+    def _step_core(self, actions: Mapping[str, Any]) -> StepParts:
+        if self.core.snapshot is not None and not self.core.agents:
+            raise ApiOrderError("step() after the episode's end; call reset() first")
+        return self.core.step(actions)
+
+
+class STKRaceEnv(GymnasiumRaceEnv):
+    """A race in which one kart is yours and the game drives the others.
+
+    Args:
+        agent: your kart's :class:`~stkzoo.config.AgentSpec`.
+        options: the keywords of :class:`~stkzoo.env.parallel.RaceParallelEnv`, except
+            ``agents``; ``max_cycles`` is unlimited by default.
+    """
+
+    def __init__(self, *, agent: AgentSpec | None = None, **options: Any) -> None:
+        EzPickle.__init__(self, agent=agent, **options)
+        if agent is not None and not isinstance(agent, AgentSpec):
+            raise ConfigError(f"agent is {agent!r}, expected an AgentSpec or None")
+        self.agent = agent if agent is not None else AgentSpec()
+        super().__init__([self.agent], **options)
+        (self._name,) = self.core.possible_agents
+        self.observation_space = self.core.observation_space(self._name)
+        self.action_space = self.core.action_space(self._name)
+
+    @property
+    def kart_ix(self) -> int | None:
+        """Index of your kart in grid order; ``None`` before the first reset."""
+        return self.core.race.kart_indices[0] if self.core.race else None
+
+    @property
+    def camera(self) -> Camera:
+        """Your kart's camera, for :class:`~stkzoo.wrappers.CameraObservations`."""
+        return self.core.cameras.of(self._name)
+
+    def get_keys_to_action(self) -> dict[Any, Any]:
+        """What each combination of keys does, for :func:`gymnasium.utils.play.play`.
+
+        The keys are the game's: arrows, space fires, N is nitro, V drifts, backspace calls
+        the rescue bird.
+
+        Raises:
+            ConfigError: for a view of your own that cannot say what a key means in it.
+        """
+        view = self._ezpickle_kwargs.get("view", "full")
+        return keys_to_action(views_of_agents(view, [self._name])[self._name], repr(view))
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Starts a race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`."""
+        observations, infos = self._reset_core(seed, options)
+        return observations[self._name], infos[self._name]
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Advances the race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.step`."""
+        name = self._name
+        observations, rewards, terminations, truncations, infos = self._step_core({name: action})
+        return observations[name], rewards[name], terminations[name], truncations[name], infos[name]
+
+
+class STKRaceMultiEnv(GymnasiumRaceEnv):
+    """A race of several agents, named ``"0"`` to ``"n-1"``, in the ``full`` view.
+
+    The reward is the sum over the agents; ``info`` holds ``reward``, ``terminated``,
+    ``done`` and ``infos`` by agent. The episode ends when all agents have finished; an
+    agent that has finished is observed on, earns nothing more, and its actions are
+    ignored.
+
+    Args:
+        agents: a list of :class:`~stkzoo.config.AgentSpec`, or how many; all karts by
+            default.
+        options: the keywords of :class:`~stkzoo.env.parallel.RaceParallelEnv`, except
+            ``view``; ``max_cycles`` is unlimited by default.
+    """
+
+    def __init__(self, *, agents: Sequence[AgentSpec] | int | None = None, **options: Any) -> None:
+        EzPickle.__init__(self, agents=agents, **options)
+        super().__init__(agents, **options)
+        self.agents = self.core.specs
+        self._names = {str(i): agent for i, agent in enumerate(self.core.possible_agents)}
+        self.observation_space = spaces.Dict(
+            {key: self.core.observation_space(agent) for key, agent in self._names.items()}
+        )
+        self.action_space = spaces.Dict(
+            {key: self.core.action_space(agent) for key, agent in self._names.items()}
+        )
+
+    @property
+    def kart_indices(self) -> list[int] | None:
+        """Index of every agent's kart in grid order; ``None`` before the first reset."""
+        return list(self.core.race.kart_indices) if self.core.race else None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Starts a race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`."""
+        observations, infos = self._reset_core(seed, options)
+        self._recall(None)
+        self._infos.update(infos)
+        return (
+            self._by_number({**self._observe_departed(observations), **observations}),
+            self._info(dict.fromkeys(self.core.possible_agents, 0.0)),
+        )
+
+    def step(
+        self, action: Mapping[str, Any]
+    ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+        """Advances the race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.step`."""
+        try:
+            actions = {self._names[key]: value for key, value in action.items()}
+        except KeyError as error:
+            key = str(error.args[0])
+            raise ActionError(
+                f"there is an action for agent {key!r}, expected {', '.join(self._names)}", key
+            ) from None
+        observations, rewards, terminations, truncations, infos = self._step_core(actions)
+        self._terminated.update(terminations)
+        self._truncated.update(truncations)
+        self._infos.update(infos)
+        return (
+            self._by_number({**self._observe_departed(observations), **observations}),
+            float(sum(rewards.values())),
+            all(self._terminated.values()),
+            any(truncations.values()),
+            self._info({agent: rewards.get(agent, 0.0) for agent in self.core.possible_agents}),
+        )
+
+    def _front(self) -> Any:
+        return dict(self._terminated), dict(self._truncated), dict(self._infos)
+
+    def _recall(self, front: Any) -> None:
+        agents = self.core.possible_agents
+        self._terminated = {agent: agent not in self.core.agents for agent in agents}
+        self._truncated = dict.fromkeys(agents, False)
+        self._infos = self.core.infos(agents)
+        if front is not None:
+            self._terminated, self._truncated, self._infos = map(dict, front)
+
+    def _observe_departed(self, present: Mapping[str, Any]) -> dict[str, Any]:
+        departed = [agent for agent in self.core.possible_agents if agent not in present]
+        return self.core.observe(departed) if departed else {}
+
+    def _info(self, rewards: Mapping[str, float]) -> dict[str, Any]:
+        done = {a: self._terminated[a] or self._truncated[a] for a in self._terminated}
+        return {
+            "infos": self._by_number({agent: dict(info) for agent, info in self._infos.items()}),
+            "reward": self._by_number(rewards),
+            "terminated": self._by_number(self._terminated),
+            "done": self._by_number(done),
+        }
+
+    def _by_number(self, by_agent: Mapping[str, Any]) -> dict[str, Any]:
+        return {key: by_agent[agent] for key, agent in self._names.items()}
