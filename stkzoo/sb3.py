@@ -184,13 +184,12 @@ class RaceVecEnv(VecEnv):
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
         """Calls a method of the slots' races, once for each race; the result by slot."""
-        slots = list(self._get_indices(indices))
-        races = {id(self._race(slot)): self._race(slot) for slot in slots}
+        numbers = [slot // self.races.num_agents for slot in self._get_indices(indices)]
         results = {
-            key: getattr(race, method_name)(*method_args, **method_kwargs)
-            for key, race in races.items()
+            number: getattr(self.races.races[number], method_name)(*method_args, **method_kwargs)
+            for number in dict.fromkeys(numbers)
         }
-        return [results[id(self._race(slot))] for slot in slots]
+        return [results[number] for number in numbers]
 
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Indices = None

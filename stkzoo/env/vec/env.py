@@ -105,7 +105,6 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         self._rows = [RaceSlots(race, number) for number, race in enumerate(self.races)]
         self._names = [f"{a} of race {n}" for n in range(num_races) for a in first.possible_agents]
         self._is_player = np.array([not spec.use_ai for spec in first.specs] * num_races)
-        self._is_asked = False
 
     @property
     def num_crashes(self) -> int:
@@ -160,7 +159,6 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             options: each race's options for this episode alone.
         """
         self._require_open("reset")
-        self._is_asked = False
         seeds = seeds_of_races(seed, self.num_races)
         for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
             row.race.prepare(own_seed, own)
@@ -202,10 +200,6 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
                 self.races[0].possible_agents[0],
             ) from error
         self._require_open("step")
-        if self._is_asked:
-            raise ApiOrderError("step_async() twice without step_wait(); call step_wait() first")
-        if any(row.is_over for row in self._rows):
-            raise ApiOrderError("step() before reset(); call reset() first")
         if len(singles) != self.num_envs:
             raise ActionError(
                 f"{len(singles)} actions came for {self.num_envs} slots ({self.num_races} races "
@@ -217,7 +211,6 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         except ActionError:
             self._name_the_race(singles)
             raise
-        self._is_asked = True
         for row, own in zip(self._rows, controls, strict=True):
             row.send(own)
 
@@ -239,9 +232,6 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             AgentException: a wrapper failed; ``reset`` starts a new race.
             ApiOrderError: no step was asked for.
         """
-        if not self._is_asked:
-            raise ApiOrderError("step_wait() without step_async(); call step_async() first")
-        self._is_asked = False
         steps = SlotSteps.idle(self.idle_observation, self.num_envs)
         for row in self._rows:
             row.step_wait(steps)
@@ -294,27 +284,22 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
     def _columns(self, infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """Infos by slot as arrays by key; like ``_add_info`` slot by slot, but quicker."""
         slots = [slot for slot, info in enumerate(infos) if info]
-        present = [infos[slot] for slot in slots]
-        keys = list(present[0]) if present else []
-        if any(list(info) != keys for info in present):
-            return self._added(infos)
-        table = np.array([list(info.values()) for info in present])
+        keys = list(infos[slots[0]]) if slots else []
+        is_table = all(list(infos[slot]) == keys for slot in slots)
+        table = np.array([list(infos[slot].values()) for slot in slots] if is_table else [])
+        columns: dict[str, Any] = {}
         if table.ndim != 2 or table.dtype.kind not in "biuf":
-            return self._added(infos)
+            for slot, info in enumerate(infos):
+                columns = self._add_info(columns, dict(info), slot)
+            return columns
         numbers = np.zeros((len(keys), self.num_envs), table.dtype)
         masks = np.zeros((len(keys), self.num_envs), np.bool_)
         numbers[:, slots], masks[:, slots] = table.T, True
-        columns: dict[str, Any] = {}
-        for key, value, row, mask in zip(keys, present[0].values(), numbers, masks, strict=True):
+        values = infos[slots[0]].values()
+        for key, value, row, mask in zip(keys, values, numbers, masks, strict=True):
             columns[key] = row.astype(np.asarray(value).dtype, copy=False)
             columns[f"_{key}"] = mask
         return columns
-
-    def _added(self, infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        added: dict[str, Any] = {}
-        for slot, info in enumerate(infos):
-            added = self._add_info(added, dict(info), slot)
-        return added
 
 
 def seeds_of_races(seed: int | Sequence[int | None] | None, num_races: int) -> list[int | None]:

@@ -134,15 +134,16 @@ class RaceSlots:
     def step_wait(self, steps: SlotSteps) -> None:
         """Writes the step that was asked for among those of all slots."""
         steps.active[self.slots] = self.racing
-        self._num_steps += 1
         try:
             if self._failure is not None:
                 raise self._failure
             result = self.race.step_wait()
         except (EngineCrashed, EngineTimeout) as error:
             self._report(error, "its slots are cut short and it is replaced")
+            self._num_steps += 1
             self._cut_short(steps)
         else:
+            self._num_steps += 1
             self._take_in(steps, *result)
 
     def close(self) -> None:
