@@ -223,9 +223,10 @@ def test_the_named_view_is_an_id_too():
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        ({"size": (16, 16)}, "size is 16, expected a whole number of 32 or more"),
-        ({"size": (64,)}, "expected width and height"),
-        ({"size": (9000, 64)}, "expected width and height"),
+        ({"size": (16, 16)}, r"size is \(16, 16\), expected \(width, height\) from 32 to 4096"),
+        ({"size": (64,)}, "from 32 to 4096 pixels each"),
+        ({"size": (9000, 64)}, "from 32 to 4096 pixels each"),
+        ({"size": (64.5, 64)}, "from 32 to 4096 pixels each"),
         ({"every": 0}, "every is 0"),
         ({"backend": "mapp"}, "'mapp'"),
         ({"backend": "map", "depth": True}, "the map has no depth"),
