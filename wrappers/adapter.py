@@ -168,15 +168,9 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
         )
         self._observation_spaces = self._walker.observation_spaces
         if self.keep_original:
-            self._observation_spaces = {
-                agent: spaces.Dict(
-                    {
-                        "observation": space,
-                        "original": copy.deepcopy(env.observation_space(agent)),
-                    }
-                )
-                for agent, space in self._observation_spaces.items()
-            }
+            originals = {agent: copy.deepcopy(env.observation_space(agent)) for agent in agents}
+            both = self._with_originals(self._observation_spaces, originals)
+            self._observation_spaces = {agent: spaces.Dict(parts) for agent, parts in both.items()}
 
     @property
     def agents(self) -> list[str]:

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from gymnasium.utils import EzPickle
 from pettingzoo import ParallelEnv
 
+from stkzoo.agent_names import find_agent
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import Assets, find_assets
 from stkzoo.engine.fork_client import can_fork, start_fork_server
@@ -28,7 +29,7 @@ from stkzoo.env.grid import draw_race
 from stkzoo.env.options import MAX_CAMERAS, RaceOptions, check_agents, check_real, random_stream
 from stkzoo.env.rendering import RENDER_MODES, Rendering, frame_rate
 from stkzoo.env.starts import MAX_START_DRAWS, is_random
-from stkzoo.errors import ApiOrderError, ConfigError, check_whole, unknown_name
+from stkzoo.errors import ApiOrderError, ConfigError, check_whole
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.mdp.state import state_space
 from stkzoo.views import sees_ground, views_of_agents
@@ -353,10 +354,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         episode = self._running("observe_batch")
         if isinstance(agents, str) or not isinstance(agents, Sequence) or not agents:
             raise ConfigError(f"agents is {agents!r}, expected a list of one agent or more")
-        for agent in agents:
-            if not isinstance(agent, str) or agent not in self.possible_agents:
-                raise unknown_name("agent", agent, self.possible_agents)
-        return episode.observe_batch(agents)
+        return episode.observe_batch([find_agent(agent, self.possible_agents) for agent in agents])
 
     def observe(self, agents: Sequence[str]) -> Observations:
         """What some agents, racing or not, see now, before wrappers of your own."""
