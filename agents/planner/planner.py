@@ -78,12 +78,8 @@ class Plan:
 
     def rest(self, done: int) -> Plan:
         """What is left after some steps, and then nothing more."""
-        steer, drift = np.zeros_like(self.steer), np.full_like(self.drift, -1)
-        steer[: len(steer) - done], drift[: len(drift) - done] = (
-            self.steer[done:],
-            self.drift[done:],
-        )
-        return Plan(steer, drift)
+        steer = np.concatenate([self.steer[done:], np.zeros(done)])
+        return Plan(steer, np.concatenate([self.drift[done:], np.full(done, -1)]))
 
     def change(self, action: Action, step: int) -> Action:
         """The base policy's action for a step of the plan, changed."""

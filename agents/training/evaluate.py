@@ -91,9 +91,8 @@ def evaluate(
     for first in range(0, len(places), _SIDE_BY_SIDE):
         part = places[first : first + _SIDE_BY_SIDE]
         matches = [Match((name,) * karts, *place, bots) for name in by_name for place in part]
-        for match, ends in zip(
-            matches, play_matches(matches, by_name, side_by_side=len(part)), strict=True
-        ):
+        finishes = play_matches(matches, by_name, side_by_side=len(part))
+        for match, ends in zip(matches, finishes, strict=True):
             results[int(match.drivers[0])].append(PolicyResult.of(ends))
     return results
 

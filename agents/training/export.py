@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 import stkzoo
-from stkzoo._os import atomic_write
+from stkzoo._os import write_text
 from stkzoo.agents.planning import DriverParameters
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, check_shapes
 from stkzoo.agents.pretrained.ensemble import check_ensemble_weight, join_networks
@@ -79,7 +79,7 @@ _CARD = """\
 
 A learned driver of stkzoo. `stkzoo race pretrained:{name} ai ai ai ai --difficulty 3`
 
-- **Network:** {parameters:,} numbers (`{weights}`, {size:,} bytes, SHA-256 `{digest}`).
+- **Network:** {parameters:,} numbers (`{weights}`, {size:,} bytes, SHA-256 `{sha256}`).
 {runs}
 - **Command:** TO BE WRITTEN
 - **Results:** TO BE WRITTEN
@@ -129,11 +129,11 @@ def export_policy(
         "stkzoo": stkzoo.__version__,
         **rules,
     }
-    _write(target / "__init__.py", _PACKAGE.format(name=name))
-    _write(target / "pystk_actor.py", _MODULE.format(name=name, **gaps))
+    write_text(target / "__init__.py", _PACKAGE.format(name=name))
+    write_text(target / "pystk_actor.py", _MODULE.format(name=name, **gaps))
     write_json(target / CARD, facts)
     if not (target / "CARD.md").exists():
-        _write(target / "CARD.md", _card(facts))
+        write_text(target / "CARD.md", _card(facts))
     return target
 
 
@@ -176,14 +176,8 @@ def _run_of(source: Path) -> dict[str, Any]:
 
 
 def _card(facts: dict[str, Any]) -> str:
-    return _CARD.format(
-        name=facts["name"],
-        parameters=facts["parameters"],
-        weights=WEIGHTS,
-        size=facts["size"],
-        digest=facts["sha256"],
-        runs="\n".join(_describe(run) for run in facts["runs"]),
-    )
+    lines = "\n".join(map(_describe, facts["runs"]))
+    return _CARD.format(**{**facts, "weights": WEIGHTS, "runs": lines})
 
 
 def _describe(run: dict[str, Any]) -> str:
@@ -193,11 +187,6 @@ def _describe(run: dict[str, Any]) -> str:
         tracks=", ".join(arguments.get("tracks", ["unknown"])),
         seed=arguments.get("seed", "unknown"),
     )
-
-
-def _write(path: Path, text: str) -> None:
-    with atomic_write(path) as part:
-        part.write_text(text)
 
 
 def main(words: list[str] | None = None) -> int:

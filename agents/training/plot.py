@@ -170,7 +170,7 @@ def _draw_band(axis: Any, curve: Any, steps: Any, lows: Any, highs: Any) -> None
 
 def draw_levels(axis: Any, values: Mapping[str, float]) -> None:
     """Draws lines across with their names; names at nearly the same height are joined."""
-    room = 0.06 * (max(values.values()) - min(values.values())) if values else 0.0
+    room = 0.04 * float(np.ptp([*axis.get_ylim(), *values.values()]))
     groups: list[list[str]] = []
     for name in sorted(values, key=lambda name: (values[name], name)):
         if groups and values[name] - values[groups[-1][0]] < room:

@@ -9,7 +9,7 @@ from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
 
-from stkzoo._os import atomic_write
+from stkzoo._os import write_text
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
@@ -161,8 +161,7 @@ def add_arguments(parser: argparse.ArgumentParser, kind: Any) -> None:
 
 def write_json(path: Path, content: Any) -> None:
     """Writes a JSON file atomically."""
-    with atomic_write(path) as part:
-        part.write_text(json.dumps(content, indent=1) + "\n")
+    write_text(path, json.dumps(content, indent=1) + "\n")
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:

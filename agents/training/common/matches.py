@@ -8,7 +8,7 @@ that chooses among plans (``ppo``, ``league``), a network that answers at once (
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -202,43 +202,30 @@ class MatchRecord:
     order: list[str]
 
 
-class _MatchBatch:
-    """Some matches side by side."""
-
-    def __init__(
-        self, matches: Sequence[Match], drivers: Mapping[str, MatchDriver], starts: RaceStarts
-    ) -> None:
-        self._fleet = RaceFleet([match.start.lineup for match in matches], starts)
-        self._fleet.start_at([(match.track, match.reverse, match.number) for match in matches])
-        names = np.array([name for match in matches for name in match.drivers])
-        self._controllers: list[tuple[npt.NDArray[np.intp], KartController]] = []
-        for name in dict.fromkeys(names.tolist()):
-            rows = np.flatnonzero(names == name)
-            self._controllers.append((rows, drivers[name](len(rows))))
-        self._finishes: dict[int, Finish] = {}
-        self._cuts = np.cumsum([len(match.drivers) for match in matches])[:-1]
-        self._drive()
-
-    def step(self) -> list[list[Finish]] | None:
-        """Makes a step; the finishes of each match, once all are over."""
-        outcome = self._fleet.receive_step()
-        self._finishes |= zip(np.flatnonzero(outcome.ended).tolist(), outcome.finishes, strict=True)
-        if self._fleet.active.any():
-            self._drive()
-            return None
-        self.close()
-        slots = np.split(np.arange(self._fleet.num_slots), self._cuts)
-        return [[self._finishes[slot] for slot in part.tolist()] for part in slots]
-
-    def close(self) -> None:
-        self._fleet.close(with_starts=False)
-
-    def _drive(self) -> None:
-        own, around = self._fleet.surroundings()
-        controls = np.zeros((self._fleet.num_slots, 7), np.float32)
-        for rows, control in self._controllers:
-            controls[rows] = control(*_rows_of(own, around, rows))
-        self._fleet.send_controls(controls)
+def _drive(
+    matches: Sequence[Match], drivers: Mapping[str, MatchDriver], starts: RaceStarts
+) -> Generator[list[list[Finish]] | None]:
+    """Drives matches side by side; after each step ``None``, at the end each match's finishes."""
+    fleet = RaceFleet([match.start.lineup for match in matches], starts)
+    names = np.array([name for match in matches for name in match.drivers])
+    groups = [(name, np.flatnonzero(names == name)) for name in dict.fromkeys(names.tolist())]
+    controllers = [(rows, drivers[name](len(rows))) for name, rows in groups]
+    finishes: dict[int, Finish] = {}
+    try:
+        fleet.start_at([(match.track, match.reverse, match.number) for match in matches])
+        while fleet.active.any():
+            own, around = fleet.surroundings()
+            controls = np.zeros((fleet.num_slots, 7), np.float32)
+            for rows, control in controllers:
+                controls[rows] = control(*_rows_of(own, around, rows))
+            fleet.send_controls(controls)
+            yield None  # the games run
+            step = fleet.receive_step()
+            finishes |= zip(np.flatnonzero(step.ended).tolist(), step.finishes, strict=True)
+    finally:
+        fleet.close(with_starts=False)
+    slots = iter(sorted(finishes))
+    yield [[finishes[next(slots)] for _ in match.drivers] for match in matches]
 
 
 def _rows_of(
@@ -265,27 +252,28 @@ def play_matches(
         For each match the finishes of its drivers' karts.
     """
     cuts = range(0, len(matches), side_by_side)
-    waiting = deque(matches[first : first + side_by_side] for first in cuts)
+    waiting = deque(enumerate(matches[first : first + side_by_side] for first in cuts))
     uses = Counter(match.start for match in matches)
     results: dict[int, list[list[Finish]]] = {}
-    lanes: dict[int, tuple[_MatchBatch, Sequence[Match]]] = {}
+    lanes: dict[int, Generator[list[list[Finish]] | None]] = {}
     starts = RaceStarts()
     try:
         while waiting or lanes:
             while waiting and len(lanes) < _LANES:
-                part = waiting.popleft()
-                lanes[len(results) + len(lanes)] = _MatchBatch(part, drivers, starts), part
-            for number, (lane, part) in list(lanes.items()):
-                if (finishes := lane.step()) is not None:
+                number, part = waiting.popleft()
+                lanes[number] = _drive(part, drivers, starts)
+            for number, lane in list(lanes.items()):
+                if (finishes := next(lane)) is not None:
                     results[number] = finishes
                     del lanes[number]
-                    uses -= Counter(match.start for match in part)
+                    first = number * side_by_side
+                    uses -= Counter(m.start for m in matches[first : first + side_by_side])
                     starts.close(keep=uses)
     finally:
-        for lane, _ in lanes.values():
+        for lane in lanes.values():
             lane.close()
         starts.close()
-    return [finishes for number in sorted(results) for finishes in results[number]]
+    return [match for number in sorted(results) for match in results[number]]
 
 
 # ---------------------------------------------------------------------- rating

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from stkzoo._os import atomic_write
+from stkzoo._os import write_text
 from stkzoo.errors import ConfigError
 
 #: The log's file in a run's folder.
@@ -34,8 +34,7 @@ def require_log(folder: str | Path) -> list[dict[str, Any]]:
 
 def write_log(folder: Path, log: Sequence[Mapping[str, Any]]) -> None:
     """Writes the whole log of a run atomically."""
-    with atomic_write(folder / LOG) as part:
-        part.write_text("".join(json.dumps(dict(line)) + "\n" for line in log))
+    write_text(folder / LOG, "".join(json.dumps(dict(line)) + "\n" for line in log))
 
 
 class TrainingLog:

@@ -30,7 +30,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from stkzoo._os import atomic_write
+from stkzoo._os import write_text
 from stkzoo.agents.pretrained.driver import check_shapes
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
@@ -247,8 +247,7 @@ class League:
     def _save(self) -> None:
         state = self._state
         if state.ratings:
-            with atomic_write(self.folder / _PAGE) as part:
-                part.write_text(page(state.members, state.matches, state.ratings))
+            write_text(self.folder / _PAGE, page(state.members, state.matches, state.ratings))
         content = {"version": _VERSION, "arguments": asdict(self.arguments), **asdict(state)}
         write_json(self.folder / _STATE, content)
 

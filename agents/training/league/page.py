@@ -122,7 +122,9 @@ def _chart(
         figure = rating_figure(curves, levels)
         figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
     chart = text.getvalue()
-    return _LINKS.sub("", chart[chart.index("<svg") :]).replace(INK, "var(--ink)")
+    label = 'role="img" aria-label="Rating of each player over the league\'s kart-steps"'
+    chart = chart[chart.index("<svg") :].replace("<svg", f"<svg {label}", 1)
+    return _LINKS.sub("", chart).replace(INK, "var(--ink)")
 
 
 # ---------------------------------------------------------------------- tables
