@@ -202,7 +202,6 @@ def plan_benchmark(
         max_steps_after_first=None,
         karts_finished=None,
     )
-    check_whole("seeds", seeds, 1, _MAX_SEEDS)
     tracks, directions = find_tracks(split, chosen), check_directions(reverse)
     names = (forms,) if isinstance(forms, str) else tuple(forms)
     if not names or len(set(names)) < len(names):

@@ -252,19 +252,14 @@ def record_plan(
             f"the data set is {str(output)!r}, expected a path that ends in {_ENDING}"
         )
     if target.exists():
-        return _load_same(plan, target)
+        demos = load_demonstrations(target)
+        if differences := DemoPlan.from_dict(demos.plan).differences(plan):
+            raise ConfigError(
+                f"{target} has other demonstrations: {'; '.join(differences)}. Choose another "
+                "file, or delete it"
+            )
+        return demos
     parts = target.with_name(target.name + _PARTS)
     demos = run_batch(plan, parts, options)
     shutil.rmtree(parts, ignore_errors=True)
-    return demos
-
-
-def _load_same(plan: DemoPlan, target: Path) -> Demonstrations:
-    """The data set that exists already, if its plan is the same."""
-    demos = load_demonstrations(target)
-    if differences := DemoPlan.from_dict(demos.plan).differences(plan):
-        raise ConfigError(
-            f"{target} has other demonstrations: {'; '.join(differences)}. Choose another file, or "
-            "delete it"
-        )
     return demos

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -98,9 +99,6 @@ class DemoRecorder(RaceListener):
         """Records the observations on the grid."""
         agents = race.env.possible_agents[: self._count]
         self._tracks = {agent: _Kart(self._view, race.observations[agent]) for agent in agents}
-        info = race.env.race
-        assert info is not None  # noqa: S101 - it has started
-        self._where = info.track, info.reverse, race.seed
 
     def stepped(self, race: RaceProgress) -> None:
         """Records the actions, and the observations at a step's end."""
@@ -118,7 +116,6 @@ class DemoRecorder(RaceListener):
     def ended(self, result: RaceResult) -> None:
         """Builds the episodes."""
         rows = {row.agent: row for row in result.agents}
-        track, reverse, seed = self._where
         for agent, kart in self._tracks.items():
             row = rows[agent]
             if not kart.length:
@@ -126,9 +123,9 @@ class DemoRecorder(RaceListener):
             facts = EpisodeFacts(
                 race=self._race,
                 agent=agent,
-                track=track,
-                reverse=reverse,
-                seed=seed,
+                track=result.track,
+                reverse=result.reverse,
+                seed=result.seed,
                 start_position=row.start_position,
                 finish_time=row.finish_time,
                 rank=row.rank,
@@ -142,10 +139,7 @@ class DemoRecorder(RaceListener):
         Args:
             plan: see :class:`Demonstrations`.
         """
-        if not self._parts:
-            return None
-        joined = join(self._parts)
-        return Demonstrations(plan, joined.facts, joined.lengths, joined.columns)
+        return replace(join(self._parts), plan=plan) if self._parts else None
 
 
 class _Kart:
@@ -196,9 +190,6 @@ class _Kart:
 
 def _together(parts: Controls) -> Controls:
     """Merges the controls ``(n, 7)`` of a step's parts into ``(7,)``."""
-    if len(parts) == 1:
-        only: Controls = parts[0]
-        return only
     means = parts.mean(axis=0)
     pressed = np.where(_PULSES, parts.any(axis=0), means >= 0.5)
     together: Controls = np.where(_ANALOGUE, means, pressed).astype(np.float32)
