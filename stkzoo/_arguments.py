@@ -87,6 +87,7 @@ def _fields(kind: Any, without: Collection[str], only: Collection[str] | None) -
 def _texts(kind: type) -> dict[str, str]:
     """The lines under ``Attributes:`` of a dataclass and its bases, by field."""
     docs = "\n".join(inspect.cleandoc(base.__doc__ or "") for base in reversed(kind.__mro__))
+    docs = docs.replace("%", "%%")  # argparse formats help
     return {
         name: " ".join(re.sub(r"(?<!\.)\.$", "", text).split())
         for name, text in _ATTRIBUTE.findall(docs)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any
 
-from stkzoo._arguments import add_options, option, values_of
+from stkzoo._arguments import add_options, option
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceSettings
 
@@ -79,32 +79,6 @@ def add_actions(parser: argparse.ArgumentParser, *actions: Run) -> list[argparse
     return children
 
 
-def add_settings(
-    parser: argparse.ArgumentParser,
-    title: str,
-    decided: Collection[str] = (),
-    only: Collection[str] | None = None,
-) -> None:
-    """Adds an option for each field of ``RaceSettings``.
-
-    Args:
-        parser: the command's parser.
-        title: of the group of options.
-        decided: fields that the command sets itself.
-        only: the fields to add; ``None`` for all.
-    """
-    add_options(parser.add_argument_group(title), RaceSettings, without=decided, only=only)
-
-
-def settings_of(
-    arguments: argparse.Namespace,
-    decided: Collection[str] = (),
-    only: Collection[str] | None = None,
-) -> dict[str, Any]:
-    """The values of the options that :func:`add_settings` added, by field."""
-    return values_of(arguments, RaceSettings, without=decided, only=only)
-
-
 @dataclass
 class BatchArguments:
     """Options of all commands that run many races.
@@ -126,7 +100,7 @@ def add_batch_options(parser: argparse.ArgumentParser, decided: Collection[str])
         decided: fields of ``RaceSettings`` that the command sets itself.
     """
     add_options(parser, BatchArguments)
-    add_settings(parser, "each race", decided)
+    add_options(parser.add_argument_group("each race"), RaceSettings, without=decided)
 
 
 def tracks_option() -> Any:

@@ -9,17 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from rich.console import Console
 from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
-from stkzoo.cli._console import say
+from stkzoo.cli._console import make_bars, say
 from stkzoo.evaluation import BatchError, BatchProgress, RunOptions
 
 _INTERRUPTED = 130
@@ -41,16 +34,12 @@ def run_batch(
         The result, and the exit code. The result is ``None`` if there is nothing to show.
     """
     done = total = 0
-    console = Console(stderr=True)
-    with Progress(
+    with make_bars(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
         TextColumn("{task.fields[last]}"),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
     ) as bars:
         task = bars.add_task("races", total=None, last="")
 

@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.progress import (
     BarColumn,
     DownloadColumn,
+    ProgressColumn,
     TaskID,
     TextColumn,
     TimeRemainingColumn,
@@ -60,6 +61,12 @@ def show_table(
     for row, style in zip_longest(rows, styles):
         table.add_row(*map(escape, row), style=style)
     console.print(table)
+
+
+def make_bars(*columns: ProgressColumn | str) -> Bars:
+    """Bars on stderr that vanish when they end; nothing without a terminal."""
+    console = Console(stderr=True)
+    return Bars(*columns, console=console, transient=True, disable=not console.is_terminal)
 
 
 #: Without a terminal, seconds between two lines about the same stage.

@@ -32,15 +32,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stkzoo._arguments import add_options, option, positional
+from stkzoo._arguments import add_options, option, positional, values_of
 from stkzoo.cli._arguments import (
     add_batch_options,
     chosen_directions,
     directions_option,
-    settings_of,
     usage_errors,
 )
 from stkzoo.errors import ConfigError
+from stkzoo.race import RaceSettings
 
 if TYPE_CHECKING:
     from stkzoo.evaluation import (
@@ -155,7 +155,7 @@ def _plan(arguments: argparse.Namespace) -> BenchmarkPlan:
         seeds=arguments.seeds,
         reverse=chosen_directions(arguments),
         ai_times=arguments.ai_times,
-        **settings_of(arguments, BenchmarkPlan.decided),
+        **values_of(arguments, RaceSettings, without=BenchmarkPlan.decided),
     )
 
 

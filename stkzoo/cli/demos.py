@@ -30,16 +30,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stkzoo._arguments import add_options, option, positional
+from stkzoo._arguments import add_options, option, positional, values_of
 from stkzoo.cli._arguments import (
     add_batch_options,
     chosen_directions,
     directions_option,
-    settings_of,
     tracks_option,
     usage_errors,
 )
 from stkzoo.errors import ConfigError, check_whole
+from stkzoo.race import RaceSettings
 
 if TYPE_CHECKING:
     from stkzoo.evaluation import Demonstrations, DemoPlan
@@ -127,7 +127,7 @@ def _plan(arguments: argparse.Namespace) -> DemoPlan:
         karts=arguments.karts,
         rivals=arguments.rivals,
         substeps=arguments.substeps,
-        **settings_of(arguments, DemoPlan.decided),
+        **values_of(arguments, RaceSettings, without=DemoPlan.decided),
     )
 
 

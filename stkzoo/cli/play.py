@@ -24,10 +24,11 @@ import random
 from dataclasses import dataclass
 from typing import Any
 
-from stkzoo._arguments import add_options, option, positional
-from stkzoo.cli._arguments import add_settings, settings_of, usage_errors
+from stkzoo._arguments import add_options, option, positional, values_of
+from stkzoo.cli._arguments import usage_errors
 from stkzoo.cli._race_options import add_replay_options, replay_listeners
 from stkzoo.errors import ConfigError
+from stkzoo.race import RaceSettings
 
 #: Default view and rate of a dataset, which are those of the ids; default rate without one.
 _DATASET_VIEW, _DATASET_RATE, _RATE = "flattened_discrete", 10, 20
@@ -87,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, PlayArguments)
     add_options(parser.add_argument_group("the window"), PlayWindowArguments)
     add_options(parser.add_argument_group("a dataset"), PlayDatasetArguments)
-    add_settings(parser, "the race", _DECIDED)
+    add_options(parser.add_argument_group("the race"), RaceSettings, without=_DECIDED)
     add_replay_options(parser)
     parser.set_defaults(races=1)
 
@@ -108,7 +109,7 @@ def run(arguments: argparse.Namespace) -> int:
             listeners=replay_listeners(arguments),
             seed=random.randrange(2**16) if arguments.seed is None else arguments.seed,
             **_recording(arguments),
-            **settings_of(arguments, _DECIDED),
+            **values_of(arguments, RaceSettings, without=_DECIDED),
         )
     except RaceInterrupted as interrupt:
         show_race(interrupt.result)

@@ -36,11 +36,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stkzoo._arguments import add_options, option, positional
+from stkzoo._arguments import add_options, option, positional, values_of
 from stkzoo._os import atomic_write
 from stkzoo.cli import _race_options
-from stkzoo.cli._arguments import add_settings, settings_of, usage_errors
+from stkzoo.cli._arguments import usage_errors
 from stkzoo.errors import AgentError, ConfigError
+from stkzoo.race import RaceSettings
 
 if TYPE_CHECKING:
     from stkzoo.race import Driver, RaceResult
@@ -99,7 +100,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_race_options(parser: argparse.ArgumentParser) -> None:
     """Adds all options of a race but its drivers."""
     add_options(parser, RacesArguments)
-    add_settings(parser, "the race", _DECIDED)
+    add_options(parser.add_argument_group("the race"), RaceSettings, without=_DECIDED)
     _race_options.add_replay_options(parser)
     _race_options.add_viewing_options(parser, "--record")
 
@@ -153,7 +154,7 @@ def _plan(
     if num_karts < len(drivers):
         raise ConfigError(f"--num-karts is {num_karts}, but {len(drivers)} drivers are named")
     drivers += ["ai"] * (num_karts - len(drivers))
-    settings, seed = settings_of(arguments, _DECIDED), arguments.seed
+    settings, seed = values_of(arguments, RaceSettings, without=_DECIDED), arguments.seed
     if seed is None:
         seed = _DEMO_SEED if arguments.demo else random.randrange(2**16)
     if arguments.demo:

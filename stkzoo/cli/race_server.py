@@ -25,8 +25,9 @@ import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from stkzoo._arguments import add_options, option, positional
-from stkzoo.cli._arguments import add_settings, settings_of, usage_errors
+from stkzoo._arguments import add_options, option, positional, values_of
+from stkzoo.cli._arguments import usage_errors
+from stkzoo.race import RaceSettings
 
 if TYPE_CHECKING:
     from stkzoo.race.remote import RaceServer
@@ -60,7 +61,7 @@ class RaceServerArguments:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
     add_options(parser, RaceServerArguments)
-    add_settings(parser, "each agent", only=_SETTINGS)
+    add_options(parser.add_argument_group("each agent"), RaceSettings, only=_SETTINGS)
 
 
 @usage_errors
@@ -82,10 +83,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _server(arguments: argparse.Namespace) -> RaceServer:
-    from stkzoo.race import RaceSettings, find_driver
+    from stkzoo.race import find_driver
     from stkzoo.race.remote import RaceServer, ServerKeys, read_publics, read_secret
 
-    settings = RaceSettings(**settings_of(arguments, only=_SETTINGS))
+    settings = RaceSettings(**values_of(arguments, RaceSettings, only=_SETTINGS))
     drivers = [
         find_driver(agent, inline=settings.inline, adapter=settings.adapter)
         for agent in arguments.agents

@@ -27,9 +27,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stkzoo._arguments import add_options, option, positional
-from stkzoo.cli._arguments import add_batch_options, settings_of, tracks_option, usage_errors
+from stkzoo._arguments import add_options, option, positional, values_of
+from stkzoo.cli._arguments import add_batch_options, tracks_option, usage_errors
 from stkzoo.errors import ConfigError
+from stkzoo.race import RaceSettings
 
 if TYPE_CHECKING:
     from stkzoo.evaluation import RunOptions, TournamentResult
@@ -108,7 +109,7 @@ def _run(arguments: argparse.Namespace, folder: Path, options: RunOptions) -> To
             races=arguments.races,
             per_race=arguments.per_race,
             seed=arguments.seed,
-            **settings_of(arguments, _DECIDED),
+            **values_of(arguments, RaceSettings, without=_DECIDED),
         )
     )
     return run_batch(plan, folder, options)

@@ -73,18 +73,13 @@ def run(arguments: argparse.Namespace) -> int:
     names = _chosen(arguments)
     if arguments.map is not None:
         return _draw(names, arguments.map)
-    from rich.console import Console
-    from rich.progress import track as with_bar
+    from rich.progress import BarColumn, TextColumn
 
-    console = Console(stderr=True)
-    bar = with_bar(
-        names,
-        "reading the tracks",
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    )
-    facts = [track_facts(name, arguments.difficulty) for name in bar]
+    from stkzoo.cli._console import make_bars
+
+    with make_bars(TextColumn("{task.description}"), BarColumn()) as bars:
+        tracks = bars.track(names, description="reading the tracks")
+        facts = [track_facts(name, arguments.difficulty) for name in tracks]
     facts.sort(key=lambda fact: getattr(fact, _SORTS[arguments.sort]) or 0.0)
     if arguments.json:
         import json

@@ -94,16 +94,16 @@ class ServerKeys:
     own: KeyPair | None = None
     allowed: Collection[str] | None = field(default=None)
 
-    def check(self, address: str, is_allowedsecure: bool) -> None:
+    def check(self, address: str, insecure: bool) -> None:
         """Rejects an address that other machines can reach without keys.
 
         Raises:
-            ConfigError: they can, and ``is_allowedsecure`` is not set.
+            ConfigError: they can, and ``insecure`` is not set.
         """
         if self.allowed is not None and self.own is None:
             raise ConfigError("allowed clients have no effect without the server's secret key")
         is_closed = self.own is not None and self.allowed is not None
-        if not (is_local(address) or is_closed or is_allowedsecure):
+        if not (is_local(address) or is_closed or insecure):
             raise ConfigError(
                 f"other machines can reach {address}; give the server a key of its own (--secret) "
                 "and those of its clients (--allow), or use --insecure"
