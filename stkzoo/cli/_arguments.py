@@ -54,7 +54,7 @@ def add_command(
         name,
         help=summary[:1].lower() + summary[1:].rstrip("."),
         description=description.rstrip() or summary,
-        epilog=heading + examples,
+        epilog=heading.lower() + examples,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         **options,
     )

@@ -14,7 +14,7 @@ from rich.progress import (
     BarColumn,
     DownloadColumn,
     ProgressColumn,
-    TaskID,
+    Task,
     TextColumn,
     TimeRemainingColumn,
     TransferSpeedColumn,
@@ -78,58 +78,55 @@ class ConsoleProgress(Progress):
 
     def __init__(self) -> None:
         self._console = Console(stderr=True)
-        self._bars: Bars | None = None
-        self._task: TaskID | None = None
-        self._stage, self._total = "", 0
+        self._bars = Bars(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            DownloadColumn(),
+            TransferSpeedColumn(),
+            TimeRemainingColumn(),
+            console=self._console,
+            disable=not self._console.is_terminal,
+        )
+        self._stage: Task | None = None
         self._spoken = time.monotonic()
 
     def __enter__(self) -> Self:
-        if self._console.is_terminal:
-            self._bars = Bars(
-                TextColumn("{task.description}"),
-                BarColumn(),
-                DownloadColumn(),
-                TransferSpeedColumn(),
-                TimeRemainingColumn(),
-                console=self._console,
-            )
-            self._bars.start()
+        self._bars.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
             self._finish()
-        if self._bars is not None:
-            self._bars.stop()
+        self._bars.stop()
 
     def begin(self, stage: str, total: int | None = None) -> None:
         """Starts a bar, or prints a line."""
         self._finish()
-        self._stage, self._total = stage, total or 0
+        self._bars.add_task(stage, total=total)
+        self._stage = self._bars.tasks[-1]
         self._spoken = time.monotonic()
-        if self._bars is not None:
-            self._task = self._bars.add_task(stage, total=total)
-        else:
+        if self._bars.disable:
             self.note(stage + (f" ({megabytes(total)})" if total else ""))
 
     def reach(self, done: int) -> None:
         """Moves the bar."""
-        if self._bars is not None and self._task is not None:
-            self._bars.update(self._task, completed=done)
-        elif time.monotonic() - self._spoken > _QUIET_INTERVAL:
+        stage = self._stage
+        if stage is None:
+            return
+        self._bars.update(stage.id, completed=done)
+        if self._bars.disable and time.monotonic() - self._spoken > _QUIET_INTERVAL:
             self._spoken = time.monotonic()
-            of = f" of {megabytes(self._total)}" if self._total else ""
-            self.note(f"{self._stage}: {megabytes(done)}{of}")
+            of = f" of {megabytes(stage.total)}" if stage.total else ""
+            self.note(f"{stage.description}: {megabytes(done)}{of}")
 
     def note(self, text: str) -> None:
         """Prints a line."""
         say(text, self._console)
 
     def _finish(self) -> None:
-        if self._bars is not None and self._task is not None:
-            task = self._bars.tasks[self._task]
-            total = task.total or task.completed or 1
-            self._bars.update(self._task, total=total, completed=total)
+        if self._stage is not None:
+            total = self._stage.total or self._stage.completed or 1
+            self._bars.update(self._stage.id, total=total, completed=total)
 
 
 def megabytes(size: float) -> str:

@@ -103,7 +103,12 @@ def _install(arguments: argparse.Namespace) -> int:
     Uses the data on this machine, or downloads it (about 630 MB to download; 1.5 GB of disk
     meanwhile, 750 MB after) and builds the headless pack. No administrator's rights are needed. You
     may interrupt and repeat it; several may run at once.
-    `stkzoo assets --help` has examples.
+
+    Examples:
+      stkzoo assets install                      any source that works
+      stkzoo assets install --source debian      from Debian's or Ubuntu's package
+      stkzoo assets install --source upstream    by the download of pystk2
+      stkzoo assets install --from pack.tar.xz   no network: from another machine's pack
     """
     from stkzoo.cli._console import ConsoleProgress
     from stkzoo.engine.assets import install

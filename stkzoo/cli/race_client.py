@@ -18,13 +18,9 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import MISSING, dataclass
-from typing import TYPE_CHECKING
 
 from stkzoo._arguments import add_options, option
 from stkzoo.cli._arguments import usage_errors
-
-if TYPE_CHECKING:
-    from stkzoo.race.remote import RemoteDriverGroup
 
 
 @dataclass
@@ -63,18 +59,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Connects to the servers and runs the race."""
     from stkzoo.cli.race import run_races
-
-    with _remote_group(arguments) as group:
-        return run_races(arguments, group.drivers)
-
-
-def _remote_group(arguments: argparse.Namespace) -> RemoteDriverGroup:
     from stkzoo.race.remote import RemoteDriverGroup, read_public, read_secret
 
-    return RemoteDriverGroup(
+    with RemoteDriverGroup(
         arguments.server,
         keys=None if arguments.secret is None else read_secret(arguments.secret),
         server_keys=[read_public(key) for key in arguments.server_key or ()],
         timeout=arguments.timeout,
         connect_timeout=arguments.connect_timeout,
-    )
+    ) as group:
+        return run_races(arguments, group.drivers)
