@@ -11,19 +11,21 @@ import socket
 import subprocess
 import sys
 import threading
+from dataclasses import dataclass
 from pathlib import Path
 
 from stkzoo._os import LockedTemporaryDirectory
 from stkzoo.engine import wire
 from stkzoo.engine.process import (
     START_TIMEOUT,
-    Log,
     RaceProcess,
     SpawnedProcess,
     describe_end,
     engine_environment,
     explain_os_errors,
+    open_log,
     spawn_interpreter,
+    tail,
 )
 from stkzoo.errors import EngineCrashed, EngineTimeout
 
@@ -61,7 +63,7 @@ class ForkServerClient:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        self._log = Log()
+        self._log = open_log()
         self._home = LockedTemporaryDirectory("home")
         self._lock = threading.Lock()
         self._has_forked = False
@@ -84,10 +86,10 @@ class ForkServerClient:
             _retire(self)
             raise EngineTimeout(
                 f"the game's fork server gave no answer in {START_TIMEOUT:.0f} s and was ended",
-                self._log.tail(),
+                tail(self._log),
             ) from None
         except (EOFError, ConnectionError):
-            log = self._log.tail()
+            log = tail(self._log)
             what = "is gone" if self._has_forked else "could not start"
             _retire(self)
             raise EngineCrashed(
@@ -112,7 +114,7 @@ class ForkServerClient:
         with contextlib.ExitStack() as on_failure:
             with explain_os_errors():
                 ours, theirs = map(on_failure.enter_context, wire.pair())
-                log = Log()
+                log = open_log()
                 on_failure.callback(log.close)
             with theirs:
                 ours.settimeout(timeout)
@@ -127,7 +129,7 @@ class ForkServerClient:
                 raise EngineCrashed(
                     "a new process of the game ended before it could answer; it was killed, or "
                     "are too many files open?",
-                    log.tail(),
+                    tail(log),
                 ) from None
             if kind == wire.ERROR:
                 with explain_os_errors():
@@ -176,24 +178,21 @@ def _is_closed(connection: socket.socket) -> bool:
     return bool(poller.poll(0))
 
 
+@dataclass(eq=False)
 class _ForkedProcess(RaceProcess):
-    def __init__(
-        self, connection: socket.socket, pid: int, log: Log, fork_server: ForkServerClient
-    ) -> None:
-        super().__init__(connection, pid, log)
-        self._fork_server = fork_server
+    fork_server: ForkServerClient
 
     def end(self) -> str:
         self.connection.close()
-        status = self._fork_server.end_child(self.pid)
+        status = self.fork_server.end_child(self.pid)
         return "was lost" if status is None else describe_end(os.waitstatus_to_exitcode(status))
 
     def drop(self) -> None:
-        self._fork_server.drop_child(self.pid)
+        self.fork_server.drop_child(self.pid)
         self._free()
 
     def fork(self) -> RaceProcess:
-        return self._fork_server.fork_from(self.connection, self.connection.gettimeout())
+        return self.fork_server.fork_from(self.connection, self.connection.gettimeout())
 
 
 _fork_servers: dict[Path, ForkServerClient] = {}

@@ -18,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
@@ -44,29 +45,25 @@ main(int(sys.argv[2]))
 """
 
 
-class Log:
+#: The output of an engine process.
+Log = IO[bytes]
+
+
+def open_log() -> Log:
     """An unnamed file for the output of an engine process."""
-
-    def __init__(self) -> None:
-        self._file: IO[bytes] = tempfile.TemporaryFile(prefix="stkzoo-log-")  # noqa: SIM115
-
-    def fileno(self) -> int:
-        """The file's descriptor."""
-        return self._file.fileno()
-
-    def tail(self) -> str:
-        """The last lines of the output; empty once the file is closed."""
-        if self._file.closed:
-            return ""
-        start = max(0, os.fstat(self.fileno()).st_size - _LOG_TAIL_BYTES)
-        # Not through the file object: the writer shares its position.
-        return os.pread(self.fileno(), _LOG_TAIL_BYTES, start).decode(errors="replace").strip()
-
-    def close(self) -> None:
-        """Closes and removes the file."""
-        self._file.close()
+    return tempfile.TemporaryFile(prefix="stkzoo-log-")
 
 
+def tail(log: Log) -> str:
+    """The last lines of an output; empty once the file is closed."""
+    if log.closed:
+        return ""
+    start = max(0, os.fstat(log.fileno()).st_size - _LOG_TAIL_BYTES)
+    # Not through the file object: the writer shares its position.
+    return os.pread(log.fileno(), _LOG_TAIL_BYTES, start).decode(errors="replace").strip()
+
+
+@dataclass(eq=False)
 class RaceProcess:
     """A process that serves one connection.
 
@@ -74,12 +71,13 @@ class RaceProcess:
         connection: socket that speaks :mod:`stkzoo.engine.wire`.
         pid: its process id.
         log: its output.
+        owner: process id of the program that started it.
     """
 
-    def __init__(self, connection: socket.socket, pid: int, log: Log) -> None:
-        self.connection = connection
-        self.pid = pid
-        self.log = log
+    connection: socket.socket
+    pid: int
+    log: Log
+    owner: int = field(default_factory=os.getpid, init=False)
 
     def end(self) -> str:
         """Ends the process if it still runs and says how it ended."""
@@ -89,13 +87,9 @@ class RaceProcess:
         """Ends the process without waiting for it, and releases its resources."""
         raise NotImplementedError
 
-    def release(self, owner: int) -> None:
-        """:meth:`drop` in the program that started it; in forks of that, only closes the handles.
-
-        Args:
-            owner: process id of the program that started it.
-        """
-        if owner == os.getpid():
+    def release(self) -> None:
+        """:meth:`drop` in the program that started it; its forks only close the handles."""
+        if self.owner == os.getpid():
             self.drop()
         else:
             self._free()
@@ -115,7 +109,7 @@ class RaceProcess:
                 raise ConfigError(error["message"])
             raise EngineError(
                 f"the game refused: {error['type']}: {error['message']}\n{error['traceback']}",
-                self.log.tail(),
+                tail(self.log),
             )
         return frames
 
@@ -200,7 +194,7 @@ class SpawnedProcess(RaceProcess):
     def __init__(self, root: Path, module: str, variables: Mapping[str, str] | None = None) -> None:
         self._home = LockedTemporaryDirectory("home")
         home = str(self._home.path)
-        log = Log()
+        log = open_log()
         token = secrets.token_bytes(_TOKEN_BYTES)
         environment = engine_environment(root, home) | {"STKZOO_TOKEN": token.hex()}
         environment.setdefault("XDG_RUNTIME_DIR", home)  # a window asks for one
@@ -225,7 +219,7 @@ class SpawnedProcess(RaceProcess):
                 if self._process.poll() is not None:
                     how = describe_end(self._process.returncode)
                     raise EngineCrashed(
-                        f"the game's process {how} at its start", log.tail()
+                        f"the game's process {how} at its start", tail(log)
                     ) from None
                 continue
             connection.settimeout(5.0)
@@ -234,7 +228,7 @@ class SpawnedProcess(RaceProcess):
                     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                     return connection
             connection.close()
-        raise EngineTimeout(f"the game did not start in {START_TIMEOUT:.0f} s", log.tail())
+        raise EngineTimeout(f"the game did not start in {START_TIMEOUT:.0f} s", tail(log))
 
     def end(self) -> str:
         """See :meth:`RaceProcess.end`."""

@@ -116,10 +116,10 @@ class RenderSession(ProcessSession):
         Raises:
             EngineError: the game cannot draw here; the text has its last lines.
         """
-        if self._owner != os.getpid():
+        if self._process is not None and self._process.owner != os.getpid():
             self.close()
         if self._process is None:
-            self._own(self._start_process())
+            self._process = self._start_process()
             self._timeouts[wire.DRAW] = 10 * self._timeout
         self._request(wire.BEGIN, setup.to_json())
 
@@ -153,7 +153,6 @@ class RenderSession(ProcessSession):
             "in_real_time": in_real_time,
         }
         moments = np.ascontiguousarray(poses, np.float32).tobytes()
-        self._require_own()
         request = json.dumps(wishes).encode()
         shapes, *blocks = self._request(wire.DRAW, request, moments)
         self._timeouts[wire.DRAW] = self._timeout

@@ -19,9 +19,10 @@ from stkzoo.engine import wire
 from stkzoo.engine.fork_client import start_race_process
 from stkzoo.engine.process import (
     START_TIMEOUT,
-    Log,
     RaceProcess,
     engine_environment,
+    open_log,
+    tail,
 )
 from stkzoo.engine.race import GameRace, RaceStart, init_engine
 from stkzoo.engine.setup import RaceSetup
@@ -110,37 +111,21 @@ class ProcessSession:
         self._timeouts = timeouts
         self._asked: bytes | None = None  # kind of the request whose reply is outstanding
         self._process: RaceProcess | None = None
-        self._owner = os.getpid()
 
     @property
     def pid(self) -> int | None:
         """Id of the process, if it runs."""
         return self._process.pid if self._process else None
 
-    @property
-    def is_own(self) -> bool:
-        """Whether this program started the process, and not one from which it was forked."""
-        return self._owner == os.getpid()
-
     def close(self) -> None:
         """Ends the process. You may call it again, and start another one afterwards."""
         process, self._process, self._asked = self._process, None, None
         if process is not None:
-            process.release(self._owner)
+            process.release()
 
     def __del__(self) -> None:
         with contextlib.suppress(Exception):  # the interpreter may be shutting down
             self.close()
-
-    def _own(self, process: RaceProcess) -> None:
-        self._process, self._owner = process, os.getpid()
-
-    def _require_own(self) -> None:
-        if not self.is_own:
-            raise ApiOrderError(
-                f"this race belongs to process {self._owner}, from which this process "
-                f"({os.getpid()}) was forked; call reset() to start one here"
-            )
 
     def _send(self, kind: bytes, *data: bytes) -> None:
         process = self._idle()
@@ -173,6 +158,11 @@ class ProcessSession:
     def _living(self) -> RaceProcess:
         if self._process is None:
             raise ApiOrderError(f"{self.what} has ended or was not started; {self.remedy}")
+        if self._process.owner != os.getpid():
+            raise ApiOrderError(
+                f"this race belongs to process {self._process.owner}, from which this process "
+                f"({os.getpid()}) was forked; call reset() to start one here"
+            )
         return self._process
 
     def _end_after(self, error: BaseException, process: RaceProcess) -> None:
@@ -184,7 +174,7 @@ class ProcessSession:
         """
         self._process, self._asked = None, None
         seconds = process.connection.gettimeout()
-        how, log = process.end(), process.log.tail()
+        how, log = process.end(), tail(process.log)
         process.log.close()
         if isinstance(error, TimeoutError):
             message = f"{self.what} gave no answer in {seconds:g} s and was ended; {self.remedy}"
@@ -217,7 +207,7 @@ class WorkerSession(ProcessSession, Session):
     def start_async(self, setup: RaceSetup) -> None:
         """Requests a race; :meth:`start_wait` returns it."""
         self.close()
-        self._own(start_race_process(self._root))
+        self._process = start_race_process(self._root)
         self._send(wire.BEGIN, setup.to_json())
 
     def start_wait(self) -> RaceStart:
@@ -226,7 +216,6 @@ class WorkerSession(ProcessSession, Session):
 
     def step_async(self, controls: Controls) -> None:
         """See :meth:`Session.step_async`."""
-        self._require_own()
         self._send(wire.ACT, controls.tobytes())
 
     def step_wait(self) -> Snapshot:
@@ -246,11 +235,10 @@ class WorkerSession(ProcessSession, Session):
             raise EngineError(_NO_COPIES)
         process = other._fork()
         self.close()
-        self._own(process)
+        self._process = process
 
     def _fork(self) -> RaceProcess:
         """A clone of the race's process."""
-        self._require_own()
         process = self._idle()
         try:
             process.connection.settimeout(self._timeouts[wire.FORK])
@@ -320,7 +308,7 @@ class LocalSession(Session):
 @contextlib.contextmanager
 def _quiet_output() -> Iterator[None]:
     """Keeps the game's output off the terminal; an error carries it instead."""
-    log = Log()
+    log = open_log()
     _flush_c_streams()
     streams = {stream: os.dup(stream) for stream in (1, 2)}
     try:
@@ -330,7 +318,7 @@ def _quiet_output() -> Iterator[None]:
     except EngineError:
         raise
     except Exception as error:
-        raise EngineError(f"the game refused: {error!r}", log.tail()) from error
+        raise EngineError(f"the game refused: {error!r}", tail(log)) from error
     finally:
         _flush_c_streams()  # or the game's output appears when this program ends
         for stream, original in streams.items():

@@ -116,14 +116,10 @@ def _at_least(connection: socket.socket, data: bytes, size: int) -> bytes:
     """Reads until there are ``size`` bytes."""
     if len(data) >= size:
         return data
-    if not data:
-        raise EOFError("the connection was closed")
-    parts = [data]
-    count = len(data)
-    while count < size:
-        part = connection.recv(size - count)
+    whole = bytearray(data)
+    while len(whole) < size:
+        part = connection.recv(size - len(whole)) if data else b""
         if not part:
             raise EOFError("the connection was closed")
-        parts.append(part)
-        count += len(part)
-    return b"".join(parts)
+        whole += part
+    return bytes(whole)

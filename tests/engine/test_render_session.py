@@ -26,7 +26,7 @@ class _SilentProcess(RaceProcess):
 def test_an_interrupted_request_ends_the_process_so_that_no_late_reply_is_read(monkeypatch):
     ours, theirs = wire.pair()
     session = RenderSession(Path("/nowhere"), (64, 48))
-    session._own(_SilentProcess(ours, 1, _NoLog()))
+    session._process = _SilentProcess(ours, 1, _NoLog())
     session._timeouts[wire.DRAW] = 1.0
 
     def interrupted(_kind):

@@ -13,7 +13,7 @@ from stkzoo.engine.setup import RaceSetup
 from stkzoo.env.grid import draw_race
 from stkzoo.env.options import random_stream
 from stkzoo.env.parallel import RaceParallelEnv
-from stkzoo.errors import ConfigError, EngineError
+from stkzoo.errors import ConfigError, EngineError, StkzooError
 
 logger = logging.getLogger(__name__)
 
@@ -77,10 +77,10 @@ class AheadRace(RaceParallelEnv):
         if self._next is None:
             return super()._begin(setup)
         asked, session = self._next
-        if asked == setup and session.is_own:
+        if asked == setup:
             try:
                 begun = session.start_wait()
-            except (ConfigError, EngineError) as error:
+            except StkzooError as error:
                 logger.info("a race that was started ahead was lost: %s", error)
             else:
                 self._session.close()
