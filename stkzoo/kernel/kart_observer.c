@@ -229,17 +229,18 @@ static void write_numbers(const KartObserver *observer, const Scene *scene, cons
         break;
     default: from = record_of(scene, key), order = NULL;
     }
-    const int is_polar = observer->is_polar && key->form & IS_PLACE;
-    for (npy_intp i = 0; i < real; i++, out += width) {
+    for (npy_intp i = 0; i < real; i++) {
         const float *row = from + step * (order ? order[i] : i);
-        if (key->form & IS_POINT) {
-            see(scene, row, out);
-        } else { /* without a loop, which is quicker */
-            out[0] = row[0];
-            if (width > 1) out[1] = row[1];
-            if (width > 2) out[2] = row[2];
+        float *to = out + width * i;
+        switch (key->form & IS_POINT ? 0 : width) { /* without a loop, which is quicker */
+        case 0: see(scene, row, to); break;
+        case 3: to[2] = row[2]; /* fall through */
+        case 2: to[1] = row[1]; /* fall through */
+        default: to[0] = row[0];
         }
-        if (is_polar) make_polar(out);
+    }
+    for (npy_intp i = 0; i < real && observer->is_polar && key->form & IS_PLACE; i++) {
+        make_polar(out + width * i);
     }
 }
 
