@@ -21,7 +21,7 @@ from stkzoo import AgentSpec, Start, race_v0
 from stkzoo._os import atomic_write
 from stkzoo.agents.pursuit import PursuitDriver, PursuitState, control_of
 from stkzoo.wrappers.control import CarParameters, ControlView
-from stkzoo.wrappers.control.parameters import KARTS
+from stkzoo.wrappers.control.kart import KARTS
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results" / "control.json"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, check_number
 from stkzoo.names import CameraMode
 
 __all__ = ["AgentSpec", "RandomStart", "Start"]
@@ -65,13 +65,13 @@ class Start:
         if (self.distance is None) == (self.share is None):
             raise ConfigError(f"{self!r} needs either a distance [m] or a share of the lap")
         if self.share is not None:
-            _check_number("share of a start", self.share, 0.0, 1.0)
+            check_number("share of a start", self.share, 0.0, 1.0)
         else:
-            _check_number("distance of a start", self.distance, -1e3, 1e5)
-        _check_number("offset of a start", self.offset, -100.0, 100.0)
-        _check_number("heading of a start", self.heading, -math.pi, math.pi)
-        _check_number("speed of a start", self.speed, 0.0, _MAX_START_SPEED)
-        _check_number("behind of a start", self.behind, 0.0, 2e3)
+            check_number("distance of a start", self.distance, -1e3, 1e5)
+        check_number("offset of a start", self.offset, -100.0, 100.0)
+        check_number("heading of a start", self.heading, -math.pi, math.pi)
+        check_number("speed of a start", self.speed, 0.0, _MAX_START_SPEED)
+        check_number("behind of a start", self.behind, 0.0, 2e3)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,9 +101,3 @@ class RandomStart:
             low, high = (Start(**{"share": 0.0, field.name: bound}) for bound in bounds)
             if getattr(low, field.name) > getattr(high, field.name):
                 raise ConfigError(f"{field.name} is {bounds!r}, expected (lowest, highest)")
-
-
-def _check_number(name: str, value: object, low: float, high: float) -> None:
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not is_number or not low <= value <= high:  # type: ignore[operator]
-        raise ConfigError(f"{name} is {value!r}, expected a number from {low:g} to {high:g}")

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import math
 import operator
 from collections.abc import Iterable
 from typing import Any
@@ -149,6 +150,43 @@ def check_whole(name: str, value: object, low: int, high: int | None = None) -> 
     if number < low or (high is not None and number > high):
         bounds = f"of {low} or more" if high is None else f"from {low} to {high}"
         raise ConfigError(f"{name} is {value!r}, expected a whole number {bounds}")
+    return number
+
+
+def check_number(
+    name: str,
+    value: object,
+    low: float = 0.0,
+    high: float | None = None,
+    *,
+    unit: str = "",
+    is_finite: bool = True,
+) -> float:
+    """Checks that a value is a number within bounds, and returns it as Python's own.
+
+    Args:
+        name: what the value is for, such as ``"step_size"``.
+        value: the value as it came.
+        low: the number that it must be above; with ``high`` the lowest valid one.
+        high: highest valid value; ``None`` for no bound.
+        unit: of the number, such as ``"seconds"``, for the message.
+        is_finite: whether infinity is invalid.
+
+    Raises:
+        ConfigError: it is not.
+    """
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    try:
+        number = float(value) if is_number else math.nan  # type: ignore[arg-type]
+    except OverflowError:
+        number = math.inf
+    if high is not None:
+        is_valid, bounds = low <= number <= high, f"from {low:g} to {high:g}"
+    else:
+        is_valid, bounds = low < number and (number < math.inf or not is_finite), f"above {low:g}"
+    if not is_valid:
+        what = f"a number of {unit}" if unit else "a number"
+        raise ConfigError(f"{name} is {value!r}, expected {what} {bounds}")
     return number
 
 

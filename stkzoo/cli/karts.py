@@ -45,7 +45,7 @@ class KartFacts:
 def kart_facts() -> list[KartFacts]:
     """All karts of the game's data, by name."""
     from stkzoo.engine.assets import find_assets
-    from stkzoo.wrappers.control.parameters import KARTS
+    from stkzoo.wrappers.control.kart import KARTS
 
     assets = find_assets()
     facts = []

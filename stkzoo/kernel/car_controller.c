@@ -10,7 +10,7 @@
 enum { NUM_GEARS = 4 };
 enum { THROTTLE, STEERING, BRAKE };
 
-/* A measured kart, see stkzoo.wrappers.control.pedals. */
+/* A measured kart, see stkzoo.wrappers.control.kart. */
 typedef struct {
     double gears[NUM_GEARS], thrust[NUM_GEARS + 1], brake[NUM_GEARS + 1];
     double reverse, reverse_speed, roll_drag, air_drag, self_stop_speed, stop_speed, rolling;

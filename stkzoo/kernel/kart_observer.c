@@ -343,33 +343,23 @@ static PyObject *mask(npy_intp rows, npy_intp real)
     return array;
 }
 
-static int set_entry(PyObject *dict, const char *name, PyObject *value)
+static PyObject *one_number(float number)
 {
-    const int status = value ? PyDict_SetItemString(dict, name, value) : -1;
-    Py_XDECREF(value);
-    return status;
+    npy_intp one = 1;
+    void *data;
+    PyObject *array = new_array(1, &one, NPY_FLOAT32, &data);
+    if (array) memcpy(data, &number, sizeof number);
+    return array;
 }
 
 /* What the kart's driver does, as an action. */
 static PyObject *control_of(const Kart *me)
 {
     /* In the order of the action space's keys; columns as in stkzoo.engine.snapshot.CONTROLS. */
-    static const struct {
-        const char *name;
-        int column;
-    } PARTS[NUM_CONTROLS] = {{"acceleration", 0}, {"brake", 2}, {"drift", 3}, {"fire", 4},
-                             {"nitro", 5},        {"rescue", 6}, {"steer", 1}};
-    PyObject *dict = PyDict_New();
-    for (int i = 0; dict && i < NUM_CONTROLS; i++) {
-        npy_intp one = 1;
-        void *data = NULL;
-        const int column = PARTS[i].column, is_number = column < 2;
-        PyObject *value = is_number ? new_array(1, &one, NPY_FLOAT32, &data)
-                                    : PyLong_FromLong((long)me->control[column]);
-        if (value && is_number) memcpy(data, me->control + column, sizeof(float));
-        if (set_entry(dict, PARTS[i].name, value) < 0) Py_CLEAR(dict);
-    }
-    return dict;
+    const float *c = me->control;
+    return Py_BuildValue("{sN,sl,sl,sl,sl,sl,sN}", "acceleration", one_number(c[0]), "brake",
+                         (long)c[2], "drift", (long)c[3], "fire", (long)c[4], "nitro", (long)c[5],
+                         "rescue", (long)c[6], "steer", one_number(c[1]));
 }
 
 /* The value of one entry in Gymnasium's form. */
@@ -470,18 +460,20 @@ static PyObject *as_vectors(const KartObserver *observer, const Scene *scene)
         status = write_ones(observer->joined, choices, (float *)numbers + observer->num_continuous);
         Py_CLEAR(discrete);
     }
-    if (is_joined && !has_mask && !status) return continuous;
-    PyObject *dict = PyDict_New();
-    if (!dict) status = -1;
-    if (!status && has_mask) status = set_entry(dict, "action_mask", action_mask(observer, scene->me));
-    if (!status) {
-        status = set_entry(dict, is_joined ? "observation" : "continuous", Py_NewRef(continuous));
+    PyObject *mask = !status && has_mask ? action_mask(observer, scene->me) : NULL, *seen = NULL;
+    if (status || (has_mask && !mask)) {
+        Py_XDECREF(continuous);
+        Py_XDECREF(discrete);
+    } else if (is_joined) {
+        seen = has_mask ? Py_BuildValue("{sN,sN}", "action_mask", mask, "observation", continuous)
+                        : continuous;
+    } else if (has_mask) {
+        seen = Py_BuildValue("{sN,sN,sN}", "action_mask", mask, "continuous", continuous,
+                             "discrete", discrete);
+    } else {
+        seen = Py_BuildValue("{sN,sN}", "continuous", continuous, "discrete", discrete);
     }
-    if (!status && !is_joined) status = set_entry(dict, "discrete", Py_NewRef(discrete));
-    Py_XDECREF(continuous);
-    Py_XDECREF(discrete);
-    if (status) Py_CLEAR(dict);
-    return dict;
+    return seen;
 }
 
 /* ---------------------------------------------------------------- the type */

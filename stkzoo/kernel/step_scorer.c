@@ -134,27 +134,21 @@ static int is_of_this_race(const StepScorer *self, const Moment *moment)
     return 0;
 }
 
-enum { REWARDS, TERMINATIONS, TRUNCATIONS, NUM_PARTS };
-
 static PyObject *ends_and_rewards(const StepScorer *self, const Moment *after, int is_over)
 {
-    PyObject *parts = PyTuple_New(NUM_PARTS);
-    for (int part = 0; parts && part < NUM_PARTS; part++) {
-        PyObject *dict = PyDict_New();
-        if (!dict) Py_CLEAR(parts);
-        else PyTuple_SET_ITEM(parts, part, dict);
-    }
-    for (npy_intp agent = 0; parts && agent < self->karts.size; agent++) {
+    PyObject *rewards = PyDict_New(), *ended = PyDict_New(), *cut = PyDict_New();
+    int status = rewards && ended && cut ? 0 : -1;
+    for (npy_intp agent = 0; !status && agent < self->karts.size; agent++) {
         PyObject *name = PyTuple_GET_ITEM(self->agents, agent);
         const int has_ended = after->karts[self->karts.data[agent]].has_finished_race > 0;
-        if (put(PyTuple_GET_ITEM(parts, REWARDS), name,
-                PyFloat_FromDouble(total_of(self, agent))) < 0 ||
-            put(PyTuple_GET_ITEM(parts, TERMINATIONS), name, PyBool_FromLong(has_ended)) < 0 ||
-            put(PyTuple_GET_ITEM(parts, TRUNCATIONS), name,
-                PyBool_FromLong(is_over && !has_ended)) < 0) {
-            Py_CLEAR(parts);
-        }
+        status = put(rewards, name, PyFloat_FromDouble(total_of(self, agent)));
+        status = status ? status : put(ended, name, PyBool_FromLong(has_ended));
+        status = status ? status : put(cut, name, PyBool_FromLong(is_over && !has_ended));
     }
+    PyObject *parts = status ? NULL : PyTuple_Pack(3, rewards, ended, cut);
+    Py_XDECREF(rewards);
+    Py_XDECREF(ended);
+    Py_XDECREF(cut);
     return parts;
 }
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import os
 from dataclasses import dataclass, field
 from typing import Any
 
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo.errors import ConfigError, check_number, check_whole
 from stkzoo.race.instances import DriverLimits
 
 #: What to do when an agent fails.
@@ -84,8 +83,8 @@ class RaceSettings:
             if isinstance(value, (int, float)) and value == 0:
                 object.__setattr__(self, name, None)
         if self.action_timeout is not None:
-            _check_seconds("action_timeout", self.action_timeout)
-        _check_seconds("start_timeout", self.start_timeout)
+            check_number("action_timeout", self.action_timeout, unit="seconds")
+        check_number("start_timeout", self.start_timeout, unit="seconds")
         if self.agent_memory is not None:
             check_whole("agent_memory", self.agent_memory, 1)
         if not isinstance(self.error_handling, str) or self.error_handling not in ERROR_HANDLING:
@@ -98,9 +97,3 @@ class RaceSettings:
     def limits(self) -> DriverLimits:
         """The resources that each driver may use."""
         return DriverLimits(self.action_timeout, self.start_timeout, self.agent_memory)
-
-
-def _check_seconds(name: str, value: object) -> None:
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not is_number or not 0 < value < math.inf:  # type: ignore[operator]
-        raise ConfigError(f"{name} is {value!r}, expected a number of seconds above 0")

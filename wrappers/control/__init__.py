@@ -7,14 +7,13 @@ puts them around one agent, and :class:`ControlView` makes a view of that.
 """
 
 from stkzoo.wrappers.control.car_action import CarAction, from_single_to_multi_action_space
+from stkzoo.wrappers.control.kart import CarParameters, Pedals
 from stkzoo.wrappers.control.kinds import (
     LongitudinalAction,
     LongitudinalActionEnum,
     SteerAction,
     SteerActionEnum,
 )
-from stkzoo.wrappers.control.parameters import CarParameters
-from stkzoo.wrappers.control.pedals import Pedals
 from stkzoo.wrappers.control.wrapper import ControlView, ControlWrapper
 
 __all__ = [

@@ -12,6 +12,7 @@ from gymnasium.vector.utils import batch_space
 
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.kernel import CarController
+from stkzoo.wrappers.control.kart import PEDALS, CarParameters, Pedals
 from stkzoo.wrappers.control.kinds import (
     LongitudinalAction,
     LongitudinalActionEnum,
@@ -19,8 +20,6 @@ from stkzoo.wrappers.control.kinds import (
     SteerActionEnum,
     SteeringAngleAction,
 )
-from stkzoo.wrappers.control.parameters import CarParameters
-from stkzoo.wrappers.control.pedals import PEDALS, Pedals
 
 FloatArray = npt.NDArray[np.floating[Any]]
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.errors import unknown_name
-from stkzoo.wrappers.control.parameters import CarParameters
+from stkzoo.wrappers.control.kart import CarParameters
 
 if TYPE_CHECKING:
     from typing_extensions import Self

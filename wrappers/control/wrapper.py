@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -12,11 +11,11 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.errors import ConfigError, check_number, unknown_name
 from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space
 from stkzoo.wrappers.control.car_action import CarAction
-from stkzoo.wrappers.control.parameters import CarParameters
+from stkzoo.wrappers.control.kart import CarParameters
 from stkzoo.wrappers.flattening import FlattenerWrapper
 from stkzoo.wrappers.observations import ConstantSizedObservations, PolarObservations
 
@@ -68,7 +67,7 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
             control_input, normalize_act=normalize_act, parameters=parameters
         )
         self.buttons = _checked_buttons(buttons)
-        self.step_size = _checked_step(step_size)
+        self.step_size = check_number("step_size", step_size, unit="seconds")
         gym.utils.RecordConstructorArgs.__init__(
             self,
             control_input=self.car_action.type,
@@ -117,7 +116,8 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Resets the environment, with the wheels straight."""
-        self._start(_checked_step((options or {}).get("step_size", self.step_size)))
+        step_size = (options or {}).get("step_size", self.step_size)
+        self._start(check_number("step_size", step_size, unit="seconds"))
         return super().reset(seed=seed, options=options)
 
     def action(self, action: dict[str, Any]) -> dict[str, Any]:
@@ -203,13 +203,6 @@ def _checked_buttons(buttons: object) -> tuple[str, ...]:
         if button not in BUTTONS:
             raise unknown_name("button", button, BUTTONS)
     return tuple(button for button in BUTTONS if button in buttons)
-
-
-def _checked_step(step_size: Any) -> float:
-    is_number = isinstance(step_size, (int, float)) and not isinstance(step_size, bool)
-    if not is_number or not (math.isfinite(step_size) and step_size > 0):
-        raise ConfigError(f"step_size is {step_size!r}, expected seconds above 0")
-    return float(step_size)
 
 
 def _idle_buttons(space: spaces.Dict) -> dict[str, int]:

@@ -13,7 +13,7 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
-from stkzoo.errors import ActionError, ConfigError, check_whole
+from stkzoo.errors import ActionError, ConfigError, check_number, check_whole
 from stkzoo.wrappers.marl.teams import Parts, Teams
 
 
@@ -50,9 +50,7 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
         super().__init__(env)
         self.words = None if words is None else check_whole("words", words, 2)
         self.size = self.words or check_whole("size", size, 1)
-        if isinstance(reach, bool) or not isinstance(reach, (int, float)) or not reach > 0:
-            raise ConfigError(f"reach is {reach!r}, expected a number of metres above 0")
-        self.reach = float(reach)
+        self.reach = check_number("reach", reach, unit="metres", is_finite=False)
         self._message_space: spaces.Space[Any] = (
             spaces.Discrete(self.words) if self.words else spaces.Box(-1, 1, (self.size,))
         )

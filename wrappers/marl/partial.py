@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.errors import ConfigError, check_number, unknown_name
 from stkzoo.wrappers.arguments import dict_space
 
 _SEEN = {"karts": ("karts_position",), "items": ("items_position", "items_type")}
@@ -43,8 +43,8 @@ class PartialObservations(gym.ObservationWrapper[Any, Any, Any], gym.utils.Recor
         gym.utils.RecordConstructorArgs.__init__(self, radius=radius, angle=angle, of=tuple(of))
         super().__init__(env)
         space = dict_space(env.observation_space, "observations", "PartialObservations")
-        self.radius = _positive("radius", radius)
-        self.angle = _positive("angle", angle)
+        self.radius = check_number("radius", radius, is_finite=False)
+        self.angle = check_number("angle", angle, is_finite=False)
         for name in of:
             if name not in _SEEN:
                 raise unknown_name("thing to see", name, _SEEN)
@@ -73,9 +73,3 @@ class PartialObservations(gym.ObservationWrapper[Any, Any, Any], gym.utils.Recor
         near = np.linalg.norm(positions, axis=-1) <= self.radius
         seen: list[bool] = (near & (side <= self.angle / 2)).tolist()
         return seen
-
-
-def _positive(name: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
-        raise ConfigError(f"{name} is {value!r}, expected a number above 0")
-    return float(value)

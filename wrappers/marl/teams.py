@@ -13,7 +13,7 @@ from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
 from stkzoo.agent_names import find_agent
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, check_number
 from stkzoo.mdp.geometry import rotation_matrices
 from stkzoo.mdp.transition import progress_of
 
@@ -73,11 +73,9 @@ class Teams(BaseParallelWrapper[str, Any, Any]):
         observe: bool = False,
     ) -> None:
         super().__init__(env)
-        if isinstance(share, bool) or not isinstance(share, (int, float)) or not 0 <= share <= 1:
-            raise ConfigError(f"share is {share!r}, expected a number from 0 to 1")
         self.teams = _checked_teams(teams, env.possible_agents)
         self.team_of = {agent: n for n, team in enumerate(self.teams) for agent in team}
-        self.share, self.observe = float(share), bool(observe)
+        self.share, self.observe = check_number("share", share, 0, 1), bool(observe)
         self._others = {
             agent: [mate for mate in self.teams[self.team_of[agent]] if mate != agent]
             for agent in env.possible_agents
