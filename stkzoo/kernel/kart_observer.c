@@ -14,7 +14,8 @@ typedef struct {
     npy_intp num_paths;   /* segments that are seen */
     PyObject *kart_types; /* a tuple */
     Moment moment;
-    npy_intp there[4]; /* how many items, other karts and segments there are, and one */
+    int is_polar;
+    npy_intp rows[4], real[4]; /* of each group: how many are shown, and how many are there */
     /* of the present kart: */
     const Kart *me;
     const void *records[3]; /* by source: HEADER, KART, SCENE */
@@ -88,7 +89,7 @@ typedef struct {
     OBJECT_HEAD
     Entry entries[NUM_KEYS];
     int num_entries;
-    int sizes[3]; /* rows of items, karts, paths; -1 for all there are */
+    int sizes[4]; /* rows of each group; -1 for all there are */
     int is_polar, is_flat;
     int needs[4]; /* which groups the entries look at */
     npy_intp num_continuous, num_discrete; /* of a flat observer */
@@ -125,26 +126,10 @@ static void find_center_path(Scene *scene)
     scene->center_path_distance = path[0] < 0 ? -length(path) : length(path);
 }
 
-/* How many rows of a group are real. */
-static npy_intp shown(const KartObserver *observer, const Scene *scene, int group)
-{
-    const npy_intp there = scene->there[group];
-    const int all = group == OWN || observer->sizes[group] < 0;
-    return all || there < observer->sizes[group] ? there : observer->sizes[group];
-}
-
-/* How many rows a group has. */
-static npy_intp rows_of(const KartObserver *observer, const Scene *scene, int group)
-{
-    const int all = group == OWN || observer->sizes[group] < 0;
-    return all ? shown(observer, scene, group) : observer->sizes[group];
-}
-
 /* Finds the nearest items or karts. */
-static void find_near(const KartObserver *observer, Scene *scene, int group)
+static void find_near(Scene *scene, int group)
 {
     const Moment *moment = &scene->moment;
-    const npy_intp limit = shown(observer, scene, group);
     const npy_intp there = group == ITEMS ? moment->header->num_items : moment->header->num_kart;
     npy_intp count = 0;
     for (npy_intp i = 0; i < there; i++) {
@@ -153,7 +138,7 @@ static void find_near(const KartObserver *observer, Scene *scene, int group)
         see(scene, group == ITEMS ? moment->items[i].location : moment->karts[i].location,
             one.place);
         one.key = one.place[2] < 0 ? -length(one.place) : length(one.place);
-        count = insert(scene->nearest[group], count, limit, &one);
+        count = insert(scene->nearest[group], count, scene->real[group], &one);
     }
 }
 
@@ -169,8 +154,8 @@ static int look(const KartObserver *observer, Scene *scene, npy_intp kart)
     if (!(scene->ahead = nodes_ahead(scene->track, scene->me->node))) return -1;
     rotation_matrix(scene->me, scene->matrix);
     if (observer->needs[OWN]) find_center_path(scene);
-    if (observer->needs[ITEMS]) find_near(observer, scene, ITEMS);
-    if (observer->needs[KARTS]) find_near(observer, scene, KARTS);
+    if (observer->needs[ITEMS]) find_near(scene, ITEMS);
+    if (observer->needs[KARTS]) find_near(scene, KARTS);
     return 0;
 }
 
@@ -193,24 +178,21 @@ static npy_int64 item_type(const Scene *scene, npy_intp i)
     return scene->moment.items[scene->nearest[ITEMS][i].which].type;
 }
 
-static void write_choices(const KartObserver *observer, const Scene *scene, const Key *key,
-                          npy_int64 *out)
+static void write_choices(const Scene *scene, const Key *key, npy_int64 *out)
 {
     if (key->group == OWN) {
         *out = choice_of(scene, key);
         return;
     }
-    const npy_intp rows = rows_of(observer, scene, key->group);
-    const npy_intp real = shown(observer, scene, key->group);
-    for (npy_intp i = 0; i < rows; i++) out[i] = i < real ? item_type(scene, i) : 0;
+    for (npy_intp i = 0; i < scene->rows[ITEMS]; i++) {
+        out[i] = i < scene->real[ITEMS] ? item_type(scene, i) : 0;
+    }
 }
 
-static void write_numbers(const KartObserver *observer, const Scene *scene, const Key *key,
-                          float *out)
+static void write_numbers(const Scene *scene, const Key *key, float *out)
 {
     const TrackGraph *track = scene->track;
-    const npy_intp rows = rows_of(observer, scene, key->group);
-    const npy_intp real = shown(observer, scene, key->group);
+    const npy_intp rows = scene->rows[key->group], real = scene->real[key->group];
     const int width = key->width;
     const float *from; /* row i is at from + step * order[i]; without an order, step * i */
     const npy_int32 *order = scene->ahead;
@@ -239,7 +221,7 @@ static void write_numbers(const KartObserver *observer, const Scene *scene, cons
         default: to[0] = row[0];
         }
     }
-    for (npy_intp i = 0; i < real && observer->is_polar && key->form & IS_PLACE; i++) {
+    for (npy_intp i = 0; i < real && scene->is_polar && key->form & IS_PLACE; i++) {
         make_polar(out + width * i);
     }
 }
@@ -305,9 +287,9 @@ static PyObject *new_rows(npy_intp rows, npy_intp width, float **data)
 }
 
 /* A tuple of arrays, one for each row, that nobody else holds. */
-static PyObject *number_rows(const KartObserver *observer, const Scene *scene, Entry *entry)
+static PyObject *number_rows(const Scene *scene, Entry *entry)
 {
-    const npy_intp rows = shown(observer, scene, entry->key->group);
+    const npy_intp rows = scene->real[entry->key->group];
     if (rows == 0) return PyTuple_New(0);
     const Py_ssize_t place = entry->next;
     entry->next = (place + 1) % PyList_GET_SIZE(entry->pool);
@@ -316,13 +298,13 @@ static PyObject *number_rows(const KartObserver *observer, const Scene *scene, E
         PyObject *tuple = new_rows(rows, entry->key->width, &data);
         if (!tuple || PyList_SetItem(entry->pool, place, tuple) < 0) return NULL;
     }
-    write_numbers(observer, scene, entry->key, data);
+    write_numbers(scene, entry->key, data);
     return Py_NewRef(PyList_GET_ITEM(entry->pool, place));
 }
 
-static PyObject *choice_rows(const KartObserver *observer, const Scene *scene)
+static PyObject *choice_rows(const Scene *scene)
 {
-    const npy_intp rows = shown(observer, scene, ITEMS);
+    const npy_intp rows = scene->real[ITEMS];
     PyArray_Descr *type = PyArray_DescrFromType(NPY_INT64);
     PyObject *tuple = PyTuple_New(rows);
     for (npy_intp i = 0; tuple && i < rows; i++) {
@@ -367,24 +349,24 @@ static PyObject *value_of(const KartObserver *observer, const Scene *scene, Entr
 {
     const Key *key = entry->key;
     const int is_own = key->group == OWN;
-    npy_intp shape[2] = {rows_of(observer, scene, key->group), key->width};
+    npy_intp shape[2] = {scene->rows[key->group], key->width};
     void *data;
     PyObject *array;
     switch (key->kind) {
     case NAME:
         return Py_XNewRef(PyTuple_GetItem(scene->kart_types, scene->me - scene->moment.karts));
     case CONTROL: return control_of(scene->me);
-    case MASK: return mask(shape[0], shown(observer, scene, key->group));
+    case MASK: return mask(shape[0], scene->real[key->group]);
     case CHOICE:
         if (is_own) return PyLong_FromLongLong(choice_of(scene, key));
-        if (observer->sizes[key->group] < 0) return choice_rows(observer, scene);
+        if (observer->sizes[key->group] < 0) return choice_rows(scene);
         array = new_array(1, shape, NPY_INT64, &data);
-        if (array) write_choices(observer, scene, key, data);
+        if (array) write_choices(scene, key, data);
         return array;
     default:
-        if (!is_own && observer->sizes[key->group] < 0) return number_rows(observer, scene, entry);
+        if (!is_own && observer->sizes[key->group] < 0) return number_rows(scene, entry);
         array = new_array(is_own ? 1 : 2, is_own ? shape + 1 : shape, NPY_FLOAT32, &data);
-        if (array) write_numbers(observer, scene, key, data);
+        if (array) write_numbers(scene, key, data);
         return array;
     }
 }
@@ -406,12 +388,12 @@ static void write_flat(const KartObserver *observer, const Scene *scene, float *
 {
     for (int i = 0; i < observer->num_entries; i++) {
         const Key *key = observer->entries[i].key;
-        const npy_intp rows = rows_of(observer, scene, key->group);
+        const npy_intp rows = scene->rows[key->group];
         if (key->kind == CHOICE) {
-            write_choices(observer, scene, key, choices);
+            write_choices(scene, key, choices);
             choices += rows;
         } else {
-            write_numbers(observer, scene, key, numbers);
+            write_numbers(scene, key, numbers);
             numbers += rows * key->width;
         }
     }
@@ -496,7 +478,12 @@ static PyObject *observer_observe(PyObject *self, PyObject *args)
     }
     const Header *header = scene.records[HEADER] = scene.moment.header;
     const npy_intp there[] = {header->num_items, header->num_kart - 1, scene.num_paths, 1};
-    memcpy(scene.there, there, sizeof there);
+    for (int group = 0; group < 4; group++) {
+        const npy_intp size = observer->sizes[group];
+        scene.rows[group] = size < 0 ? there[group] : size;
+        scene.real[group] = size < 0 || there[group] < size ? there[group] : size;
+    }
+    scene.is_polar = observer->is_polar;
     scene.records[SCENE] = &scene;
     if (!observer->is_flat && grow(observer, who.size) < 0) return NULL;
     Near *room = PyMem_Malloc((size_t)(header->num_items + header->num_kart) * sizeof *room);
@@ -558,7 +545,7 @@ static int observer_set_up(KartObserver *observer, PyObject *args, PyObject *kwa
                             "flat",  "joined", "nitro", "fire",  NULL};
     PyObject *names, *joined = Py_None, *nitro = Py_None, *fire = Py_None;
     int *sizes = observer->sizes;
-    sizes[ITEMS] = sizes[KARTS] = sizes[PATHS] = -1;
+    sizes[ITEMS] = sizes[KARTS] = sizes[PATHS] = sizes[OWN] = -1;
     if (!PyArg_ParseTupleAndKeywords(args, kwargs, "O!|iiippOOO", words, &PyTuple_Type, &names,
                                      sizes + ITEMS, sizes + KARTS, sizes + PATHS,
                                      &observer->is_polar, &observer->is_flat, &joined, &nitro,
