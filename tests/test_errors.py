@@ -67,3 +67,22 @@ def test_the_tree_at_the_top_names_every_error_below_its_parent():
     for kind in CLASSES[:]:
         if kind is not errors.StkzooError:
             assert indents[kind.__mro__[1].__name__] == indents[kind.__name__] - 4
+
+
+@pytest.mark.parametrize("value", [True, "1", None, float("nan"), 0, -1, float("inf"), 10**400])
+def test_what_is_no_number_above_zero_is_refused(value):
+    with pytest.raises(
+        errors.ConfigError, match=r"wait is .*, expected a number of seconds above 0"
+    ):
+        errors.check_number("wait", value, unit="seconds")
+
+
+@pytest.mark.parametrize("value", [-0.1, 1.1, float("nan"), "0"])
+def test_a_number_out_of_its_bounds_is_refused(value):
+    with pytest.raises(errors.ConfigError, match=r"share is .*, expected a number from 0 to 1"):
+        errors.check_number("share", value, 0, 1)
+
+
+def test_a_number_within_bounds_is_given_as_a_float():
+    assert [errors.check_number("share", value, 0, 1) for value in (0, 0.5, 1)] == [0.0, 0.5, 1.0]
+    assert errors.check_number("reach", float("inf"), is_finite=False) == float("inf")
