@@ -59,6 +59,7 @@ LAYERS = [
 
 #: Modules from which agents take names that no package exports, and why.
 NOT_EXPORTED = {
+    "stkzoo._arguments": "training declares its options in the same way as the commands",
     "stkzoo._os": "training writes its files whole, as the rest of the package does",
 }
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -117,43 +116,6 @@ def parse_races(texts: Sequence[str]) -> list[TrainingRaces]:
 def track_names(names: Sequence[str]) -> list[str]:
     """Replaces the names of splits, such as ``train``, with their tracks."""
     return [track for name in names for track in SPLITS.get(name, (name,))]
-
-
-# ---------------------------------------------------------------------- options
-
-
-def add_arguments(parser: argparse.ArgumentParser, kind: Any) -> None:
-    """Adds one option per field of a dataclass; the lines of its docstrings are the help.
-
-    Args:
-        parser: gets the options.
-        kind: a dataclass whose fields all have defaults: numbers, strings, booleans, or tuples of
-            numbers or strings.
-    """
-    help_texts: dict[str, str] = {}
-    for base in reversed(kind.__mro__):
-        name = ""
-        for line in (base.__doc__ or "").splitlines():
-            before, colon, text = line.strip().partition(": ")
-            if colon and before.isidentifier():
-                name, help_texts[before] = before, text
-            elif name and line.startswith(" " * 12):
-                help_texts[name] += " " + line.strip()
-    for entry in fields(kind):
-        default = entry.default
-        assert default is not MISSING  # noqa: S101 - see above
-        shown = " ".join(map(str, default)) if isinstance(default, tuple) else default
-        has_default = not isinstance(default, bool) and shown != ""
-        text = help_texts[entry.name].rstrip(".").replace("%", "%%")
-        text += f" ({shown})" if has_default else ""
-        flag = "--" + entry.name.replace("_", "-")
-        if isinstance(default, bool):
-            parser.add_argument(flag, action="store_true", help=text)
-        elif isinstance(default, tuple):
-            one = type(default[0])
-            parser.add_argument(flag, type=one, nargs="+", default=default, help=text)
-        else:
-            parser.add_argument(flag, type=type(default), default=default, help=text)
 
 
 # ---------------------------------------------------------------------- a run's arguments

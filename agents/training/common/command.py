@@ -8,9 +8,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
+from stkzoo._arguments import add_options
 from stkzoo.errors import StkzooError, import_extra
-
-from .arguments import add_arguments
 
 A = TypeVar("A")
 
@@ -33,7 +32,7 @@ def command_parser(module: str, description: str | None) -> argparse.ArgumentPar
 def parse_script(
     module: str,
     description: str | None,
-    kind: Callable[..., A],
+    kind: type[A],
     words: list[str] | None,
     **options: Mapping[str, Any],
 ) -> tuple[A, dict[str, Any]]:
@@ -58,7 +57,7 @@ def parse_script(
     options = {"output": folder, **options}
     for name, option in options.items():
         parser.add_argument("--" + name.replace("_", "-"), **option)
-    add_arguments(parser, kind)
+    add_options(parser, kind)
     values = vars(parser.parse_args(words))
     others = {name: values.pop(name) for name in options}
     return kind(**{n: tuple(v) if isinstance(v, list) else v for n, v in values.items()}), others
