@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._os import write_whole
-from stkzoo.engine.process import Log
+from stkzoo.engine.process import open_log, tail
 from stkzoo.errors import ConfigError, StkzooError
 
 _H264 = ("-c:v", "libx264", "-preset", "veryfast", "-crf", "21", "-pix_fmt", "yuv420p")
@@ -154,7 +154,7 @@ class VideoWriter:
         command = (_ffmpeg(), "-y", "-hide_banner", "-loglevel", "error", *source, "-an")
         with contextlib.ExitStack() as resources:
             part = resources.enter_context(write_whole(self.path, "the video", VideoError))
-            self._log = Log()
+            self._log = open_log()
             resources.callback(self._log.close)
             self._process = subprocess.Popen(  # noqa: S603 - ffmpeg with our own words
                 (*command, *FORMATS[self.path.suffix.lower()], part),
@@ -187,8 +187,8 @@ class VideoWriter:
         process = cast("subprocess.Popen[bytes]", self._process)
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(1.0)
-        tail = self._log.tail()
-        lines = f"\nffmpeg's last lines:\n{tail}" if tail else ""
+        last = tail(self._log)
+        lines = f"\nffmpeg's last lines:\n{last}" if last else ""
         self.abort()
         free = shutil.disk_usage(self.path.absolute().parent).free // 2**20
         raise VideoError(
