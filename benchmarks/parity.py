@@ -37,6 +37,7 @@ from stkzoo.engine.assets import find_assets
 
 __all__ = [
     "ENV_IDS",
+    "MODES",
     "TRACKS",
     "compare_race",
     "jobs_for",
@@ -54,6 +55,8 @@ ENV_IDS = (
     "supertuxkart/flattened_discrete-v0",
     "supertuxkart/multi-full-v0",
 )
+#: Where the reference runs the engine: in its own process, or in one that it starts (its default).
+MODES = ("direct", "process")
 #: The last three have forks.
 TRACKS = ("lighthouse", "hacienda", "cocoa_temple", "olivermath", "stk_enterprise")
 
@@ -67,9 +70,14 @@ def reference_process() -> ReferenceProcess:
 
 
 def jobs_for(
-    env_ids: Sequence[str] = ENV_IDS, tracks: Sequence[str] = TRACKS, steps: int = 300
+    env_ids: Sequence[str] = ENV_IDS,
+    tracks: Sequence[str] = TRACKS,
+    steps: int = 300,
+    modes: Sequence[str] = ("direct",),
 ) -> Iterator[Job]:
     """All races: every id on every track, driven by actions and by the game's AI.
+
+    Each in every mode of :data:`MODES`.
 
     The dictionary of agents has two agents and one AI agent in one race, and then AI
     agents alone. The AI agent starts in front of the others, because the reference hands
@@ -81,7 +89,9 @@ def jobs_for(
             teams = [(False, False, False), (True, False, False), (True, True, True)]
         for track in tracks:
             for use_ai in teams:
-                yield Job(env_id, track, steps, _NUM_KART, use_ai)
+                for mode in modes:
+                    is_process = mode == "process"
+                    yield Job(env_id, track, steps, _NUM_KART, use_ai, use_subprocess=is_process)
 
 
 def compare_race(job: Job, reference: ReferenceProcess) -> tuple[Job, Comparison]:
@@ -155,7 +165,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     options = _parser().parse_args(arguments)
     console = Console(width=None if sys.stdout.isatty() else 150)
-    jobs = list(jobs_for(options.ids, options.tracks, options.steps))
+    jobs = list(jobs_for(options.ids, options.tracks, options.steps, options.modes))
     results = []
     with reference_process() as reference:
         for job in progress_bar(jobs, "races in both", console=console):
@@ -174,13 +184,18 @@ def _parser() -> argparse.ArgumentParser:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--ids", nargs="+", choices=ENV_IDS, default=ENV_IDS, metavar="ID")
     parser.add_argument("--tracks", nargs="+", default=TRACKS, metavar="TRACK")
+    parser.add_argument("--modes", nargs="+", choices=MODES, default=MODES, metavar="MODE")
     parser.add_argument("--steps", type=int, default=300, help="steps a race (default 300)")
     parser.add_argument("--output", type=Path, default=_RESULTS, help="JSON file to write")
     return parser
 
 
 def _title(job: Job) -> str:
-    return f"{job.env_id} {job.track} {_drivers(job)}"
+    return f"{job.env_id} {job.track} {_drivers(job)} {_mode(job)}"
+
+
+def _mode(job: Job) -> str:
+    return MODES[job.use_subprocess]
 
 
 def _drivers(job: Job) -> str:
@@ -190,7 +205,7 @@ def _drivers(job: Job) -> str:
 
 def _table(results: Sequence[tuple[Job, Comparison]]) -> Table:
     table = Table(title="stkzoo and pystk2-gymnasium 0.10.0, step by step")
-    for name in ("id", "track", "agents driven by"):
+    for name in ("id", "track", "agents driven by", "mode"):
         table.add_column(name, no_wrap=True)
     for name in ("steps", "largest error"):
         table.add_column(name, justify="right", no_wrap=True)
@@ -201,6 +216,7 @@ def _table(results: Sequence[tuple[Job, Comparison]]) -> Table:
             job.env_id.removeprefix("supertuxkart/"),
             job.track,
             _drivers(job),
+            _mode(job),
             str(result.steps),
             f"{result.max_error:.1e}",
             " ".join(sorted(result.intended)),

@@ -124,6 +124,11 @@ def _is_one_step_up(difference: Difference, _: RaceContext) -> bool:
     return bool(np.all(np.isin(difference.ours - difference.theirs, (0, 1))))
 
 
+def _pipe_drops_it(difference: Difference, context: RaceContext) -> bool:
+    dropped = 3 if difference.path.endswith("phase") else 0
+    return context.job.use_subprocess and difference.theirs == dropped
+
+
 def _is_number_of_choices(difference: Difference, _: RaceContext) -> bool:
     """Whether our number stands for their choices, up to one step of each discretised one."""
     if difference.ours is None or difference.theirs is None:
@@ -187,6 +192,13 @@ INTENDED = (
         "flattened_multidiscrete",
         needs_ai=True,
         check=_is_one_step_up,
+    ),
+    Intended(
+        "D31",
+        "the phase and the ticks are those of the game, also from a process of its own",
+        "value",
+        r"observation/((\d+/)?|continuous/|discrete/)(phase|aux_ticks)",
+        check=_pipe_drops_it,
     ),
     Intended(
         "type",

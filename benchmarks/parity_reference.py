@@ -2,7 +2,8 @@
 
 The reference and stkzoo register the same ids, so the reference runs in an interpreter of
 its own (:class:`ReferenceProcess`). Only the first race of a process repeats where game
-bots drive, so that interpreter starts the engine, races never, and forks a child a race.
+bots drive, so that interpreter races never, and forks a child a race. The child runs the
+engine itself, or leaves it to the process that the reference starts by default.
 """
 
 from __future__ import annotations
@@ -51,6 +52,7 @@ class Job:
         use_ai: for each agent, whether the game drives it.
         engine_seed: the engine's own seed.
         kart_indices: each agent's kart in grid order.
+        use_subprocess: whether the reference runs the engine in a process of its own.
     """
 
     env_id: str
@@ -60,6 +62,7 @@ class Job:
     use_ai: tuple[bool, ...]
     engine_seed: int = 0
     kart_indices: tuple[int, ...] = ()
+    use_subprocess: bool = False
 
     @property
     def is_multi(self) -> bool:
@@ -207,10 +210,7 @@ def serve() -> None:
     """Runs the jobs that come in by lines of JSON; the other interpreter's main function."""
     replies = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # the engine's chatter
-    from pystk2_gymnasium.pystk_process import DirectSTKInterface
-
     _compile_rotations()
-    DirectSTKInterface(with_graphics=False)
     for line in sys.stdin:
         request = json.loads(line)
         child = os.fork()
@@ -232,7 +232,9 @@ def _compile_rotations() -> None:
 def _run_child(job: Job, output: Path) -> None:
     status = 1
     try:
-        output.write_bytes(pickle.dumps(_record(job)))
+        env = _make(job)
+        output.write_bytes(pickle.dumps(_record(env, job)))
+        env.close()
         status = 0
     except BaseException:  # noqa: BLE001 - the child must not go on as the parent
         import traceback
@@ -243,8 +245,7 @@ def _run_child(job: Job, output: Path) -> None:
         os._exit(status)
 
 
-def _record(job: Job) -> Recording:
-    env = _make(job)
+def _record(env: Any, job: Job) -> Recording:
     observation, info = env.reset(seed=0)
     recording = Recording(
         moments=[Moment(flatten(observation), 0.0, False, False, flatten(info))],
@@ -299,7 +300,7 @@ def _make(job: Job) -> Any:
         max_episode_steps=job.steps,
         track=job.track,
         num_kart=job.num_kart,
-        use_subprocess=False,
+        use_subprocess=job.use_subprocess,
         **({"agents": specs} if job.is_multi else {"agent": specs[0]}),
     )
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
-from stkzoo.errors import ConfigError, check_number
+from stkzoo.errors import ConfigError, check_number, unknown_name
 from stkzoo.names import CameraMode
 
 __all__ = ["AgentSpec", "RandomStart", "Start"]
@@ -24,7 +25,8 @@ class AgentSpec:
         use_ai: the game's own AI drives; the agent's actions are ignored and its
             observation carries the AI's choice under ``action``.
         name: the player's name.
-        camera_mode: whether the kart has a camera when the game draws itself.
+        camera_mode: whether the kart has a camera when the game draws itself; also by name,
+            such as ``"ON"``.
         kart: kart model, such as ``"gnu"`` (``stkzoo assets status`` lists them);
             empty for the game's default.
         color: hue shift in [0, 1]; 0 leaves the kart as it is.
@@ -36,6 +38,33 @@ class AgentSpec:
     camera_mode: CameraMode = CameraMode.AUTO
     kart: str = ""
     color: float = 0.0
+
+    @classmethod
+    def of(cls, value: AgentSpec | Mapping[str, object], name: str = "agent") -> AgentSpec:
+        """The spec, or that of a mapping of its fields, as JSON and YAML have them.
+
+        Args:
+            value: a spec, which is returned as it is, or a mapping; its ``camera_mode`` may be a
+                number.
+            name: what the value is for, such as ``"agent 0"``.
+
+        Raises:
+            ConfigError: it is neither, or a field is unknown.
+        """
+        if isinstance(value, AgentSpec):
+            return value
+        if not isinstance(value, Mapping):
+            raise ConfigError(
+                f"{name} is {value!r}, expected an AgentSpec or a mapping of its fields"
+            )
+        known = [field.name for field in fields(cls)]
+        for field in value:
+            if field not in known:
+                raise unknown_name(f"field of {name}", field, known)
+        mode = value.get("camera_mode")
+        if isinstance(mode, int) and mode in list(CameraMode):
+            value = {**value, "camera_mode": CameraMode(mode)}
+        return cls(**value)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,7 +21,7 @@ from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.env.rendering import RENDER_MODES
 from stkzoo.env.state import RaceState
 from stkzoo.env.world import WorldView
-from stkzoo.errors import ActionError, ApiOrderError, ConfigError
+from stkzoo.errors import ActionError, ApiOrderError
 from stkzoo.views import views_of_agents
 from stkzoo.views.walker import StepParts
 from stkzoo.wrappers.camera import Camera
@@ -51,7 +51,9 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
     }
     TRACKS = _TrackNames()
 
-    def __init__(self, agents: Sequence[AgentSpec] | int | None, **options: Any) -> None:
+    def __init__(
+        self, agents: Sequence[AgentSpec | Mapping[str, object]] | int | None, **options: Any
+    ) -> None:
         # Gymnasium's TimeLimit, which the registered ids bring, cuts long races.
         options.setdefault("max_cycles", None)
         self.core = RaceParallelEnv(agents=agents, **options)
@@ -163,16 +165,16 @@ class STKRaceEnv(GymnasiumRaceEnv):
     """A race in which one kart is yours and the game drives the others.
 
     Args:
-        agent: your kart's :class:`~stkzoo.config.AgentSpec`.
+        agent: your kart's :class:`~stkzoo.config.AgentSpec`, or a mapping of its fields.
         options: the keywords of :class:`~stkzoo.env.parallel.RaceParallelEnv`, except
             ``agents``; ``max_cycles`` is unlimited by default.
     """
 
-    def __init__(self, *, agent: AgentSpec | None = None, **options: Any) -> None:
+    def __init__(
+        self, *, agent: AgentSpec | Mapping[str, object] | None = None, **options: Any
+    ) -> None:
         EzPickle.__init__(self, agent=agent, **options)
-        if agent is not None and not isinstance(agent, AgentSpec):
-            raise ConfigError(f"agent is {agent!r}, expected an AgentSpec or None")
-        self.agent = agent if agent is not None else AgentSpec()
+        self.agent = AgentSpec() if agent is None else AgentSpec.of(agent)
         super().__init__([self.agent], **options)
         (self._name,) = self.core.possible_agents
         self.observation_space = self.core.observation_space(self._name)
@@ -223,13 +225,18 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
     ignored.
 
     Args:
-        agents: a list of :class:`~stkzoo.config.AgentSpec`, or how many; all karts by
-            default.
+        agents: a list of :class:`~stkzoo.config.AgentSpec` or mappings of their fields, or
+            how many; all karts by default.
         options: the keywords of :class:`~stkzoo.env.parallel.RaceParallelEnv`, except
             ``view``; ``max_cycles`` is unlimited by default.
     """
 
-    def __init__(self, *, agents: Sequence[AgentSpec] | int | None = None, **options: Any) -> None:
+    def __init__(
+        self,
+        *,
+        agents: Sequence[AgentSpec | Mapping[str, object]] | int | None = None,
+        **options: Any,
+    ) -> None:
         EzPickle.__init__(self, agents=agents, **options)
         super().__init__(agents, **options)
         self.agents = self.core.specs

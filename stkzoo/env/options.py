@@ -146,9 +146,10 @@ def check_agents(agents: Sequence[AgentSpec], num_kart: int, karts: Sequence[str
 
 
 def camera_mode(agent: AgentSpec) -> CameraMode:
-    """The agent's camera mode, also when it is given as pystk2's own kind."""
+    """The agent's camera mode, also when it is given as pystk2's own kind or by name."""
+    mode: object = agent.camera_mode
     try:
-        return CameraMode[getattr(agent.camera_mode, "name", "")]
+        return CameraMode[mode if isinstance(mode, str) else getattr(mode, "name", "")]
     except KeyError:
         raise ConfigError(
             f"camera_mode is {agent.camera_mode!r}, expected one of "

@@ -48,8 +48,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
     terminated, paid once, and leaves; the race goes on for the others.
 
     Args:
-        agents: a list of :class:`~stkzoo.config.AgentSpec`, or how many; all karts by
-            default. Karts beyond the agents are driven by the game.
+        agents: a list of :class:`~stkzoo.config.AgentSpec` or mappings of their fields, or how
+            many; all karts by default. Karts beyond the agents are driven by the game.
         num_kart: see :class:`~stkzoo.env.options.RaceOptions`, as for ``track``, ``laps``,
             ``difficulty``, ``max_paths``, ``step_size``, ``reverse``, ``max_cycles`` and
             ``start``.
@@ -87,7 +87,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
     def __init__(
         self,
         *,
-        agents: Sequence[AgentSpec] | int | None = None,
+        agents: Sequence[AgentSpec | Mapping[str, object]] | int | None = None,
         num_kart: int = 3,
         track: str | Sequence[str] | None = None,
         laps: int = 1,
@@ -416,14 +416,16 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         return episode
 
 
-def _specs(agents: Sequence[AgentSpec] | int | None, num_kart: int) -> list[AgentSpec]:
+def _specs(
+    agents: Sequence[AgentSpec | Mapping[str, object]] | int | None, num_kart: int
+) -> list[AgentSpec]:
     if agents is None:
         agents = num_kart
     if isinstance(agents, (int, np.integer)) and not isinstance(agents, bool):
         # One too many is refused with the rest; more would only take up memory.
         return [AgentSpec() for _ in range(min(int(agents), num_kart + 1))]
     if isinstance(agents, Sequence) and not isinstance(agents, str):
-        return list(agents)
+        return [AgentSpec.of(agent, f"agent {number}") for number, agent in enumerate(agents)]
     raise ConfigError(f"agents is {agents!r}, expected a list of AgentSpec or a number of agents")
 
 

@@ -18,7 +18,7 @@ def single_kart_races(
     num_envs: int = 1,
     *,
     view: Any = "full",
-    agent: AgentSpec | None = None,
+    agent: AgentSpec | Mapping[str, object] | None = None,
     max_episode_steps: int | None = None,
     max_cycles: int | None = None,
     **options: Any,
@@ -39,13 +39,11 @@ def single_kart_races(
     Raises:
         ConfigError: an argument is invalid, or the view's values differ in size.
     """
-    if agent is not None and not isinstance(agent, AgentSpec):
-        raise ConfigError(f"agent is {agent!r}, expected an AgentSpec or None")
     limits = [limit for limit in (max_episode_steps, max_cycles) if limit not in (None, -1)]
     return RaceVectorEnv(
         num_envs,
         view=view,
-        agents=[agent or AgentSpec()],
+        agents=[AgentSpec() if agent is None else AgentSpec.of(agent)],
         max_cycles=min(limits) if limits else None,
         **options,
     )

@@ -830,7 +830,7 @@ BAD_ARGUMENTS = [
     ({"agents": [AgentSpec(color=1.5)]}, "color of agent 0 is 1.5"),
     ({"agents": [AgentSpec(color=float("nan"))]}, "color of agent 0 is nan"),
     ({"agents": [AgentSpec(name=5)]}, "name of agent 0 is 5"),
-    ({"agents": [AgentSpec(camera_mode="ON")]}, "camera_mode is 'ON'"),
+    ({"agents": [AgentSpec(camera_mode="BEHIND")]}, "camera_mode is 'BEHIND'"),
 ]
 
 

@@ -9,11 +9,13 @@ import cloudpickle
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
-from stkzoo import ActionError, make_stkrace_vec
+import stkzoo
+from stkzoo import ActionError, AgentSpec, CameraMode, ConfigError, make_stkrace_vec, race_v0
 from stkzoo.checks.play import fingerprint
 
 SINGLE_IDS = [
@@ -132,6 +134,35 @@ def test_sync_and_async_vectors_drive_the_same_races():
         results.append(fingerprint(record))
         envs.close()
     assert results[0] == results[1]
+
+
+@pytest.mark.parametrize(
+    ("env_id", "agents"),
+    [
+        ("simple-v0", {"agent": AgentSpec(name="A", rank_start=1, camera_mode=CameraMode.ON)}),
+        ("multi-full-v0", {"agents": [AgentSpec(kart="gnu"), AgentSpec(use_ai=True)]}),
+    ],
+)
+def test_a_spec_comes_back_from_json_with_its_agents(env_id, agents):
+    with gym.make(f"supertuxkart/{env_id}", **agents, **OPTIONS) as env:
+        text = env.spec.to_json()
+        with gym.make(EnvSpec.from_json(text)) as again:
+            assert again.unwrapped.core.specs == env.unwrapped.core.specs
+            assert race(again, 3) == race(env, 3)
+
+
+def test_an_agent_may_be_a_mapping_as_in_yaml():
+    fields = {"name": "Ann", "camera_mode": "ON", "rank_start": 0}
+    with race_v0.parallel_env(agents=[fields, {}], **OPTIONS) as env:
+        env.reset(seed=1)
+        assert env.unwrapped.specs == [AgentSpec(**fields), AgentSpec()]
+        assert env.unwrapped.race.kart_indices[0] == 0
+    assert stkzoo.STKRaceEnv(agent=fields).agent == AgentSpec(**fields)
+
+
+def test_an_unknown_field_of_an_agent_names_the_nearest():
+    with pytest.raises(ConfigError, match=r"unknown field of agent 1 'nam'. Did you mean 'name'"):
+        race_v0.parallel_env(agents=[{}, {"nam": "Ann"}])
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.parity import ENV_IDS, compare_race, jobs_for, record_race, reference_process
+from benchmarks.parity import ENV_IDS, MODES, compare_race, jobs_for, record_race, reference_process
 from benchmarks.parity_compare import compare
 from benchmarks.parity_reference import Leaf
 
@@ -33,6 +33,35 @@ def test_a_race_to_the_finish_is_that_of_the_reference_up_to_repeated_pay(refere
     assert result.undocumented == []
     assert result.steps < 300
     assert result.intended["D05"] > 0
+
+
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_races_are_those_of_the_references_own_process_but_for_what_its_pipe_drops(
+    reference, env_id
+):
+    dropped = 0
+    for job in jobs_for([env_id], ["lighthouse"], STEPS, ["process"]):
+        _, result = compare_race(job, reference)
+        assert result.undocumented == []
+        assert result.steps == STEPS
+        dropped += result.intended["D31"]
+    assert dropped > 0
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_d31_phase_and_ticks_move_with_the_race(reference, mode):
+    job, *_ = jobs_for(["supertuxkart/full-v0"], ["lighthouse"], STEPS, [mode])
+    sides = record_race(job, reference)[:2]
+    phases, ticks = (
+        [[m.observation[key].values.item() for m in side.moments] for side in sides]
+        for key in ("phase", "aux_ticks")
+    )
+    assert sorted(set(phases[0])) == [0, 1, 2, 3]
+    assert all(np.diff(ticks[0]) >= 0)  # they count to the start
+    assert ticks[0][-1] > ticks[0][0] > 0
+    if mode == "process":
+        assert set(phases[1]) == {3}
+        assert set(ticks[1]) == {0}
 
 
 @pytest.fixture(scope="module")
