@@ -7,7 +7,7 @@ from typing import TypeVar
 
 from stkzoo.errors import ConfigError, unknown_name
 
-__all__ = ["by_agent", "find_agent"]
+__all__ = ["by_agent", "find_agent", "of_agent"]
 
 Value = TypeVar("Value")
 
@@ -34,6 +34,17 @@ def find_agent(name: object, agents: Iterable[str]) -> str:
             if agent.rpartition("_")[2] == str(int(name)):
                 return agent
     raise unknown_name("agent", name, agents)
+
+
+def of_agent(values: Mapping[str, Value], agent: str) -> Value:
+    """The value of the agent with this id.
+
+    Raises:
+        ConfigError: there is no such agent; the text lists them.
+    """
+    if agent not in values:
+        raise unknown_name("agent", agent, values)
+    return values[agent]
 
 
 def by_agent(values: Mapping[object, Value], agents: Iterable[str]) -> dict[str, Value]:

@@ -94,7 +94,7 @@ class Discretizer:
 
     def __init__(self, space: spaces.Space[Any], values: int) -> None:
         if not isinstance(space, spaces.Box) or space.shape != (1,) or not space.is_bounded():
-            raise ConfigError(f"cannot make steps of {space!r}; expected a bounded Box of (1,).")
+            raise ConfigError(f"steps need a bounded Box of (1,), found {space!r:.200}")
         self.values = check_whole("number of steps", values, 2)
         self.min_value = float(space.low[0])
         self.max_value = float(space.high[0])
@@ -209,8 +209,8 @@ class FlattenMultiDiscreteActions(ActionFormWrapper, CompiledWrapper):
         space = env.action_space
         if not isinstance(space, spaces.MultiDiscrete) or space.nvec.ndim != 1:
             raise ConfigError(
-                f"FlattenMultiDiscreteActions needs a MultiDiscrete action space, but found "
-                f"{space!r}. Put DiscreteActionsWrapper and FlattenerWrapper inside it."
+                "FlattenMultiDiscreteActions needs a MultiDiscrete action space. Put "
+                f"DiscreteActionsWrapper and FlattenerWrapper inside it. Found {space!r:.200}"
             )
         self.nvec: npt.NDArray[np.int64] = space.nvec.astype(np.int64)
         self._start: npt.NDArray[np.int64] = space.start.astype(np.int64)

@@ -12,6 +12,7 @@ from gymnasium.wrappers.utils import create_zero_array
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
+from stkzoo.agent_names import of_agent
 from stkzoo.errors import ConfigError
 from stkzoo.views.walker import ChainWalker, Factories, StepParts
 
@@ -40,10 +41,16 @@ class MonoAgentWrapperAdapter:
         AgentException: a factory or (later) a wrapper failed; ``key`` names the agent.
     """
 
-    def __new__(cls, env: Any = None, **_: Any) -> MonoAgentWrapperAdapter:
+    def __new__(cls, env: Any = None, **arguments: Any) -> MonoAgentWrapperAdapter:
         """Chooses the form that fits the environment."""
         if cls is not MonoAgentWrapperAdapter:
             return super().__new__(cls)
+        factories = arguments.get("wrapper_factories", {})
+        if not isinstance(factories, Mapping):
+            raise ConfigError(
+                'wrapper_factories has to be a mapping from agents to functions, such as {"0": '
+                f"lambda env: env}}, but is {factories!r:.200}"
+            )
         if isinstance(env, ParallelEnv):
             return super().__new__(ParallelAgentAdapter)
         if isinstance(env, gym.Env):
@@ -179,11 +186,11 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """What the agent sees; the same object each time."""
-        return self._observation_spaces[agent]
+        return of_agent(self._observation_spaces, agent)
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
         """What the agent chooses from; the same object each time."""
-        return self._walker.action_spaces[agent]
+        return of_agent(self._walker.action_spaces, agent)
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -239,7 +246,7 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
 
 def _spaces_by_agent(space: spaces.Space[Any]) -> dict[str, spaces.Space[Any]]:
     if not isinstance(space, spaces.Dict):
-        raise ConfigError(f"expected a Dict space by agent, but found {space!r}.")
+        raise ConfigError(f"expected a Dict space by agent, found {space!r:.200}")
     return dict(space.spaces)
 
 

@@ -24,8 +24,8 @@ def dict_space(space: spaces.Space[Any], what: str, wrapper: str) -> spaces.Dict
     """
     if not isinstance(space, spaces.Dict):
         raise ConfigError(
-            f"{wrapper} needs {what} in a Dict space, but found {space!r}. "
-            "Put it inside the wrappers that flatten, not around them."
+            f"{wrapper} needs {what} in a Dict space. Put it inside the wrappers that flatten, not "
+            f"around them. Found {space!r:.200}"
         )
     return space
 

@@ -56,7 +56,9 @@ class SpaceFlattener:
             else:
                 raise ConfigError(_cannot_flatten(key, part))
         if not boxes and not choices:
-            raise ConfigError(f"nothing to flatten in {space!r}; expected numbers or choices.")
+            raise ConfigError(
+                f"nothing to flatten; expected numbers or choices, found {space!r:.200}"
+            )
         self.continuous_keys, self.discrete_keys = list(boxes), list(choices)
         self.only_continuous, self.only_discrete = not choices, not boxes
         self.parts: dict[str, dict[str, spaces.Space[Any]]] = {}
@@ -191,8 +193,8 @@ class JoinedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
         if not isinstance(numbers, spaces.Box) or not isinstance(choices, spaces.MultiDiscrete):
             raise ConfigError(
                 "JoinedObservations needs a flattened view, with a Box under 'continuous' and a "
-                f"MultiDiscrete under 'discrete', but found {env.observation_space!r}. Put "
-                "FlattenerWrapper inside it."
+                "MultiDiscrete under 'discrete'. Put FlattenerWrapper inside it. Found "
+                f"{env.observation_space!r:.200}"
             )
         sizes = np.asarray(choices.nvec, np.int64)
         self._sizes = tuple(sizes.tolist())

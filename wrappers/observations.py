@@ -185,8 +185,8 @@ def _repeated(key: str, space: spaces.Space[Any] | None, size: int) -> spaces.Sp
         low, high = (np.repeat(bound[None], size, axis=0) for bound in (entry.low, entry.high))
         return type(entry)(low, high, dtype=np.float32)
     raise ConfigError(
-        f"ConstantSizedObservations needs a list (a Sequence space) under {key!r}, but found "
-        f"{space!r}. It goes around the full view, and only once."
+        f"ConstantSizedObservations needs a list (a Sequence space) under {key!r}. It goes around "
+        f"the full view, and only once. Found {space!r:.200}"
     )
 
 

@@ -269,6 +269,11 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
         self, action: Mapping[str, Any]
     ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Advances the race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.step`."""
+        if not isinstance(action, Mapping):
+            raise ActionError(
+                f"the actions have to be a dict by agent: {', '.join(self._names)}; found "
+                f"{action!r:.200}"
+            )
         try:
             actions = {self._names[key]: value for key, value in action.items()}
         except KeyError as error:
@@ -276,7 +281,10 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
             raise ActionError(
                 f"there is an action for agent {key!r}, expected {', '.join(self._names)}", key
             ) from None
-        observations, rewards, terminations, truncations, infos = self._step_core(actions)
+        try:
+            observations, rewards, terminations, truncations, infos = self._step_core(actions)
+        except ActionError as error:
+            raise self._by_key(error) from None
         self._terminated.update(terminations)
         self._truncated.update(truncations)
         self._infos.update(infos)
@@ -298,6 +306,14 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
         self._infos = self.core.infos(agents)
         if front is not None:
             self._terminated, self._truncated, self._infos = map(dict, front)
+
+    def _by_key(self, error: ActionError) -> ActionError:
+        """The error with the agents' keys here in place of their names in the core."""
+        text = str(error).replace("action_space(agent)", "action_space[agent]")
+        for key, agent in self._names.items():
+            text = text.replace(repr(agent), repr(key))
+        keys = {agent: key for key, agent in self._names.items()}
+        return ActionError(text, keys.get(error.agent, error.agent))
 
     def _observe_departed(self, present: Mapping[str, Any]) -> dict[str, Any]:
         departed = [agent for agent in self.core.possible_agents if agent not in present]

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from gymnasium.utils import EzPickle
 from pettingzoo import ParallelEnv
 
-from stkzoo.agent_names import find_agent
+from stkzoo.agent_names import find_agent, of_agent
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import Assets, find_assets
 from stkzoo.engine.fork_client import can_fork, start_fork_server
@@ -150,11 +150,11 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
 
     def observation_space(self, agent: str) -> gym.Space[Any]:
         """The agent's observation space: always the same object."""
-        return self.observation_spaces[agent]
+        return of_agent(self.observation_spaces, agent)
 
     def action_space(self, agent: str) -> gym.Space[Any]:
         """The agent's action space: always the same object."""
-        return self.action_spaces[agent]
+        return of_agent(self.action_spaces, agent)
 
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None

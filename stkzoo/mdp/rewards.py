@@ -94,7 +94,12 @@ class Reward:
         """The weighted value of each term, ``(K,)`` float64 by name."""
         values = {}
         for name, term in self.terms.items():
-            value = np.asarray(term(step), np.float64)
+            try:
+                value = np.asarray(term(step), np.float64)
+            except Exception as error:
+                raise ConfigError(
+                    f"reward term {name!r} failed: {type(error).__name__}: {error}"
+                ) from error
             if value.shape != (step.num_kart,) or not np.isfinite(value).all():
                 raise ConfigError(
                     f"reward term {name!r} returned {value!r}, expected {step.num_kart} finite "

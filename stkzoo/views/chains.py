@@ -338,7 +338,8 @@ class AgentChains:
     def _require_actions(self, actions: Mapping[str, Any], agents: Sequence[str]) -> None:
         if not isinstance(actions, Mapping):
             raise ActionError(
-                f"the actions are {actions!r}; expected a dict by agent: {', '.join(agents)}.",
+                f"the actions have to be a dict by agent: {', '.join(agents)}; found "
+                f"{actions!r:.200}",
                 agents[0] if agents else "",
             )
         missing = [a for a in agents if a not in actions and a not in self._ignored]

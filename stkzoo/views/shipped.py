@@ -58,9 +58,10 @@ class View:
         """
         if self.sees_ground and not shows_ground(env.observation_space):
             raise ConfigError(
-                f"the {self.name} view goes around an environment that shows the ground, but "
-                f"found {env.observation_space!r}; choose view={self.name!r}, and write in an "
-                f"agent's module env_name = 'supertuxkart/{self.name}-v0' as it stands here"
+                f"the {self.name} view goes around an environment that shows the ground. Choose "
+                f"view={self.name!r}, and write in an agent's module env_name = "
+                f"'supertuxkart/{self.name}-v0' as it stands here. Found "
+                f"{env.observation_space!r:.200}"
             )
         for wrapper in self.wrappers:
             env = wrapper(env)

@@ -11,6 +11,7 @@ from stkzoo import race_v0
 from stkzoo.engine.session import WorkerSession
 from stkzoo.env.episode import Episode
 from stkzoo.env.parallel import RaceParallelEnv
+from stkzoo.errors import ActionError, ConfigError
 from stkzoo.views import AgentChains
 
 PHASES = [
@@ -95,3 +96,35 @@ def test_the_parallel_step_is_its_two_halves():
         _, *halves = env.step_wait()
         assert whole == halves
         state.close()
+
+
+def broken(_):
+    raise ZeroDivisionError("no idea")
+
+
+@pytest.mark.parametrize("reward", [{"mine": broken}, {"kart_1": {"mine": broken}}])
+def test_an_error_in_a_reward_term_names_the_term(reward):
+    with race_v0.parallel_env(num_kart=2, track="lighthouse", reward=reward) as env:
+        env.reset(seed=1)
+        with pytest.raises(ConfigError, match="reward term 'mine' failed: ZeroDivisionError: no"):
+            env.step(actions_of(env))
+
+
+def test_the_dict_of_agents_names_them_by_its_keys():
+    with stkzoo.STKRaceMultiEnv(agents=3, num_kart=3, track="lighthouse") as env:
+        env.reset(seed=1)
+        good = env.action_space.sample()
+        bad = {**good, "2": {**good["2"], "brake": 7}}
+        for actions, text in (
+            (bad, r"agent '2' is 7; .* env.action_space\[agent\]"),
+            (
+                {key: good[key] for key in "01"},
+                "no action for agent '2'; actions came for '0', '1'",
+            ),
+        ):
+            with pytest.raises(ActionError, match=text) as caught:
+                env.step(actions)
+            assert caught.value.agent == "2"
+            assert "kart_" not in str(caught.value)
+        with pytest.raises(ActionError, match="have to be a dict by agent: 0, 1, 2"):
+            env.step([good["0"]])

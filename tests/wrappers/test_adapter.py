@@ -150,6 +150,20 @@ def test_a_factory_that_cannot_be_called_is_refused(form):
         MonoAgentWrapperAdapter(form[0](), wrapper_factories={0: "simple"})
 
 
+@pytest.mark.parametrize("factories", [[simple], simple, None])
+def test_factories_that_are_no_mapping_are_refused(form, factories):
+    with pytest.raises(ConfigError, match="has to be a mapping from agents to functions"):
+        MonoAgentWrapperAdapter(form[0](), wrapper_factories=factories)
+
+
+def test_the_space_of_no_agent_is_refused_with_the_known_ones():
+    env = MonoAgentWrapperAdapter(race_v0.parallel_env(num_kart=2), wrapper_factories={})
+    for of in (env, env.unwrapped):
+        for space in (of.observation_space, of.action_space):
+            with pytest.raises(ConfigError, match=r"unknown agent 'kart_9'.*Known: kart_0, kart_1"):
+                space("kart_9")
+
+
 def test_spaces_are_the_same_objects_each_time(form):
     make, agents = form
     env = MonoAgentWrapperAdapter(make(), wrapper_factories={0: simple}, keep_original=True)

@@ -329,7 +329,7 @@ def test_a_message_that_cannot_be_is_refused_and_the_race_stands_still():
         before = inner.snapshot.karts.tobytes()
         with pytest.raises(ActionError, match="message of 'kart_1' is 2"):
             env.step(say(env, {"kart_0": 0, "kart_1": 2}))
-        with pytest.raises(ActionError, match="expected a dict of 'action' and 'message'"):
+        with pytest.raises(ActionError, match="has to be a dict of 'action' and 'message'"):
             env.step({"kart_0": 4, "kart_1": 4})
         assert inner.snapshot.karts.tobytes() == before
 

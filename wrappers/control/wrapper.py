@@ -209,8 +209,8 @@ def _idle_buttons(space: spaces.Dict) -> dict[str, int]:
     keys = {*_PEDALS, *BUTTONS}
     if set(space.spaces) != keys or not isinstance(space["acceleration"], spaces.Box):
         raise ConfigError(
-            f"ControlWrapper needs the game's own actions ({', '.join(sorted(keys))}), but found "
-            f"{space!r}. Put it around full or simple, not around other actions."
+            f"ControlWrapper needs the game's own actions ({', '.join(sorted(keys))}). Put it "
+            f"around full or simple, not around other actions. Found {space!r:.200}"
         )
     return dict.fromkeys(BUTTONS, 0)
 

@@ -50,8 +50,8 @@ class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
             or not isinstance(env.action_space, (spaces.Discrete, spaces.MultiDiscrete))
         ):
             raise ConfigError(
-                "ActionMasks goes around flattened_multidiscrete or flattened_discrete, and found "
-                f"observations {space!r} and actions {env.action_space!r}."
+                "ActionMasks goes around flattened_multidiscrete or flattened_discrete. Found "
+                f"observations {space!r:.200} and actions {env.action_space!r:.200}"
             )
         inner: Any = flattener.env.observation_space
         keys = flattener.observation_flattener

@@ -110,7 +110,8 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
         parts = action if isinstance(action, Mapping) else {}
         if not {"action", "message"} <= set(parts):
             raise ActionError(
-                f"the action of {agent!r} is {action!r}, expected a dict of 'action' and 'message'",
+                f"the action of {agent!r} has to be a dict of 'action' and 'message', but is "
+                f"{action!r:.200}",
                 agent,
             )
         message: Any = parts["message"]
@@ -118,7 +119,8 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
             message = np.array(message, np.float32)
         if not self._message_space.contains(message):
             raise ActionError(
-                f"the message of {agent!r} is {message!r}, not in {self._message_space!r}", agent
+                f"the message of {agent!r} is {message!r:.200}, not in {self._message_space!r}",
+                agent,
             )
         row = message if self.words is None else np.eye(self.words)[int(message)]
         return np.asarray(row, np.float32)

@@ -64,8 +64,8 @@ class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
             not isinstance(space.spaces.get(key), spaces.Sequence) for key in _NEEDED
         ):
             raise ConfigError(
-                f"RacingObservations needs the full view, but found {space!r}. "
-                "Put it around that, inside all others."
+                "RacingObservations needs the full view. Put it around that, inside all others. "
+                f"Found {space!r:.200}"
             )
         vector = spaces.Box(-5.0, 5.0, (SIZE,), np.float32)
         action = observed_action(space)
@@ -196,8 +196,8 @@ class RacingActions(ActionFormWrapper, CompiledWrapper):
         space = dict_space(env.action_space, "actions", "RacingActions")
         if set(space.spaces) != set(CONTROLS) or not isinstance(space["steer"], spaces.Box):
             raise ConfigError(
-                f"RacingActions needs the game's own actions, but found {space!r}. "
-                "Put it around the full view's."
+                "RacingActions needs the game's own actions. Put it around the full view's. "
+                f"Found {space!r:.200}"
             )
         self._change_action_space(spaces.MultiDiscrete(np.array(CHOICES)))
 
