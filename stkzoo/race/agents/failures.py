@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import threading
 import traceback
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import IO, Any
 from stkzoo.errors import AgentError, AgentTimeout, ProtocolError, StkzooError
 
 _PACKAGE = Path(__file__).resolve().parents[2]
+_IMPORTLIB = Path(importlib.__file__).parent
 _MAX_FRAMES = 30
 _MAX_TEXT = 4000
 _KEPT_BYTES, _KEPT_LINES = 8192, 20
@@ -21,7 +23,18 @@ def in_words(error: BaseException) -> str:
         text = str(error)
     except Exception:  # noqa: BLE001 - the agent's own class
         text = "(its __str__ failed)"
+    if isinstance(error, ModuleNotFoundError):
+        text += _importer(error)
     return text if isinstance(error, StkzooError) else f"{type(error).__name__}: {text}"
+
+
+def _importer(error: ModuleNotFoundError) -> str:
+    """Which line of an agent needs a module that is missing, and what to do."""
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if not _is_ours(f.filename)]
+    if not frames:
+        return ""
+    file, line = Path(frames[-1].filename).name, frames[-1].lineno
+    return f" ({file}, line {line}); install it, or put it into the agent's folder"
 
 
 def printable(text: object, limit: int | None = None) -> str:
@@ -34,8 +47,10 @@ def agent_trace(error: BaseException) -> str:
     """The traceback without the leading frames of stkzoo; empty if there are no others.
 
     An agent's author cannot change stkzoo's frames. An error that stkzoo found, such as an action
-    of the wrong shape, is complete in its text.
+    of the wrong shape, or a missing module, is complete in its text.
     """
+    if isinstance(error, ModuleNotFoundError):
+        return ""
     trace = traceback.TracebackException.from_exception(error)
     has_frames = False
     link: traceback.TracebackException | None = trace
@@ -49,7 +64,8 @@ def agent_trace(error: BaseException) -> str:
 
 
 def _is_ours(file: str) -> bool:
-    return file.startswith("<frozen importlib") or Path(file).is_relative_to(_PACKAGE)
+    is_importing = file.startswith("<frozen importlib") or Path(file).is_relative_to(_IMPORTLIB)
+    return is_importing or Path(file).is_relative_to(_PACKAGE)
 
 
 def error_report(error: BaseException) -> list[str]:

@@ -185,6 +185,42 @@ def test_what_an_agent_lacks_is_said(code, message, tmp_path):
     assert message in result.agents[0].errors[0].message
 
 
+@pytest.mark.parametrize("inline", [True, False])
+def test_a_missing_library_is_one_line_without_the_machinery_of_imports(inline, tmp_path):
+    (tmp_path / "pystk_actor.py").write_text("import needy\ndef get_actor(*_): ...")
+    (tmp_path / "needy.py").write_text("import math\nimport no_such_package.part")
+    result = run_race([str(tmp_path)], track="lighthouse", max_steps=2, inline=inline)
+    (error,) = result.agents[0].errors
+    assert error.message == (
+        "ModuleNotFoundError: No module named 'no_such_package' (needy.py, line 2); install it, "
+        "or put it into the agent's folder"
+    )
+    assert not error.trace
+
+
+TALKATIVE = """
+import importlib, os, sys
+print("loading", flush=True)
+os.write(2, b"loading")
+import stkzoo.compat
+from pystk2_gymnasium.envs import AgentSpec
+importlib.import_module("xml.dom")
+
+def get_actor(module_dir, observation_space, action_space):
+    import json.tool
+    print("actor")
+    return lambda state, observation: {**action_space.sample(), "rescue": 0}
+"""
+
+
+@pytest.mark.parametrize("inline", [True, False])
+def test_an_agent_may_print_and_import_when_it_is_loaded(inline, tmp_path):
+    (tmp_path / "pystk_actor.py").write_text(TALKATIVE)
+    result = run_race([str(tmp_path)], track="lighthouse", max_steps=5, inline=inline)
+    assert not result.has_errors
+    assert result.steps == 5
+
+
 # ---------------------------------------------------------------------- zips
 
 
