@@ -52,7 +52,7 @@ _PATIENCE, _MEMORY = 30, 3000
 _INSTRUMENTED = [
     "stkzoo.engine.assets.headless",
     "stkzoo.env.scenario",
-    "stkzoo.evaluation.batch.document",
+    "stkzoo.race.document",
     "stkzoo.evaluation.batch.plan",
     "stkzoo.evaluation.benchmark",
     "stkzoo.race.codec",

@@ -1,4 +1,4 @@
-"""What the library needs of the operating system: CPU count, atomic writes, locked directories."""
+"""What the library needs of the operating system: CPU count, whole files, zips, locked folders."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from stkzoo.errors import ConfigError, StkzooError
@@ -25,10 +26,12 @@ __all__ = [
     "atomic_write",
     "cpu_count",
     "file_digest",
+    "read_zip",
     "remove_stale_directories",
     "try_lock",
     "write_text",
     "write_whole",
+    "write_zip",
 ]
 
 #: Glob pattern of the files that :func:`atomic_write` has not finished.
@@ -100,6 +103,47 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Writes a text file whole; see :func:`write_whole`."""
     with write_whole(path) as part:
         part.write_text(text, encoding="utf-8")
+
+
+def write_zip(path: Path, members: Mapping[str, bytes]) -> None:
+    """Writes a compressed zip; a fixed date makes equal contents equal files."""
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in members.items():
+            entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(entry, data)
+
+
+def read_zip(path: Path, limits: Mapping[str, int], max_size: int = 64 << 20) -> dict[str, bytes]:
+    """Reads a zip that anyone may have made, in bounded time and memory.
+
+    Args:
+        path: the file.
+        limits: the largest size of each member to read [bytes], by name.
+        max_size: the largest size of the file [bytes].
+
+    Raises:
+        ValueError: it is no regular file, too large, or packed by a method without a bound.
+        Exception: it is damaged; zipfile and zlib report that in many ways.
+    """
+    about = path.stat()
+    if not stat.S_ISREG(about.st_mode):  # for example a pipe, which would block
+        raise ValueError("it is not a regular file")
+    if about.st_size > max_size:
+        raise ValueError(f"it has {about.st_size} bytes, expected at most {max_size}")
+    members = {}
+    with zipfile.ZipFile(path) as archive:
+        for name, limit in limits.items():
+            if archive.getinfo(name).compress_type not in (
+                zipfile.ZIP_STORED,
+                zipfile.ZIP_DEFLATED,
+            ):
+                raise ValueError(f"{name} has another compression method")
+            with archive.open(name) as stream:
+                members[name] = stream.read(limit + 1)
+            if len(members[name]) > limit:
+                raise ValueError(f"{name} has more than {limit} bytes")
+    return members
 
 
 def try_lock(descriptor: int) -> bool:

@@ -5,7 +5,8 @@ A command's module has
 - a docstring: its first line is the command's line in ``stkzoo --help``, the rest its description,
   of which ``stkzoo COMMAND --help`` shows ``Examples:`` and what follows at the end;
 - ``add_arguments(parser)``: declares its arguments;
-- ``run(arguments)``: does the work and returns the exit code.
+- ``run(arguments)``: does the work and returns the exit code; a command with actions has one
+  function for each instead (:func:`~stkzoo.cli._arguments.add_actions`).
 
 Modules are light to import: ``add_arguments`` and ``run`` import what is heavy. The module
 ``race_server`` is the command ``race-server``. Private modules have what several commands share.
@@ -68,7 +69,7 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
         child = add_command(subparsers, name, module, **options)
         if command in (None, name):
             module.add_arguments(child)
-            child.set_defaults(run=module.run, fail=child.error)
+            child.set_defaults(run=getattr(module, "run", None), fail=child.error)
     return parser
 
 

@@ -65,7 +65,7 @@ def add_actions(parser: argparse.ArgumentParser, *actions: Run) -> list[argparse
 
     Args:
         parser: the command's parser.
-        *actions: functions named after the actions; ``arguments.action`` will be one of them.
+        *actions: functions named after the actions, each run as a command's ``run``.
 
     Returns:
         The actions' parsers.
@@ -74,7 +74,7 @@ def add_actions(parser: argparse.ArgumentParser, *actions: Run) -> list[argparse
     children = []
     for action in actions:
         child = add_command(subparsers, action.__name__.strip("_"), action)
-        child.set_defaults(action=action)
+        child.set_defaults(run=action)
         children.append(child)
     return children
 

@@ -62,11 +62,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     clean.add_argument("--yes", action="store_true", help="do not ask")
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Shows, installs, packs or removes the data."""
-    return int(arguments.action(arguments))
-
-
 def _status(arguments: argparse.Namespace) -> int:
     """Show where the data is.
 

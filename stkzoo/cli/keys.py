@@ -28,11 +28,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     show.add_argument("file", type=Path, metavar="FILE", help="a .secret or .public file")
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Makes or shows keys."""
-    return int(arguments.action(arguments))
-
-
 def _new(arguments: argparse.Namespace) -> int:
     """Make a pair of keys."""
     from stkzoo.race.remote import new_key_files, read_public

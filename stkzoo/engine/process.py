@@ -33,6 +33,11 @@ DRAWING_START_TIMEOUT = 300.0
 _LOG_TAIL_BYTES = 4096
 _TOKEN_BYTES = 32
 
+#: Environment variables with which numerical libraries use one thread.
+ONE_THREAD = dict.fromkeys(
+    ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
+)
+
 #: Makes ``stkzoo`` a bare package in the engine's interpreter, so that importing the
 #: engine's own modules does not import Gymnasium and the rest of the library.
 _BOOTSTRAP = """
@@ -157,10 +162,7 @@ def engine_environment(root: Path, home: str) -> dict[str, str]:
         "XDG_DATA_HOME": f"{home}/data",
         "XDG_CACHE_HOME": f"{home}/cache",
     }
-    threads = dict.fromkeys(
-        ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
-    )
-    return {**os.environ, **private, **threads}
+    return {**os.environ, **private, **ONE_THREAD}
 
 
 def spawn_interpreter(

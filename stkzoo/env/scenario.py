@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import zipfile
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -13,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._os import atomic_write
+from stkzoo._os import read_zip, write_whole, write_zip
 from stkzoo.engine.race import RaceStart
 from stkzoo.engine.session import Session
 from stkzoo.engine.setup import RaceSetup
@@ -62,14 +61,12 @@ class Scenario:
         names = ("kart_indices", "agents", "digest", "engine")
         about = {"type": _TYPE, "format": _FORMAT, "setup": asdict(self.setup)}
         about |= {name: getattr(self, name) for name in names}
-        file = Path(path)
-        try:
-            with atomic_write(file) as part, zipfile.ZipFile(part, "w") as archive:
-                compress = {"compress_type": zipfile.ZIP_DEFLATED}
-                archive.writestr(_ABOUT, json.dumps(about, indent=1), **compress)
-                archive.writestr(_CONTROLS, self.controls.astype("<f4").tobytes(), **compress)
-        except OSError as error:
-            raise ConfigError(f"the scenario {file} cannot be written: {error}") from error
+        members = {
+            _ABOUT: json.dumps(about, indent=1).encode(),
+            _CONTROLS: self.controls.astype("<f4").tobytes(),
+        }
+        with write_whole(path, "the scenario") as part:
+            write_zip(part, members)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Scenario:
@@ -79,12 +76,9 @@ class Scenario:
             ConfigError: there is no such file, or it is damaged or of another kind.
         """
         file = Path(path)
-        # A pipe, for one, would be waited for.
-        if os.path.exists(file) and not os.path.isfile(file):
-            raise ConfigError(f"{file} is no file; expected what env.scenario().save(path) wrote")
         try:
-            with zipfile.ZipFile(file) as archive:
-                scenario = _read(_member(archive, _ABOUT), _member(archive, _CONTROLS))
+            members = read_zip(file, dict.fromkeys((_ABOUT, _CONTROLS), _MAX_BYTES))
+            scenario = _read(members[_ABOUT], members[_CONTROLS])
             _check(scenario)
         except OSError as error:
             raise ConfigError(f"the scenario {file} cannot be read: {error}") from error
@@ -133,17 +127,6 @@ def digest_of(snapshot: Snapshot) -> str:
     for name in ("location", "rotation", "velocity"):
         seen.update(np.ascontiguousarray(snapshot.karts[name], "<f4").tobytes())
     return seen.hexdigest()
-
-
-def _member(archive: zipfile.ZipFile, name: str) -> bytes:
-    # Others unpack without a bound.
-    if archive.getinfo(name).compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise ValueError(f"{name} is packed in a way that no scenario is")
-    with archive.open(name) as stream:
-        data = stream.read(_MAX_BYTES + 1)
-    if len(data) > _MAX_BYTES:
-        raise ValueError(f"{name} has more than {_MAX_BYTES} bytes")
-    return data
 
 
 def _read(text: bytes, numbers: bytes) -> Scenario:

@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
-import math
 import platform
-import types
-import typing
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, is_dataclass
-from functools import cache
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from stkzoo.errors import ConfigError
-from stkzoo.race.agents.failures import printable
+from stkzoo.race.document import Document
 
 #: Version of the JSON schema (``docs/schemas/race-result.schema.json``); grows when an older
 #: reader would fail.
@@ -102,7 +95,7 @@ def versions_now() -> dict[str, str]:
 
 
 @dataclass(frozen=True, slots=True)
-class RaceResult:
+class RaceResult(Document):
     """The result of a race.
 
     Attributes:
@@ -122,6 +115,10 @@ class RaceResult:
         versions: of the software.
         wall_time: real duration [s]; ignored when results are compared.
     """
+
+    kind: ClassVar[str] = "race-result"
+    version: ClassVar[int] = SCHEMA_VERSION
+    origin: ClassVar[str] = "a file from `stkzoo race --output`"
 
     status: str
     track: str
@@ -148,130 +145,4 @@ class RaceResult:
 
     def to_dict(self) -> dict[str, Any]:
         """The result as JSON values, with this class's field names and a ``schema_version``."""
-        return {"type": "race-result", "schema_version": SCHEMA_VERSION, **asdict(self)}
-
-    def to_json(self) -> str:
-        """:meth:`to_dict` as text."""
-        return json.dumps(self.to_dict(), indent=2, allow_nan=False)
-
-    @classmethod
-    def from_json(cls, text: str) -> RaceResult:
-        """Reads what :meth:`to_json` wrote.
-
-        Raises:
-            ConfigError: the text is something else, or of a later version.
-        """
-        with reading("the text is not a race result", "a file from `stkzoo race --output`"):
-            result: RaceResult = typed(cls, read_document(text, "race-result", SCHEMA_VERSION))
-            return result
-
-
-@contextlib.contextmanager
-def reading(problem: str, expected: str) -> Iterator[None]:
-    """Explains the error of a block that reads a JSON document.
-
-    Args:
-        problem: what the error says first, such as ``"the text is not a race result"``.
-        expected: what the text should have been.
-
-    Raises:
-        ConfigError: an entry is missing or has the wrong type, or the text is not JSON.
-    """
-    try:
-        yield
-    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
-        raise ConfigError(
-            f"{problem} ({type(error).__name__}: {error}); expected {expected}"
-        ) from error
-
-
-def json_with_rows(head: Mapping[str, Any], name: str, rows: Iterable[Mapping[str, Any]]) -> str:
-    """A JSON object with one more entry, a list with an object on each line."""
-    lines = ",\n    ".join(map(json.dumps, rows))
-    text = json.dumps(head, indent=2, allow_nan=False)[:-2]
-    return f'{text},\n  "{name}": [\n    {lines}\n  ]\n}}'
-
-
-def read_json(text: str) -> Any:
-    """The value of a JSON text. Unlike Python's own reader, it accepts only finite numbers.
-
-    Raises:
-        json.JSONDecodeError: the text is not JSON, too deep, or has numbers that are too long.
-    """
-    try:
-        return json.loads(text, parse_constant=_finite, parse_float=_finite)
-    except json.JSONDecodeError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise json.JSONDecodeError(str(error)[:200], "", 0) from None
-
-
-def _finite(text: str) -> float:
-    number = float(text)
-    if not math.isfinite(number):
-        raise ValueError(f"{text[:20]} is not a finite number")
-    return number
-
-
-def typed(hint: Any, value: Any, name: str = "the document") -> Any:
-    """A JSON value as the type of a dataclass's field.
-
-    Objects become dataclasses, without entries that are no fields: later versions may have
-    others. Lists become tuples. Texts lose control codes, which a terminal would obey.
-
-    Args:
-        hint: the type: a dataclass, a tuple, a dict, a plain type, or one of these or ``None``.
-        value: the value.
-        name: what it is, for the error.
-
-    Raises:
-        TypeError: it has another type, or an entry is missing.
-    """
-    if isinstance(hint, types.UnionType):
-        return None if value is None else typed(typing.get_args(hint)[0], value, name)
-    kind: Any = typing.get_origin(hint) or hint
-    parts = typing.get_args(hint)
-    if isinstance(kind, type) and is_dataclass(kind) and type(value) is dict:
-        hints = _hints(kind)
-        return kind(**{key: typed(hints[key], value[key], key) for key in value if key in hints})
-    if kind is tuple and type(value) is list:
-        return tuple(typed(parts[0], entry, name) for entry in value)
-    if kind in (dict, Mapping) and type(value) is dict:
-        return {printable(key): typed(parts[1], value[key], key) for key in value}
-    is_number = kind in (int, float) and type(value) is int
-    if (is_number and abs(value) >= 2**63) or (type(value) is not kind and kind is not float):
-        raise TypeError(f"{name} is {value!r:.60}, expected {kind.__name__}")
-    return printable(value) if kind is str else value
-
-
-@cache
-def _hints(kind: Any) -> dict[str, Any]:
-    return typing.get_type_hints(kind)
-
-
-def read_document(text: str, kind: str, version: int) -> dict[str, Any]:
-    """The value of a JSON text of a type and version.
-
-    Args:
-        text: the content of a file.
-        kind: the expected ``type``.
-        version: the expected ``schema_version``.
-
-    Raises:
-        ConfigError: it is something else, or of another version.
-        KeyError: it has no type or version.
-        json.JSONDecodeError: see :func:`read_json`.
-    """
-    document: dict[str, Any] = read_json(text)
-    check_document(document, kind, version)
-    return document
-
-
-def check_document(document: Mapping[str, Any], kind: str, version: int) -> None:
-    """Checks the type and version of a document; raises as :func:`read_document`."""
-    found = document["type"], document["schema_version"]
-    if found != (kind, version):
-        raise ConfigError(
-            f"the file is a {found[0]} of version {found[1]}, expected a {kind} of version "
-            f"{version}; another version of stkzoo wrote it"
-        )
+        return {"type": self.kind, "schema_version": self.version, **asdict(self)}

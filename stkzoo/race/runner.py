@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import fields, replace
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from stkzoo.config import AgentSpec
 from stkzoo.env.parallel import RaceParallelEnv
-from stkzoo.errors import ActionError, ConfigError, unknown_name
+from stkzoo.errors import ActionError, ConfigError
 from stkzoo.race.drivers import Driver, find_driver
 from stkzoo.race.instances import DriverRequest
 from stkzoo.race.listeners import RaceListener, RaceProgress
@@ -81,7 +81,7 @@ def run_race(
     if not drivers:
         raise ConfigError("no drivers; name at least one, such as 'heuristic'")
     _check_listeners(listeners)
-    chosen = _settings(settings, changes)
+    chosen = RaceSettings.changed(settings, changes)
     places = _places(start_positions, len(drivers))
     awaited = _awaited(wait_for, len(drivers))
     found = [_driver(driver, chosen) for driver in drivers]
@@ -100,17 +100,6 @@ def _check_listeners(listeners: Sequence[RaceListener]) -> None:
     is_list = isinstance(listeners, Sequence) and not isinstance(listeners, str)
     if not is_list or not all(isinstance(listener, RaceListener) for listener in listeners):
         raise ConfigError(f"listeners is {listeners!r}, expected a list of RaceListener objects")
-
-
-def _settings(settings: RaceSettings | None, changes: Mapping[str, Any]) -> RaceSettings:
-    known = [entry.name for entry in fields(RaceSettings)]
-    for name in changes:
-        if name not in known:
-            raise unknown_name("setting of a race", name, known)
-    settings = RaceSettings() if settings is None else settings
-    if not isinstance(settings, RaceSettings):
-        raise ConfigError(f"settings is {settings!r}, expected RaceSettings")
-    return replace(settings, **changes)
 
 
 def _driver(driver: str | Driver, settings: RaceSettings) -> Driver:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from stkzoo.errors import ConfigError, check_number, check_whole
+from stkzoo._arguments import option
+from stkzoo.errors import ConfigError, check_number, check_whole, unknown_name
 from stkzoo.race.instances import DriverLimits
 
 #: What to do when an agent fails.
@@ -18,57 +20,48 @@ ERROR_HANDLING = {
 }
 
 
-def _option(default: Any, text: str, **more: Any) -> Any:
-    return field(default=default, metadata={"help": text, **more})
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RaceSettings:
-    """The settings of :func:`~stkzoo.race.run_race`.
+    """The settings of :func:`~stkzoo.race.run_race`, with the help of their options.
+
+    ``None`` is no limit, and any track. Times are in seconds, memory is in MB. Without
+    ``max_steps`` a race ends after the time that a kart needs at 4 m/s, plus a minute.
 
     Attributes:
-        track: a track's name; ``"train"``, ``"test"``, ``"all"`` or ``None`` (as ``"all"``) for a
-            random one.
-        laps: number of laps.
-        difficulty: level of the game's AI, 0 to 3.
-        reverse: drive the track in the other direction.
-        seed: seed of all random numbers.
-        max_paths: track segments ahead in observations; ``None`` for all.
-        max_steps: the race ends after this number of steps. By default it ends after the time
-            that a kart needs at 4 m/s, plus a minute.
-        max_steps_after_first: it ends this number of steps after the first kart finished.
-        karts_finished: it ends when this number of karts have finished.
-        error_handling: what to do when an agent fails: one of :data:`ERROR_HANDLING`.
-        max_restarts: restarts of each agent in one race.
-        action_timeout: time limit for one decision [s]; ``None`` for no limit.
-        start_timeout: time limit for loading an agent [s].
-        agent_memory: memory limit of an agent's process [MB]; ``None`` for no limit.
-        inline: run agents from files in this process: faster, but without protection.
-        adapter: Python file that makes the actors of agents from files.
+        track: a track's name, or train, test or all to draw one
+        laps: number of laps
+        difficulty: of the game's AI, 0 to 3
+        reverse: drive in the other direction
+        seed: seed of all random numbers
+        max_paths: track segments ahead that agents see (default: all)
+        max_steps: end the race after this number of steps
+        max_steps_after_first: end the race this number of steps after the first kart finished
+        karts_finished: end the race when this number of karts finished
+        error_handling: when an agent fails
+        max_restarts: restarts of a failed agent
+        action_timeout: time limit for an agent's decision; 0 for no limit
+        start_timeout: time limit for loading an agent
+        agent_memory: memory limit of agents; 0 for no limit
+        inline: run agents in this process: faster, but without protection
+        adapter: Python file with create_actor(get_actor, module_dir, obs_space, act_space)
     """
 
-    track: str | None = _option(None, "a track's name, or train, test or all to draw one")
-    laps: int = _option(1, "number of laps")
-    difficulty: int = _option(2, "of the game's AI, 0 to 3")
-    reverse: bool = _option(False, "drive in the other direction")
-    seed: int = _option(0, "seed of all random numbers")
-    max_paths: int | None = _option(None, "track segments ahead that agents see (default: all)")
-    max_steps: int | None = _option(None, "end the race after this number of steps")
-    max_steps_after_first: int | None = _option(
-        None, "end the race this number of steps after the first kart finished"
-    )
-    karts_finished: int | None = _option(None, "end the race when this number of karts finished")
-    error_handling: str = _option("retire", "when an agent fails", choices=tuple(ERROR_HANDLING))
-    max_restarts: int = _option(3, "restarts of a failed agent")
-    action_timeout: float | None = _option(
-        10.0, "time limit for an agent's decision; 0 for no limit", metavar="SECONDS"
-    )
-    start_timeout: float = _option(60.0, "time limit for loading an agent", metavar="SECONDS")
-    agent_memory: int | None = _option(4096, "memory limit of agents; 0 for no limit", metavar="MB")
-    inline: bool = _option(False, "run agents in this process: faster, but without protection")
-    adapter: str | None = _option(
-        None, "Python file with create_actor(get_actor, module_dir, obs_space, act_space)"
-    )
+    track: str | None = None
+    laps: int = 1
+    difficulty: int = 2
+    reverse: bool = False
+    seed: int = 0
+    max_paths: int | None = None
+    max_steps: int | None = None
+    max_steps_after_first: int | None = None
+    karts_finished: int | None = None
+    error_handling: str = option("retire", choices=tuple(ERROR_HANDLING))
+    max_restarts: int = 3
+    action_timeout: float | None = option(10.0, metavar="SECONDS")
+    start_timeout: float = option(60.0, metavar="SECONDS")
+    agent_memory: int | None = option(4096, metavar="MB")
+    inline: bool = False
+    adapter: str | None = None
 
     def __post_init__(self) -> None:
         check_whole("seed", self.seed, 0)
@@ -92,6 +85,31 @@ class RaceSettings:
                 f"error_handling is {self.error_handling!r}, expected one of "
                 f"{', '.join(ERROR_HANDLING)}"
             )
+
+    @classmethod
+    def changed(
+        cls,
+        settings: RaceSettings | None,
+        changes: Mapping[str, Any],
+        decided: Collection[str] = (),
+    ) -> RaceSettings:
+        """The user's settings with changes.
+
+        Args:
+            settings: the user's; ``None`` for the defaults.
+            changes: fields that replace those of ``settings``.
+            decided: fields that no change may name.
+
+        Raises:
+            ConfigError: a change names no field that a user may set, or a value is invalid.
+        """
+        known = [entry.name for entry in fields(cls) if entry.name not in decided]
+        for name in changes:
+            if name not in known:
+                raise unknown_name("setting of a race", name, known)
+        if not isinstance(settings, RaceSettings | None):
+            raise ConfigError(f"settings is {settings!r}, expected RaceSettings")
+        return replace(settings or cls(), **changes)
 
     @property
     def limits(self) -> DriverLimits:

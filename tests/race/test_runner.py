@@ -271,7 +271,7 @@ def test_the_result_keeps_to_the_published_schema(result):
     ["", "[]", "{}", "null", '{"type": "race-result", "schema_version": 1, "agents": 3}'],
 )
 def test_what_is_no_result_is_refused(text):
-    with pytest.raises(ConfigError, match="not a race result"):
+    with pytest.raises(ConfigError, match="the text has no race result"):
         RaceResult.from_json(text)
 
 

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 from stkzoo.engine.assets import find_assets
 from stkzoo.env.options import RaceOptions
-from stkzoo.errors import ConfigError, unknown_name
-from stkzoo.evaluation.batch.document import Document
+from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.entrants import Entrant
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.plotting import require_matplotlib
+from stkzoo.race.document import Document
 from stkzoo.race.result import RaceResult, versions_now
 from stkzoo.race.settings import RaceSettings
 
@@ -114,11 +114,7 @@ class BatchPlan(Document, Generic[Result]):
         Raises:
             ConfigError: a change names no field that a user may set, or a value is invalid.
         """
-        known = {entry.name for entry in fields(RaceSettings)} - set(cls.decided)
-        for name in changes:
-            if name not in known:
-                raise unknown_name("setting of a race", name, known)
-        chosen = replace(settings or RaceSettings(), **changes)
+        chosen = RaceSettings.changed(settings, changes, cls.decided)
         if chosen.error_handling == "raise":
             raise ConfigError(
                 "error_handling is 'raise', which would end the batch at the first error; choose "

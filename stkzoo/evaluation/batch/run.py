@@ -11,17 +11,19 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Generic
+from typing import Any, Generic, TypeVar
 
 from stkzoo._os import PART_FILES, cpu_count, try_lock, write_text
 from stkzoo.errors import ConfigError, StkzooError, check_whole
-from stkzoo.evaluation.batch.document import AnyDocument, Document
 from stkzoo.evaluation.batch.order import RACES, RaceOrder, load_orders
 from stkzoo.evaluation.batch.plan import PLAN_FILE, RESULT_FILE, BatchPlan, Plan, Result
 from stkzoo.evaluation.batch.pool import run_in_parallel
+from stkzoo.race.document import Document
 from stkzoo.race.result import RaceResult
 
 _MAX_ERRORS_SHOWN = 3
+
+AnyDocument = TypeVar("AnyDocument", bound=Document)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from stkzoo.errors import StkzooError
-from stkzoo.race.result import typed
+from stkzoo.race.document import typed
 
 
 def serve() -> None:

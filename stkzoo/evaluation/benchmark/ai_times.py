@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from stkzoo.errors import ConfigError, check_whole
-from stkzoo.evaluation.batch.document import Document
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.plan import BatchPlan, find_tracks
 from stkzoo.evaluation.batch.run import RunOptions, run_batch
 from stkzoo.evaluation.benchmark.races import FRONT, direction_name, race_seed
+from stkzoo.race.document import Document
 from stkzoo.race.result import RaceResult, versions_now
 from stkzoo.race.settings import RaceSettings
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.batch.document import Document
 from stkzoo.evaluation.benchmark.outcomes import (
     FIGURES,
     FigureKind,
@@ -17,6 +16,7 @@ from stkzoo.evaluation.benchmark.outcomes import (
 )
 from stkzoo.evaluation.benchmark.plan import BenchmarkResult
 from stkzoo.evaluation.statistics import CONFIDENCE
+from stkzoo.race.document import Document
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from stkzoo.errors import ConfigError, check_whole
-from stkzoo.evaluation.batch.document import Document
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.plan import (
@@ -38,7 +37,8 @@ from stkzoo.evaluation.benchmark.races import (
     make_races,
 )
 from stkzoo.evaluation.statistics import CONFIDENCE
-from stkzoo.race.result import RaceResult, typed
+from stkzoo.race.document import Document, typed
+from stkzoo.race.result import RaceResult
 from stkzoo.race.settings import RaceSettings
 
 #: A race ends after this multiple of the AI's median time.

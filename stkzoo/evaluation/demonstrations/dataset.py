@@ -30,7 +30,7 @@ import numpy.typing as npt
 from stkzoo._os import write_whole
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
-from stkzoo.race.result import typed
+from stkzoo.race.document import typed
 
 _KIND, _VERSION = "demonstrations", 1
 #: What reading a damaged file can raise.

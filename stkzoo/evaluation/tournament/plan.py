@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from stkzoo.errors import ConfigError, check_whole
-from stkzoo.evaluation.batch.document import Document
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.plan import PLAN_FILE, BatchPlan, find_tracks
@@ -19,6 +18,7 @@ from stkzoo.evaluation.statistics import CONFIDENCE
 from stkzoo.evaluation.tournament.plot import plot_tournament
 from stkzoo.evaluation.tournament.schedule import ScheduledRace, make_schedule
 from stkzoo.evaluation.tournament.standings import RaceSummary, Standing
+from stkzoo.race.document import Document
 from stkzoo.race.result import RaceResult, versions_now
 from stkzoo.race.settings import RaceSettings
 

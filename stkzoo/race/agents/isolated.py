@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from typing import Any, NoReturn
 
-from stkzoo.engine.process import describe_end
+from stkzoo.engine.process import ONE_THREAD, describe_end
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError
 from stkzoo.mdp.spaces import shows_ground
 from stkzoo.race.agents.failures import OutputTail, reported_error
@@ -33,7 +33,6 @@ sys.path[:] = json.loads(sys.argv[1])
 from stkzoo.race.agents.process import main
 main(*map(int, sys.argv[2:]))
 """
-_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 #: How long an agent without a time limit may take to read its observation [s].
 _SEND_TIMEOUT = 60.0
 #: How long an agent may take to end by itself after the race [s].
@@ -182,7 +181,7 @@ class IsolatedInstance:
                 stderr=subprocess.STDOUT,
                 pass_fds=[theirs.fileno()],
                 start_new_session=True,
-                env={**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONHASHSEED": "0"},
+                env={**os.environ, **ONE_THREAD, "PYTHONHASHSEED": "0"},
             )
         return Channel(ours), process
 

@@ -8,22 +8,20 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import stat
-import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
-from zipfile import ZIP_DEFLATED, ZIP_STORED
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._os import write_whole
+from stkzoo._os import read_zip, write_whole, write_zip
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.env.options import RaceOptions
 from stkzoo.errors import StkzooError
-from stkzoo.race.result import SCHEMA_VERSION, RaceResult, check_document, read_json, typed
+from stkzoo.race.document import check_document, read_json, typed
+from stkzoo.race.result import SCHEMA_VERSION, RaceResult
 
 #: Bytes of one digest.
 DIGEST_SIZE = 8
@@ -141,13 +139,11 @@ FORMAT = 1
 _TYPE = "stkzoo-replay"
 _ABOUT, _CONTROLS, _DIGESTS = "race.json", "controls.f4", "digests.u1"
 
-_MAX_FILE = 64 << 20  # [bytes]
+#: [bytes]
 _MAX_MEMBER = {_ABOUT: 8 << 20, _CONTROLS: 256 << 20, _DIGESTS: 16 << 20}
 _MAX_KARTS, _MAX_TRACKS = 256, 10_000
 #: Fields that are options of the environment too.
 _SETTINGS = ("track", "reverse", "laps", "difficulty", "max_paths", "step_size")
-#: A fixed date in the zip makes equal replays equal files.
-_DATE = (1980, 1, 1, 0, 0, 0)
 
 
 class ReplayError(StkzooError):
@@ -166,14 +162,8 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> None:
         _CONTROLS: replay.controls.astype("<f4").tobytes(),
         _DIGESTS: replay.digests.tobytes(),
     }
-    with (
-        write_whole(path, "the replay", ReplayError) as part,
-        zipfile.ZipFile(part, "w") as archive,
-    ):
-        for member, data in members.items():
-            entry = zipfile.ZipInfo(member, _DATE)
-            entry.compress_type = ZIP_DEFLATED
-            archive.writestr(entry, data)
+    with write_whole(path, "the replay", ReplayError) as part:
+        write_zip(part, members)
 
 
 def load_replay(path: str | os.PathLike[str]) -> Replay:
@@ -184,7 +174,7 @@ def load_replay(path: str | os.PathLike[str]) -> Replay:
     """
     file = Path(path)
     try:
-        return _replay_of(_members(file))
+        return _replay_of(read_zip(file, _MAX_MEMBER))
     except MemoryError:
         raise
     except OSError as error:
@@ -200,29 +190,6 @@ def load_replay(path: str | os.PathLike[str]) -> Replay:
             f"{file} is not a replay, or damaged ({why:.200}); expected a file from `stkzoo race "
             "--replay`: copy the file again, or record the race again"
         ) from error
-
-
-def _members(file: Path) -> dict[str, bytes]:
-    """The members of the zip, each within its size limit."""
-    about = file.stat()
-    if not stat.S_ISREG(about.st_mode):  # for example a pipe, which would block
-        raise ReplayError("it is not a file; expected a file from `stkzoo race --replay`")
-    if about.st_size > _MAX_FILE:
-        raise ReplayError(
-            f"it has {about.st_size} bytes, expected at most {_MAX_FILE}; a race of an hour has a "
-            "few million"
-        )
-    members = {}
-    with zipfile.ZipFile(file) as archive:
-        for name, limit in _MAX_MEMBER.items():
-            # Other methods unpack without a bound.
-            if archive.getinfo(name).compress_type not in (ZIP_STORED, ZIP_DEFLATED):
-                raise ValueError(f"{name} has another compression method")
-            with archive.open(name) as stream:
-                members[name] = stream.read(limit + 1)
-            if len(members[name]) > limit:
-                raise ReplayError(f"it has a {name} of more than {limit} bytes, which no race has")
-    return members
 
 
 def _replay_of(members: dict[str, bytes]) -> Replay:

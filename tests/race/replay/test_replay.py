@@ -258,7 +258,7 @@ def test_damaged_parts_are_told(small, members):
 
 
 def test_a_part_that_grows_too_large_is_refused(small):
-    with pytest.raises(ReplayError, match=r"digests\.u1 of more than"):
+    with pytest.raises(ReplayError, match=r"digests\.u1 has more than"):
         load_replay(repacked(small, digests_u1=bytes(20 << 20)))
     assert small.stat().st_size < 100_000
 
