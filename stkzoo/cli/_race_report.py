@@ -8,10 +8,9 @@ from collections.abc import Sequence
 from statistics import fmean
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
+from rich.progress import BarColumn, TextColumn
 
-from stkzoo.cli._console import say, show_table
+from stkzoo.cli._console import make_bars, say, show_table
 from stkzoo.race import AgentResult, RaceListener, RaceProgress, RaceResult
 
 if TYPE_CHECKING:
@@ -35,15 +34,10 @@ class RaceBar(RaceListener):
     """A bar with the leader's distance and the simulation's speed, on a terminal's stderr."""
 
     def __init__(self) -> None:
-        console = Console(stderr=True)
-        self._bars = Progress(
-            TextColumn("{task.description:<19}"),
-            BarColumn(),
-            TextColumn("{task.fields[way]}"),
-            console=console,
-            transient=True,
-            disable=not (console.is_terminal and sys.stdout.isatty()),
+        self._bars = make_bars(
+            TextColumn("{task.description:<19}"), BarColumn(), TextColumn("{task.fields[way]}")
         )
+        self._bars.disable |= not sys.stdout.isatty()
         self._task = self._bars.add_task("starting", total=1.0, way="")
         self._begin = time.monotonic()
 

@@ -35,7 +35,8 @@ from stkzoo.race import RaceSettings
 if TYPE_CHECKING:
     from stkzoo.evaluation import RunOptions, TournamentResult
 
-_DECIDED = ("track", "seed")
+#: Options that are arguments of ``plan_tournament``.
+_PLANNED = ("tracks", "races", "per_race", "seed")
 _AGENT_FAILED = 3
 
 
@@ -67,8 +68,10 @@ class TournamentArguments:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
+    from stkzoo.evaluation import TournamentPlan
+
     add_options(parser, TournamentArguments)
-    add_batch_options(parser, _DECIDED)
+    add_batch_options(parser, TournamentPlan.decided)
 
 
 @usage_errors
@@ -94,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _run(arguments: argparse.Namespace, folder: Path, options: RunOptions) -> TournamentResult:
-    from stkzoo.evaluation import plan_tournament
+    from stkzoo.evaluation import TournamentPlan, plan_tournament
     from stkzoo.evaluation.batch.run import run_batch
     from stkzoo.evaluation.tournament.plan import resumed_plan
 
@@ -105,11 +108,8 @@ def _run(arguments: argparse.Namespace, folder: Path, options: RunOptions) -> To
         if arguments.resume
         else plan_tournament(
             arguments.agents,
-            tracks=arguments.tracks,
-            races=arguments.races,
-            per_race=arguments.per_race,
-            seed=arguments.seed,
-            **values_of(arguments, RaceSettings, without=_DECIDED),
+            **values_of(arguments, TournamentArguments, only=_PLANNED),
+            **values_of(arguments, RaceSettings, without=TournamentPlan.decided),
         )
     )
     return run_batch(plan, folder, options)

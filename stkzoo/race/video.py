@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -52,7 +52,6 @@ class RaceFilm:
         backend: ``"auto"``, ``"engine"`` or ``"map"``.
         preset: quality of the game's graphics: ``"ld"``, ``"sd"`` or ``"hd"``.
         card_seconds: how long the video shows the results.
-        on_frame: called with the number of pictures after each one.
 
     Raises:
         ConfigError: an argument is invalid, or a library is missing.
@@ -68,7 +67,6 @@ class RaceFilm:
         backend: str = "auto",
         preset: str = "ld",
         card_seconds: float = 4.0,
-        on_frame: Callable[[int], None] | None = None,
     ) -> None:
         if cameras is not None:
             check_whole("cameras", cameras, 1, _MOST_CAMERAS)
@@ -77,7 +75,7 @@ class RaceFilm:
         width, height = checked_size(size)
         self._size = width & ~1, height & ~1  # video formats hold whole pairs of pixels
         self._cameras, self._sub_steps = cameras, sub_steps
-        self._card_seconds, self._on_frame = card_seconds, on_frame
+        self._card_seconds = card_seconds
         self._renderer = RaceRenderer(backend, self._size, preset)
         self._writer: VideoWriter | None = None  # since begin
 
@@ -202,8 +200,6 @@ class RaceFilm:
     def _put(self, picture: Picture) -> None:
         assert self._writer is not None  # noqa: S101 - since begin
         self._writer.add(picture)
-        if self._on_frame is not None:
-            self._on_frame(self._writer.num_frames)
 
 
 class RaceVideo(RaceFilm, RaceListener):
