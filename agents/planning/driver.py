@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from stkzoo import Phase, PowerupType
 from stkzoo.mdp import squared
@@ -26,6 +25,7 @@ from stkzoo.wrappers.racing import (
     surroundings_of,
 )
 
+from .arrays import BoolArray, FloatArray, IntArray
 from .kart import DRIFT_TURN
 from .memory import MEMORY_MIRROR, MEMORY_NAMES, DriverMemory
 from .parameters import DriverParameters
@@ -33,10 +33,6 @@ from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, FREE, MANOEUVRES
 from .rivals import RIVALS_MIRROR, Rivals, RivalTracker
 from .road import LINE_MARKS, RoadAhead
 from .worth import PlanOptions, PlanScene, weigh
-
-FloatArray = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.intp]
-BoolArray = npt.NDArray[np.bool_]
 
 #: How much to turn beside what the plan wants [share of full lock].
 OFFSETS = np.array([-0.45, -0.2, -0.08, 0.0, 0.08, 0.2, 0.45], np.float32)

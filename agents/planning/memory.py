@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-import numpy.typing as npt
 
+from .arrays import BoolArray, FloatArray, IntArray
 from .kart import (
     BOOST_LASTS,
     BOOST_STEPS,
@@ -16,10 +16,6 @@ from .kart import (
     STEP,
 )
 from .parameters import DriverParameters
-
-FloatArray = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.intp]
-BoolArray = npt.NDArray[np.bool_]
 
 #: The engine has ended a drift if the skid factor is still 1 after so many steps.
 _DRIFT_SHOWS = 4

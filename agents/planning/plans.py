@@ -17,10 +17,8 @@ import numpy.typing as npt
 
 from stkzoo.kernel import PlanTable
 
+from .arrays import FloatArray, IntArray
 from .kart import BOOST_STEPS, BRAKING, DRIFT_TURN, RELEASE_STEPS, STEP
-
-FloatArray = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.intp]
 
 #: How long the moments of a plan last [s].
 SPANS = np.array([0.1] * 4 + [0.2] * 8, np.float32)

@@ -14,12 +14,9 @@ import numpy.typing as npt
 
 from stkzoo.mdp import squared
 
+from .arrays import BoolArray, FloatArray, IntArray
 from .kart import STEP
 from .road import MARK_COUNT, RoadAhead
-
-FloatArray = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.intp]
-BoolArray = npt.NDArray[np.bool_]
 
 #: So many are watched, the nearest, within this [m].
 RIVALS, _REACH = 4, 25.0

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from stkzoo.mdp import squared
 
-FloatArray = npt.NDArray[np.float32]
+from .arrays import FloatArray
 
 #: The road is known at so many marks, from the kart on, so far apart [m].
 MARK_COUNT, MARK_SPACING = 36, 3.0

@@ -17,6 +17,7 @@ from stkzoo import ItemType
 from stkzoo.kernel import weigh_plans
 from stkzoo.mdp import squared
 
+from .arrays import BoolArray, FloatArray
 from .kart import BOOST_LASTS, RELEASE_TURN, STEERING_LAG, STEP
 from .memory import KartSituation
 from .parameters import DriverParameters
@@ -24,9 +25,7 @@ from .plans import MANOEUVRES, plan_table, table_rows
 from .rivals import Rivals
 from .road import MARK_COUNT, MARK_SPACING, RoadAhead
 
-FloatArray = npt.NDArray[np.float32]
 DoubleArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 #: Items weighed.
 _ITEMS = 8

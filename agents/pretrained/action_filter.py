@@ -17,10 +17,8 @@ from stkzoo.agents.planning import (
     KartSituation,
     steer_of_turn,
 )
+from stkzoo.agents.planning.arrays import FloatArray, IntArray
 from stkzoo.wrappers.racing import BRAKE, CHOICES, MIRROR, PLACES, RESCUE, SIZE, STEERS
-
-FloatArray = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int64]
 
 #: How many numbers a policy sees with the filter: the view, and the filter's memory.
 INPUT_SIZE = SIZE + MEMORY_SIZE

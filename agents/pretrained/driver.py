@@ -9,18 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from stkzoo.agents.planning import CHOICES, INPUT_SIZE, DriverParameters, PlanDriver
+from stkzoo.agents.planning.arrays import FloatArray, IntArray
 from stkzoo.errors import ConfigError
 
 from .ensemble import EnsemblePolicy, networks_of
 from .mlp import KartPolicy, MlpDriver
 from .policy import RacingPolicy
 from .weights import load_weights
-
-FloatArray = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int64]
 
 #: What chooses among plans.
 Policy = RacingPolicy | EnsemblePolicy

@@ -10,7 +10,6 @@ import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from stkzoo.agents.planning import BRAKE as BRAKE_PLAN
 from stkzoo.agents.planning import (
@@ -23,15 +22,13 @@ from stkzoo.agents.planning import (
     is_drifting,
     plan_turns,
 )
+from stkzoo.agents.planning.arrays import FloatArray, IntArray
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import BRAKE
 
 from .action_filter import INPUT_SIZE, steering
 from .mlp import SPLITS, MlpDriver
 from .policy import log_sum
-
-FloatArray = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.intp]
 
 #: Which pedal a manoeuvre needs, whether it drifts, and to which side.
 _PEDALS = np.array([BRAKE if m == BRAKE_PLAN else 0 for m in range(MANOEUVRES)])

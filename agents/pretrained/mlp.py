@@ -9,16 +9,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from stkzoo.agents.planning.arrays import FloatArray, IntArray
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
 from .action_filter import INPUT_SIZE, ActionFilter
 from .weights import load_weights
-
-FloatArray = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int64]
 
 _LAYER = "mlp_extractor.policy_net.{}.{}"
 _LAST = "action_net.{}"

@@ -6,12 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from stkzoo.agents.planning import CHOICES, HEADS, INPUT_SIZE, PolicyInput, likeliest
-
-FloatArray = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.intp]
+from stkzoo.agents.planning.arrays import FloatArray, IntArray
 
 #: No normalised input is farther from 0.
 INPUT_CLIP = 8.0

@@ -15,12 +15,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from stkzoo._os import atomic_write
+from stkzoo.agents.planning.arrays import FloatArray
 from stkzoo.errors import ConfigError
-
-FloatArray = npt.NDArray[np.float32]
 
 _SIZE = struct.Struct("<Q")
 _MOST_HEADER = 1 << 20

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from stkzoo.agents.planning import (
     ALL_LOOKS,
@@ -23,6 +22,7 @@ from stkzoo.agents.planning import (
     mirrored_inputs,
     mirrored_prior,
 )
+from stkzoo.agents.planning.arrays import BoolArray, FloatArray, IntArray
 from stkzoo.engine import KartSetup, RaceSetup, Snapshot, TrackMap, WorkerSession, decode_track
 from stkzoo.engine.assets import find_assets
 from stkzoo.evaluation import load_ai_times
@@ -30,10 +30,6 @@ from stkzoo.names import Phase
 from stkzoo.wrappers.racing import BatchedRacingView, RoadTable, Surroundings
 
 from .arguments import TrainingRaces
-
-FloatArray = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.intp]
-BoolArray = npt.NDArray[np.bool_]
 
 #: A race is cut short after this multiple of the AI's median time.
 _PATIENCE = 1.6

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.planning import DriverParameters, PlanDriver
+from stkzoo.agents.planning.arrays import FloatArray
 from stkzoo.agents.pretrained.action_filter import ActionFilter
 from stkzoo.agents.pretrained.driver import (
     WEIGHTS,
@@ -35,8 +36,6 @@ from stkzoo.wrappers.racing import CHOICES, Surroundings, controls_of_choices, r
 from .fleet import Finish, Lineup, RaceFleet, RaceStarts, StartingPoint
 from .opponents import bot_name
 from .plan_parameters import plan_parameters, run_parameters
-
-FloatArray = npt.NDArray[np.float32]
 
 #: The plans with nothing learned.
 PRIOR = "prior"

@@ -6,15 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from stkzoo.agents.planning import MEMORY_SIZE
+from stkzoo.agents.planning.arrays import FloatArray
 from stkzoo.agents.pretrained.mlp import HOLD, MlpDriver
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import SIZE
-
-FloatArray = npt.NDArray[np.float32]
 
 
 def save_driver(path: str | Path, policy: Any, hold: int = 0) -> None:

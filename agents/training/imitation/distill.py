@@ -23,10 +23,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from stkzoo.agents.planning import BRAKE as BRAKE_PLAN
 from stkzoo.agents.planning import PolicyInput
+from stkzoo.agents.planning.arrays import IntArray
 from stkzoo.agents.pretrained.action_filter import INPUT_SIZE, ActionFilter, steering
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.agents.pretrained.policy import RacingPolicy
@@ -37,8 +37,6 @@ from ..common.command import parse_script, run_command, training_torch
 from ..common.fleet import Finish, Fleet, Lineup
 from ..common.matches import Match, network_driver, play_matches
 from .lessons import ImitationArguments, Lesson, Numbers, Report, run_rounds, show_rounds
-
-IntArray = npt.NDArray[np.int64]
 
 #: Alone, against others, and against the game's AI: learners, bots, and so many races.
 _LINEUPS = ((1, 0, 8), (5, 0, 4), (2, 3, 4), (1, 4, 4))

@@ -7,18 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from stkzoo.agents.planning import PolicyInput
+from stkzoo.agents.planning.arrays import FloatArray, IntArray
 from stkzoo.agents.pretrained.policy import RacingPolicy
 
 from ..common.arguments import parse_races
 from ..common.fleet import Finish, FleetStep, Lineup, lineups_of
 from ..ppo.selfplay import PPOLearner, SelfPlayArguments
 from .players import PlayerMatchmaker
-
-FloatArray = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.intp]
 
 
 class _RivalRace:

@@ -7,16 +7,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from stkzoo.agents.planning import CHOICE_NAMES, CHOICES, HEADS, INPUT_SIZE, mirrored_inputs
+from stkzoo.agents.planning.arrays import FloatArray
 from stkzoo.agents.pretrained.policy import INPUT_CLIP, RacingPolicy, network
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
 
 from ..common.command import training_torch
-
-FloatArray = npt.NDArray[np.float32]
 
 NUM_LOGITS = sum(CHOICES)
 #: Lower limit of an input's standard deviation, so that constant inputs are not amplified.

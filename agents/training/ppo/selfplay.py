@@ -31,6 +31,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.planning import CHOICES, INPUT_SIZE, PolicyInput
+from stkzoo.agents.planning.arrays import FloatArray
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.errors import ConfigError
@@ -50,8 +51,6 @@ from ..common.fleet import Finish, Fleet, FleetStep, Lineup, lineups_of
 from ..common.plan_parameters import plan_parameters
 from ..common.training_log import TrainingLog
 from .network import NUM_LOGITS, VALUE_UNIT, ActorCritic, predict_values
-
-FloatArray = npt.NDArray[np.float32]
 
 #: Finished races in the means of the log.
 _RECENT = 200
