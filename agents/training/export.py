@@ -35,9 +35,9 @@ from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
 from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
 from stkzoo.errors import ConfigError
 
-from .common.arguments import ARGUMENTS, write_json
 from .common.command import command_parser, run_command
 from .common.plan_parameters import run_parameters
+from .common.run_folder import ARGUMENTS, write_json
 
 #: Part of the names of a value network's arrays.
 _VALUES = "value"

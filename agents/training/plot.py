@@ -20,7 +20,7 @@ import numpy.typing as npt
 from stkzoo.evaluation import GREY, INK, new_figure, save_figure, style_axes
 
 from .common.command import command_parser, run_command
-from .common.training_log import require_log
+from .common.run_folder import require_log
 
 #: A rating: its value, and both ends of its interval.
 Interval = Sequence[float]

@@ -35,7 +35,7 @@ from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import Rating, percentile_interval, save_figure
 
-from .common.arguments import QUICK_TRACKS, track_names, write_json
+from .common.arguments import QUICK_TRACKS, track_names
 from .common.command import command_parser, limit_threads, run_command
 from .common.matches import (
     Match,
@@ -48,7 +48,7 @@ from .common.matches import (
     rate_orders,
 )
 from .common.plan_parameters import run_parameters
-from .common.training_log import read_json_lines
+from .common.run_folder import read_json_lines, write_json
 from .league.matches import AI, SEATS, play_records
 from .plot import rating_figure
 

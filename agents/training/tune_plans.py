@@ -33,10 +33,10 @@ from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.errors import unknown_name
 from stkzoo.tracks import TRAIN_TRACKS
 
-from .common.arguments import QUICK_TRACKS, RunArguments, write_json
+from .common.arguments import QUICK_TRACKS, RunArguments
 from .common.command import limit_threads, parse_script, run_command, training_library
 from .common.matches import Match, plan_match_driver, play_matches
-from .common.training_log import LOG, read_json_lines
+from .common.run_folder import LOG, read_json_lines, write_json
 
 #: What is tuned, and between which values.
 BOUNDS: dict[str, tuple[float, float]] = {

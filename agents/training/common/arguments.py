@@ -1,19 +1,14 @@
-"""Arguments of the training scripts: what several share, their options, and a run's own file."""
+"""Arguments of the training scripts: what several share."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
-from typing import Any, ClassVar
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import ClassVar
 
-from stkzoo._os import write_text
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
-#: The file in a run's folder with the run's arguments.
-ARGUMENTS = "arguments.json"
 #: The training tracks but for one, on which a race takes three times as long.
 QUICK_TRACKS = tuple(track for track in TRAIN_TRACKS if track != "black_forest")
 
@@ -116,76 +111,3 @@ def parse_races(texts: Sequence[str]) -> list[TrainingRaces]:
 def track_names(names: Sequence[str]) -> list[str]:
     """Replaces the names of splits, such as ``train``, with their tracks."""
     return [track for name in names for track in SPLITS.get(name, (name,))]
-
-
-# ---------------------------------------------------------------------- a run's arguments
-
-
-def write_json(path: Path, content: Any) -> None:
-    """Writes a JSON file atomically."""
-    write_text(path, json.dumps(content, indent=1) + "\n")
-
-
-def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """Lists the fields that differ from those in a JSON file; empty if none does."""
-    now = json.loads(json.dumps(now))
-    changed = [name for name in now if before.get(name) != now[name]]
-    return ", ".join(f"{n} was {before.get(n)!r}, now {now[n]!r}" for n in changed)
-
-
-def check_version(folder: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Checks that this version of stkzoo wrote the arguments of a run; see :func:`check_resumed`.
-
-    Raises:
-        ConfigError: another version wrote them.
-    """
-    if set(before) != set(now):
-        raise ConfigError(
-            f"the run in {str(folder)!r} is of another version of stkzoo, with other arguments; "
-            "give another --output (and --init with its newest policy to start from that)"
-        )
-
-
-def check_resumed(
-    folder: Path, before: Mapping[str, Any], now: Mapping[str, Any], remedy: str = ""
-) -> None:
-    """Checks that a run continues with the arguments that it has.
-
-    Args:
-        folder: the run's.
-        before: the arguments in its files.
-        now: the arguments given.
-        remedy: what else the user can do than give the same arguments or another folder.
-
-    Raises:
-        ConfigError: the arguments differ, or another version of stkzoo wrote the files.
-    """
-    check_version(folder, before, now)
-    if changed := differences(before, now):
-        raise ConfigError(
-            f"the run in {str(folder)!r} has other arguments: {changed}; give the same, or "
-            f"another --output{remedy}"
-        )
-
-
-def keep_arguments(
-    folder: Path, arguments: Any, free: Collection[str] = (), remedy: str = ""
-) -> None:
-    """Writes the arguments of a new run, or checks those of a run that continues.
-
-    Args:
-        folder: the run's; it is created.
-        arguments: a dataclass.
-        free: names of fields that may change when a run continues, and are not written.
-        remedy: see :func:`check_resumed`.
-
-    Raises:
-        ConfigError: see :func:`check_resumed`.
-    """
-    now = {name: value for name, value in asdict(arguments).items() if name not in free}
-    file = folder / ARGUMENTS
-    if file.exists():
-        check_resumed(folder, json.loads(file.read_text()), now, remedy)
-        return
-    folder.mkdir(parents=True, exist_ok=True)
-    write_json(file, now)

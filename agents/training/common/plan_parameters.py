@@ -9,7 +9,7 @@ from typing import Any
 from stkzoo.agents.planning import DriverParameters
 from stkzoo.errors import ConfigError
 
-from .arguments import ARGUMENTS
+from .run_folder import ARGUMENTS
 
 
 def plan_parameters(file: str | Path) -> DriverParameters:

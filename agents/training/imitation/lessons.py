@@ -22,10 +22,10 @@ from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import SIZE
 
-from ..common.arguments import NetworkArguments, keep_arguments
+from ..common.arguments import NetworkArguments
 from ..common.command import ProgressBar
 from ..common.network_policy import save_driver
-from ..common.training_log import LOG, read_json_lines, write_log
+from ..common.run_folder import LOG, keep_arguments, read_json_lines, write_log
 from ..export import export_policy
 from ..plot import plot_runs
 from .network import fit, load_weights_into, make_network

@@ -37,10 +37,10 @@ from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import require_openskill
 
-from ..common.arguments import PPOArguments, check_resumed, write_json
+from ..common.arguments import PPOArguments
 from ..common.command import ProgressBar, parse_script, run_command
 from ..common.matches import MatchRecord, plan_match_driver, rate_orders
-from ..common.training_log import TrainingLog
+from ..common.run_folder import TrainingLog, check_resumed, write_json
 from ..ppo.selfplay import SelfPlayArguments
 from .learner import LeagueLearner
 from .matches import draw_matches, play_records

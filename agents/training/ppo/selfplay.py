@@ -36,20 +36,19 @@ from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.errors import ConfigError
 
-from ..common.arguments import (
-    ARGUMENTS,
-    QUICK_TRACKS,
-    PPOArguments,
-    check_version,
-    differences,
-    parse_races,
-    write_json,
-)
-from ..common.checkpoint import load_checkpoint, save_checkpoint
+from ..common.arguments import QUICK_TRACKS, PPOArguments, parse_races
 from ..common.command import ProgressBar, parse_script, run_command
 from ..common.fleet import Finish, Fleet, FleetStep, Lineup, lineups_of
 from ..common.plan_parameters import plan_parameters
-from ..common.training_log import TrainingLog
+from ..common.run_folder import (
+    ARGUMENTS,
+    TrainingLog,
+    check_version,
+    differences,
+    load_checkpoint,
+    save_checkpoint,
+    write_json,
+)
 from .network import NUM_LOGITS, VALUE_UNIT, ActorCritic, predict_values
 
 #: Finished races in the means of the log.

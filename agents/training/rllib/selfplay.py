@@ -35,14 +35,9 @@ import numpy.typing as npt
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.errors import ConfigError
 
-from ..common.arguments import (
-    PPOArguments,
-    RunArguments,
-    keep_arguments,
-    track_names,
-)
+from ..common.arguments import PPOArguments, RunArguments, track_names
 from ..common.command import parse_script, run_command
-from ..common.training_log import TrainingLog
+from ..common.run_folder import TrainingLog, keep_arguments
 from .races import MAIN, PackSender, PolicyMap, ensure_assets, make_race
 
 _CHECKPOINT, _POLICY = "checkpoint", "policy.safetensors"

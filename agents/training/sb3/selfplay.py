@@ -44,16 +44,11 @@ from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.evaluation import require_openskill
 from stkzoo.wrappers.racing import CHOICES, RESCUE
 
-from ..common.arguments import (
-    PPOArguments,
-    keep_arguments,
-    parse_races,
-)
-from ..common.checkpoint import load_checkpoint, save_checkpoint
+from ..common.arguments import PPOArguments, parse_races
 from ..common.command import ProgressBar, parse_script, run_command, training_library
 from ..common.network_policy import initial_weights, save_driver
 from ..common.opponents import OpponentPool, bot_name
-from ..common.training_log import TrainingLog
+from ..common.run_folder import TrainingLog, keep_arguments, load_checkpoint, save_checkpoint
 from ..export import export_policy
 from ..rate import RATINGS
 from .curriculum import EASY_TO_HARD, Curriculum

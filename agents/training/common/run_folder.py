@@ -1,0 +1,190 @@
+"""The files of a run: its arguments, checkpoint and log.
+
+The log is one JSON line per iteration, and TensorBoard files if that is installed. A checkpoint is
+facts as JSON and tensors, in a file from which nothing is unpickled.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from stkzoo._os import atomic_write, write_text
+from stkzoo.errors import ConfigError
+
+from .command import training_library
+
+#: The files in a run's folder.
+ARGUMENTS, CHECKPOINT, LOG = "arguments.json", "checkpoint.pt", "log.jsonl"
+
+
+# ---------------------------------------------------------------------- arguments
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Writes a JSON file atomically."""
+    write_text(path, json.dumps(content, indent=1) + "\n")
+
+
+def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """Lists the fields that differ from those in a JSON file; empty if none does."""
+    now = json.loads(json.dumps(now))
+    changed = [name for name in now if before.get(name) != now[name]]
+    return ", ".join(f"{n} was {before.get(n)!r}, now {now[n]!r}" for n in changed)
+
+
+def check_version(folder: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Checks that this version of stkzoo wrote the arguments of a run; see :func:`check_resumed`.
+
+    Raises:
+        ConfigError: another version wrote them.
+    """
+    if set(before) != set(now):
+        raise ConfigError(
+            f"the run in {str(folder)!r} is of another version of stkzoo, with other arguments; "
+            "give another --output (and --init with its newest policy to start from that)"
+        )
+
+
+def check_resumed(
+    folder: Path, before: Mapping[str, Any], now: Mapping[str, Any], remedy: str = ""
+) -> None:
+    """Checks that a run continues with the arguments that it has.
+
+    Args:
+        folder: the run's.
+        before: the arguments in its files.
+        now: the arguments given.
+        remedy: what else the user can do than give the same arguments or another folder.
+
+    Raises:
+        ConfigError: the arguments differ, or another version of stkzoo wrote the files.
+    """
+    check_version(folder, before, now)
+    if changed := differences(before, now):
+        raise ConfigError(
+            f"the run in {str(folder)!r} has other arguments: {changed}; give the same, or "
+            f"another --output{remedy}"
+        )
+
+
+def keep_arguments(
+    folder: Path, arguments: Any, free: Collection[str] = (), remedy: str = ""
+) -> None:
+    """Writes the arguments of a new run, or checks those of a run that continues.
+
+    Args:
+        folder: the run's; it is created.
+        arguments: a dataclass.
+        free: names of fields that may change when a run continues, and are not written.
+        remedy: see :func:`check_resumed`.
+
+    Raises:
+        ConfigError: see :func:`check_resumed`.
+    """
+    now = {name: value for name, value in asdict(arguments).items() if name not in free}
+    file = folder / ARGUMENTS
+    if file.exists():
+        check_resumed(folder, json.loads(file.read_text()), now, remedy)
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(file, now)
+
+
+# ---------------------------------------------------------------------- checkpoint
+
+
+def save_checkpoint(folder: Path, facts: Mapping[str, Any], state: Mapping[str, Any]) -> None:
+    """Writes a run's checkpoint atomically.
+
+    Args:
+        folder: the run's.
+        facts: JSON values.
+        state: tensors and plain values by name, and dicts and lists of such.
+    """
+    with atomic_write(folder / CHECKPOINT) as part:
+        training_library("torch").save({"facts": json.dumps(facts), **state}, part)
+
+
+def load_checkpoint(folder: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
+    """Facts and state of a run's checkpoint; ``None`` if there is none."""
+    if not (folder / CHECKPOINT).exists():
+        return None
+    state = training_library("torch").load(folder / CHECKPOINT, weights_only=True)
+    return json.loads(state["facts"]), state
+
+
+# ---------------------------------------------------------------------- log
+
+
+def read_json_lines(file: Path) -> list[dict[str, Any]]:
+    """The lines of a file of JSON lines; none if there is no such file."""
+    return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+
+
+def require_log(folder: str | Path) -> list[dict[str, Any]]:
+    """The lines of a run's log.
+
+    Raises:
+        ConfigError: the folder has none.
+    """
+    file = Path(folder) / LOG
+    if not file.is_file():
+        raise ConfigError(f"{str(folder)!r} is not the folder of a run: it has no {LOG}")
+    return read_json_lines(file)
+
+
+def write_log(folder: Path, log: Sequence[Mapping[str, Any]]) -> None:
+    """Writes the whole log of a run atomically."""
+    write_text(folder / LOG, "".join(json.dumps(dict(line)) + "\n" for line in log))
+
+
+class TrainingLog:
+    """The log of a run that may continue from a checkpoint; later lines are removed.
+
+    Args:
+        folder: the run's.
+        iteration: that of the checkpoint.
+
+    Attributes:
+        last: the last line; empty at the beginning.
+    """
+
+    def __init__(self, folder: Path, iteration: int) -> None:
+        self._file = folder / LOG
+        kept = [line for line in read_json_lines(self._file) if line["iteration"] <= iteration]
+        write_log(folder, kept)
+        self.last: dict[str, Any] = kept[-1] if kept else {}
+        self._writer: Any = None
+        try:
+            board = importlib.import_module("torch.utils.tensorboard")
+        except ImportError:
+            return
+        self._writer = board.SummaryWriter(folder, purge_step=self.last.get("kart_steps", 0) + 1)
+
+    def __enter__(self) -> TrainingLog:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._writer is not None:
+            self._writer.close()
+
+    def write(self, line: Mapping[str, Any]) -> None:
+        """Adds an iteration's figures, with ``iteration`` and ``kart_steps`` among them.
+
+        TensorBoard gets all figures but those that are ``None``.
+        """
+        with self._file.open("a") as log:
+            log.write(json.dumps(dict(line)) + "\n")
+        for name, value in line.items():
+            if value is not None:
+                self.add(name, value, int(line["kart_steps"]))
+
+    def add(self, name: str, value: float, kart_steps: int) -> None:
+        """Adds a figure to the TensorBoard files alone."""
+        if self._writer is not None:
+            self._writer.add_scalar(name, value, kart_steps)
