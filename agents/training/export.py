@@ -36,8 +36,7 @@ from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weigh
 from stkzoo.errors import ConfigError
 
 from .common.command import command_parser, run_command
-from .common.plan_parameters import run_parameters
-from .common.run_folder import ARGUMENTS, write_json
+from .common.run_folder import ARGUMENTS, run_parameters, write_json
 
 #: Part of the names of a value network's arrays.
 _VALUES = "value"

@@ -38,18 +38,19 @@ from stkzoo.evaluation import Rating, percentile_interval, save_figure
 from .common.arguments import QUICK_TRACKS, track_names
 from .common.command import command_parser, limit_threads, run_command
 from .common.matches import (
+    AI,
+    SEATS,
     Match,
     MatchDriver,
     MatchRecord,
     match_driver,
     plan_match_driver,
     play_matches,
+    play_records,
     random_driver,
     rate_orders,
 )
-from .common.plan_parameters import run_parameters
-from .common.run_folder import read_json_lines, write_json
-from .league.matches import AI, SEATS, play_records
+from .common.run_folder import read_json_lines, run_parameters, write_json
 from .plot import rating_figure
 
 #: The policy that runs start from, and one that chooses at random.

@@ -10,12 +10,23 @@ import pytest
 
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
-from stkzoo.agents.training.common.matches import MatchRecord, plan_match_driver, rate_orders
+from stkzoo.agents.training.common.matches import (
+    AI,
+    MatchRecord,
+    payoff,
+    plan_match_driver,
+    play_records,
+    rate_orders,
+)
 from stkzoo.agents.training.league.league import League, LeagueArguments, main
 from stkzoo.agents.training.league.learner import LeagueLearner
-from stkzoo.agents.training.league.matches import AI, draw_matches, payoff, play_records
 from stkzoo.agents.training.league.page import page
-from stkzoo.agents.training.league.players import Player, PlayerMatchmaker, new_players
+from stkzoo.agents.training.league.players import (
+    Player,
+    PlayerMatchmaker,
+    draw_matches,
+    new_players,
+)
 from stkzoo.agents.training.ppo.selfplay import SelfPlayArguments
 from stkzoo.cli import main as command_line
 from stkzoo.errors import ConfigError

@@ -15,7 +15,7 @@ from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.agents.training.common.arguments import TrainingRaces
 from stkzoo.agents.training.common.fleet import Fleet, Lineup, lineups_of
 from stkzoo.agents.training.common.matches import match_driver
-from stkzoo.agents.training.common.plan_parameters import plan_parameters, run_parameters
+from stkzoo.agents.training.common.run_folder import plan_parameters, run_parameters
 from stkzoo.agents.training.evaluate import evaluate, newest_policy
 from stkzoo.agents.training.evaluate import main as evaluate_main
 from stkzoo.agents.training.export import export_policy

@@ -35,10 +35,14 @@ from stkzoo.wrappers.racing import CHOICES, Surroundings, controls_of_choices, r
 
 from .fleet import Finish, Lineup, RaceFleet, RaceStarts, StartingPoint
 from .opponents import bot_name
-from .plan_parameters import plan_parameters, run_parameters
+from .run_folder import plan_parameters, run_parameters
 
 #: The plans with nothing learned.
 PRIOR = "prior"
+#: The name of the game's AI at its hardest in orders of finish.
+AI = "ai"
+#: Members in a match; one kart of the game's AI is in it too.
+SEATS = 4
 #: Matches that one process drives side by side.
 _SIDE_BY_SIDE = 28
 #: So many sets of matches are driven at a time: one is computed while the others' games run.
@@ -275,6 +279,20 @@ def play_matches(
     return [match for number in sorted(results) for match in results[number]]
 
 
+def play_records(
+    matches: Sequence[Match], drivers: Mapping[str, MatchDriver], turn: int = 0
+) -> list[MatchRecord]:
+    """Plays matches; their records.
+
+    Args:
+        matches: the matches, each with one kart of the game's AI.
+        drivers: by name.
+        turn: of the league.
+    """
+    played = zip(matches, play_matches(matches, drivers), strict=True)
+    return [MatchRecord(turn, m.track, m.reverse, m.order(ends, AI)) for m, ends in played]
+
+
 # ---------------------------------------------------------------------- rating
 
 
@@ -288,3 +306,11 @@ def rate_orders(orders: Sequence[Sequence[str]]) -> dict[str, Rating]:
     numbers = {name: number for number, name in enumerate(names)}
     races = [[numbers[name] for name in order] for order in orders]
     return dict(zip(names, rate(races, len(names)), strict=True))
+
+
+def payoff(one: str, other: str, records: Sequence[MatchRecord]) -> tuple[float, int]:
+    """The share of matches in which one was ahead of the other, and how many there were."""
+    duels = [
+        r.order.index(one) < r.order.index(other) for r in records if {one, other} <= {*r.order}
+    ]
+    return (float(np.mean(duels)) if duels else 0.5), len(duels)

@@ -20,9 +20,12 @@ continues a run that was killed.
 from __future__ import annotations
 
 import itertools
+import math
 import multiprocessing
+import os
 import sys
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -30,15 +33,28 @@ from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
+from gymnasium import spaces
+
 from stkzoo._os import cpu_count
+from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.errors import ConfigError, StkzooError
-from stkzoo.evaluation import load_demonstrations, record_demonstrations
-from stkzoo.race import find_driver
+from stkzoo.evaluation import DemoView, load_demonstrations, record_demonstrations
+from stkzoo.mdp import kart_action_space, kart_observation_space
+from stkzoo.race import Driver, DriverInstance, DriverRequest, find_driver, run_race
+from stkzoo.race.replay import action_of, controls_of
+from stkzoo.wrappers.racing import controls_of_choices
 
 from ..common.arguments import QUICK_TRACKS, RunArguments, track_names
 from ..common.command import parse_script, run_command
-from .lessons import ImitationArguments, Lesson, Report, run_rounds, show_rounds
-from .races import drive_race, end_with_parent, time_ratio
+from ..common.fleet import ai_time
+from .lessons import ImitationArguments, Lesson, Numbers, Report, run_rounds, show_rounds
+
+#: A learner's race is cut short after so many times the AI's median time.
+PATIENCE = 1.7
+#: What a kart counts as that has not finished by then.
+UNFINISHED = 2.0
+_STEP, _COUNTDOWN = 0.1, 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +174,87 @@ def _drive(
             ) from error
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+# ---------------------------------------------------------------------- races
+
+
+def end_with_parent() -> None:
+    """Ends this process, whatever it does, when the one that started it is gone."""
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def time_ratio(time: float | None, track: str, reverse: bool, difficulty: int) -> float:
+    """A finish time over the AI's median time there."""
+    if time is None:
+        return UNFINISHED
+    return min(time / ai_time(track, reverse, difficulty), UNFINISHED)
+
+
+def drive_race(
+    teacher: str, policy: str, karts: int, difficulty: int, track: str, seed: int
+) -> Lesson:
+    """Drives a race, in which all karts are the learner's.
+
+    Args:
+        teacher: says what is right; a text for :func:`~stkzoo.race.find_driver`.
+        policy: file of the learner's weights.
+        karts: how many.
+        difficulty: which of the AI's times to compare with.
+        track: where.
+        seed: of the race.
+    """
+    driver, view = load_driver(policy), DemoView("racing")
+    seen: list[Numbers] = []
+    labels: list[Numbers] = []
+
+    def make_actor(
+        _: spaces.Space[Any], __: spaces.Space[Any], seed: int
+    ) -> Callable[[Any], dict[str, Any]]:
+        instance = _instance(teacher, seed)
+
+        def act(observation: Any) -> dict[str, Any]:
+            own = view.observe(observation)
+            instance.ask(observation)
+            answer = np.array(controls_of(instance.answer().action), np.float32)
+            seen.append(own)
+            labels.append(view.action(observation, answer))
+            return action_of(controls_of_choices(driver.best(own[None]))[0])
+
+        return act
+
+    median = ai_time(track, False, difficulty)
+    result = run_race(
+        [Driver.of_actor(f"learner {kart}", make_actor) for kart in range(karts)],
+        track=track,
+        seed=seed,
+        error_handling="raise",
+        max_steps=_COUNTDOWN + math.ceil(PATIENCE * median / _STEP),
+        action_timeout=None,
+    )
+    times = [row.finish_time for row in result.agents]
+    ratios = tuple(time_ratio(time, track, False, difficulty) for time in times)
+    finished = sum(time is not None for time in times)
+    return Lesson(np.array(seen, np.float32), np.array(labels, np.int8), ratios, finished)
+
+
+def _instance(teacher: str, seed: int) -> DriverInstance:
+    """The teacher, ready to be asked."""
+    start = find_driver(teacher, inline=True).start
+    assert start is not None  # noqa: S101 - checked before
+    instance = start(DriverRequest("kart_0", kart_observation_space(), kart_action_space(), seed))
+    instance.ready()
+    return instance
+
+
+# ---------------------------------------------------------------------- the command
 
 
 def main(words: list[str] | None = None) -> int:

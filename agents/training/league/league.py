@@ -39,13 +39,12 @@ from stkzoo.evaluation import require_openskill
 
 from ..common.arguments import PPOArguments
 from ..common.command import ProgressBar, parse_script, run_command
-from ..common.matches import MatchRecord, plan_match_driver, rate_orders
+from ..common.matches import MatchRecord, plan_match_driver, play_records, rate_orders
 from ..common.run_folder import TrainingLog, check_resumed, write_json
 from ..ppo.selfplay import SelfPlayArguments
 from .learner import LeagueLearner
-from .matches import draw_matches, play_records
 from .page import page
-from .players import START, Player, PlayerMatchmaker, new_players
+from .players import START, Player, PlayerMatchmaker, draw_matches, new_players
 
 _STATE, _PAGE, _MEMBERS, _DUELS = "league.json", "league.html", "members", "duels.json"
 _VERSION = 2

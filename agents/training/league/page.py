@@ -12,9 +12,8 @@ from typing import Any
 from stkzoo.errors import import_extra
 from stkzoo.evaluation import INK
 
-from ..common.matches import MatchRecord
+from ..common.matches import AI, MatchRecord, payoff
 from ..plot import rating_figure
-from .matches import AI, payoff
 from .players import START
 
 #: Rows of the matrix at most.

@@ -11,6 +11,7 @@ import numpy as np
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.errors import ConfigError
 
+from ..common.matches import SEATS, Match, MatchRecord
 from ..common.opponents import OpponentPool
 
 #: Kinds of players.
@@ -24,6 +25,8 @@ _WON = 0.7
 #: While the newest main player is beaten less often, an exploiter meets older ones too.
 _TOO_STRONG = 0.2
 _ENDLESS = 1_000_000
+#: Matches have other starting points than races of learning, which are numbered from 0.
+_FIRST_NUMBER = 2000
 
 
 @dataclass(slots=True)
@@ -161,3 +164,36 @@ class PlayerMatchmaker:
         """Restores a :meth:`state`."""
         self.pool.restore(state["pool"])
         self._reported = list(state["reported"])
+
+
+def draw_matches(
+    newest: str,
+    members: Sequence[str],
+    records: Sequence[MatchRecord],
+    tracks: Sequence[str],
+    count: int,
+    random: np.random.Generator,
+) -> list[Match]:
+    """Matches of the newest member with the others that it has met least.
+
+    Args:
+        newest: its name.
+        members: all names.
+        records: of the matches that were played.
+        tracks: driven in turn, in both directions.
+        count: how many.
+        random: decides between equals.
+    """
+    others = [name for name in members if name != newest]
+    met = {name: sum(name in r.order for r in records if newest in r.order) for name in others}
+    matches = []
+    for number in range(count):
+        chosen = sorted(others, key=lambda name: (met[name], random.random()))[: SEATS - 1]
+        for name in chosen:
+            met[name] += 1
+        drivers = [newest, *chosen]
+        drivers += [newest] * (SEATS - len(drivers))
+        track = tracks[number % len(tracks)]
+        reverse = number // len(tracks) % 2 == 1
+        matches.append(Match(tuple(drivers), track, reverse, _FIRST_NUMBER + number))
+    return matches

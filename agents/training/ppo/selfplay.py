@@ -39,13 +39,13 @@ from stkzoo.errors import ConfigError
 from ..common.arguments import QUICK_TRACKS, PPOArguments, parse_races
 from ..common.command import ProgressBar, parse_script, run_command
 from ..common.fleet import Finish, Fleet, FleetStep, Lineup, lineups_of
-from ..common.plan_parameters import plan_parameters
 from ..common.run_folder import (
     ARGUMENTS,
     TrainingLog,
     check_version,
     differences,
     load_checkpoint,
+    plan_parameters,
     save_checkpoint,
     write_json,
 )

@@ -29,11 +29,12 @@ from __future__ import annotations
 
 import importlib
 import json
+import subprocess
 import sys
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -50,9 +51,8 @@ from ..common.network_policy import initial_weights, save_driver
 from ..common.opponents import OpponentPool, bot_name
 from ..common.run_folder import TrainingLog, keep_arguments, load_checkpoint, save_checkpoint
 from ..export import export_policy
-from ..rate import RATINGS
+from ..rate import EVALUATIONS, RATINGS
 from .curriculum import EASY_TO_HARD, Curriculum
-from .evaluation import BackgroundEvaluation
 
 #: Initial bias of choices, by their place in the view: to go rather than to brake, and to drift or
 #: call for the rescue rarely. Without it every kart stands for most of its first races.
@@ -115,6 +115,68 @@ class SB3Arguments(PPOArguments):
     evaluation_races: int = 6
     evaluation_tracks: tuple[str, ...] = EASY_TO_HARD[:3]
     supersuit: bool = False
+
+
+# ---------------------------------------------------------------------- evaluation
+
+
+class BackgroundEvaluation:
+    """Evaluates kept policies one after another with :mod:`stkzoo.agents.training.rate`.
+
+    Args:
+        run: the run's folder.
+        tracks: tracks of the races.
+        races: races per policy.
+
+    Attributes:
+        failures: how many evaluations failed.
+    """
+
+    def __init__(self, run: Path, tracks: Sequence[str], races: int) -> None:
+        self._run, self._tracks, self._races = run, tuple(tracks), races
+        self._started: set[str] = set()
+        self._process: subprocess.Popen[bytes] | None = None
+        self.failures = 0
+
+    def poll(self, names: Sequence[str], wait: float = 0.0) -> bool:
+        """Starts the next evaluation if none runs; whether one has finished since the last call.
+
+        Args:
+            names: of the policies that are to be evaluated; each is evaluated once.
+            wait: for the present evaluation, at most this long [s].
+        """
+        is_finished = False
+        if self._process is not None:
+            try:
+                code = self._process.wait(wait)
+            except subprocess.TimeoutExpired:
+                return False
+            self._process = None
+            self.failures += code != 0
+            is_finished = code == 0
+        done = self._started | {path.stem for path in (self._run / EVALUATIONS).glob("*.json")}
+        if left := [name for name in names if name not in done]:
+            self._start(left[0])
+        return is_finished
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether something is evaluated; what is due next is started as soon as it is over."""
+        return self._process is not None
+
+    def close(self) -> None:
+        """Ends the present evaluation."""
+        if self._process is not None:
+            self._process.terminate()
+            self._process.wait()
+
+    def _start(self, name: str) -> None:
+        self._started.add(name)
+        words = ["-m", "stkzoo.agents.training.rate", str(self._run), "--policy", name]
+        words += ["--matches", str(self._races), "--tracks", *self._tracks]
+        self._process = subprocess.Popen(  # noqa: S603 - this program
+            [sys.executable, *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL
+        )
 
 
 # ---------------------------------------------------------------------- the run
