@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
+import msgpack
 import numpy as np
 from pettingzoo import ParallelEnv
 
@@ -264,9 +265,10 @@ def trace(steps: Iterable[Step]) -> Trace:
 
 def fingerprint(value: Any) -> str:
     """A hash of a value's types and bits, through dicts, tuples and lists, 16 hex digits."""
-    digest = hashlib.blake2b(digest_size=8)
-    _update(digest, value)
-    return digest.hexdigest()
+    packed = msgpack.packb(
+        value, default=_packable, strict_types=True, unicode_errors="surrogatepass"
+    )
+    return hashlib.blake2b(packed, digest_size=8).hexdigest()
 
 
 def first_difference(expected: Trace, actual: Trace) -> str | None:
@@ -310,31 +312,16 @@ def _fingerprints(path: str, value: Any) -> Iterator[tuple[str, str]]:
         yield path, fingerprint(value)
 
 
-def _update(digest: Any, value: Any) -> None:
+def _packable(value: Any) -> Any:
+    """The type and content of what msgpack does not know."""
+    kind = type(value).__name__
     if isinstance(value, (np.ndarray, np.generic)):
-        kind = type(value).__name__
-        digest.update(f"{kind} {value.dtype.str} {value.shape} ".encode() + value.tobytes())
-    elif isinstance(value, Mapping):
-        digest.update(f"dict {len(value)} ".encode())
-        for key, entry in value.items():
-            _update(digest, key)
-            _update(digest, entry)
-    elif isinstance(value, Sequence) and not isinstance(value, (str, bytes)):
-        digest.update(f"{type(value).__name__} {len(value)} ".encode())
-        _update_all(digest, value)
-    else:
-        digest.update(f"{type(value).__name__} {value!r} ".encode())
-
-
-def _update_all(digest: Any, values: Sequence[Any]) -> None:
-    kinds = {(value.dtype, value.shape) for value in values if type(value) is np.ndarray}
-    if len(kinds) == 1 and all(type(value) is np.ndarray for value in values):
-        ((dtype, shape),) = kinds  # long lists of similar arrays at once
-        digest.update(f"each {dtype.str} {shape} ".encode())
-        digest.update(b"".join([value.tobytes() for value in values]))
-    else:
-        for value in values:
-            _update(digest, value)
+        return [kind, value.dtype.str, list(value.shape), value.tobytes()]
+    if isinstance(value, Mapping):
+        return dict(value)
+    if isinstance(value, Sequence) and not isinstance(value, (str, bytes)):
+        return [kind, list(value)]
+    return [kind, repr(value)]
 
 
 Check: TypeAlias = Callable[[EnvFactory], None]
