@@ -198,7 +198,7 @@ def _rate_runs(runs: Sequence[Path], folder: Path, wanted: int, every: int) -> N
     ]
     report = {"matches": len(records), "learned_longer": asdict(progress), "ratings": rows}
     write_json(folder / RATINGS, report)
-    intervals = {name: [r.value, r.low, r.high] for name, r in ratings.items()}
+    intervals = {name: [r.value, *r.interval] for name, r in ratings.items()}
     start = [(0.0, intervals[START])] if START in ratings else []
     kept = sorted((_millions(name), name) for name in ratings if " " in name)
     curves = {

@@ -12,7 +12,6 @@ import numpy as np
 
 from stkzoo._os import write_whole
 from stkzoo.errors import ConfigError, import_extra
-from stkzoo.evaluation.ratings import Rating
 from stkzoo.evaluation.statistics import Estimate
 
 INK, BLUE, GREY = "#22303c", "#2f6db5", "#8a949c"
@@ -54,7 +53,7 @@ def style_axes(axes: Any, title: str | None = None) -> None:
 
 def draw_intervals(
     axes: Any,
-    estimates: Mapping[float, Estimate | Rating],
+    estimates: Mapping[float, Estimate],
     *,
     scale: float = 1.0,
     color: str = BLUE,

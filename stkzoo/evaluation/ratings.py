@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from stkzoo.errors import import_extra
-from stkzoo.evaluation.statistics import percentile_interval
+from stkzoo.evaluation.statistics import Estimate, percentile_interval
 
 #: The model updates race by race, so a rating is the mean over this many orders of the races.
 _ORDERS = 30
@@ -24,25 +24,16 @@ _MAX_DRAWS, _MIN_DRAWS, _MAX_RATED_RACES = 400, 100, 100_000
 
 
 @dataclass(frozen=True, slots=True)
-class Rating:
+class Rating(Estimate):
     """The strength of an agent; 25 is the prior mean.
 
+    The value is the model's rating, averaged over orders of the races.
+
     Attributes:
-        value: the model's rating, averaged over orders of the races.
-        low: lower end of the interval.
-        high: upper end of the interval.
         sigma: the model's own standard deviation.
     """
 
-    value: float
-    low: float
-    high: float
     sigma: float
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Both ends."""
-        return self.low, self.high
 
 
 def require_openskill() -> Any:

@@ -236,7 +236,7 @@ class League:
         drivers = {member: plan_match_driver(self.policy(member)) for member in meeting}
         state.matches += play_records(matches, drivers, state.turn)
         ratings = rate_orders([match.order for match in state.matches])
-        state.ratings = {name: [r.value, r.low, r.high] for name, r in ratings.items()}
+        state.ratings = {name: [r.value, *r.interval] for name, r in ratings.items()}
 
     # ------------------------------------------------------------------ files
 
