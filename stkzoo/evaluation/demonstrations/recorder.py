@@ -88,7 +88,7 @@ class DemoRecorder(RaceListener):
 
     def __init__(self, agents: int, view: DemoView, substeps: int = 1, race: int = 0) -> None:
         self._count, self._view, self._substeps, self._race = agents, view, substeps, race
-        self._tracks: dict[str, _Kart] = {}
+        self._karts: dict[str, _Kart] = {}
         self._parts: list[Demonstrations] = []
 
     def env_options(self) -> dict[str, Any]:
@@ -98,27 +98,29 @@ class DemoRecorder(RaceListener):
     def started(self, race: RaceProgress) -> None:
         """Records the observations on the grid."""
         agents = race.env.possible_agents[: self._count]
-        self._tracks = {agent: _Kart(self._view, race.observations[agent]) for agent in agents}
+        self._karts = {agent: _Kart(self._view, race.observations[agent]) for agent in agents}
 
     def stepped(self, race: RaceProgress) -> None:
         """Records the actions, and the observations at a step's end."""
         is_whole = race.steps % self._substeps == 0
-        for agent, kart in self._tracks.items():
+        for agent, kart in self._karts.items():
             if kart.is_over:
                 continue
             observation, info = race.observations[agent], race.infos[agent]
             done = observation["action"] if "action" in observation else race.actions[agent]
-            kart.add(np.array(controls_of(done), np.float32), race.rewards[agent], info[_PROGRESS])
+            kart.controls.append(np.array(controls_of(done), np.float32))
+            kart.rewards.append((race.rewards[agent], info[_PROGRESS]))
             kart.is_over = info["finish_time"] > 0
             if is_whole or kart.is_over:
-                kart.end_step(observation)
+                kart.ends.append(len(kart.rewards))
+                kart.observations.append(self._view.observe(observation))
 
     def ended(self, result: RaceResult) -> None:
         """Builds the episodes."""
         rows = {row.agent: row for row in result.agents}
-        for agent, kart in self._tracks.items():
+        for agent, kart in self._karts.items():
             row = rows[agent]
-            if not kart.length:
+            if not kart.ends:
                 continue
             facts = EpisodeFacts(
                 race=self._race,
@@ -130,8 +132,8 @@ class DemoRecorder(RaceListener):
                 finish_time=row.finish_time,
                 rank=row.rank,
             )
-            lengths = np.array([kart.length], np.int64)
-            self._parts.append(Demonstrations({}, (facts,), lengths, kart.columns()))
+            lengths = np.array([len(kart.ends)], np.int64)
+            self._parts.append(Demonstrations({}, (facts,), lengths, kart.columns(self._view)))
 
     def episodes(self, plan: Mapping[str, Any]) -> Demonstrations | None:
         """The recorded episodes; ``None`` if no agent took a step.
@@ -143,48 +145,29 @@ class DemoRecorder(RaceListener):
 
 
 class _Kart:
-    """The episode of one kart so far."""
+    """The episode of one kart so far: its parts of steps, and the number of them at each end."""
 
     def __init__(self, view: DemoView, observation: Any) -> None:
-        self._view, self._last = view, observation
-        self._observations = [view.observe(observation)]
-        self._actions: list[Any] = []
-        self._controls: list[Controls] = []
-        self._rewards: list[float] = []
-        self._parts: list[Controls] = []
-        self._progress = self._rest = 0.0
+        self._first = observation
+        self.observations = [view.observe(observation)]
+        self.controls: list[Controls] = []
+        self.rewards: list[tuple[float, float]] = []  # in all, and for progress
+        self.ends: list[int] = []
         self.is_over = False
 
-    @property
-    def length(self) -> int:
-        """Steps so far."""
-        return len(self._actions)
-
-    def add(self, controls: Controls, reward: float, progress: float) -> None:
-        """Adds a part of a step: progress is summed, all else is that of the step's end."""
-        self._parts.append(controls)
-        self._progress += progress
-        self._rest = reward - progress
-
-    def end_step(self, observation: Any) -> None:
-        """Ends the step with the observation after it."""
-        controls = _together(np.stack(self._parts))
-        self._controls.append(controls)
-        self._actions.append(self._view.action(self._last, controls))
-        self._rewards.append(self._progress + self._rest)
-        self._observations.append(self._view.observe(observation))
-        self._parts, self._progress, self._last = [], 0.0, observation
-
-    def columns(self) -> Columns:
-        """The episode as arrays."""
-        view = self._view
+    def columns(self, view: DemoView) -> Columns:
+        """The episode as arrays: progress is summed over a step, other rewards are its end's."""
+        steps = list(zip([0, *self.ends[:-1]], self.ends, strict=True))
+        controls = [_together(np.stack(self.controls[begin:end])) for begin, end in steps]
+        rewards, progress = np.array(self.rewards).T
+        summed = np.array([sum(progress[begin:end]) for begin, end in steps])
+        last = np.array(self.ends) - 1
+        actions = [view.action(self._first, own) for own in controls]
         return {
-            **columns_of(
-                "observations", view.observation_space, self._observations[: self.length + 1]
-            ),
-            **columns_of("actions", view.action_space, self._actions),
-            "controls": np.stack(self._controls),
-            "rewards": np.array(self._rewards),
+            **columns_of("observations", view.observation_space, self.observations),
+            **columns_of("actions", view.action_space, actions),
+            "controls": np.stack(controls),
+            "rewards": summed + (rewards - progress)[last],
         }
 
 
