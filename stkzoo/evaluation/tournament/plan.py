@@ -105,11 +105,6 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
         require_openskill()
         BatchPlan.require_libraries(self, plot)  # super() fails in slotted dataclasses
 
-    def as_of_now(self) -> TournamentPlan:
-        """The plan with the present software and agents' files."""
-        entrants = tuple(Entrant.of(entry.label, entry.source) for entry in self.entrants)
-        return replace(self, entrants=entrants, versions=versions_now())
-
 
 def plan_tournament(
     agents: Sequence[str],
@@ -236,7 +231,9 @@ def resume_tournament(folder: str | os.PathLike[str], **options: Any) -> Tournam
 
 def resumed_plan(folder: str | os.PathLike[str]) -> TournamentPlan:
     """The plan of the tournament in a folder, with the present software and agents' files."""
-    return TournamentPlan.load(Path(folder) / PLAN_FILE).as_of_now()
+    plan = TournamentPlan.load(Path(folder) / PLAN_FILE)
+    entrants = tuple(Entrant.of(entry.label, entry.source) for entry in plan.entrants)
+    return replace(plan, entrants=entrants, versions=versions_now())
 
 
 def load_tournament(path: str | os.PathLike[str]) -> TournamentResult:
