@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from stkzoo import AgentSpec, Start, race_v0
 from stkzoo._os import atomic_write
-from stkzoo.agents.pursuit import PursuitDriver, PursuitState, control_of
+from stkzoo.agents.pursuit import PursuitDriver, PursuitState
 from stkzoo.wrappers.control import CarParameters, ControlView
 from stkzoo.wrappers.control.kart import KARTS
 
@@ -216,6 +217,31 @@ def lap(kinds: tuple[str, str], track: str = "lighthouse") -> dict[str, Any]:
             observations, _, ended, _, infos = env.step({"kart_0": action})
     finish = round(float(infos["kart_0"]["finish_time"]), 2)
     return {"control_input": kinds, "finished": bool(ended["kart_0"]), "finish_time": finish}
+
+
+def control_of(
+    kinds: tuple[str, str],
+    aim: tuple[float, float],
+    angle: float,
+    speed: float,
+    step_size: float = 0.1,
+) -> npt.NDArray[np.float32]:
+    """The same drive through another pair of actions: what a cascade around them would ask for.
+
+    Args:
+        kinds: ``("speed" or "accl", "steering_angle" or "steering_speed")``.
+        aim: steering angle [rad] and speed [m/s], from :meth:`PursuitDriver.aim`.
+        angle: the present angle of the wheels [rad].
+        speed: the present speed [m/s].
+        step_size: how long a step lasts [s].
+
+    Returns:
+        ``(2,)`` float32, steering first.
+    """
+    longitudinal, steering = kinds
+    first = aim[0] if steering == "steering_angle" else (aim[0] - angle) / step_size
+    second = aim[1] if longitudinal == "speed" else 3.0 * (aim[1] - speed)
+    return np.array([first, second], np.float32)
 
 
 def _wheels(kind: str, angle: float, control: Any, most: float) -> float:

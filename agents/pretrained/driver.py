@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo.agents.planning import CHOICES, INPUT_SIZE, DriverParameters, PlanDriver
+from stkzoo.agents.planning import DriverParameters, PlanDriver
 from stkzoo.agents.planning.arrays import FloatArray, IntArray
 from stkzoo.errors import ConfigError
 
 from .ensemble import EnsemblePolicy, networks_of
 from .mlp import KartPolicy, MlpDriver
-from .policy import RacingPolicy
+from .policy import RacingPolicy, network_shapes
 from .weights import load_weights
 
 #: What chooses among plans.
@@ -85,11 +85,7 @@ def check_shapes(weights: Mapping[str, FloatArray], name: str) -> None:
         ConfigError: they are not.
     """
     hidden = [weights[key].shape[-1] if key in weights else 0 for key in ("b0", "b1")]
-    sizes = [INPUT_SIZE, *hidden, sum(CHOICES)]
-    wanted: dict[str, tuple[int, ...]] = {"mean": (INPUT_SIZE,), "scale": (INPUT_SIZE,)}
-    for layer in range(3):
-        wanted[f"w{layer}"] = (sizes[layer], sizes[layer + 1])
-        wanted[f"b{layer}"] = (sizes[layer + 1],)
+    wanted = network_shapes(hidden)
     found = {key: array.shape for key, array in weights.items()}
     if found != wanted or not all(np.isfinite(array).all() for array in weights.values()):
         raise ConfigError(

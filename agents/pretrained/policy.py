@@ -29,6 +29,15 @@ def network(weights: Mapping[str, FloatArray], inputs: FloatArray) -> FloatArray
     return outputs
 
 
+def network_shapes(hidden: Sequence[int]) -> dict[str, tuple[int, ...]]:
+    """The shapes of the weights of a policy's :func:`network` with such hidden layers."""
+    sizes = (INPUT_SIZE, *hidden, sum(CHOICES))
+    shapes: dict[str, tuple[int, ...]] = {"mean": (INPUT_SIZE,), "scale": (INPUT_SIZE,)}
+    for layer in range(3):
+        shapes |= {f"w{layer}": sizes[layer : layer + 2], f"b{layer}": (sizes[layer + 1],)}
+    return shapes
+
+
 def log_sum(logits: FloatArray) -> FloatArray:
     """The logarithm of the sum of exponentials along the last axis, which stays, of size 1."""
     top = logits.max(axis=-1, keepdims=True)
@@ -49,11 +58,8 @@ class RacingPolicy:
     @classmethod
     def of_plans_alone(cls) -> RacingPolicy:
         """A policy that adds nothing to the prior."""
-        shapes: dict[str, tuple[int, ...]] = {"mean": (INPUT_SIZE,), "scale": (INPUT_SIZE,)}
-        sizes = (INPUT_SIZE, 1, 1, sum(CHOICES))
-        for layer in range(3):
-            shapes |= {f"w{layer}": sizes[layer : layer + 2], f"b{layer}": (sizes[layer + 1],)}
-        return cls({name: np.zeros(shape, np.float32) for name, shape in shapes.items()})
+        shapes = network_shapes((1, 1)).items()
+        return cls({name: np.zeros(shape, np.float32) for name, shape in shapes})
 
     def logits(self, view: PolicyInput) -> FloatArray:
         """The logits ``(A, sum(CHOICES))``."""

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from .driver import PursuitDriver, PursuitParameters, PursuitState, control_of
+from .driver import PursuitDriver, PursuitParameters, PursuitState
 
 __all__ = [
     "PursuitDriver",
     "PursuitParameters",
     "PursuitState",
-    "control_of",
     "create_state",
     "env_name",
     "get_actor",

@@ -104,28 +104,3 @@ class PursuitDriver:
         return float(
             np.clip(math.sqrt(rules.side_accl / sharpest), rules.least_speed, rules.top_speed)
         )
-
-
-def control_of(
-    kinds: tuple[str, str],
-    aim: tuple[float, float],
-    angle: float,
-    speed: float,
-    step_size: float = 0.1,
-) -> npt.NDArray[np.float32]:
-    """The same drive through another pair of actions: what a cascade around them would ask for.
-
-    Args:
-        kinds: ``("speed" or "accl", "steering_angle" or "steering_speed")``.
-        aim: steering angle [rad] and speed [m/s], from :meth:`PursuitDriver.aim`.
-        angle: the present angle of the wheels [rad].
-        speed: the present speed [m/s].
-        step_size: how long a step lasts [s].
-
-    Returns:
-        ``(2,)`` float32, steering first.
-    """
-    longitudinal, steering = kinds
-    first = aim[0] if steering == "steering_angle" else (aim[0] - angle) / step_size
-    second = aim[1] if longitudinal == "speed" else 3.0 * (aim[1] - speed)
-    return np.array([first, second], np.float32)

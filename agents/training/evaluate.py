@@ -19,10 +19,10 @@ import argparse
 import itertools
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from stkzoo.evaluation import BenchmarkForm
 from stkzoo.tracks import TRAIN_TRACKS
@@ -32,37 +32,10 @@ from .common.command import command_parser, limit_threads, run_command
 from .common.fleet import Finish
 from .common.matches import Match, MatchDriver, match_driver, play_matches
 
-#: The time ratio of a kart that does not finish.
-_UNFINISHED = 3.0
 #: Races of learning have starting points from 0 on; these are others.
 _FIRST_NUMBER = 1000
 #: Starting points that all policies drive before the next ones are started.
 _SIDE_BY_SIDE = 28
-
-
-@dataclass(frozen=True, slots=True)
-class PolicyResult:
-    """The result of a policy's karts in one race.
-
-    Attributes:
-        ratio: their mean time over the AI's median time.
-        rank: their mean place.
-        is_won: whether one of them was first.
-        unfinished: how many did not finish; each counts as three times the AI's time.
-    """
-
-    ratio: float
-    rank: float
-    is_won: bool
-    unfinished: int
-
-    @classmethod
-    def of(cls, finishes: Sequence[Finish]) -> PolicyResult:
-        """The result of these finishes."""
-        ratios = [_UNFINISHED if f.ratio is None else f.ratio for f in finishes]
-        ranks = [f.rank for f in finishes]
-        unfinished = sum(f.ratio is None for f in finishes)
-        return cls(float(np.mean(ratios)), float(np.mean(ranks)), min(ranks) == 1, unfinished)
 
 
 def evaluate(
@@ -73,8 +46,8 @@ def evaluate(
     karts: int = 1,
     bots: int = 4,
     first_number: int = _FIRST_NUMBER,
-) -> list[list[PolicyResult]]:
-    """Drives the races; for each driver its results, in the same order.
+) -> list[list[list[Finish]]]:
+    """Drives the races; for each driver, race by race, how its karts finished.
 
     Args:
         drivers: of the policies.
@@ -86,14 +59,14 @@ def evaluate(
     """
     starts = range(first_number, first_number + numbers)
     places = list(itertools.product(tracks, (False, True), starts))
-    results: list[list[PolicyResult]] = [[] for _ in drivers]
+    results: list[list[list[Finish]]] = [[] for _ in drivers]
     by_name = {str(number): driver for number, driver in enumerate(drivers)}
     for first in range(0, len(places), _SIDE_BY_SIDE):
         part = places[first : first + _SIDE_BY_SIDE]
         matches = [Match((name,) * karts, *place, bots) for name in by_name for place in part]
         finishes = play_matches(matches, by_name, side_by_side=len(part))
         for match, ends in zip(matches, finishes, strict=True):
-            results[int(match.drivers[0])].append(PolicyResult.of(ends))
+            results[int(match.drivers[0])].append(ends)
     return results
 
 
@@ -102,19 +75,25 @@ def newest_policy(source: str) -> str:
     return str(max(Path(source).glob("policy-*.safetensors"), default=source))
 
 
-def _report(sources: Sequence[str], results: Sequence[Sequence[PolicyResult]]) -> None:
-    base = np.array([result.ratio for result in results[0]])
+def _report(sources: Sequence[str], results: Sequence[Sequence[Sequence[Finish]]]) -> None:
+    base = _ratios(results[0])
     for source, own in zip(sources, results, strict=True):
-        ratios = np.array([result.ratio for result in own])
+        ratios = _ratios(own)
         more = ratios - base
         error = more.std() / max(len(more) - 1, 1) ** 0.5
+        ranks = np.array([[finish.rank for finish in ends] for ends in own])
+        unfinished = sum(finish.ratio is None for ends in own for finish in ends)
         print(
             f"{source}: {len(own)} races, time ratio {ratios.mean():.4f} "
-            f"({more.mean():+.4f} +- {error:.4f}), won "
-            f"{np.mean([r.is_won for r in own]):.0%}, rank {np.mean([r.rank for r in own]):.2f}, "
-            f"unfinished {sum(r.unfinished for r in own)}",
+            f"({more.mean():+.4f} +- {error:.4f}), won {(ranks == 1).any(axis=1).mean():.0%}, "
+            f"rank {ranks.mean():.2f}, unfinished {unfinished}",
             flush=True,
         )
+
+
+def _ratios(results: Sequence[Sequence[Finish]]) -> npt.NDArray[np.float64]:
+    """The mean time ratio of the karts of each race."""
+    return np.array([np.mean([finish.counted_ratio for finish in ends]) for ends in results])
 
 
 def main(words: list[str] | None = None) -> int:

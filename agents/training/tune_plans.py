@@ -64,8 +64,6 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "nitro_wait": (0.8, 4.0),
 }
 
-#: A kart that does not finish counts as having taken so many times the AI's time.
-_UNFINISHED = 3.0
 #: Races of learning and of judging begin with other numbers.
 _FIRST_NUMBER = 5000
 _BEST = "best.json"
@@ -101,7 +99,7 @@ def drive_all(
     drivers = {str(number): plan_match_driver(plans, each) for number, each in enumerate(sets)}
     matches = [Match((name,), *place, bots) for name in drivers for place in places]
     finishes = play_matches(matches, drivers, side_by_side=len(places))
-    logs = [math.log(finish.ratio or _UNFINISHED) for (finish,) in finishes]
+    logs = [math.log(finish.counted_ratio) for (finish,) in finishes]
     return [float(np.mean(own)) for own in np.split(np.array(logs), len(sets))]
 
 

@@ -175,13 +175,12 @@ def test_rivals_drive_without_teaching(tmp_path):
         assert alone.active.all()
         race = learner._races[0][0]
         race.ranks = np.where(race.is_rival, [1, 2, 3, 4], [4, 3, 2, 1])
-        race.racing[:] = False
         expected, rival = race.beaten, race.rival
         learner._update_race(race, {})
         found = {r.name: r for r in matchmaker.pool.opponents}[rival]
         assert found.races == 1
         assert found.beaten == pytest.approx(0.5 + (expected - 0.5) / 2)
-        assert race.racing.all()
+        assert not race.ranks.any()
     finally:
         learner.close()
 

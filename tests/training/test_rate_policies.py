@@ -8,10 +8,10 @@ import pytest
 
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
+from stkzoo.agents.training.common.fleet import Finish
 from stkzoo.agents.training.common.matches import (
     Match,
     MatchRecord,
-    finishing_order,
     network_driver,
     play_matches,
 )
@@ -143,4 +143,6 @@ def test_a_driver_with_two_karts_counts_by_the_better_one():
 
 
 def test_the_places_that_no_driver_has_are_those_of_the_ai():
-    assert finishing_order({1: "a", 3: "b", 4: "a"}, 2, "ai") == ["a", "ai", "b"]
+    match = Match(("a", "b", "a"), "lighthouse", bots=2)
+    ends = [Finish("lighthouse", False, match.start.lineup, 1.0, 1.0, rank) for rank in (1, 3, 4)]
+    assert match.order(ends, "ai") == ["a", "ai", "b"]

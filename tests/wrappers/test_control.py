@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 import stkzoo
 from benchmarks import step_responses
 from stkzoo import AgentSpec, ConfigError, Start, race_v0
-from stkzoo.agents.pursuit import PursuitDriver, PursuitState, control_of
 from stkzoo.race import run_race
 from stkzoo.wrappers import (
     ConstantSizedObservations,
@@ -348,22 +347,9 @@ def test_a_steering_angle_holds_a_circle(radius):
 @pytest.mark.slow
 @pytest.mark.parametrize("kinds", KINDS)
 def test_every_combination_drives_a_lap(kinds):
-    view = ControlView(observe="full", control_input=kinds, buttons=("rescue",))
-    driver, state, wheels = PursuitDriver(), PursuitState(), 0.0
-    with race_v0.parallel_env(num_kart=1, track="lighthouse", view=view) as env:
-        observations, infos = env.reset(seed=1)
-        space = env.action_space("kart_0")["control"]
-        while env.agents:
-            seen = observations["kart_0"]
-            aim, speed = driver.aim(seen), float(seen["velocity"][2])
-            control = np.clip(control_of(kinds, aim, wheels, speed), space.low, space.high)
-            wanted = wheels + control[0] * 0.1 if "steering_speed" in kinds else control[0]
-            most = float(seen["max_steer_angle"][0])
-            wheels = float(np.clip(wanted, -most, most))
-            action = {"control": control, "rescue": driver(state, seen)["rescue"]}
-            observations, _, ended, _, infos = env.step({"kart_0": action})
-    assert ended == {"kart_0": True}
-    assert 30.0 < infos["kart_0"]["finish_time"] < 70.0
+    result = step_responses.lap(kinds)
+    assert result["finished"]
+    assert 30.0 < result["finish_time"] < 70.0
 
 
 def test_agents_of_one_race_may_act_in_different_units():

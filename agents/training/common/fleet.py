@@ -41,6 +41,8 @@ _LONGEST_STEP = 8.0
 _METRE = 0.05
 #: Upper limit of an estimated time ratio.
 _WORST_RATIO = 10.0
+#: The time ratio that a kart counts as that does not finish.
+_UNFINISHED = 3.0
 
 
 @functools.cache
@@ -114,6 +116,11 @@ class Finish:
     ratio: float | None
     estimate: float
     rank: int
+
+    @property
+    def counted_ratio(self) -> float:
+        """The ratio; 3 for a race that was cut short."""
+        return _UNFINISHED if self.ratio is None else self.ratio
 
 
 @dataclass(frozen=True, slots=True)

@@ -173,19 +173,9 @@ class Match:
             ai: the name of the game's AI; ``bot:3`` or such by default.
         """
         ranks = {finish.rank: name for finish, name in zip(finishes, self.drivers, strict=True)}
-        return finishing_order(ranks, self.bots, ai or bot_name(self.difficulty))
-
-
-def finishing_order(ranks: Mapping[int, str], bots: int, ai: str) -> list[str]:
-    """Names in the order of finish, each once, at its best place.
-
-    Args:
-        ranks: who finished at which place.
-        bots: how many other places there are.
-        ai: who finished there.
-    """
-    everyone = [ranks.get(place, ai) for place in range(1, len(ranks) + bots + 1)]
-    return list(dict.fromkeys(everyone))
+        others = ai or bot_name(self.difficulty)
+        places = range(1, len(finishes) + self.bots + 1)
+        return list(dict.fromkeys(ranks.get(place, others) for place in places))
 
 
 @dataclass(frozen=True, slots=True)

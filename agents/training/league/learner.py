@@ -25,12 +25,12 @@ class _RivalRace:
         self.lineup, self.slots = lineup, slots
         self.rival: str | None = None
         self.is_rival = np.zeros(len(slots), bool)
-        self.racing = np.ones(len(slots), bool)
-        self.ranks = np.zeros(len(slots), int)
+        self.ranks = np.zeros(len(slots), int)  # 0 while racing
 
     def assign(self, rival: str | None, random: np.random.Generator) -> None:
         """Gives half of the karts to a rival for the present race."""
         self.rival = rival
+        self.ranks[:] = 0
         order = random.permutation(len(self.slots))
         self.is_rival = order < len(self.slots) // 2 if rival else np.zeros(len(self.slots), bool)
 
@@ -116,12 +116,11 @@ class LeagueLearner(PPOLearner):
     def _update_race(self, race: _RivalRace, ends: dict[int, Finish]) -> None:
         for row, slot in enumerate(race.slots.tolist()):
             if slot in ends:
-                race.ranks[row], race.racing[row] = ends[slot].rank, False
-        if race.racing.any():
+                race.ranks[row] = ends[slot].rank
+        if not race.ranks.all():
             return
         if race.rival is not None:
             self._matchmaker.update(race.rival, race.beaten)
-        race.racing[:] = True
         self._assign(race)
 
 

@@ -113,6 +113,7 @@ class PlayerMatchmaker:
 
     Attributes:
         pool: the members, with the share of duels won against each.
+        policy: returns a member's policy.
     """
 
     def __init__(
@@ -121,7 +122,7 @@ class PlayerMatchmaker:
         members: Sequence[Mapping[str, Any]],
         policy: Callable[[str], RacingPolicy],
     ) -> None:
-        self._player, self._policy = player, policy
+        self._player, self.policy = player, policy
         self.pool = OpponentPool(_ENDLESS)
         self.pool.restore(player.pool)
         for member in members:
@@ -142,10 +143,6 @@ class PlayerMatchmaker:
         if beaten < _TOO_STRONG and random.random() < 0.5:
             return self.pool.draw(random, self._mains)
         return newest
-
-    def policy(self, name: str) -> RacingPolicy:
-        """A member's policy."""
-        return self._policy(name)
 
     def update(self, name: str, beaten: float) -> None:
         """Updates with the share of the duels with a rival that were won in a race."""

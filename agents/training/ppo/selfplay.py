@@ -53,8 +53,6 @@ from .network import NUM_LOGITS, VALUE_UNIT, ActorCritic, predict_values
 
 #: Finished races in the means of the log.
 _RECENT = 200
-#: The time ratio of a kart that did not finish.
-_UNFINISHED = 3.0
 #: The value's learning rate over the policy's.
 _VALUE_RATE = 4.0
 
@@ -350,9 +348,7 @@ class PPOLearner:
             if not own:
                 continue
             finished = [end.ratio for end in own if end.ratio is not None]
-            figures[f"{name}_ratio"] = float(
-                np.mean([_UNFINISHED if end.ratio is None else end.ratio for end in own])
-            )
+            figures[f"{name}_ratio"] = float(np.mean([end.counted_ratio for end in own]))
             figures[f"{name}_finished_ratio"] = float(np.mean(finished)) if finished else 0.0
             figures[f"{name}_unfinished"] = 1.0 - len(finished) / len(own)
             if name == "rivals":
