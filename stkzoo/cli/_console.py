@@ -63,10 +63,10 @@ def show_table(
     console.print(table)
 
 
-def make_bars(*columns: ProgressColumn | str) -> Bars:
-    """Bars on stderr that vanish when they end; nothing without a terminal."""
+def make_bars(*columns: ProgressColumn | str, vanish: bool = True) -> Bars:
+    """Bars on stderr, which vanish when they end; nothing without a terminal."""
     console = Console(stderr=True)
-    return Bars(*columns, console=console, transient=True, disable=not console.is_terminal)
+    return Bars(*columns, console=console, transient=vanish, disable=not console.is_terminal)
 
 
 #: Without a terminal, seconds between two lines about the same stage.
@@ -77,15 +77,13 @@ class ConsoleProgress(Progress):
     """Draws a bar for each stage on stderr; without a terminal, prints a line now and then."""
 
     def __init__(self) -> None:
-        self._console = Console(stderr=True)
-        self._bars = Bars(
+        self._bars = make_bars(
             TextColumn("{task.description}"),
             BarColumn(),
             DownloadColumn(),
             TransferSpeedColumn(),
             TimeRemainingColumn(),
-            console=self._console,
-            disable=not self._console.is_terminal,
+            vanish=False,
         )
         self._stage: Task | None = None
         self._spoken = time.monotonic()
@@ -121,7 +119,7 @@ class ConsoleProgress(Progress):
 
     def note(self, text: str) -> None:
         """Prints a line."""
-        say(text, self._console)
+        say(text, self._bars.console)
 
     def _finish(self) -> None:
         if self._stage is not None:

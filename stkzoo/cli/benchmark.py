@@ -29,6 +29,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -126,11 +127,7 @@ def _benchmark(arguments: argparse.Namespace) -> int:
 
     plan = _plan(arguments)
     folder = Path(arguments.output or Path("benchmark", plan.agent.label.replace("/", "_")))
-    result, code = run_batch(
-        arguments,
-        lambda options: run_races(plan, folder, options),
-        "the same command",
-    )
+    result, code = run_batch(arguments, partial(run_races, plan, folder), "the same command")
     if result is None:
         return code
     if arguments.json:

@@ -27,6 +27,7 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -101,9 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
         label = plan.agent.label.replace(":", "-")
         arguments.output = arguments.output or f"supertuxkart/{label}-v0"
         file = Path(f"{arguments.output.replace('/', '-')}.npz")  # until the import into Minari
-    demos, code = run_batch(
-        arguments, lambda options: record_plan(plan, file, options), "the same command"
-    )
+    demos, code = run_batch(arguments, partial(record_plan, plan, file), "the same command")
     return code if demos is None else _finish(arguments, demos, file)
 
 

@@ -50,14 +50,11 @@ def kart_facts() -> list[KartFacts]:
     assets = find_assets()
     facts = []
     for kart in sorted(assets.karts):
-        text = _described(Path(assets.root) / "data" / "karts" / kart / "kart.xml")
+        file = Path(assets.root) / "data" / "karts" / kart / "kart.xml"
+        text = file.read_text("utf-8", errors="replace") if file.exists() else ""
         wheel_base, angle = KARTS.get(kart, (None, None))
         facts.append(KartFacts(kart, _read(text, "name"), _read(text, "type"), wheel_base, angle))
     return facts
-
-
-def _described(file: Path) -> str:
-    return file.read_text("utf-8", errors="replace") if file.exists() else ""
 
 
 def _read(text: str, attribute: str) -> str:

@@ -33,14 +33,13 @@ import random
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stkzoo._arguments import add_options, option, positional, values_of
-from stkzoo._os import atomic_write
+from stkzoo._os import write_whole
 from stkzoo.cli import _race_options
 from stkzoo.cli._arguments import usage_errors
-from stkzoo.errors import AgentError, ConfigError
+from stkzoo.errors import AgentError, ConfigError, StkzooError
 from stkzoo.race import RaceSettings
 
 if TYPE_CHECKING:
@@ -192,7 +191,8 @@ def _report(results: Sequence[RaceResult], arguments: argparse.Namespace) -> int
     if arguments.demo or (sys.stdout.isatty() and not code):
         print(f"\n{_NEXT_STEPS}", end="")
     if arguments.output:
-        return _write(text, Path(arguments.output)) or code
+        with write_whole(arguments.output, "the result", StkzooError) as part:
+            part.write_text(text + "\n", encoding="utf-8")
     return code
 
 
@@ -204,13 +204,3 @@ def _as_json(results: Sequence[RaceResult], *, is_series: bool) -> str:
     races = [json.loads(result.to_json()) for result in results]
     values = {"type": "race-series", "schema_version": SCHEMA_VERSION, "races": races}
     return json.dumps(values, indent=2)
-
-
-def _write(text: str, file: Path) -> int:
-    try:
-        with atomic_write(file) as part:
-            part.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        print(f"stkzoo: the result could not be written: {error}", file=sys.stderr)
-        return 1
-    return 0

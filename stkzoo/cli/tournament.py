@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,10 +34,10 @@ from stkzoo.errors import ConfigError
 from stkzoo.race import RaceSettings
 
 if TYPE_CHECKING:
-    from stkzoo.evaluation import RunOptions, TournamentResult
+    from stkzoo.evaluation import TournamentPlan, TournamentResult
 
 #: Options that are arguments of ``plan_tournament``.
-_PLANNED = ("tracks", "races", "per_race", "seed")
+_PLANNED = ("agents", "tracks", "races", "per_race", "seed")
 _AGENT_FAILED = 3
 
 
@@ -78,13 +79,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Runs or resumes a tournament."""
     from stkzoo.cli._batch import run_batch, say_kept
+    from stkzoo.evaluation.batch.run import run_batch as run_races
 
     folder = Path(arguments.resume or arguments.output)
-    result, code = run_batch(
-        arguments,
-        lambda options: _run(arguments, folder, options),
-        f"stkzoo tournament --resume {folder}",
-    )
+    races = partial(run_races, _plan(arguments, folder), folder)
+    result, code = run_batch(arguments, races, f"stkzoo tournament --resume {folder}")
     if result is None:
         return code
     if arguments.json:
@@ -96,23 +95,18 @@ def run(arguments: argparse.Namespace) -> int:
     return code or (_AGENT_FAILED if has_failed else 0)
 
 
-def _run(arguments: argparse.Namespace, folder: Path, options: RunOptions) -> TournamentResult:
+def _plan(arguments: argparse.Namespace, folder: Path) -> TournamentPlan:
     from stkzoo.evaluation import TournamentPlan, plan_tournament
-    from stkzoo.evaluation.batch.run import run_batch
     from stkzoo.evaluation.tournament.plan import resumed_plan
 
     if arguments.resume and arguments.agents:
         raise ConfigError("--resume knows its agents; leave them out")
-    plan = (
-        resumed_plan(folder)
-        if arguments.resume
-        else plan_tournament(
-            arguments.agents,
-            **values_of(arguments, TournamentArguments, only=_PLANNED),
-            **values_of(arguments, RaceSettings, without=TournamentPlan.decided),
-        )
+    if arguments.resume:
+        return resumed_plan(folder)
+    return plan_tournament(
+        **values_of(arguments, TournamentArguments, only=_PLANNED),
+        **values_of(arguments, RaceSettings, without=TournamentPlan.decided),
     )
-    return run_batch(plan, folder, options)
 
 
 def _show(result: TournamentResult) -> None:

@@ -23,7 +23,7 @@ def test_an_agent_that_fails_exits_with_3(capsys, tmp_path):
     file = tmp_path / "result.json"
     words = ["race", "ai", str(AGENTS / "hostile" / "exits.py"), "--track", "olivermath"]
     assert main([*words, "--max-steps", "5", "--output", str(file)]) == 3
-    assert "exits (kart_1) failed at step 0: its process ended" in capsys.readouterr().out
+    assert "exits (kart_1) failed at step 0: its process exited" in capsys.readouterr().out
     assert RaceResult.from_json(file.read_text()).has_errors
 
 
@@ -75,7 +75,7 @@ def test_no_part_of_a_result_is_left_when_it_cannot_be_written(tmp_path, capsys)
         main(["race", "ai", "--track", "olivermath", "--max-steps", "2", "--output", str(tmp_path)])
         == 1
     )
-    assert "could not be written" in capsys.readouterr().err
+    assert "cannot be written" in capsys.readouterr().err
     assert list(tmp_path.parent.glob(".*.part")) == []
 
 
@@ -160,4 +160,4 @@ def test_command_without_the_games_data_exits_with_1(monkeypatch, tmp_path, caps
 def test_result_that_cannot_be_written_exits_with_1(tmp_path, capsys):
     file = tmp_path / "missing" / "result.json"
     assert main(["race", "ai", "--track", "olivermath", "--output", str(file)]) == 1
-    assert "could not be written" in capsys.readouterr().err
+    assert "cannot be written" in capsys.readouterr().err

@@ -59,16 +59,12 @@ class ReplayWriter(RaceListener):
         before = self._steps[-1][1] if self._steps else self._first_digest
         self._steps.append((rows, next_digest(before, race.snapshot)))
 
-    def ended(self, result: RaceResult) -> None:
-        """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        self._write(result)
-
     def closed(self) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        self._write(None)
+        self.ended(None)
 
-    def _write(self, result: RaceResult | None) -> None:
-        """Writes the file once, if a race has started."""
+    def ended(self, result: RaceResult | None) -> None:
+        """Writes the file once, if a race has started; see ``RaceListener``."""
         head, self._head = self._head, None
         if head is None:
             return
