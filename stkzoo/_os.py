@@ -1,4 +1,4 @@
-"""What the library needs of the operating system: CPU count, whole files, zips, locked folders."""
+"""What the library needs of the operating system: cores, a display, files, zips, locks."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import hashlib
 import os
 import shutil
 import stat
+import sys
 import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
@@ -24,6 +25,7 @@ __all__ = [
     "PART_FILES",
     "LockedTemporaryDirectory",
     "atomic_write",
+    "check_display",
     "cpu_count",
     "file_digest",
     "read_zip",
@@ -45,6 +47,24 @@ def cpu_count() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def check_display(need: str, alternative: str = "") -> None:
+    """Checks that there is a display for a window.
+
+    Args:
+        need: who needs it, for the message.
+        alternative: what to do without it, such as ``" or render_mode=None"``.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    names = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
+    if sys.platform == "linux" and not any(map(os.environ.get, names)):
+        raise ConfigError(
+            f"{need}, but neither DISPLAY nor WAYLAND_DISPLAY names a display; start a desktop "
+            f"session, or use `xvfb-run`{alternative}"
+        )
 
 
 @contextlib.contextmanager

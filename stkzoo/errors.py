@@ -25,6 +25,7 @@ from __future__ import annotations
 import difflib
 import importlib
 import math
+import numbers
 import operator
 from collections.abc import Iterable
 from typing import Any
@@ -175,7 +176,7 @@ def check_number(
     Raises:
         ConfigError: it is not.
     """
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
     try:
         number = float(value) if is_number else math.nan  # type: ignore[arg-type]
     except OverflowError:

@@ -31,7 +31,6 @@ class OnlyContinuousActionsWrapper(ActionFormWrapper, CompiledWrapper):
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
-        gym.utils.RecordConstructorArgs.__init__(self)
         super().__init__(env)
         space = dict_space(env.action_space, "actions", "OnlyContinuousActionsWrapper")
         parts = copy.deepcopy(space.spaces)
@@ -145,9 +144,6 @@ class DiscreteActionsWrapper(ActionFormWrapper, CompiledWrapper):
     ) -> None:
         acceleration_steps = check_whole("acceleration_steps", acceleration_steps, 2)
         steer_steps = check_whole("steer_steps", steer_steps, 2)
-        gym.utils.RecordConstructorArgs.__init__(
-            self, acceleration_steps=acceleration_steps, steer_steps=steer_steps
-        )
         super().__init__(env)
         space = dict_space(env.action_space, "actions", "DiscreteActionsWrapper")
         self.d_acceleration = Discretizer(_required(space, "acceleration"), acceleration_steps)
@@ -204,7 +200,6 @@ class FlattenMultiDiscreteActions(ActionFormWrapper, CompiledWrapper):
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
-        gym.utils.RecordConstructorArgs.__init__(self)
         super().__init__(env)
         space = env.action_space
         if not isinstance(space, spaces.MultiDiscrete) or space.nvec.ndim != 1:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError, check_whole, unknown_name
+from stkzoo.views.bases import RecordedWrapper
 
 BACKENDS = ("auto", "engine", "map")
 _SMALLEST, _LARGEST = 32, 4096
@@ -56,7 +57,7 @@ class Camera(Protocol):
         """What it sees now."""
 
 
-class CameraObservations(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
+class CameraObservations(gym.ObservationWrapper[Any, Any, Any], RecordedWrapper):
     """Adds the picture of the kart's camera to its observation.
 
     The observation gets an entry ``image``, ``(height, width, 3)`` uint8, and with ``depth``
@@ -101,9 +102,6 @@ class CameraObservations(gym.ObservationWrapper[Any, Any, Any], gym.utils.Record
         every: int = 1,
         backend: str = "auto",
     ) -> None:
-        gym.utils.RecordConstructorArgs.__init__(
-            self, size=size, depth=depth, every=every, backend=backend
-        )
         super().__init__(env)
         self._kind = _kind(size, depth, backend)
         self._every = check_whole("every", every, 1)

@@ -117,9 +117,6 @@ class FlattenerWrapper(ActionFormWrapper, CompiledWrapper):
     """
 
     def __init__(self, env: gym.Env[Any, Any], flatten_observations: bool = True) -> None:
-        gym.utils.RecordConstructorArgs.__init__(
-            self, flatten_observations=bool(flatten_observations)
-        )
         super().__init__(env)
         self.flatten_observations = bool(flatten_observations)
         self.action_flattener = SpaceFlattener(
@@ -186,7 +183,6 @@ class JoinedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
-        gym.utils.RecordConstructorArgs.__init__(self)
         super().__init__(env)
         parts = getattr(env.observation_space, "spaces", {})
         numbers, choices = parts.get("continuous"), parts.get("discrete")

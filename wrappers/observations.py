@@ -59,13 +59,6 @@ class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledW
         self.state_karts = check_whole("state_karts", state_karts, 1)
         self.state_paths = check_whole("state_paths", state_paths, 1)
         self.add_mask = bool(add_mask)
-        gym.utils.RecordConstructorArgs.__init__(
-            self,
-            state_items=self.state_items,
-            state_karts=self.state_karts,
-            state_paths=self.state_paths,
-            add_mask=self.add_mask,
-        )
         super().__init__(env)
         self._sizes = {
             "paths": self.state_paths,
@@ -133,7 +126,6 @@ class PolarObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
-        gym.utils.RecordConstructorArgs.__init__(self)
         super().__init__(env)
         space = dict_space(env.observation_space, "observations", "PolarObservations")
         self._keys = tuple(key for key in _POSITIONS if key in space.spaces)

@@ -86,7 +86,6 @@ class _Drawing:
         self.agents: set[int] = set()
         self._kind = kind
         self._renderer = RaceRenderer(kind.backend, kind.size)
-        self._scene: Scene | None = None
         self._shown: Snapshot | None = None
         self._shots: dict[int, Shot] = {}
 
@@ -108,7 +107,7 @@ class _Drawing:
     def shots(self, episode: Episode) -> dict[int, Shot]:
         """What they see at the present moment, by number of agent."""
         if episode.snapshot is not self._shown:
-            self._turn_to(episode)
+            self._renderer.follow(_with_cameras(scene_of(episode), self.agents))
             karts = episode.race.kart_indices
             by_kart = self._draw(episode.snapshot)
             self._shots = {agent: by_kart[karts[agent]] for agent in self.agents}
@@ -116,7 +115,7 @@ class _Drawing:
         return self._shots
 
     def close(self) -> None:
-        self._scene = self._shown = None
+        self._shown = None
         self._renderer.close()
 
     def _draw(self, snapshot: Snapshot) -> dict[int, Shot]:
@@ -125,12 +124,6 @@ class _Drawing:
             return {kart: Shot(image) for kart, image in images.items()}
         images, depths = self._renderer.pictures_and_depths(snapshot)
         return {kart: Shot(image, depths[kart][..., None]) for kart, image in images.items()}
-
-    def _turn_to(self, episode: Episode) -> None:
-        scene = _with_cameras(scene_of(episode), self.agents)
-        if scene != self._scene:
-            self._renderer.begin(scene)
-            self._scene = scene
 
 
 def _with_cameras(scene: Scene, agents: set[int]) -> Scene:

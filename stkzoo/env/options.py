@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -12,7 +11,7 @@ from gymnasium.utils import seeding
 
 from stkzoo.config import AgentSpec
 from stkzoo.env.starts import check_start
-from stkzoo.errors import ConfigError, check_whole, unknown_name
+from stkzoo.errors import ConfigError, check_number, check_whole, unknown_name
 from stkzoo.names import CameraMode
 from stkzoo.tracks import SPLITS
 
@@ -70,7 +69,7 @@ class RaceOptions:
                 object.__setattr__(self, name, check_whole(name, value, low, high))
         if not isinstance(self.reverse, bool):
             raise ConfigError(f"reverse is {self.reverse!r}, expected True or False")
-        check_real("step_size", self.step_size, 1e-3, _MAX_STEP_SIZE)
+        check_number("step_size", self.step_size, 1e-3, _MAX_STEP_SIZE)
         if isinstance(self.track, Sequence) and not isinstance(self.track, str):
             object.__setattr__(self, "track", tuple(self.track))
         elif not isinstance(self.track, (str, type(None))):
@@ -133,7 +132,7 @@ def check_agents(agents: Sequence[AgentSpec], num_kart: int, karts: Sequence[str
             )
         if agent.rank_start is not None:
             check_whole(f"rank_start of agent {index}", agent.rank_start, 0, num_kart - 1)
-        check_real(f"color of agent {index}", agent.color, 0.0, 1.0)
+        check_number(f"color of agent {index}", agent.color, 0.0, 1.0)
         if not isinstance(agent.kart, str) or (agent.kart and agent.kart not in karts):
             raise unknown_name("kart", agent.kart, karts)
         if not isinstance(agent.name, str):
@@ -160,17 +159,3 @@ def camera_mode(agent: AgentSpec) -> CameraMode:
 def random_stream(seed: int | None) -> np.random.Generator:
     """A random stream, as ``reset(seed=...)`` begins it."""
     return seeding.np_random(None if seed is None else check_whole("seed", seed, 0))[0]
-
-
-def check_real(name: str, value: object, low: float, high: float) -> None:
-    """Checks a number.
-
-    Raises:
-        ConfigError: it is none, or out of range.
-    """
-    try:
-        number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        number = math.nan
-    if not low <= number <= high:
-        raise ConfigError(f"{name} is {value!r}, expected a number from {low} to {high}")

@@ -26,10 +26,10 @@ from stkzoo.env.branching import BranchingRace
 from stkzoo.env.cameras import RaceCameras
 from stkzoo.env.episode import Episode, rewards_of_agents
 from stkzoo.env.grid import draw_race
-from stkzoo.env.options import MAX_CAMERAS, RaceOptions, check_agents, check_real, random_stream
+from stkzoo.env.options import MAX_CAMERAS, RaceOptions, check_agents, random_stream
 from stkzoo.env.rendering import RENDER_MODES, Rendering, frame_rate
 from stkzoo.env.starts import MAX_START_DRAWS, is_random
-from stkzoo.errors import ApiOrderError, ConfigError, check_whole
+from stkzoo.errors import ApiOrderError, ConfigError, check_number, check_whole
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.mdp.state import state_space
 from stkzoo.views import sees_ground, views_of_agents
@@ -115,7 +115,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         self.options = RaceOptions(**chosen)
         self.specs = _specs(agents, num_kart)
         check_whole("num_cameras", num_cameras, 0, MAX_CAMERAS)
-        check_real("engine_timeout", engine_timeout, 1e-3, 1e6)
+        engine_timeout = check_number("engine_timeout", engine_timeout, 1e-3, 1e6)
         BranchingRace.__init__(self, max_snapshots)
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": frame_rate(self.options.step_size)}
@@ -144,7 +144,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         self.observation_spaces = self._chains.observation_spaces
         self.action_spaces = self._chains.action_spaces
         self.state_space = state_space(num_kart)
-        self._session = _session(self._assets, use_subprocess, float(engine_timeout))
+        self._session = _session(self._assets, use_subprocess, engine_timeout)
 
     # ------------------------------------------------------------------ PettingZoo's API
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -11,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._os import check_display
 from stkzoo.engine.render_session import has_graphics_card
 from stkzoo.env.episode import Episode
 from stkzoo.errors import ApiOrderError, ConfigError, unknown_name
@@ -49,8 +48,6 @@ class Rendering:
         preset = drawing_preset(mode, graphics_config)
         pixels = checked_size(size, "render_size")
         self._renderer = RaceRenderer(backend, pixels, preset, has_window=mode == "human")
-        self._scene: Scene | None = None
-        self._shown: Episode | None = None
         self._list: list[Picture] = []
 
     @property
@@ -61,14 +58,14 @@ class Rendering:
     def reset(self, episode: Episode) -> None:
         """An episode has begun."""
         self._list.clear()
-        self._scene = self._shown = None
+        self._renderer.begin(scene_of(episode))
         self.follow(episode)
 
     def follow(self, episode: Episode) -> None:
         """The episode has come to a new moment."""
         if self.mode is None:
             return
-        self._turn_to(episode)
+        self._renderer.follow(scene_of(episode))
         self._renderer.remember(episode.snapshot)
         if self.mode == "human":
             self._renderer.show(episode.snapshot)
@@ -90,32 +87,21 @@ class Rendering:
         if self.mode == "rgb_array_list":
             frames, self._list = self._list, []
             return frames
-        self._turn_to(episode)
+        self._renderer.follow(scene_of(episode))
         return self._renderer.picture(episode.snapshot)
 
     def frames(self, episode: Episode | None, agents: Sequence[str]) -> dict[str, Picture]:
         """The picture of each agent that has a camera."""
         episode = _running(episode, "frames")
-        self._turn_to(episode)
+        self._renderer.follow(scene_of(episode))
         by_kart = self._renderer.pictures(episode.snapshot)
         karts = dict(zip(agents, episode.race.kart_indices, strict=True))
         return {agent: by_kart[kart] for agent, kart in karts.items() if kart in by_kart}
 
     def close(self) -> None:
         """Ends the render process, if there is one."""
-        self._scene = self._shown = None
         self._list.clear()
         self._renderer.close()
-
-    def _turn_to(self, episode: Episode) -> None:
-        """Begins another race's pictures when it is another race's moment."""
-        if self._shown is not None and self._shown is episode:
-            return
-        scene = scene_of(episode)
-        if self._scene is None or scene != self._scene:
-            self._renderer.begin(scene)
-            self._scene = scene
-        self._shown = episode
 
 
 def scene_of(episode: Episode) -> Scene:
@@ -149,11 +135,7 @@ def check_render_mode(mode: str | None, backend: str) -> None:
             'render_mode="human" opens the game\'s window, but render_backend is "map"; take '
             'render_mode="rgb_array" for pictures of the map, or another render_backend'
         )
-    if sys.platform == "linux" and not _has_display():
-        raise ConfigError(
-            "render_mode is 'human', but neither DISPLAY nor WAYLAND_DISPLAY names a "
-            "display; start a desktop session or `xvfb-run`, or use render_mode=None"
-        )
+    check_display("render_mode is 'human'", " or render_mode=None")
 
 
 def drawing_preset(mode: str | None, choice: Any) -> str | dict[str, Any]:
@@ -182,8 +164,3 @@ def frame_rate(step_size: float) -> float:
     """Pictures a second of game time, one a step; whole where it is whole."""
     rate = 1 / step_size
     return round(rate) if abs(rate - round(rate)) < 1e-6 else rate
-
-
-def _has_display() -> bool:
-    names = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
-    return any(os.environ.get(name) for name in names)

@@ -11,7 +11,7 @@ from gymnasium.vector import AsyncVectorEnv
 
 from stkzoo.config import AgentSpec
 from stkzoo.env.vec.env import RaceVectorEnv, is_of_fixed_size
-from stkzoo.errors import ConfigError
+from stkzoo.errors import check_whole
 
 
 def single_kart_races(
@@ -68,8 +68,7 @@ def make_stkrace_vec(
             space allows it.
         **vec_kwargs: further keywords of :class:`gymnasium.vector.AsyncVectorEnv`.
     """
-    if not isinstance(num_envs, int) or num_envs < 1:
-        raise ConfigError(f"num_envs is {num_envs!r}, expected a whole number of 1 or more")
+    check_whole("num_envs", num_envs, 1)
     make = partial(_make, env_id, dict(env_kwargs or {}))
     if shared_memory is None:
         with make() as env:

@@ -16,36 +16,10 @@ import os
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from stkzoo.kernel.plan_table import PlanTable
+from stkzoo.kernel.plan_table import PlanTable as PlanTable
 
 if TYPE_CHECKING:
-    from stkzoo.kernel._kernel import (
-        ActionReader,
-        CarController,
-        GameStepper,
-        KartObserver,
-        RacingObserver,
-        StepScorer,
-        TrackGraph,
-        join_rows,
-        layouts,
-        weigh_plans,
-    )
-
-__all__ = [
-    "IS_COMPILED",
-    "ActionReader",
-    "CarController",
-    "GameStepper",
-    "KartObserver",
-    "PlanTable",
-    "RacingObserver",
-    "StepScorer",
-    "TrackGraph",
-    "join_rows",
-    "layouts",
-    "weigh_plans",
-]
+    from stkzoo.kernel._kernel import *  # noqa: F403 - all names of the stub
 
 #: The modules of the twins, below ``stkzoo.kernel.reference``. Each is imported when it is first
 #: needed: some are made of formulas from packages that use the kernel themselves.
@@ -61,6 +35,8 @@ _TWINS = {
     "layouts": "rows",
     "weigh_plans": "plan_weigher",
 }
+
+__all__ = sorted(["IS_COMPILED", "PlanTable", *_TWINS])
 
 
 def _extension() -> ModuleType | None:

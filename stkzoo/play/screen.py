@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import os
-import sys
 import time
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._os import check_display
 from stkzoo.env.keyboard import KEYS
-from stkzoo.errors import ConfigError, import_extra
+from stkzoo.errors import import_extra
 
 _TITLE = "stkzoo play"
 _BAR = 30  # [pixels]
@@ -110,14 +110,5 @@ def _load_pygame() -> Any:
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     pygame = import_extra("pygame", "the window needs", "play")
     # Without a display SDL would draw into an invisible window.
-    if sys.platform == "linux" and not _has_display():
-        raise ConfigError(
-            "neither DISPLAY nor WAYLAND_DISPLAY names a display for the window; start a desktop "
-            "session, or use `xvfb-run` for a virtual one"
-        )
+    check_display("the race is shown in a window")
     return pygame
-
-
-def _has_display() -> bool:
-    names = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
-    return any(os.environ.get(name) for name in names)

@@ -64,6 +64,11 @@ class RaceRenderer:
         self._scene, self._is_game_ready = scene, False
         self._maps = {}
 
+    def follow(self, scene: Scene) -> None:
+        """Starts another race if the scene is another one."""
+        if scene != self._scene:
+            self.begin(scene)
+
     def remember(self, snapshot: Snapshot) -> None:
         """Records a moment for the trails of the map, even if it is not drawn."""
         if self._backend == "map":
@@ -130,7 +135,11 @@ class RaceRenderer:
                 game.show(snapshot)
 
     def close(self) -> None:
-        """Ends the render process, if there is one."""
+        """Ends the render process, if there is one, and the race."""
+        self._scene = None
+        self._end_game()
+
+    def _end_game(self) -> None:
         game, self._game, self._is_game_ready = self._game, None, False
         if game is not None:
             game.close()
@@ -157,7 +166,7 @@ class RaceRenderer:
                 self._start_game()
                 self._backend = "engine"
             except (AssetError, ConfigError, EngineError) as error:
-                self.close()
+                self._end_game()
                 if self._backend == "engine" or self._has_window:
                     raise
                 logger.warning("the game cannot draw here, the map is drawn instead: %s", error)
@@ -165,13 +174,13 @@ class RaceRenderer:
         try:
             yield self._game
         except EngineError:
-            self.close()
+            self._end_game()
             raise
 
     def _start_game(self) -> None:
         karts = camera_karts(self._current())
         if self._game is None or self._game_karts != tuple(sorted(karts)):
-            self.close()
+            self._end_game()
             self._game = GameView(karts, self.size, self._preset, has_window=self._has_window)
             self._game_karts = tuple(sorted(karts))
         if not self._is_game_ready:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import TYPE_CHECKING, Any, SupportsFloat
 
 import gymnasium as gym
 
 if TYPE_CHECKING:
+    from typing_extensions import Self
+
     from stkzoo.views.plan import ViewPlan
 
 
@@ -38,7 +41,23 @@ class ActionObservationWrapper(gym.Wrapper[Any, Any, Any, Any]):
         return self.observation(observation), reward, terminated, truncated, info
 
 
-class CompiledWrapper(gym.utils.RecordConstructorArgs):
+class RecordedWrapper(gym.utils.RecordConstructorArgs):
+    """Records the arguments of the constructor, so that a wrapper can be made again from ``spec``.
+
+    Subclasses need not do anything for it.
+    """
+
+    def __new__(cls, *arguments: Any, **keywords: Any) -> Self:
+        """The wrapper, with all arguments but the environment recorded."""
+        made = super().__new__(cls)
+        _, env, *names = inspect.signature(cls.__init__).parameters
+        recorded = {**dict(zip(names, arguments[1:], strict=False)), **keywords}
+        recorded.pop(env, None)
+        gym.utils.RecordConstructorArgs.__init__(made, _disable_deepcopy=True, **recorded)
+        return made
+
+
+class CompiledWrapper(RecordedWrapper):
     """Marks a wrapper that says how the kernel does its work.
 
     A wrapper class that lists this class among its direct bases promises that
@@ -46,7 +65,6 @@ class CompiledWrapper(gym.utils.RecordConstructorArgs):
     - ``observation`` and ``action`` depend on nothing but their input and the
       constructor's arguments, and change neither; or else ``has_memory`` is true;
     - :meth:`compile_into` says what they do;
-    - the arguments are recorded with ``RecordConstructorArgs.__init__``;
     - ``reset`` and ``step`` are Gymnasium's own, and rewards are left alone.
 
     The promise is not inherited, because a subclass may break it: a subclass that keeps

@@ -68,14 +68,6 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
         )
         self.buttons = _checked_buttons(buttons)
         self.step_size = check_number("step_size", step_size, unit="seconds")
-        gym.utils.RecordConstructorArgs.__init__(
-            self,
-            control_input=self.car_action.type,
-            normalize_act=normalize_act,
-            buttons=self.buttons,
-            parameters=self.car_action.parameters,
-            step_size=self.step_size,
-        )
         super().__init__(env)
         self._idle = _idle_buttons(dict_space(env.action_space, "actions", "ControlWrapper"))
         _check_observations(dict_space(env.observation_space, "observations", "ControlWrapper"))

@@ -39,7 +39,6 @@ class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
-        gym.utils.RecordConstructorArgs.__init__(self)
         super().__init__(env)
         flattener = next((w for w in _inwards(env) if isinstance(w, FlattenerWrapper)), None)
         space = env.observation_space

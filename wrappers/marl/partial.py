@@ -10,12 +10,13 @@ import gymnasium as gym
 import numpy as np
 
 from stkzoo.errors import ConfigError, check_number, unknown_name
+from stkzoo.views.bases import RecordedWrapper
 from stkzoo.wrappers.arguments import dict_space
 
 _SEEN = {"karts": ("karts_position",), "items": ("items_position", "items_type")}
 
 
-class PartialObservations(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
+class PartialObservations(gym.ObservationWrapper[Any, Any, Any], RecordedWrapper):
     """Hides the karts and items that a driver could not see.
 
     It goes around the ``full`` view, inside of the wrappers that fix sizes or flatten; what is
@@ -40,7 +41,6 @@ class PartialObservations(gym.ObservationWrapper[Any, Any, Any], gym.utils.Recor
         angle: float = math.tau,
         of: Sequence[str] = ("karts", "items"),
     ) -> None:
-        gym.utils.RecordConstructorArgs.__init__(self, radius=radius, angle=angle, of=tuple(of))
         super().__init__(env)
         space = dict_space(env.observation_space, "observations", "PartialObservations")
         self.radius = check_number("radius", radius, is_finite=False)

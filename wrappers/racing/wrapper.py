@@ -57,7 +57,6 @@ class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
-        gym.utils.RecordConstructorArgs.__init__(self)
         super().__init__(env)
         space = env.observation_space
         if not isinstance(space, spaces.Dict) or any(
@@ -191,7 +190,6 @@ class RacingActions(ActionFormWrapper, CompiledWrapper):
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
-        gym.utils.RecordConstructorArgs.__init__(self)
         super().__init__(env)
         space = dict_space(env.action_space, "actions", "RacingActions")
         if set(space.spaces) != set(CONTROLS) or not isinstance(space["steer"], spaces.Box):

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from stkzoo._os import PART_FILES, cpu_count, try_lock, write_text
-from stkzoo.errors import ConfigError, StkzooError, check_whole
+from stkzoo.errors import ConfigError, StkzooError, check_number, check_whole
 from stkzoo.evaluation.batch.order import RACES, RaceOrder, load_orders
 from stkzoo.evaluation.batch.plan import PLAN_FILE, RESULT_FILE, BatchPlan, Plan, Result
 from stkzoo.evaluation.batch.pool import run_in_parallel
@@ -63,8 +63,7 @@ class RunOptions:
     def __post_init__(self) -> None:
         if self.jobs is not None:
             check_whole("jobs", self.jobs, 1)
-        if not 0 < self.race_timeout < 1e9:
-            raise ConfigError(f"race_timeout is {self.race_timeout!r}, expected seconds above 0")
+        check_number("race_timeout", self.race_timeout, unit="seconds")
 
     @classmethod
     def split(cls, options: Mapping[str, Any]) -> tuple[RunOptions, dict[str, Any]]:
