@@ -320,7 +320,7 @@ def test_dict_actions_become_one_array_an_entry(tmp_path):
         ({"rate": 25}, "rate is 25, expected one of 10, 12"),
         ({"backend": "mapp"}, "backend 'mapp'.*map"),
         ({"view": "flat"}, "view 'flat'"),
-        ({"size": (1, 2)}, "render_size"),
+        ({"size": (1, 2)}, "size is"),
         ({"dataset": "me.csv"}, "ends in .npz"),
         ({"dataset": "nowhere/me.npz"}, "its folder does not exist"),
         ({"dataset": "me.npz", "view": "full"}, "differ in size"),

@@ -123,7 +123,7 @@ def test_what_cannot_be_is_refused(options, match):
 def test_a_window_without_a_display_is_refused(monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("stkzoo.env.rendering.sys.platform", "linux")
+    monkeypatch.setattr("stkzoo._os.sys.platform", "linux")
     with pytest.raises(ConfigError, match=r"names a display; start .* `xvfb-run`"):
         small_race(render_mode="human")
 

@@ -348,7 +348,7 @@ def test_every_live_agent_must_have_an_action():
 
 
 def test_actions_that_are_no_dict_by_agent_are_refused():
-    with pytest.raises(ActionError, match="expected a dict by agent: kart_0"):
+    with pytest.raises(ActionError, match="the actions have to be a dict by agent: kart_0"):
         decoded(make_chains(None), [STEADY], ["kart_0"])
 
 

@@ -152,7 +152,7 @@ def test_demonstrations_of_who_sees_it_are_like_those_of_others():
 
 
 def test_around_an_environment_without_it_the_view_says_what_to_do():
-    with pytest.raises(ConfigError, match=r"shows the ground.*choose view='ground'"):
+    with pytest.raises(ConfigError, match=r"shows the ground.*Choose view='ground'"):
         stkzoo.views.VIEWS["ground"](gym.make("supertuxkart/full-v0"))
 
 

@@ -14,7 +14,7 @@ from pettingzoo.utils import BaseParallelWrapper
 
 from stkzoo.agent_names import find_agent
 from stkzoo.errors import ConfigError, check_number
-from stkzoo.mdp.geometry import rotation_matrices
+from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
 from stkzoo.mdp.transition import progress_of
 
 #: What a driver knows of each team-mate: where it is (x right, y up, z forward) [m] and how fast
@@ -137,7 +137,7 @@ class Teams(BaseParallelWrapper[str, Any, Any]):
     def _seen(self, observations: dict[str, Any]) -> dict[str, Any]:
         if not self.observe or not observations:
             return observations
-        known = _Known(self.env.unwrapped)
+        known = _known(self.env.unwrapped)
         return {
             agent: {
                 "observation": observation,
@@ -147,36 +147,28 @@ class Teams(BaseParallelWrapper[str, Any, Any]):
             for agent, observation in observations.items()
         }
 
-    def _mates(self, agent: str, known: _Known) -> npt.NDArray[np.float32]:
+    def _mates(self, agent: str, known: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         rows = np.zeros((self._rows, _SIZE), np.float32)
-        for row, mate in enumerate(self._others[agent]):
-            rows[row] = known.row(agent, mate)
+        own, *mates = map(self.possible_agents.index, (agent, *self._others[agent]))
+        rows[: len(mates)] = known[own, mates]
         return rows
 
 
-class _Known:
-    """What is known of all agents' karts at one moment."""
-
-    def __init__(self, race: Any) -> None:
-        agents = race.possible_agents
-        self._kart_of = dict(zip(agents, race.race.kart_indices, strict=True))
-        self._karts = race.snapshot.karts
-        self._turns = rotation_matrices(self._karts["rotation"])
-        self._driven = progress_of(race.snapshot)
-
-    def row(self, agent: str, mate: str) -> npt.NDArray[np.float32]:
-        """The features of one mate as the agent sees it."""
-        own, other = self._kart_of[agent], self._kart_of[mate]
-        karts, turn = self._karts, self._turns[own]
-        return np.concatenate(
-            [
-                turn @ (karts["location"][other] - karts["location"][own]),
-                turn @ karts["velocity"][other],
-                [self._driven[other] - self._driven[own]],
-                [karts["position"][other], karts["energy"][other], karts["powerup_type"][other]],
-                [karts["has_finished_race"][other] <= 0],
-            ]
-        ).astype(np.float32)
+def _known(race: Any) -> npt.NDArray[np.float32]:
+    """The features of all agents as all see them: ``(A, A, 11)``, who sees and who is seen."""
+    agents = list(race.race.kart_indices)
+    karts, driven = race.snapshot.karts[agents], progress_of(race.snapshot)[agents]
+    turns = rotation_matrices(karts["rotation"])
+    places, speeds = karts["location"], karts["velocity"]
+    is_racing = karts["has_finished_race"] <= 0
+    own = [karts["position"], karts["energy"], karts["powerup_type"], is_racing]
+    parts: list[Any] = [
+        to_kart_frame(places[None], places, turns),
+        to_kart_frame(speeds[None], np.zeros_like(speeds), turns),
+        (driven - driven[:, None])[..., None],
+        np.broadcast_to(np.stack(own, axis=-1), (len(agents), len(agents), len(own))),
+    ]
+    return np.concatenate(parts, axis=-1).astype(np.float32)
 
 
 def _checked_teams(
