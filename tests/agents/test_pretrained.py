@@ -6,6 +6,7 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
+import safetensors.numpy
 
 from stkzoo import race_v0
 from stkzoo.agents.planning import ALL_LOOKS, CHOICES, INPUT_SIZE, DriverParameters
@@ -123,6 +124,12 @@ def test_broken_weights_are_refused(tmp_path, spoil):
     file.write_bytes(spoil(file.read_bytes()))
     with pytest.raises(ConfigError, match="no safetensors file"):
         load_weights(file)
+
+
+def test_weights_of_another_type_are_refused(tmp_path):
+    safetensors.numpy.save_file({"a": np.zeros(3)}, tmp_path / "w.safetensors")
+    with pytest.raises(ConfigError, match=r"numbers of \['float64'\], expected float32"):
+        load_weights(tmp_path / "w.safetensors")
 
 
 def test_missing_weights_are_refused(tmp_path):
