@@ -165,7 +165,7 @@ def test_agents_are_compared_with_policies(files, tmp_path):
     prior, own, network, agent = evaluate(drivers, ["olivermath"], 1, bots=0)
     assert prior == own
     assert network == agent
-    assert prior[0].ratio < 1
+    assert prior[0][0].counted_ratio < 1
 
 
 @pytest.mark.parametrize(
