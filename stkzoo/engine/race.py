@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.engine.reader import BY_ATTRIBUTE, block_plans
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.engine.starting import put_karts
@@ -102,7 +101,7 @@ class GameRace:
         self._actions = [self._make_action() for kart in setup.karts if not kart.is_bot]
         phases = Phase.READY_PHASE, Phase.SET_PHASE, Phase.GO_PHASE
         self._phases = {getattr(pystk2.WorldState.Phase, ours.name): ours for ours in phases}
-        self._reporting = [i for i, kart in enumerate(setup.karts) if kart.reports_control]
+        self._reporting = tuple(i for i, kart in enumerate(setup.karts) if kart.reports_control)
         self._race = pystk2.Race(race_config(setup))
         self._race.start()
         self._world = pystk2.WorldState()
@@ -153,17 +152,13 @@ class GameRace:
 
     def _new_stepper(self) -> Any:
         """What steps and reads the race: by the engine's block, or attribute by attribute."""
-        race, world = self._race, self._world
-        names = CONTROLS, BY_ATTRIBUTE
-        phases: tuple[Any, int] = self._phases, Phase.RACE_PHASE
-        last = tuple(self._reporting), block_plans(world)
-        by_attribute = game_stepper.GameStepper(race, world, self._actions, *names, *phases, *last)
-        if last[1] is None:
-            return by_attribute
+        what: tuple[Any, ...] = self._race, self._world, self._actions, CONTROLS
+        what += self._phases, Phase.RACE_PHASE, self._reporting
+        by_attribute = game_stepper.GameStepper(*what)
         try:
-            by_block = GameStepper(race, world, self._actions, *names, *phases, *last)
+            by_block = GameStepper(*what)
             is_right = by_block.read(True) == by_attribute.read(True)
-        except (TypeError, ValueError):
+        except (AttributeError, TypeError, ValueError):
             is_right = False
         return by_block if is_right else by_attribute
 

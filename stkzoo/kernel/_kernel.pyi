@@ -11,11 +11,9 @@ class GameStepper:
         world: Any,
         actions: list[Any],
         controls: tuple[str, ...],
-        attributes: tuple[str, ...],
         phases: dict[Any, int],
         last_phase: int,
         reporting: tuple[int, ...],
-        plans: tuple[Any, ...] | None,
     ) -> GameStepper: ...
     def step(self, controls: bytes | npt.NDArray[np.float32]) -> bytes: ...
     def read(self, is_running: bool) -> bytes: ...

@@ -5,33 +5,103 @@
 #include <math.h>
 #include <string.h>
 
-/* One row of a plan for copying from the engine's own block of bytes. */
-typedef struct {
-    npy_int32 from, to, words; /* offsets [bytes]; 4-byte words, 0 for one byte to an int */
-} Field;
+/* ---------------------------------------------------------------- the engine's block */
 
-/* One row of a plan for reading attributes. */
-typedef struct {
-    npy_int32 to, count; /* how many floats */
-} Attribute;
+/* The engine can write its whole world as one block of bytes (what it pickles), which takes a few
+   microseconds where reading attribute by attribute takes ten times as long. The block's layout
+   is no promise of the engine's: stkzoo.engine.race.GameRace uses it only if, at the race's
+   start, everything in it is what the attributes say.
 
-/* A plan for copying records, and how many bytes it reaches over. */
+   The block, all little-endian and unpadded: world time; number of players; players; number of
+   karts; karts; number of items; items. A kart is a flag, two ids, its name and model with their
+   lengths, and then an EngineKart. Vectors come with their number of dimensions and their length
+   before them. */
+
+/* What the block says of a kart, in order. */
+#define KART_FIELDS(VECTOR, NUMBER, UNKNOWN)                                                      \
+    VECTOR(location, 3) VECTOR(rotation, 4) VECTOR(front, 3) VECTOR(velocity, 3)                  \
+    VECTOR(velocity_lc, 3) VECTOR(size, 3)                                                        \
+    NUMBER(float, shield_time) NUMBER(npy_uint8, race_result) NUMBER(npy_uint8, jumping)          \
+    NUMBER(npy_int32, position) NUMBER(float, energy) NUMBER(npy_int32, finished_laps)            \
+    NUMBER(float, lap_time) NUMBER(float, finish_time) NUMBER(float, overall_distance)            \
+    NUMBER(float, distance_down_track) NUMBER(float, max_steer_angle) NUMBER(float, wheel_base)   \
+    NUMBER(npy_uint8, attachment_type) NUMBER(float, attachment_time_left)                        \
+    NUMBER(npy_uint8, powerup_type) NUMBER(npy_int32, powerup_num) UNKNOWN(npy_int32, unknown)    \
+    NUMBER(float, skeed_factor) NUMBER(npy_uint8, has_finished_race) NUMBER(npy_int32, node)      \
+    NUMBER(npy_uint8, is_on_road)
+
+/* The same of an item. */
+#define ITEM_FIELDS(VECTOR, NUMBER, UNKNOWN)                                                      \
+    UNKNOWN(npy_uint8, flag) NUMBER(npy_int32, id) VECTOR(location, 3) NUMBER(float, size)        \
+    NUMBER(npy_int32, type)
+
+#define VECTOR_MEMBER(NAME, SIZE) npy_int32 NAME##_shape[2]; float NAME[SIZE];
+#define MEMBER(TYPE, NAME) TYPE NAME;
+#define COPY_VECTOR(NAME, SIZE) memcpy(to->NAME, from->NAME, sizeof to->NAME);
+#define COPY(TYPE, NAME) to->NAME = from->NAME;
+#define SKIP(TYPE, NAME)
+
+#pragma pack(push, 1)
+typedef struct { KART_FIELDS(VECTOR_MEMBER, MEMBER, MEMBER) } EngineKart;
+typedef struct { ITEM_FIELDS(VECTOR_MEMBER, MEMBER, MEMBER) } EngineItem;
+#pragma pack(pop)
+
+enum { PLAYERS_AT = 4, PLAYER_SIZE = 6, KART_IDS_SIZE = 9, NUM_TEXTS = 2 };
+
 typedef struct {
-    const Field *fields;
-    npy_intp count, extent;
-} Plan;
+    const char *data;
+    npy_intp size;
+} Block;
 
 typedef struct {
     OBJECT_HEAD
     PyObject *step, *update, *write, *report; /* the engine's own functions */
-    PyObject *world, *actions, *controls, *attributes, *phases, *reporting;
-    Indices places; /* of the karts in the block */
-    Plan kart, item;
-    const Attribute *kart_attributes;
-    npy_intp num_kart, items_at, item_size;
+    PyObject *world, *actions, *controls, *phases, *reporting;
+    PyObject *speed, *angular_velocity; /* names of attributes that the block does not hold */
+    npy_intp num_kart, *places, items_at; /* where the block has the karts and the items */
     int phase, last_phase; /* phases come one after the other; the last one stays */
     float *present;        /* what the actions say */
 } GameStepper;
+
+/* A count in the block; -1 with an exception set if there is none. */
+static npy_int32 count_at(Block block, npy_intp at)
+{
+    npy_int32 count = -1;
+    if (at + (npy_intp)sizeof count <= block.size) memcpy(&count, block.data + at, sizeof count);
+    return count < 0 ? refuse("the engine's block is laid out in another way") : count;
+}
+
+/* Finds the karts and the items, which stay at their places all race long. */
+static int find_places(GameStepper *self, Block block)
+{
+    const npy_intp num_players = count_at(block, PLAYERS_AT);
+    npy_intp at = PLAYERS_AT + (npy_intp)sizeof(npy_int32) + PLAYER_SIZE * num_players;
+    self->num_kart = num_players < 0 ? -1 : count_at(block, at);
+    if (self->num_kart < 0 || self->num_kart > block.size / (npy_intp)sizeof(EngineKart) ||
+        !(self->places = room_for(self, self->num_kart, sizeof *self->places))) {
+        return refuse("the engine's block is shorter than its karts");
+    }
+    at += (npy_intp)sizeof(npy_int32);
+    for (npy_intp i = 0; i < self->num_kart; i++, at += (npy_intp)sizeof(EngineKart)) {
+        at += KART_IDS_SIZE;
+        for (int text = 0; text < NUM_TEXTS; text++) {
+            const npy_int32 length = count_at(block, at);
+            if (length < 0) return -1;
+            at += (npy_intp)sizeof length + length;
+        }
+        self->places[i] = at;
+    }
+    self->items_at = at;
+    return 0;
+}
+
+/* What begins at a place of the block; NULL with an exception set if it does not all lie there. */
+static const void *record_at(Block block, npy_intp at, size_t size)
+{
+    if (at + (npy_intp)size <= block.size) return block.data + at;
+    refuse("the engine's block is shorter than it was");
+    return NULL;
+}
 
 /* ---------------------------------------------------------------- to the engine */
 
@@ -66,31 +136,6 @@ static int advance(GameStepper *self)
 
 /* ---------------------------------------------------------------- from the engine */
 
-static npy_intp length_of(const Field *field)
-{
-    return field->words ? 4 * (npy_intp)field->words : 1;
-}
-
-/* Copies what begins at `start` of the block. */
-static int copy_fields(const char *block, npy_intp size, npy_intp start, const Plan *plan,
-                       void *record)
-{
-    if (start < 0 || start + plan->extent > size) {
-        return refuse("the engine's block is shorter than it was");
-    }
-    for (const Field *field = plan->fields; field < plan->fields + plan->count; field++) {
-        const char *from = block + start + field->from;
-        char *to = (char *)record + field->to;
-        switch (field->words) { /* of a size that the compiler knows, which is quicker */
-        case 0: memcpy(to, &(npy_int32){(unsigned char)*from}, 4); break;
-        case 1: memcpy(to, from, 4); break;
-        case 3: memcpy(to, from, 12); break;
-        default: memcpy(to, from, (size_t)length_of(field));
-        }
-    }
-    return 0;
-}
-
 /* One number or a sequence of them into a record; takes over the value. */
 static int copy_numbers(PyObject *value, npy_intp count, void *to)
 {
@@ -110,25 +155,6 @@ static int copy_numbers(PyObject *value, npy_intp count, void *to)
     return fits ? 0 : refuse("an attribute of the engine has another length");
 }
 
-static int copy_attributes(const GameStepper *self, Kart *records)
-{
-    PyObject *karts = PyObject_GetAttrString(self->world, "karts");
-    int status = karts ? 0 : -1;
-    if (karts && (!PyList_Check(karts) || PyList_GET_SIZE(karts) != self->num_kart)) {
-        status = refuse("the engine has other karts than before");
-    }
-    for (npy_intp i = 0; !status && i < self->num_kart; i++) {
-        for (Py_ssize_t n = 0; !status && n < PyTuple_GET_SIZE(self->attributes); n++) {
-            const Attribute *plan = self->kart_attributes + n;
-            PyObject *name = PyTuple_GET_ITEM(self->attributes, n);
-            status = copy_numbers(PyObject_GetAttr(PyList_GET_ITEM(karts, i), name), plan->count,
-                                  (char *)(records + i) + plan->to);
-        }
-    }
-    Py_XDECREF(karts);
-    return status;
-}
-
 /* What the game's AI does with a kart, into its record. */
 static int copy_report(const GameStepper *self, PyObject *number, Kart *records)
 {
@@ -143,15 +169,42 @@ static int copy_report(const GameStepper *self, PyObject *number, Kart *records)
     return status;
 }
 
-static int read_karts(const GameStepper *self, const char *block, npy_intp size, Kart *karts)
+/* A kart from the block, and what that does not hold from its attributes. */
+static int read_kart(const GameStepper *self, PyObject *kart, const EngineKart *from, Kart *to)
 {
-    memset(karts, 0, (size_t)self->num_kart * sizeof *karts);
-    for (npy_intp i = 0; i < self->num_kart; i++) {
-        if (copy_fields(block, size, self->places.data[i], &self->kart, karts + i) < 0) return -1;
+    if (!from) return -1;
+    KART_FIELDS(COPY_VECTOR, COPY, SKIP)
+    memset(to->control, 0, sizeof to->control);
+    const int status = copy_numbers(PyObject_GetAttr(kart, self->speed), 1, &to->speed);
+    return status ? status : copy_numbers(PyObject_GetAttr(kart, self->angular_velocity), 3,
+                                          to->angular_velocity);
+}
+
+static int read_karts(const GameStepper *self, Block block, Kart *records)
+{
+    PyObject *karts = PyObject_GetAttrString(self->world, "karts");
+    int status = karts ? 0 : -1;
+    if (karts && (!PyList_Check(karts) || PyList_GET_SIZE(karts) != self->num_kart)) {
+        status = refuse("the engine has other karts than before");
     }
-    if (copy_attributes(self, karts) < 0) return -1;
-    for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(self->reporting); i++) {
-        if (copy_report(self, PyTuple_GET_ITEM(self->reporting, i), karts) < 0) return -1;
+    for (npy_intp i = 0; !status && i < self->num_kart; i++) {
+        status = read_kart(self, PyList_GET_ITEM(karts, i),
+                           record_at(block, self->places[i], sizeof(EngineKart)), records + i);
+    }
+    Py_XDECREF(karts);
+    for (Py_ssize_t i = 0; !status && i < PyTuple_GET_SIZE(self->reporting); i++) {
+        status = copy_report(self, PyTuple_GET_ITEM(self->reporting, i), records);
+    }
+    return status;
+}
+
+static int read_items(const GameStepper *self, Block block, npy_int32 num_items, Item *to)
+{
+    npy_intp at = self->items_at + (npy_intp)sizeof num_items;
+    for (npy_int32 i = 0; i < num_items; i++, to++, at += (npy_intp)sizeof(EngineItem)) {
+        const EngineItem *from = record_at(block, at, sizeof *from);
+        if (!from) return -1;
+        ITEM_FIELDS(COPY_VECTOR, COPY, SKIP)
     }
     return 0;
 }
@@ -182,41 +235,44 @@ static int read_header(GameStepper *self, npy_int32 num_items, int is_running, H
 }
 
 /* The present moment from the engine's own block. */
-static PyObject *moment_from(GameStepper *self, const char *block, npy_intp size, int is_running)
+static PyObject *moment_from(GameStepper *self, Block block, int is_running)
 {
-    npy_int32 num_items = -1;
-    if (self->items_at + (npy_intp)sizeof num_items <= size) {
-        memcpy(&num_items, block + self->items_at, sizeof num_items);
-    }
-    if (num_items < 0) return PyErr_Format(PyExc_ValueError, "the engine's block has no items");
+    const npy_int32 num_items = count_at(block, self->items_at);
+    if (num_items < 0) return NULL;
     const size_t karts = (size_t)self->num_kart * sizeof(Kart), items = num_items * sizeof(Item);
     PyObject *data = PyBytes_FromStringAndSize(NULL, (Py_ssize_t)(sizeof(Header) + karts + items));
     if (!data) return NULL;
     Header *header = (Header *)PyBytes_AS_STRING(data);
     Kart *kart = (Kart *)(header + 1);
-    Item *item = (Item *)(kart + self->num_kart);
-    int status = read_header(self, num_items, is_running, header);
-    if (!status) status = read_karts(self, block, size, kart);
-    npy_intp at = self->items_at + (npy_intp)sizeof num_items;
-    for (npy_int32 i = 0; !status && i < num_items; i++, at += self->item_size) {
-        status = copy_fields(block, size, at, &self->item, item + i);
+    if (read_header(self, num_items, is_running, header) < 0 ||
+        read_karts(self, block, kart) < 0 ||
+        read_items(self, block, num_items, (Item *)(kart + self->num_kart)) < 0) {
+        Py_CLEAR(data);
     }
-    if (status) Py_CLEAR(data);
     return data;
+}
+
+/* The engine's state, which holds its block; NULL with an exception set. */
+static PyObject *write_block(const GameStepper *self, Block *block)
+{
+    PyObject *state = PyObject_CallNoArgs(self->write);
+    if (!state) return NULL;
+    if (!PyTuple_Check(state) || PyTuple_GET_SIZE(state) < 1) {
+        PyErr_SetString(PyExc_TypeError, "the engine's state is no tuple");
+        Py_CLEAR(state);
+    } else if (PyBytes_AsStringAndSize(PyTuple_GET_ITEM(state, 0), (char **)&block->data,
+                                       &block->size) < 0) {
+        Py_CLEAR(state);
+    }
+    return state;
 }
 
 static PyObject *read_now(GameStepper *self, int is_running)
 {
-    char *block;
-    Py_ssize_t size;
-    PyObject *state = PyObject_CallNoArgs(self->write), *data = NULL;
-    if (!state) return NULL;
-    if (!PyTuple_Check(state) || PyTuple_GET_SIZE(state) < 1) {
-        PyErr_SetString(PyExc_TypeError, "the engine's state is no tuple");
-    } else if (PyBytes_AsStringAndSize(PyTuple_GET_ITEM(state, 0), &block, &size) == 0) {
-        data = moment_from(self, block, size, is_running);
-    }
-    Py_DECREF(state);
+    Block block;
+    PyObject *state = write_block(self, &block);
+    PyObject *data = state ? moment_from(self, block, is_running) : NULL;
+    Py_XDECREF(state);
     return data;
 }
 
@@ -316,63 +372,27 @@ static PyObject *stepper_serve(PyObject *self, PyObject *file)
 
 /* ---------------------------------------------------------------- the type */
 
-/* Takes a plan for records of some size. */
-static int set_plan(Plan *plan, Integers numbers, size_t size)
+static int are_valid(const GameStepper *self)
 {
-    *plan = (Plan){(const Field *)numbers.data, numbers.size / 3, 0};
-    for (const Field *field = plan->fields; field < plan->fields + plan->count; field++) {
-        const size_t words = field->words > 0 ? (size_t)field->words : 1;
-        if (field->from < 0 || field->to < 0 || field->words < 0 ||
-            (size_t)field->to + 4 * words > size) {
-            return 0;
-        }
-        const npy_intp end = field->from + length_of(field);
-        if (end > plan->extent) plan->extent = end;
-    }
-    return 1;
-}
-
-static int are_valid(const GameStepper *self, Integers attributes)
-{
-    if (attributes.size != 2 * PyTuple_GET_SIZE(self->attributes)) return 0;
-    for (Py_ssize_t n = 0; n < PyTuple_GET_SIZE(self->attributes); n++) {
-        const Attribute *plan = self->kart_attributes + n;
-        if (plan->to < 0 || plan->count < 1 ||
-            (size_t)plan->to + 4 * (size_t)plan->count > sizeof(Kart)) {
-            return 0;
-        }
-    }
     for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(self->reporting); i++) {
         const npy_intp kart = PyLong_AsSsize_t(PyTuple_GET_ITEM(self->reporting, i));
         if (kart < 0 || kart >= self->num_kart) return 0;
     }
-    return self->items_at >= 0 && self->item_size > 0 &&
-           PyTuple_GET_SIZE(self->controls) == NUM_CONTROLS;
+    return PyTuple_GET_SIZE(self->controls) == NUM_CONTROLS;
 }
 
-/* GameStepper(race, world, actions, controls, attributes, phases, last_phase, reporting, plans): the
-   engine's race, world and a list of its actions, the names of the controls and of the attributes
-   to read, the phases' numbers by the engine's own, the karts whose control is reported, and the
-   plans of stkzoo.engine.reader.block_plans. */
+/* GameStepper(race, world, actions, controls, phases, last_phase, reporting): the engine's race,
+   world and a list of its actions, the names of the controls, the phases' numbers by the engine's
+   own, and the karts whose control is reported. */
 static int stepper_set_up(GameStepper *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
     PyObject *race;
-    Integers kart, item, attributes;
-    if (!PyArg_ParseTuple(args, "OOO!O!O!O!iO!(O&O&nnO&O&)", &race, &self->world, &PyList_Type,
-                          &self->actions, &PyTuple_Type, &self->controls, &PyTuple_Type,
-                          &self->attributes, &PyDict_Type, &self->phases, &self->last_phase,
-                          &PyTuple_Type, &self->reporting, as_indices, &self->places, as_integers,
-                          &kart, &self->items_at, &self->item_size, as_integers, &item,
-                          as_integers, &attributes)) {
+    if (!PyArg_ParseTuple(args, "OOO!O!O!iO!", &race, &self->world, &PyList_Type, &self->actions,
+                          &PyTuple_Type, &self->controls, &PyDict_Type, &self->phases,
+                          &self->last_phase, &PyTuple_Type, &self->reporting)) {
         return -1;
     }
     self->phase = self->last_phase - 1;
-    self->num_kart = self->places.size;
-    self->kart_attributes = (const Attribute *)attributes.data;
-    if (!set_plan(&self->kart, kart, sizeof(Kart)) || !set_plan(&self->item, item, sizeof(Item)) ||
-        !are_valid(self, attributes)) {
-        return refuse("the plans do not fit together");
-    }
     const npy_intp size = PyList_GET_SIZE(self->actions) * NUM_CONTROLS;
     if (!(self->present = room_for(self, size, sizeof *self->present))) return -1;
     for (npy_intp i = 0; i < size; i++) self->present[i] = NAN; /* equal to nothing */
@@ -380,7 +400,15 @@ static int stepper_set_up(GameStepper *self, PyObject *args, PyObject *Py_UNUSED
     self->report = keep(self, PyObject_GetAttrString(race, "get_kart_action"));
     self->update = keep(self, PyObject_GetAttrString(self->world, "update"));
     self->write = keep(self, PyObject_GetAttrString(self->world, "__getstate__"));
-    return PyErr_Occurred() ? -1 : 0;
+    self->speed = keep(self, PyUnicode_InternFromString("speed"));
+    self->angular_velocity = keep(self, PyUnicode_InternFromString("angular_velocity"));
+    if (PyErr_Occurred()) return -1;
+    Block block;
+    PyObject *state = write_block(self, &block);
+    int status = state ? find_places(self, block) : -1;
+    Py_XDECREF(state);
+    if (!status && !are_valid(self)) status = refuse("the controls or karts do not fit the race");
+    return status;
 }
 
 static PyMethodDef stepper_methods[] = {

@@ -578,7 +578,7 @@ def test_the_engine_is_read_as_its_attributes_say():
     env.reset(seed=0)
     race = env._session._race
     twin = game_stepper.GameStepper(
-        race._race, race._world, [], CONTROLS, (), race._phases, 3, race._reporting, None
+        race._race, race._world, [], CONTROLS, race._phases, 3, race._reporting
     )
     assert not isinstance(race._stepper, game_stepper.GameStepper)
     for _ in range(45):  # over all phases

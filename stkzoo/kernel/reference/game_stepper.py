@@ -38,11 +38,9 @@ class GameStepper:
         world: its ``pystk2.WorldState``.
         actions: a ``pystk2.Action`` for each player kart in grid order.
         controls: the names of an action's parts.
-        attributes: the fields of a kart that are no part of the engine's own block of bytes.
         phases: our numbers of the engine's phases.
         last_phase: the number of all other phases.
         reporting: the karts whose driver's controls are read.
-        plans: where all else lies in that block (:func:`stkzoo.engine.reader.block_plans`).
     """
 
     def __init__(
@@ -51,13 +49,10 @@ class GameStepper:
         world: Any,
         actions: list[Any],
         controls: tuple[str, ...],
-        attributes: tuple[str, ...],
         phases: Mapping[Any, int],
         last_phase: int,
         reporting: Sequence[int],
-        plans: tuple[Any, ...] | None,
     ) -> None:
-        del attributes, plans  # all is read by attribute
         self._race, self._world, self._actions = race, world, actions
         self._controls, self._reporting = controls, reporting
         self._phases, self._last_phase = phases, last_phase

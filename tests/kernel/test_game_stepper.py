@@ -22,7 +22,7 @@ PROGRAM = """
     session.start(RaceSetup(track, karts, seed=3, difficulty=3))
     race = session._race
     twin = game_stepper.GameStepper(
-        race._race, race._world, [], (), (), race._phases, 3, race._reporting, None
+        race._race, race._world, [], (), race._phases, 3, race._reporting
     )
     controls = np.zeros((0, 7), np.float32)
     steps, numbers_of_items, finished = 0, set(), 0
