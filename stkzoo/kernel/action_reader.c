@@ -193,10 +193,6 @@ static int reader_set_up(ActionReader *self, PyObject *args, PyObject *Py_UNUSED
     return 0;
 }
 
-static PyMethodDef reader_methods[] = {
-    {"read", reader_read, METH_VARARGS,
-     "Actions into rows of controls; whether all could be read."},
-    {NULL, NULL, 0, NULL},
-};
-
-KERNEL_TYPE(ActionReader, reader, "How actions of one space become controls.")
+KERNEL_TYPE(ActionReader, reader, "How actions of one space become controls.",
+            {"read", reader_read, METH_VARARGS,
+             "Actions into rows of controls; whether all could be read."})

@@ -183,9 +183,5 @@ static int controller_set_up(CarController *self, PyObject *args, PyObject *Py_U
     return fits ? 0 : refuse("the pedals or columns do not fit");
 }
 
-static PyMethodDef controller_methods[] = {
-    {"drive", controller_drive, METH_VARARGS, "What was asked for, replaced by controls."},
-    {NULL, NULL, 0, NULL},
-};
-
-KERNEL_TYPE(CarController, controller, "Physical actions as controls.")
+KERNEL_TYPE(CarController, controller, "Physical actions as controls.",
+            {"drive", controller_drive, METH_VARARGS, "What was asked for, replaced by controls."})

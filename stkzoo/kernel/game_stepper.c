@@ -368,6 +368,9 @@ static PyObject *stepper_serve(PyObject *self, PyObject *file)
     }
 }
 
+#define SERVE , {"serve", stepper_serve, METH_O, "Takes steps over a socket."}
+#else
+#define SERVE
 #endif
 
 /* ---------------------------------------------------------------- the type */
@@ -411,13 +414,6 @@ static int stepper_set_up(GameStepper *self, PyObject *args, PyObject *Py_UNUSED
     return status;
 }
 
-static PyMethodDef stepper_methods[] = {
-    {"step", stepper_step, METH_O, "Advances the race; the moment after the step."},
-    {"read", stepper_read, METH_O, "The present moment."},
-#ifndef _WIN32
-    {"serve", stepper_serve, METH_O, "Takes steps over a socket."},
-#endif
-    {NULL, NULL, 0, NULL},
-};
-
-KERNEL_TYPE(GameStepper, stepper, "A race of the engine, stepped and read in one go.")
+KERNEL_TYPE(GameStepper, stepper, "A race of the engine, stepped and read in one go.",
+            {"step", stepper_step, METH_O, "Advances the race; the moment after the step."},
+            {"read", stepper_read, METH_O, "The present moment."} SERVE)

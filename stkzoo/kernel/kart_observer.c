@@ -434,27 +434,25 @@ static PyObject *as_vectors(const KartObserver *observer, const Scene *scene)
     const int is_joined = observer->joined.data != NULL, has_mask = observer->nitro.data != NULL;
     npy_intp sizes[] = {observer->num_continuous + observer->num_ones, observer->num_discrete};
     void *numbers = NULL, *choices = NULL;
-    PyObject *continuous = new_array(1, sizes, NPY_FLOAT32, &numbers);
+    PyObject *continuous = new_array(1, sizes, NPY_FLOAT32, &numbers), *seen = NULL;
     PyObject *discrete = new_array(1, sizes + 1, NPY_INT64, &choices);
-    int status = continuous && discrete ? 0 : -1;
+    PyObject *mask = has_mask ? action_mask(observer, scene->me) : NULL;
+    int status = continuous && discrete && (mask || !has_mask) ? 0 : -1;
     if (!status) write_flat(observer, scene, numbers, choices);
     if (!status && is_joined) {
         status = write_ones(observer->joined, choices, (float *)numbers + observer->num_continuous);
-        Py_CLEAR(discrete);
     }
-    PyObject *mask = !status && has_mask ? action_mask(observer, scene->me) : NULL, *seen = NULL;
-    if (status || (has_mask && !mask)) {
-        Py_XDECREF(continuous);
-        Py_XDECREF(discrete);
-    } else if (is_joined) {
-        seen = has_mask ? Py_BuildValue("{sN,sN}", "action_mask", mask, "observation", continuous)
-                        : continuous;
-    } else if (has_mask) {
-        seen = Py_BuildValue("{sN,sN,sN}", "action_mask", mask, "continuous", continuous,
-                             "discrete", discrete);
-    } else {
-        seen = Py_BuildValue("{sN,sN}", "continuous", continuous, "discrete", discrete);
+    if (!status && is_joined && !has_mask) {
+        seen = Py_NewRef(continuous);
+    } else if (!status) { /* a format says how many of what follows it there are */
+        const char *first = is_joined ? "observation" : "continuous";
+        seen = has_mask ? Py_BuildValue(is_joined ? "{sO,sO}" : "{sO,sO,sO}", "action_mask", mask,
+                                        first, continuous, "discrete", discrete)
+                        : Py_BuildValue("{sO,sO}", first, continuous, "discrete", discrete);
     }
+    Py_XDECREF(continuous);
+    Py_XDECREF(discrete);
+    Py_XDECREF(mask);
     return seen;
 }
 
@@ -563,9 +561,5 @@ static int observer_set_up(KartObserver *observer, PyObject *args, PyObject *kwa
     return set_extras(observer, joined, nitro, fire);
 }
 
-static PyMethodDef observer_methods[] = {
-    {"observe", observer_observe, METH_VARARGS, "One observation for each kart, in a list."},
-    {NULL, NULL, 0, NULL},
-};
-
-KERNEL_TYPE(KartObserver, observer, "What is shown to agents of one observer.")
+KERNEL_TYPE(KartObserver, observer, "What is shown to agents of one observer.",
+            {"observe", observer_observe, METH_VARARGS, "One observation for each kart, in a list."})

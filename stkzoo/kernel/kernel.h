@@ -102,15 +102,16 @@ const npy_int32 *nodes_ahead(TrackGraph *track, npy_intp node);
 PyObject *new_object(PyTypeObject *type, PyObject *args, PyObject *kwargs);
 void free_object(PyObject *self);
 
-/* A type of this module, from PREFIX_methods and PREFIX_set_up, which takes the arguments: -1 with
-   an exception set if they are wrong. */
-#define KERNEL_TYPE(TYPE, PREFIX, DOC)                                                            \
+/* A type of this module, from its methods and PREFIX_set_up, which takes the arguments: -1 with an
+   exception set if they are wrong. */
+#define KERNEL_TYPE(TYPE, PREFIX, DOC, ...)                                                       \
     static PyObject *PREFIX##_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)           \
     {                                                                                             \
         PyObject *self = new_object(type, args, kwargs);                                          \
         if (self && PREFIX##_set_up((TYPE *)self, args, kwargs) < 0) Py_CLEAR(self);              \
         return self;                                                                              \
     }                                                                                             \
+    static PyMethodDef PREFIX##_methods[] = {__VA_ARGS__, {NULL, NULL, 0, NULL}};                 \
     PyTypeObject TYPE##Type = {                                                                   \
         PyVarObject_HEAD_INIT(NULL, 0).tp_name = "stkzoo.kernel._kernel." #TYPE,                  \
         .tp_basicsize = sizeof(TYPE), .tp_flags = Py_TPFLAGS_DEFAULT, .tp_doc = DOC,              \

@@ -248,10 +248,6 @@ static int racing_set_up(RacingObserver *view, PyObject *args, PyObject *Py_UNUS
     return 0;
 }
 
-static PyMethodDef racing_methods[] = {
-    {"observe", racing_observe, METH_VARARGS,
-     "The view of each of some karts, as rows of an array."},
-    {NULL, NULL, 0, NULL},
-};
-
-KERNEL_TYPE(RacingObserver, racing, "The view racing on a track.")
+KERNEL_TYPE(RacingObserver, racing, "The view racing on a track.",
+            {"observe", racing_observe, METH_VARARGS,
+             "The view of each of some karts, as rows of an array."})

@@ -248,10 +248,6 @@ static int scorer_set_up(StepScorer *self, PyObject *args, PyObject *Py_UNUSED(k
     return self->rewards ? 0 : -1;
 }
 
-static PyMethodDef scorer_methods[] = {
-    {"score", scorer_score, METH_VARARGS, "Rewards and ends."},
-    {"infos", scorer_infos, METH_VARARGS, "Infos by agent."},
-    {NULL, NULL, 0, NULL},
-};
-
-KERNEL_TYPE(StepScorer, scorer, "What a race's steps mean for some agents.")
+KERNEL_TYPE(StepScorer, scorer, "What a race's steps mean for some agents.",
+            {"score", scorer_score, METH_VARARGS, "Rewards and ends."},
+            {"infos", scorer_infos, METH_VARARGS, "Infos by agent."})

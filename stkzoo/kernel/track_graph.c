@@ -124,9 +124,5 @@ static int track_set_up(TrackGraph *track, PyObject *args, PyObject *Py_UNUSED(k
     return track->orders ? 0 : -1;
 }
 
-static PyMethodDef track_methods[] = {
-    {"ahead", track_ahead, METH_O, "The segments ahead of one, nearest first along the way."},
-    {NULL, NULL, 0, NULL},
-};
-
-KERNEL_TYPE(TrackGraph, track, "A track's segments.")
+KERNEL_TYPE(TrackGraph, track, "A track's segments.",
+            {"ahead", track_ahead, METH_O, "The segments ahead of one, nearest first along the way."})
