@@ -55,11 +55,11 @@ _INSTRUMENTED = [
     "stkzoo.race.document",
     "stkzoo.evaluation.batch.plan",
     "stkzoo.evaluation.benchmark",
-    "stkzoo.race.codec",
+    "stkzoo.drivers.codec",
     "stkzoo.race.replay.file",
     "stkzoo.race.result",
     "stkzoo.evaluation.tournament.plan",
-    "stkzoo.race.agents.files",
+    "stkzoo.drivers.files",
     "tarfile",
     "zipfile",
 ]

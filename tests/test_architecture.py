@@ -49,6 +49,7 @@ LAYERS = [
     ),
     ("render", ["stkzoo.render"]),
     ("views", ["stkzoo.views", "stkzoo.wrappers", "stkzoo.kernel.reference.racing_observer"]),
+    ("drivers", ["stkzoo.drivers"]),
     ("env", ["stkzoo.env", "stkzoo.race_v0"]),
     ("front", ["stkzoo", "stkzoo.compat", "stkzoo._pystk2_gymnasium", "stkzoo.checks"]),
     ("race", ["stkzoo.race", "stkzoo.play", "stkzoo.sb3"]),

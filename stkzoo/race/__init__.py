@@ -12,9 +12,17 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from stkzoo.race.agents.code import Actor, ActorMaker
-    from stkzoo.race.drivers import Driver, driver_names, find_driver
-    from stkzoo.race.instances import Decision, DriverInstance, DriverLimits, DriverRequest
+    from stkzoo.drivers import (
+        Actor,
+        ActorMaker,
+        Decision,
+        Driver,
+        DriverInstance,
+        DriverLimits,
+        DriverRequest,
+        driver_names,
+        find_driver,
+    )
     from stkzoo.race.listeners import RaceListener, RaceProgress
     from stkzoo.race.result import (
         SCHEMA_VERSION,
@@ -54,19 +62,33 @@ __all__ = [
 
 #: Names by module, loaded when they are first used: the process of an agent needs few.
 _LAZY = {
-    "agents.code": ("Actor", "ActorMaker"),
-    "drivers": ("Driver", "driver_names", "find_driver"),
-    "instances": ("Decision", "DriverInstance", "DriverLimits", "DriverRequest"),
-    "listeners": ("RaceListener", "RaceProgress"),
-    "result": ("SCHEMA_VERSION", "ActionTime", "AgentFailure", "AgentResult", "RaceResult"),
-    "runner": ("RaceInterrupted", "run_race"),
-    "settings": ("ERROR_HANDLING", "RaceSettings"),
-    "video": ("RaceFilm", "RaceVideo"),
+    "stkzoo.drivers": (
+        "Actor",
+        "ActorMaker",
+        "Decision",
+        "Driver",
+        "DriverInstance",
+        "DriverLimits",
+        "DriverRequest",
+        "driver_names",
+        "find_driver",
+    ),
+    "stkzoo.race.listeners": ("RaceListener", "RaceProgress"),
+    "stkzoo.race.result": (
+        "SCHEMA_VERSION",
+        "ActionTime",
+        "AgentFailure",
+        "AgentResult",
+        "RaceResult",
+    ),
+    "stkzoo.race.runner": ("RaceInterrupted", "run_race"),
+    "stkzoo.race.settings": ("ERROR_HANDLING", "RaceSettings"),
+    "stkzoo.race.video": ("RaceFilm", "RaceVideo"),
 }
 _HOMES = {name: module for module, names in _LAZY.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
     if name in _HOMES:
-        return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+        return getattr(importlib.import_module(_HOMES[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -16,8 +16,8 @@ from typing import Any, ClassVar, cast
 
 from typing_extensions import Self  # a dependency of gymnasium
 
+from stkzoo.drivers.failures import printable
 from stkzoo.errors import ConfigError
-from stkzoo.race.agents.failures import printable
 
 
 class Document(ABC):

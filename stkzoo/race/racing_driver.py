@@ -8,10 +8,10 @@ from typing import Any
 
 from gymnasium.wrappers.utils import create_zero_array
 
+from stkzoo.drivers.driver import Driver
+from stkzoo.drivers.failures import in_words, printable
+from stkzoo.drivers.instances import DriverInstance, DriverRequest
 from stkzoo.errors import AgentError, AgentTimeout
-from stkzoo.race.agents.failures import in_words, printable
-from stkzoo.race.drivers import Driver
-from stkzoo.race.instances import DriverInstance, DriverRequest
 from stkzoo.race.result import AgentFailure
 from stkzoo.race.settings import RaceSettings
 

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from stkzoo.config import AgentSpec
+from stkzoo.drivers.driver import Driver, find_driver
+from stkzoo.drivers.instances import DriverRequest
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import ActionError, ConfigError
-from stkzoo.race.drivers import Driver, find_driver
-from stkzoo.race.instances import DriverRequest
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.racing_driver import RacingDriver
 from stkzoo.race.rescues import RescueCounter

@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from stkzoo._arguments import option
+from stkzoo.drivers.instances import DriverLimits
 from stkzoo.errors import ConfigError, check_number, check_whole, unknown_name
-from stkzoo.race.instances import DriverLimits
 
 #: What to do when an agent fails.
 ERROR_HANDLING = {

@@ -13,7 +13,7 @@ _KINDS = (
     ("stkzoo.engine.fork_server", "fork server"),
     ("stkzoo.engine.worker", "race"),
     ("stkzoo.engine.render_process", "drawing"),
-    ("stkzoo.race.agents.process", "agent"),
+    ("stkzoo.drivers.process", "agent"),
     ("stkzoo.evaluation.batch.worker", "worker"),
     ("ffmpeg", "encoder"),
 )

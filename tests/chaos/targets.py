@@ -21,6 +21,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from stkzoo.drivers.codec import Limits, decode, encode
+from stkzoo.drivers.files import find_files, unpack
 from stkzoo.engine.assets.headless import read_archive
 from stkzoo.engine.assets.staging import Progress
 from stkzoo.env.scenario import Scenario
@@ -33,8 +35,6 @@ from stkzoo.evaluation import (
     plan_tournament,
 )
 from stkzoo.race import RaceResult, run_race
-from stkzoo.race.agents.files import find_files, unpack
-from stkzoo.race.codec import Limits, decode, encode
 from stkzoo.race.replay import ReplayError, ReplayWriter, load_replay, save_replay
 
 __all__ = ["TARGETS", "Target"]

@@ -16,13 +16,13 @@ import zipfile
 import pytest
 
 from benchmarks import fuzz
+from stkzoo.drivers.files import unpack
 from stkzoo.engine.assets.headless import read_archive
 from stkzoo.engine.assets.staging import Progress
 from stkzoo.env.scenario import Scenario
 from stkzoo.errors import AssetError, ConfigError
 from stkzoo.evaluation import BenchmarkPlan, TournamentPlan, plan_benchmark, plan_tournament
 from stkzoo.race import RaceResult
-from stkzoo.race.agents.files import unpack
 from stkzoo.race.replay import ReplayError, load_replay
 from tests.chaos.mutation import mutated
 from tests.chaos.targets import TARGETS

@@ -171,8 +171,8 @@ def test_a_race_of_an_agent_leaves_the_reference_alone():
 import sys, warnings
 import pystk2_gymnasium
 warnings.simplefilter("ignore")
-from stkzoo.race.agents.code import load_agent
-from stkzoo.race.agents.files import AgentPlace
+from stkzoo.drivers.code import load_agent
+from stkzoo.drivers.files import AgentPlace
 load_agent(AgentPlace(("pystk_actor",), first={place!r}))
 print(pystk2_gymnasium.envs.STKRaceEnv.__module__, sys.modules["pystk2_gymnasium"].__name__)
 """

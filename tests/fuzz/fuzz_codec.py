@@ -10,8 +10,8 @@ import sys
 
 import atheris
 
-with atheris.instrument_imports(include=["stkzoo.race.codec"]):
-    from stkzoo.race.codec import Limits, decode, encode
+with atheris.instrument_imports(include=["stkzoo.drivers.codec"]):
+    from stkzoo.drivers.codec import Limits, decode, encode
 
 from stkzoo.errors import ProtocolError
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import zmq
 
-from stkzoo.race.codec import encode
+from stkzoo.drivers.codec import encode
 from stkzoo.race.remote.protocol import VERSION, pack
 
 _KINDS = (b"H", b"O", b"A", b"C", b"B", b"W", b"D", b"", b"OO", b"\x00")

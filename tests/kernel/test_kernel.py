@@ -122,7 +122,7 @@ USERS = {
     "engine.race": ["GameStepper"],
     "engine.track": ["TrackGraph"],
     "env.episode": ["StepScorer"],
-    "race.codec": ["join_rows"],
+    "drivers.codec": ["join_rows"],
     "views.plan": ["ActionReader", "KartObserver"],
     "wrappers.control.car_action": ["CarController"],
     "wrappers.racing.wrapper": ["RacingObserver"],

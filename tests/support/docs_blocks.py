@@ -74,9 +74,9 @@ NOT_RUN = [
     (
         "docs/agents.md",
         "import torch",
-        "without its weights: tests/race/agents/test_files.py",
+        "without its weights: tests/drivers/test_files.py",
     ),
-    ("docs/agents.md", "def get_wrappers", "a part of an agent: tests/race/agents/test_files.py"),
+    ("docs/agents.md", "def get_wrappers", "a part of an agent: tests/drivers/test_files.py"),
     ("docs/play.md", "play_race", "opens a window: tests/play/test_play.py"),
     ("docs/play.md", "play(env", "opens a window: tests/play/test_play.py"),
     (

@@ -11,13 +11,13 @@ import pytest
 
 import stkzoo
 from stkzoo import race_v0
+from stkzoo.drivers.files import declared_env, find_files
 from stkzoo.engine.track import TrackMap
 from stkzoo.errors import AgentError, ConfigError
 from stkzoo.evaluation import DemoView
 from stkzoo.mdp.spaces import GROUND_LANES, GROUND_MARKS
 from stkzoo.names import GroundKind
 from stkzoo.race import find_driver, run_race
-from stkzoo.race.agents.files import declared_env, find_files
 from stkzoo.race.remote import RemoteDriverGroup
 from stkzoo.wrappers.racing import (
     GroundTable,

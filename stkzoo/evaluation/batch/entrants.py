@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 
 from stkzoo._os import file_digest
+from stkzoo.drivers.driver import driver_names, find_driver
+from stkzoo.drivers.failures import printable
+from stkzoo.drivers.files import find_files, installed_module
 from stkzoo.errors import ConfigError
-from stkzoo.race.agents.failures import printable
-from stkzoo.race.agents.files import find_files, installed_module
-from stkzoo.race.drivers import driver_names, find_driver
 from stkzoo.race.settings import RaceSettings
 
 #: Separates a driver's source from its name.

@@ -15,8 +15,8 @@ from pathlib import Path
 from queue import SimpleQueue
 
 from stkzoo._os import remove_stale_directories
+from stkzoo.drivers.failures import OutputTail
 from stkzoo.evaluation.batch.order import RaceOrder
-from stkzoo.race.agents.failures import OutputTail
 
 #: How often a race is tried whose process dies.
 _TRIES = 2

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stkzoo.drivers.driver import find_driver
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.demonstrations.dataset import Columns, Demonstrations, is_by_step
 from stkzoo.evaluation.demonstrations.plan import DemoPlan
 from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
-from stkzoo.race.drivers import find_driver
 from stkzoo.race.replay import recorded_driver
 from stkzoo.race.runner import run_race
 

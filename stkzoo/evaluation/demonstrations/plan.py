@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
+from stkzoo.drivers.driver import find_driver
 from stkzoo.errors import ConfigError, StkzooError, check_whole
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
 from stkzoo.evaluation.batch.order import RaceOrder
@@ -27,7 +28,6 @@ from stkzoo.evaluation.demonstrations.dataset import (
     save_demonstrations,
 )
 from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
-from stkzoo.race.drivers import find_driver
 from stkzoo.race.result import RaceResult
 from stkzoo.race.runner import run_race
 from stkzoo.race.settings import RaceSettings

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
+from stkzoo.drivers.codec import decode, encode
+from stkzoo.drivers.failures import printable, reported_error
+from stkzoo.drivers.instances import Decision
 from stkzoo.errors import AgentError, ProtocolError, RemoteError
-from stkzoo.race.agents.failures import printable, reported_error
-from stkzoo.race.codec import decode, encode
-from stkzoo.race.instances import Decision
 from stkzoo.race.remote import protocol
 from stkzoo.race.remote.keys import KeyPair
 from stkzoo.race.remote.sockets import client_socket, zmq_module

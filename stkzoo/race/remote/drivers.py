@@ -9,11 +9,11 @@ from functools import partial
 from itertools import zip_longest
 from typing import Any, NoReturn
 
+from stkzoo.drivers.driver import Driver
+from stkzoo.drivers.failures import printable
+from stkzoo.drivers.instances import Decision, DriverRequest, without_unused_paths
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError, RemoteError
 from stkzoo.mdp.spaces import shows_ground
-from stkzoo.race.agents.failures import printable
-from stkzoo.race.drivers import Driver
-from stkzoo.race.instances import Decision, DriverRequest, without_unused_paths
 from stkzoo.race.remote.connection import Connection, Failure, Server
 from stkzoo.race.remote.keys import KeyPair, new_keys
 from stkzoo.race.remote.sockets import full_address, zmq_module

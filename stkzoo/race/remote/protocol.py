@@ -1,15 +1,15 @@
 """The messages between client and server of a networked race (``docs/protocol.md``).
 
 A message is two ZeroMQ frames: its kind, one byte, and its body, a dict encoded by
-:mod:`stkzoo.race.codec`. A *seat* is the number of a driver instance on one connection.
+:mod:`stkzoo.drivers.codec`. A *seat* is the number of a driver instance on one connection.
 """
 
 from __future__ import annotations
 
 from typing import Any, TypeVar
 
+from stkzoo.drivers.codec import Limits, decode, encode
 from stkzoo.errors import ProtocolError
-from stkzoo.race.codec import Limits, decode, encode
 
 #: Both ends must have the same.
 VERSION = 2

@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from typing import Any
 
+from stkzoo.drivers.codec import Limits
+from stkzoo.drivers.driver import Driver
+from stkzoo.drivers.instances import DriverLimits
 from stkzoo.errors import ConfigError, ProtocolError, check_whole
-from stkzoo.race.codec import Limits
-from stkzoo.race.drivers import Driver
-from stkzoo.race.instances import DriverLimits
 from stkzoo.race.remote import protocol
 from stkzoo.race.remote.session import ClientSession, Reply
 from stkzoo.race.remote.sockets import (

@@ -11,12 +11,12 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from stkzoo.drivers.codec import Encoded, decode, encode
+from stkzoo.drivers.driver import Driver
+from stkzoo.drivers.failures import error_report, printable
+from stkzoo.drivers.instances import DriverInstance, DriverLimits, DriverRequest
 from stkzoo.errors import ProtocolError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
-from stkzoo.race.agents.failures import error_report, printable
-from stkzoo.race.codec import Encoded, decode, encode
-from stkzoo.race.drivers import Driver
-from stkzoo.race.instances import DriverInstance, DriverLimits, DriverRequest
 from stkzoo.race.remote import protocol
 
 _log = logging.getLogger(__name__)

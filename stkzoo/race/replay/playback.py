@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from stkzoo.drivers.driver import Driver
 from stkzoo.engine.assets import find_assets
-from stkzoo.race.drivers import Driver
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.replay.file import Replay, ReplayError, action_of, next_digest
 from stkzoo.race.result import RaceResult, versions_now

@@ -7,9 +7,9 @@ import threading
 import numpy as np
 import pytest
 
+from stkzoo.drivers.codec import encode
 from stkzoo.errors import RemoteError
 from stkzoo.race import find_driver, run_race
-from stkzoo.race.codec import encode
 from stkzoo.race.remote import RemoteDriverGroup
 from stkzoo.race.remote.protocol import VERSION, pack, unpack
 from tests.fuzz.messages import bad_messages, flood, resident_memory

@@ -1,6 +1,6 @@
 """The process of one agent: loads the agent and answers observations with actions.
 
-Messages on the socket are a length and that many bytes of :mod:`stkzoo.race.codec`. The first
+Messages on the socket are a length and that many bytes of :mod:`stkzoo.drivers.codec`. The first
 message says what to load; each later one has an observation. The agent's own input and output go
 elsewhere (``docs/agents.md``).
 """
@@ -18,14 +18,14 @@ from typing import Any
 
 import numpy as np
 
+from stkzoo.drivers import codec
+from stkzoo.drivers.code import AgentCode, load_agent
+from stkzoo.drivers.failures import error_report
+from stkzoo.drivers.files import AgentPlace
+from stkzoo.drivers.inline import InlineInstance
+from stkzoo.drivers.instances import DriverLimits, DriverRequest
 from stkzoo.errors import AgentError, ProtocolError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
-from stkzoo.race import codec
-from stkzoo.race.agents.code import AgentCode, load_agent
-from stkzoo.race.agents.failures import error_report
-from stkzoo.race.agents.files import AgentPlace
-from stkzoo.race.agents.inline import InlineInstance
-from stkzoo.race.instances import DriverLimits, DriverRequest
 
 _LENGTH = struct.Struct("<I")
 

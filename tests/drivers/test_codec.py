@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from stkzoo import race_v0
+from stkzoo.drivers.codec import Encoded, Limits, decode, encode
 from stkzoo.errors import ProtocolError
-from stkzoo.race.codec import Encoded, Limits, decode, encode
 
 DTYPES = (
     *(np.bool_, np.int8, np.int16, np.int32, np.int64),

@@ -10,7 +10,7 @@ from typing import IO, Any
 
 from stkzoo.errors import AgentError, AgentTimeout, ProtocolError, StkzooError
 
-_PACKAGE = Path(__file__).resolve().parents[2]
+_PACKAGE = Path(__file__).resolve().parents[1]
 _IMPORTLIB = Path(importlib.__file__).parent
 _MAX_FRAMES = 30
 _MAX_TEXT = 4000

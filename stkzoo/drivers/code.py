@@ -17,9 +17,8 @@ import gymnasium as gym
 from gymnasium import spaces
 from gymnasium.envs.registration import load_env_creator
 
-from stkzoo import _pystk2_gymnasium
+from stkzoo.drivers.files import AgentPlace
 from stkzoo.errors import ConfigError, unknown_name
-from stkzoo.race.agents.files import AgentPlace
 from stkzoo.views import VIEWS, ViewFactory, sees_ground
 
 #: Picks an action for an observation.
@@ -28,6 +27,8 @@ Actor = Callable[[Any], Any]
 #: Makes the actor of one race from its observation space, action space and a seed.
 ActorMaker = Callable[[spaces.Space[Any], spaces.Space[Any], int], Actor]
 
+#: The names of the reference; a layer above this one, so it is imported when an agent is loaded.
+_REFERENCE = "stkzoo._pystk2_gymnasium"
 _DEFAULT_ENV = "supertuxkart/full-v0"
 _INSTALLED = {"site-packages", "dist-packages"}
 
@@ -177,7 +178,7 @@ class ModuleScope:
         self._place = place
         self._roots = [Path(root) for root in (place.first, place.last) if root]
         self._names = frozenset(_top(name) for name in place.modules) | _siblings(place)
-        self._own = _pystk2_gymnasium.modules()
+        self._own: dict[str, ModuleType] = importlib.import_module(_REFERENCE).modules()
         self._hidden: dict[str, ModuleType] = {}
         self._depth = self._count = 0
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from stkzoo.drivers import files
+from stkzoo.drivers.code import load_agent
+from stkzoo.drivers.files import find_files
 from stkzoo.errors import ConfigError
 from stkzoo.race import find_driver, run_race
-from stkzoo.race.agents import files
-from stkzoo.race.agents.code import load_agent
-from stkzoo.race.agents.files import find_files
 from tests.support.paths import AGENTS, ROOT
 
 FORMS = ("plain", "alpha", "beta", "wrapped", "weights", "reference")

@@ -19,18 +19,18 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from typing import Any, NoReturn
 
+from stkzoo.drivers.failures import OutputTail, reported_error
+from stkzoo.drivers.files import AgentFiles
+from stkzoo.drivers.instances import Decision, DriverRequest, without_unused_paths
+from stkzoo.drivers.process import Channel
 from stkzoo.engine.process import ONE_THREAD, describe_end
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError
 from stkzoo.mdp.spaces import shows_ground
-from stkzoo.race.agents.failures import OutputTail, reported_error
-from stkzoo.race.agents.files import AgentFiles
-from stkzoo.race.agents.process import Channel
-from stkzoo.race.instances import Decision, DriverRequest, without_unused_paths
 
 _CODE = """\
 import json, sys
 sys.path[:] = json.loads(sys.argv[1])
-from stkzoo.race.agents.process import main
+from stkzoo.drivers.process import main
 main(*map(int, sys.argv[2:]))
 """
 #: How long an agent without a time limit may take to read its observation [s].
@@ -47,7 +47,7 @@ class IsolatedInstance:
     Args:
         request: the runner's request; its spaces are those of the ``full`` view.
         files: the agent's files.
-        adapter: as for :func:`~stkzoo.race.agents.code.load_agent`.
+        adapter: as for :func:`~stkzoo.drivers.code.load_agent`.
 
     Raises:
         AgentError: the files are not an agent.

@@ -13,10 +13,10 @@ from typing import Any
 
 from gymnasium.wrappers.utils import create_zero_array
 
+from stkzoo.drivers.code import AgentCode
+from stkzoo.drivers.failures import agent_trace, in_words
+from stkzoo.drivers.instances import Decision, DriverRequest
 from stkzoo.errors import AgentError, AgentTimeout
-from stkzoo.race.agents.code import AgentCode
-from stkzoo.race.agents.failures import agent_trace, in_words
-from stkzoo.race.instances import Decision, DriverRequest
 from stkzoo.views.agent_chain import AgentChain
 
 

@@ -13,8 +13,7 @@ from typing import Any
 
 from gymnasium import spaces
 
-from stkzoo.errors import ConfigError, unknown_name
-from stkzoo.race.agents.code import (
+from stkzoo.drivers.code import (
     Actor,
     ActorMaker,
     AgentCode,
@@ -22,10 +21,11 @@ from stkzoo.race.agents.code import (
     load_agent,
     read_module,
 )
-from stkzoo.race.agents.files import AgentFiles, declared_env, find_files
-from stkzoo.race.agents.inline import InlineInstance
-from stkzoo.race.agents.isolated import IsolatedInstance
-from stkzoo.race.instances import DriverStart
+from stkzoo.drivers.files import AgentFiles, declared_env, find_files
+from stkzoo.drivers.inline import InlineInstance
+from stkzoo.drivers.instances import DriverStart
+from stkzoo.drivers.isolated import IsolatedInstance
+from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.views import VIEWS
 
 _AGENTS = "stkzoo.agents"

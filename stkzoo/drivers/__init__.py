@@ -1,0 +1,19 @@
+"""Drivers: the game's AI, those that come with stkzoo, agents from files and Python functions."""
+
+from __future__ import annotations
+
+from stkzoo.drivers.code import Actor, ActorMaker
+from stkzoo.drivers.driver import Driver, driver_names, find_driver
+from stkzoo.drivers.instances import Decision, DriverInstance, DriverLimits, DriverRequest
+
+__all__ = [
+    "Actor",
+    "ActorMaker",
+    "Decision",
+    "Driver",
+    "DriverInstance",
+    "DriverLimits",
+    "DriverRequest",
+    "driver_names",
+    "find_driver",
+]
