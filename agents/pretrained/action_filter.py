@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -64,6 +65,16 @@ class ActionFilter:
         self._memory = memory or DriverMemory(karts, DriverParameters())
         self._has_moved = np.zeros(karts, np.bool_)
         self._views = np.zeros((karts, SIZE), np.float32)
+
+    def drive(self, observation: FloatArray, choose: Callable[[FloatArray], IntArray]) -> IntArray:
+        """The choices ``(5,)`` of the one kart, once a step.
+
+        Args:
+            observation: of the view ``racing``, ``(165,)``.
+            choose: a policy's choices ``(1, 5)``.
+        """
+        choices: IntArray = self.apply(choose(self.look(observation[None])))[0]
+        return choices
 
     def look(self, views: FloatArray) -> FloatArray:
         """A step has passed.

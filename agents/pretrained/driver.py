@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -11,71 +10,49 @@ from typing import Any
 import numpy as np
 
 from stkzoo.agents.planning import DriverParameters, PlanDriver
-from stkzoo.agents.planning.arrays import FloatArray, IntArray
+from stkzoo.agents.planning.arrays import FloatArray
 from stkzoo.errors import ConfigError
 
+from .action_filter import ActionFilter
 from .ensemble import EnsemblePolicy, networks_of
-from .mlp import KartPolicy, MlpDriver
+from .mlp import MlpDriver, is_network
 from .policy import RacingPolicy, network_shapes
 from .weights import load_weights
 
-#: What chooses among plans.
-Policy = RacingPolicy | EnsemblePolicy
+#: What chooses among plans, and what chooses at once.
+Policy = RacingPolicy | EnsemblePolicy | MlpDriver
 
 #: An agent's files.
 CARD, WEIGHTS = "card.json", "weights.safetensors"
 
 
 def read_policy(folder: str | Path) -> Policy:
-    """The policy over plans of an agent's folder, checked against its card.
+    """The policy of an agent's folder, checked against its card.
 
     Raises:
-        ConfigError: a file is missing or broken, or the weights are of another network.
+        ConfigError: a file is missing or broken, or the weights are no policy's.
     """
     file = Path(folder) / WEIGHTS
     weights = load_weights(file, str(_on_card(folder, "sha256")))
     if networks := networks_of(weights, repr(str(file))):
         return EnsemblePolicy(networks, _on_card(folder, "ensemble_weight"))
-    check_shapes(weights, str(file))
-    return RacingPolicy(weights)
+    return policy_of(weights, str(file))
 
 
-@functools.cache
-def read_network(folder: str | Path) -> MlpDriver:
-    """The network of an agent's folder that has no plans, checked against its card.
-
-    Raises:
-        ConfigError: as :func:`read_policy`.
-    """
-    file = Path(folder) / WEIGHTS
-    return MlpDriver(load_weights(file, str(_on_card(folder, "sha256"))), repr(str(file)))
-
-
-def new_network_state(folder: str | Path) -> KartPolicy:
-    """The driver of one kart in one race, by the network of an agent's folder.
-
-    Raises:
-        ConfigError: as :func:`read_policy`.
-    """
-    return read_network(folder).new_race()
-
-
-def make_network_actor(
-    module_dir: str | Path, observation_space: Any = None, action_space: Any = None
-) -> Callable[[KartPolicy, FloatArray], IntArray]:
-    """The actor of an agent's folder that has no plans, for the view ``racing``.
+def policy_of(weights: Mapping[str, FloatArray], name: str) -> RacingPolicy | MlpDriver:
+    """The policy that arrays are of.
 
     Args:
-        module_dir: the folder.
-        observation_space: not needed; an agent's ``get_actor`` is given it.
-        action_space: not needed either.
+        weights: the arrays.
+        name: what errors call them.
 
     Raises:
-        ConfigError: as :func:`read_policy`.
+        ConfigError: they are no policy's.
     """
-    del observation_space, action_space
-    read_network(module_dir)
-    return lambda state, observation: state(observation[None])[0]
+    if is_network(weights):
+        return MlpDriver(weights, repr(name))
+    check_shapes(weights, name)
+    return RacingPolicy(weights)
 
 
 def check_shapes(weights: Mapping[str, FloatArray], name: str) -> None:
@@ -94,12 +71,15 @@ def check_shapes(weights: Mapping[str, FloatArray], name: str) -> None:
         )
 
 
-def new_state(folder: str | Path) -> PlanDriver:
+def new_state(folder: str | Path) -> PlanDriver | ActionFilter:
     """What the driver of an agent's folder remembers in one race.
 
     Raises:
-        ConfigError: as :func:`read_numbers`.
+        ConfigError: as :func:`read_policy` and :func:`read_numbers`.
     """
+    policy = read_policy(folder)
+    if isinstance(policy, MlpDriver):
+        return ActionFilter(1, policy.hold)
     return PlanDriver(1, read_numbers(folder))
 
 
@@ -134,8 +114,8 @@ def _on_card(folder: str | Path, name: str) -> Any:
 
 def make_actor(
     module_dir: str | Path, observation_space: Any = None, action_space: Any = None
-) -> Callable[[PlanDriver, Mapping[str, Any]], dict[str, Any]]:
-    """The actor of an agent's folder, for the ``full`` view.
+) -> Callable[[Any, Any], Any]:
+    """The actor of an agent's folder: for the view ``racing`` if it has no plans, else ``full``.
 
     Args:
         module_dir: the folder.
@@ -150,10 +130,5 @@ def make_actor(
     return lambda state, observation: state.drive(observation, policy.best)
 
 
-def __getattr__(name: str) -> Any:
-    if name == "new_seat":  # what agents of older versions import
-        raise ConfigError(
-            "this agent was exported by another version of stkzoo; "
-            "export it again, or write new_network_state for new_seat in its pystk_actor.py"
-        )
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+# Agents without plans that were exported before import these names.
+make_network_actor, new_network_state, new_seat = make_actor, new_state, new_state

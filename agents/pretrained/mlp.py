@@ -5,8 +5,9 @@ A file of it is a safetensors file of its state dict, and of how long it holds a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from stkzoo.agents.planning.arrays import FloatArray, IntArray
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
-from .action_filter import INPUT_SIZE, ActionFilter
+from .action_filter import INPUT_SIZE
 from .weights import load_weights
 
 _LAYER = "mlp_extractor.policy_net.{}.{}"
@@ -23,9 +24,6 @@ _LAST = "action_net.{}"
 SPLITS = np.cumsum(CHOICES)[:-1].tolist()
 #: Under this name a file says for how many steps a drift is held.
 HOLD = "drift_hold"
-
-#: Chooses for one kart at a time: choices ``(1, 5)`` by its view ``(1, 165)``; it may remember.
-KartPolicy = Callable[[FloatArray], IntArray]
 
 
 class MlpDriver:
@@ -84,12 +82,7 @@ class MlpDriver:
         parts = np.split(self.logits(observations), SPLITS, axis=1)
         return np.stack([part.argmax(axis=1) for part in parts], axis=1)
 
-    def new_race(self) -> KartPolicy:
-        """Drives one kart through one race by the likeliest choices."""
-        action_filter = ActionFilter(1, self.hold)
-        return lambda view: action_filter.apply(self.best(action_filter.look(view)))
-
-    def seat(self) -> KartPolicy:
+    def seat(self) -> NoReturn:
         """What agents that older versions wrote call."""
         raise ConfigError(
             "this agent is of another version of stkzoo; make it again from its "

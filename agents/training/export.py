@@ -48,8 +48,8 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-from stkzoo.agents.pretrained.driver import {make} as get_actor
-from stkzoo.agents.pretrained.driver import {state}
+from stkzoo.agents.pretrained.driver import make_actor as get_actor
+from stkzoo.agents.pretrained.driver import new_state
 
 __all__ = ["create_state", "env_name", "get_actor", "player_name"]
 
@@ -59,12 +59,8 @@ env_name = "supertuxkart/{view}-v0"
 #: The name to show.
 player_name = "{name}"
 
-create_state = partial({state}, Path(__file__).parent)
+create_state = partial(new_state, Path(__file__).parent)
 '''
-
-#: Values for the module of policies over plans, and of networks that answer at once.
-_OF_PLANS = {"make": "make_actor", "state": "new_state", "view": "full"}
-_OF_NETWORKS = {"make": "make_network_actor", "state": "new_network_state", "view": "racing"}
 
 _PACKAGE = '''"""The learned driver {name}; see ``CARD.md``."""
 
@@ -114,7 +110,7 @@ def export_policy(
         raise ConfigError(f"the name {name!r} is invalid; expected letters, digits and _")
     sources = [Path(weights)] if isinstance(weights, (str, Path)) else [Path(w) for w in weights]
     target = Path(folder)
-    arrays, gaps, rules = _agent_of(sources, ensemble_weight)
+    arrays, view, rules = _agent_of(sources, ensemble_weight)
     if target.exists() and any(target.iterdir()) and not (target / CARD).exists():
         raise ConfigError(f"{str(target)!r} is not the folder of an agent; give another --output")
     target.mkdir(parents=True, exist_ok=True)
@@ -129,7 +125,7 @@ def export_policy(
         **rules,
     }
     write_text(target / "__init__.py", _PACKAGE.format(name=name))
-    write_text(target / "pystk_actor.py", _MODULE.format(name=name, **gaps))
+    write_text(target / "pystk_actor.py", _MODULE.format(name=name, view=view))
     write_json(target / CARD, facts)
     if not (target / "CARD.md").exists():
         write_text(target / "CARD.md", _card(facts))
@@ -138,13 +134,13 @@ def export_policy(
 
 def _agent_of(
     sources: Sequence[Path], ensemble_weight: float | None
-) -> tuple[Arrays, dict[str, str], dict[str, Any]]:
-    """An agent's arrays, the values for its module, and the parameters of its plans."""
+) -> tuple[Arrays, str, dict[str, Any]]:
+    """An agent's arrays, its view, and the parameters of its plans."""
     if ensemble_weight is not None:
         check_ensemble_weight(ensemble_weight)
         joined = join_networks([_network(source) for source in sources])
         rules = asdict(DriverParameters())
-        return joined, _OF_PLANS, {"ensemble_weight": ensemble_weight, "rules": rules}
+        return joined, "full", {"ensemble_weight": ensemble_weight, "rules": rules}
     if len(sources) > 1:
         raise ConfigError(
             f"there are {len(sources)} files of weights, expected one; several networks can "
@@ -152,9 +148,9 @@ def _agent_of(
         )
     arrays = load_weights(sources[0])
     if is_network(arrays):
-        return _network(sources[0]), _OF_NETWORKS, {}
+        return _network(sources[0]), "racing", {}
     check_shapes(arrays, str(sources[0]))
-    return arrays, _OF_PLANS, {"rules": asdict(run_parameters(sources[0].parent))}
+    return arrays, "full", {"rules": asdict(run_parameters(sources[0].parent))}
 
 
 def _network(source: Path) -> Arrays:

@@ -14,9 +14,7 @@ from stkzoo.agents.pretrained import action_filter
 from stkzoo.agents.pretrained.driver import (
     check_shapes,
     make_actor,
-    new_network_state,
     new_state,
-    read_network,
     read_policy,
 )
 from stkzoo.agents.pretrained.ensemble import EnsemblePolicy
@@ -67,7 +65,7 @@ def test_a_network_without_plans_becomes_an_agent_too(quick_agent):
     ]
     assert "rules" not in card
     assert "value_net.bias" not in load_weights(quick_agent / "weights.safetensors")
-    driver = read_network(quick_agent)
+    driver = read_policy(quick_agent)
     assert (driver.hold, driver.inputs) == (1, action_filter.INPUT_SIZE)
     result = run_race([str(quick_agent)], track="olivermath", max_steps=25)
     assert result.agents[0].num_errors == 0
@@ -76,16 +74,18 @@ def test_a_network_without_plans_becomes_an_agent_too(quick_agent):
 def test_a_network_that_is_not_the_cards_is_refused(quick_agent):
     file = quick_agent / "weights.safetensors"
     save_weights(file, {n: a + 1 for n, a in load_weights(file).items()})
-    read_network.cache_clear()
     with pytest.raises(ConfigError, match="not those of the card"):
-        new_network_state(quick_agent)
+        new_state(quick_agent)
 
 
-def test_an_agent_of_an_older_version_says_what_to_write(quick_agent):
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["new_network_state", "new_seat"])
+def test_an_agent_that_was_exported_with_other_names_races(quick_agent, name):
     module = quick_agent / "pystk_actor.py"
-    module.write_text(module.read_text().replace("new_network_state", "new_seat"))
-    result = run_race([str(quick_agent), "ai"], track="olivermath", max_steps=25)
-    assert "write new_network_state for new_seat" in str(result.agents)
+    text = module.read_text().replace("new_state", name)
+    module.write_text(text.replace("make_actor", "make_network_actor"))
+    result = run_race([str(quick_agent)], track="olivermath", max_steps=25)
+    assert result.agents[0].num_errors == 0
 
 
 def test_weights_come_back_as_they_were(tmp_path):

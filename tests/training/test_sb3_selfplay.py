@@ -380,8 +380,8 @@ def test_a_kept_policy_knows_how_long_it_holds(tmp_path, policy):
     driver = load_driver(tmp_path / "held")
     driver.best = lambda _: np.array([[RIGHT, 0, next(asked), 0, 0]])
     asked = iter([1, 0, 0, 0, 0])
-    seat = driver.new_race()
-    assert [int(seat(views(20.0))[0, 2]) for _ in range(5)] == [1, 1, 1, 1, 0]
+    karts = ActionFilter(1, driver.hold)
+    assert [int(karts.drive(views(20.0)[0], driver.best)[2]) for _ in range(5)] == [1, 1, 1, 1, 0]
 
 
 def test_an_agent_of_an_older_version_says_what_to_do(policy):

@@ -19,15 +19,9 @@ import numpy.typing as npt
 from stkzoo.agents.planning import DriverParameters, PlanDriver
 from stkzoo.agents.planning.arrays import FloatArray
 from stkzoo.agents.pretrained.action_filter import ActionFilter
-from stkzoo.agents.pretrained.driver import (
-    WEIGHTS,
-    Policy,
-    check_shapes,
-    read_network,
-    read_numbers,
-    read_policy,
-)
-from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
+from stkzoo.agents.pretrained.driver import policy_of, read_numbers, read_policy
+from stkzoo.agents.pretrained.ensemble import EnsemblePolicy
+from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.evaluation import Rating, rate
@@ -58,7 +52,9 @@ MatchDriver = Callable[[int], KartController]
 # ---------------------------------------------------------------------- drivers
 
 
-def plan_match_driver(policy: Policy, parameters: DriverParameters | None = None) -> MatchDriver:
+def plan_match_driver(
+    policy: RacingPolicy | EnsemblePolicy, parameters: DriverParameters | None = None
+) -> MatchDriver:
     """Chooses among plans, the most likely choice each time.
 
     Args:
@@ -123,17 +119,12 @@ def match_driver(source: str | Path) -> MatchDriver:
     if prior == PRIOR:
         return plan_match_driver(RacingPolicy.of_plans_alone(), plan_parameters(file))
     path = Path(source)
-    if path.is_dir():
-        if not is_network(load_weights(path / WEIGHTS)):
-            return plan_match_driver(read_policy(path), read_numbers(path))
-        network = read_network(path)
-    else:
-        weights = load_weights(path)
-        if not is_network(weights):
-            check_shapes(weights, str(path))
-            return plan_match_driver(RacingPolicy(weights), run_parameters(path.parent))
-        network = MlpDriver(weights, repr(str(path)))
-    return network_driver(network.best, network.hold)
+    is_agent = path.is_dir()
+    policy = read_policy(path) if is_agent else policy_of(load_weights(path), str(path))
+    if isinstance(policy, MlpDriver):
+        return network_driver(policy.best, policy.hold)
+    rules = read_numbers(path) if is_agent else run_parameters(path.parent)
+    return plan_match_driver(policy, rules)
 
 
 # ---------------------------------------------------------------------- playing
