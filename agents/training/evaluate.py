@@ -15,20 +15,20 @@ The first one is what the others are compared with.
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._arguments import positional
 from stkzoo.evaluation import BenchmarkForm
-from stkzoo.tracks import TRAIN_TRACKS
 
 from .common.arguments import track_names
-from .common.command import command_parser, limit_threads, run_command
+from .common.command import limit_threads, run_command
 from .common.fleet import Finish
 from .common.matches import Match, MatchDriver, match_driver, play_matches
 
@@ -96,22 +96,29 @@ def _ratios(results: Sequence[Sequence[Finish]]) -> npt.NDArray[np.float64]:
     return np.array([np.mean([finish.counted_ratio for finish in ends]) for ends in results])
 
 
+@dataclass(frozen=True, slots=True)
+class EvaluationOptions:
+    """Options of the command.
+
+    Attributes:
+        policies: policy files, folders, or prior; see above.
+        form: karts: P the policy's, A the game's AI's.
+        numbers: races per track and direction.
+        tracks: tracks, or train.
+    """
+
+    policies: tuple[str, ...] = positional()
+    form: str = "PAAAA"
+    numbers: int = 2
+    tracks: tuple[str, ...] = ("train",)
+
+
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    parser = command_parser("evaluate", __doc__)
-    parser.add_argument("policies", nargs="+", help="policy files, folders, or prior; see above")
-    parser.add_argument(
-        "--form", default="PAAAA", help="karts: P the policy's, A the game's AI's (PAAAA)"
-    )
-    parser.add_argument("--numbers", type=int, default=2, help="races per track and direction (2)")
-    parser.add_argument(
-        "--tracks", nargs="+", default=list(TRAIN_TRACKS), help="tracks, or train (train)"
-    )
-    options = parser.parse_args(words)
-    return run_command(lambda: _evaluate(options))
+    return run_command("evaluate", __doc__, _evaluate, (EvaluationOptions,), words)
 
 
-def _evaluate(options: argparse.Namespace) -> None:
+def _evaluate(options: EvaluationOptions) -> None:
     form = BenchmarkForm.of(options.form)
     limit_threads()
     sources = [newest_policy(source) for source in options.policies]

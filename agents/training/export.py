@@ -19,7 +19,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 import stkzoo
+from stkzoo._arguments import option, positional
 from stkzoo._os import write_text
 from stkzoo.agents.planning import DriverParameters
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, check_shapes
@@ -35,7 +36,7 @@ from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
 from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
 from stkzoo.errors import ConfigError
 
-from .common.command import command_parser, run_command
+from .common.command import run_command
 from .common.run_folder import ARGUMENTS, run_parameters, write_json
 
 #: Part of the names of a value network's arrays.
@@ -184,26 +185,32 @@ def _describe(run: dict[str, Any]) -> str:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class ExportOptions:
+    """Options of the command.
+
+    Attributes:
+        weights: policy-STEPS.safetensors of a run.
+        name: name of the agent.
+        output: folder of the agent.
+        ensemble_weight: let networks choose among plans with this weight; 1 is usual.
+    """
+
+    weights: tuple[Path, ...] = positional()
+    name: str = option(required=True)
+    output: Path = option(required=True)
+    ensemble_weight: float | None = None
+
+
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    parser = command_parser("export", __doc__)
-    parser.add_argument("weights", nargs="+", help="policy-STEPS.safetensors of a run")
-    parser.add_argument("--name", required=True, help="name of the agent")
-    parser.add_argument("--output", required=True, help="folder of the agent")
-    parser.add_argument(
-        "--ensemble-weight",
-        type=float,
-        help="let networks choose among plans with this weight; 1 is usual",
-    )
-    options = parser.parse_args(words)
+    return run_command("export", __doc__, _export, (ExportOptions,), words)
 
-    def export() -> None:
-        folder = export_policy(
-            options.weights, options.name, options.output, options.ensemble_weight
-        )
-        print(f"{folder} is an agent; try: stkzoo race {folder} ai ai ai ai --difficulty 3")
 
-    return run_command(export)
+def _export(options: ExportOptions) -> None:
+    weight = options.ensemble_weight
+    folder = export_policy(options.weights, options.name, options.output, weight)
+    print(f"{folder} is an agent; try: stkzoo race {folder} ai ai ai ai --difficulty 3")
 
 
 if __name__ == "__main__":

@@ -11,15 +11,17 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._arguments import positional
 from stkzoo.evaluation import GREY, INK, new_figure, save_figure, style_axes
 
-from .common.command import command_parser, run_command
+from .common.command import run_command
 from .common.run_folder import require_log
 
 #: A rating: its value, and both ends of its interval.
@@ -210,13 +212,26 @@ def rating_figure(
     return figure
 
 
+@dataclass(frozen=True, slots=True)
+class PlotOptions:
+    """Options of the command.
+
+    Attributes:
+        runs: folders of runs.
+        output: the plot's file.
+    """
+
+    runs: tuple[Path, ...] = positional()
+    output: Path = Path("curves.png")
+
+
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    parser = command_parser("plot", __doc__)
-    parser.add_argument("runs", nargs="+", help="folders of runs")
-    parser.add_argument("--output", default="curves.png", help="the plot's file (curves.png)")
-    options = parser.parse_args(words)
-    return run_command(lambda: plot_runs(options.runs, options.output))
+
+    def plot(options: PlotOptions) -> None:
+        plot_runs(options.runs, options.output)
+
+    return run_command("plot", __doc__, plot, (PlotOptions,), words)
 
 
 if __name__ == "__main__":

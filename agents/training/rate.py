@@ -17,7 +17,6 @@ choices and one of the game's bots, easy and hard in turn. The results are in th
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import json
 import os
@@ -29,6 +28,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stkzoo._arguments import positional
 from stkzoo.agents.pretrained.mlp import is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
@@ -36,7 +36,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.evaluation import Rating, percentile_interval, save_figure
 
 from .common.arguments import QUICK_TRACKS, track_names
-from .common.command import command_parser, limit_threads, run_command
+from .common.command import limit_threads, run_command
 from .common.matches import (
     AI,
     SEATS,
@@ -321,33 +321,45 @@ def _table(evaluations: Sequence[PolicyEvaluation], ratings: Mapping[str, Rating
 # ---------------------------------------------------------------------- the command
 
 
+@dataclass(frozen=True, slots=True)
+class RatingOptions:
+    """Options of the command.
+
+    Attributes:
+        runs: folders of runs of any script.
+        output: folder for races and ratings.
+        policy: rate only this policy of one run, in the run's folder.
+        matches: total races (default: 200; 6 with --policy).
+        every: kart-steps between two policies; the last one is always rated.
+        tracks: with --policy: tracks.
+
+    Raises:
+        ConfigError: there are both an output and a policy or neither, or several runs of a policy.
+    """
+
+    runs: tuple[Path, ...] = positional()
+    output: Path | None = None
+    policy: str = ""
+    matches: int | None = None
+    every: int = 1_000_000
+    tracks: tuple[str, ...] = ("lighthouse",)
+
+    def __post_init__(self) -> None:
+        if bool(self.policy) == bool(self.output):
+            raise ConfigError("expected either --output FOLDER or --policy NAME")
+        if self.policy and len(self.runs) > 1:
+            raise ConfigError(f"--policy is of one run, and there are {len(self.runs)} runs")
+
+
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    parser = command_parser("rate", __doc__)
-    parser.add_argument("runs", nargs="+", type=Path, help="folders of runs of any script")
-    parser.add_argument("--output", type=Path, help="folder for races and ratings")
-    parser.add_argument("--matches", type=int, help="total races (200; 6 with --policy)")
-    parser.add_argument(
-        "--every",
-        type=int,
-        default=1_000_000,
-        help="kart-steps between two policies (1000000); the last one is always rated",
-    )
-    parser.add_argument("--policy", help="rate only this policy of one run, in the run's folder")
-    parser.add_argument(
-        "--tracks", nargs="+", default=["lighthouse"], help="with --policy: tracks (lighthouse)"
-    )
-    options = parser.parse_args(words)
-    if bool(options.policy) == bool(options.output):
-        parser.error("expected either --output FOLDER or --policy NAME")
-    if options.policy and len(options.runs) > 1:
-        parser.error(f"--policy is of one run, and there are {len(options.runs)} runs")
-    return run_command(lambda: _run(options), "the same command continues")
+    kinds, remedy = (RatingOptions,), "the same command continues"
+    return run_command("rate", __doc__, _run, kinds, words, remedy)
 
 
-def _run(options: argparse.Namespace) -> None:
+def _run(options: RatingOptions) -> None:
     limit_threads()
-    if not options.policy:
+    if options.output:
         _rate_runs(options.runs, options.output, options.matches or 200, options.every)
         return
     if hasattr(os, "nice"):

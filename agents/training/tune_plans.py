@@ -34,7 +34,7 @@ from stkzoo.errors import unknown_name
 from stkzoo.tracks import TRAIN_TRACKS
 
 from .common.arguments import QUICK_TRACKS, RunArguments
-from .common.command import limit_threads, parse_script, run_command, training_library
+from .common.command import limit_threads, run_command, training_library
 from .common.matches import Match, plan_match_driver, play_matches
 from .common.run_folder import LOG, read_json_lines, write_json
 
@@ -104,6 +104,17 @@ def drive_all(
 
 
 @dataclass(frozen=True, slots=True)
+class TuningOptions:
+    """Options of the command.
+
+    Attributes:
+        output: the search's folder.
+    """
+
+    output: Path = Path("tuned")
+
+
+@dataclass(frozen=True, slots=True)
 class TuningArguments(RunArguments):
     """Arguments of a search.
 
@@ -130,7 +141,7 @@ class TuningArguments(RunArguments):
                 raise unknown_name("training track", track, TRAIN_TRACKS)
 
 
-def tune(arguments: TuningArguments, folder: Path) -> None:
+def tune(options: TuningOptions, arguments: TuningArguments) -> None:
     """Searches, or continues a search.
 
     Raises:
@@ -138,6 +149,7 @@ def tune(arguments: TuningArguments, folder: Path) -> None:
     """
     cma = training_library("cma")
     limit_threads()
+    folder = options.output
     folder.mkdir(parents=True, exist_ok=True)
     present = to_unit(DriverParameters())
     settings = {"popsize": arguments.population, "seed": arguments.seed + 1}
@@ -171,13 +183,8 @@ def tune(arguments: TuningArguments, folder: Path) -> None:
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    output = {"type": Path, "default": Path("tuned"), "help": "folder (tuned)"}
-
-    def run() -> None:
-        arguments, own = parse_script("tune_plans", __doc__, TuningArguments, words, output=output)
-        tune(arguments, own["output"])
-
-    return run_command(run, "the same command continues")
+    kinds, remedy = (TuningOptions, TuningArguments), "the same command continues"
+    return run_command("tune_plans", __doc__, tune, kinds, words, remedy)
 
 
 if __name__ == "__main__":

@@ -10,14 +10,21 @@ import numpy as np
 import pytest
 
 from stkzoo.agents.pretrained.mlp import MlpDriver
-from stkzoo.agents.training.common.command import parse_script
-from stkzoo.agents.training.rllib.races import MAIN, PolicyMap, ensure_assets, make_race, win_share
-from stkzoo.agents.training.rllib.selfplay import RLlibArguments, main, sb3_names
+from stkzoo.agents.training.common.arguments import RunOptions
+from stkzoo.agents.training.common.command import run_command
+from stkzoo.agents.training.rllib.races import (
+    MAIN,
+    RLlibArguments,
+    ensure_assets,
+    make_race,
+    win_share,
+)
+from stkzoo.agents.training.rllib.selfplay import main, sb3_names
 from stkzoo.engine.assets import find_assets
 from stkzoo.errors import AssetError, ConfigError
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
-POLICIES = PolicyMap(learners=2, frozen=2, slots=3)
+POLICIES = RLlibArguments(learners=2, frozen=2, slots=3)
 
 
 def test_the_first_karts_learn_and_past_selves_drive_the_others():
@@ -28,7 +35,8 @@ def test_the_first_karts_learn_and_past_selves_drive_the_others():
 
 
 def test_an_episodes_drivers_are_the_same_on_every_node():
-    assert POLICIES.module_of("kart_3", "abc") == PolicyMap(2, 2, 3).module_of("kart_3", "abc")
+    again = RLlibArguments(learners=2, frozen=2, slots=3)
+    assert POLICIES.module_of("kart_3", "abc") == again.module_of("kart_3", "abc")
 
 
 def test_a_new_snapshot_takes_the_oldest_ones_place():
@@ -39,7 +47,7 @@ def test_a_new_snapshot_takes_the_oldest_ones_place():
 
 
 def test_without_past_selves_there_is_one_module():
-    assert PolicyMap(4, 0, 5).modules == [MAIN]
+    assert RLlibArguments(learners=4, frozen=0, slots=5).modules == [MAIN]
 
 
 def test_the_share_of_pairs_won_counts_all_pairs():
@@ -50,7 +58,7 @@ def test_the_share_of_pairs_won_counts_all_pairs():
 
 def test_races_are_made_as_asked():
     arguments = RLlibArguments(tracks=("lighthouse",), learners=2, frozen=1, bots=2, max_cycles=7)
-    with make_race(arguments.env_config()) as env:
+    with make_race(arguments) as env:
         observations, _ = env.reset(seed=1)
         assert list(observations) == ["kart_0", "kart_1", "kart_2"]
         assert env.options.num_kart == 5
@@ -104,11 +112,14 @@ def test_the_learned_weights_have_the_names_of_stable_baselines3():
 
 def test_the_command_line_is_read():
     words = ["--output", "run", "--tracks", "train", "--hidden", "64", "32"]
-    arguments, others = parse_script("rllib.selfplay", None, RLlibArguments, words)
-    assert others["output"].name == "run"
+    found = []
+    kinds = RunOptions, RLlibArguments
+    run_command("rllib.selfplay", None, lambda *given: found.extend(given), kinds, words)
+    options, arguments = found
+    assert options.output.name == "run"
     assert arguments.hidden == (64, 32)
     assert len(arguments.all_tracks) == 15
-    assert arguments.env_config()["learners"] == 2
+    assert arguments.learners == 2
 
 
 @pytest.mark.parametrize(

@@ -4,13 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import ClassVar
 
+from stkzoo._arguments import option
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
 #: The training tracks but for one, on which a race takes three times as long.
 QUICK_TRACKS = tuple(track for track in TRAIN_TRACKS if track != "black_forest")
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """Options of every script, which are not among the arguments of its run.
+
+    Attributes:
+        output: the run's folder.
+    """
+
+    output: Path = option(required=True)
 
 
 @dataclass(frozen=True, slots=True)

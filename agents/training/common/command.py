@@ -1,80 +1,48 @@
-"""What the commands of this package share: parsers, errors, a progress bar, libraries."""
+"""What the commands of this package share: options, errors, a progress bar, libraries."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Any, TypeVar
+from collections.abc import Callable, Sequence
+from typing import Any
 
-from stkzoo._arguments import add_options
+from stkzoo._arguments import add_options, values_of
 from stkzoo.errors import StkzooError, import_extra
 
-A = TypeVar("A")
 
-
-def command_parser(module: str, description: str | None) -> argparse.ArgumentParser:
-    """A parser for ``python -m stkzoo.agents.training.MODULE``.
+def run_command(
+    module: str,
+    description: str | None,
+    run: Callable[..., object],
+    kinds: Sequence[type],
+    words: list[str] | None,
+    if_interrupted: str = "",
+) -> int:
+    """Runs ``python -m stkzoo.agents.training.MODULE``, and reports errors and Ctrl-C on stderr.
 
     Args:
         module: the module's name below this package; ``stkzoo league`` has a command of its own.
         description: the module's docstring.
-    """
-    own = {"league": "stkzoo league"}
-    return argparse.ArgumentParser(
-        prog=own.get(module, f"python -m stkzoo.agents.training.{module}"),
-        description=description,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-
-
-def parse_script(
-    module: str,
-    description: str | None,
-    kind: type[A],
-    words: list[str] | None,
-    **options: Mapping[str, Any],
-) -> tuple[A, dict[str, Any]]:
-    """Parses the command line of a script that trains.
-
-    Args:
-        module: see :func:`command_parser`.
-        description: likewise.
-        kind: the dataclass of the run's arguments; each field is an option.
+        run: what the command does; called with an instance of each of ``kinds``.
+        kinds: dataclasses; each field is an option.
         words: the command line; ``None`` takes the program's.
-        options: other options by name, as ``ArgumentParser.add_argument`` takes them. All scripts
-            have ``output``, the run's folder.
-
-    Returns:
-        The arguments, and the values of the other options by name.
-
-    Raises:
-        ConfigError: an argument is invalid.
-    """
-    parser = command_parser(module, description)
-    folder: Mapping[str, Any] = {"type": Path, "required": True, "help": "the run's folder"}
-    options = {"output": folder, **options}
-    for name, option in options.items():
-        parser.add_argument("--" + name.replace("_", "-"), **option)
-    add_options(parser, kind)
-    values = vars(parser.parse_args(words))
-    others = {name: values.pop(name) for name in options}
-    return kind(**{n: tuple(v) if isinstance(v, list) else v for n, v in values.items()}), others
-
-
-def run_command(run: Callable[[], object], if_interrupted: str = "") -> int:
-    """Runs a command and reports errors and Ctrl-C on stderr.
-
-    Args:
-        run: what the command does.
         if_interrupted: what the user can do after Ctrl-C.
 
     Returns:
         The exit code.
     """
+    own = {"league": "stkzoo league"}
+    parser = argparse.ArgumentParser(
+        prog=own.get(module, f"python -m stkzoo.agents.training.{module}"),
+        description=description,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    for kind in kinds:
+        add_options(parser, kind)
+    values = parser.parse_args(words)
     try:
-        run()
+        run(*(kind(**values_of(values, kind)) for kind in kinds))
     except StkzooError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

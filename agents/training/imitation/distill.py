@@ -19,6 +19,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +33,8 @@ from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.wrappers.racing import BRAKE, SIZE, controls_of_choices
 
-from ..common.arguments import QUICK_TRACKS
-from ..common.command import parse_script, run_command, training_torch
+from ..common.arguments import QUICK_TRACKS, RunOptions
+from ..common.command import run_command, training_torch
 from ..common.fleet import Finish, Fleet, Lineup
 from ..common.matches import Match, network_driver, play_matches
 from .lessons import ImitationArguments, Lesson, Numbers, Report, run_rounds, show_rounds
@@ -185,13 +186,10 @@ def _ratios(finishes: Sequence[Finish]) -> tuple[float, ...]:
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-
-    def distill() -> None:
-        arguments, own = parse_script("imitation.distill", __doc__, DistillationArguments, words)
-        folder = own["output"]
-        show_rounds(lambda report: run(arguments, folder, report), folder)
-
-    return run_command(distill, "the same command continues with its round")
+    kinds, remedy = (RunOptions, DistillationArguments), "the same command continues with its round"
+    return run_command(
+        "imitation.distill", __doc__, partial(show_rounds, run), kinds, words, remedy
+    )
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import SIZE
 
-from ..common.arguments import NetworkArguments
+from ..common.arguments import NetworkArguments, RunOptions
 from ..common.command import ProgressBar
 from ..common.network_policy import save_driver
 from ..common.run_folder import LOG, keep_arguments, read_json_lines, write_log
@@ -30,6 +30,7 @@ from ..export import export_policy
 from ..plot import plot_runs
 from .network import fit, load_weights_into, make_network
 
+A = TypeVar("A")
 Numbers = npt.NDArray[Any]
 
 _POLICY, _PLOT = "policy.safetensors", "imitation.png"
@@ -214,14 +215,17 @@ def _summary(line: Mapping[str, Any]) -> str:
     return text
 
 
-def show_rounds(run: Callable[[Report], list[dict[str, Any]]], folder: Path) -> None:
+def show_rounds(
+    run: Callable[[A, Path, Report], list[dict[str, Any]]], options: RunOptions, arguments: A
+) -> None:
     """Runs a script, shows its progress, and prints and plots its results.
 
     Args:
         run: the script; returns the log.
-        folder: the run's.
+        options: the run's folder.
+        arguments: of the run.
     """
-    stages: list[str] = []
+    folder, stages = options.output, list[str]()
     with ProgressBar(1, unit="done") as bar:
 
         def report(stage: str, done: int, total: int) -> None:
@@ -230,7 +234,7 @@ def show_rounds(run: Callable[[Report], list[dict[str, Any]]], folder: Path) -> 
             stages.append(stage)
             bar.show(done, stage, total)
 
-        log = run(report)
+        log = run(arguments, folder, report)
     for line in log:
         print(_summary(line))
     plot_runs([folder], folder / _PLOT)

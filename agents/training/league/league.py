@@ -37,8 +37,8 @@ from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import require_openskill
 
-from ..common.arguments import PPOArguments
-from ..common.command import ProgressBar, parse_script, run_command
+from ..common.arguments import PPOArguments, RunOptions
+from ..common.command import ProgressBar, run_command
 from ..common.matches import MatchRecord, plan_match_driver, play_records, rate_orders
 from ..common.run_folder import TrainingLog, check_resumed, write_json
 from ..ppo.selfplay import SelfPlayArguments
@@ -277,25 +277,38 @@ def _start_weights(arguments: LeagueArguments) -> Mapping[str, Any]:
 # ---------------------------------------------------------------------- the command
 
 
+@dataclass(frozen=True, slots=True)
+class LeagueOptions(RunOptions):
+    """Options of the command.
+
+    Attributes:
+        total_timesteps: total kart-steps.
+    """
+
+    total_timesteps: int = 2_000_000
+
+
+def play(options: LeagueOptions, arguments: LeagueArguments) -> None:
+    """Plays turns, or continues a league.
+
+    Raises:
+        ConfigError: see :class:`League`.
+    """
+    league, total = League(options.output, arguments), options.total_timesteps
+    with ProgressBar(total, league.kart_steps) as bar:
+        while league.kart_steps < total:
+            begin, before = time.perf_counter(), league.kart_steps
+            name = league.play_turn(functools.partial(_show, bar))
+            speed = (league.kart_steps - before) / (time.perf_counter() - begin)
+            print(f"{league.kart_steps:>10,}  {name}  {speed:.0f} kart-steps/s", flush=True)
+    print("\n".join(league.table()))
+    print(league.page)
+
+
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    total_option = {"type": int, "default": 2_000_000, "help": "total kart-steps (2000000)"}
-
-    def play() -> None:
-        arguments, own = parse_script(
-            "league", __doc__, LeagueArguments, words, total_timesteps=total_option
-        )
-        league, total = League(own["output"], arguments), own["total_timesteps"]
-        with ProgressBar(total, league.kart_steps) as bar:
-            while league.kart_steps < total:
-                begin, before = time.perf_counter(), league.kart_steps
-                name = league.play_turn(functools.partial(_show, bar))
-                speed = (league.kart_steps - before) / (time.perf_counter() - begin)
-                print(f"{league.kart_steps:>10,}  {name}  {speed:.0f} kart-steps/s", flush=True)
-        print("\n".join(league.table()))
-        print(league.page)
-
-    return run_command(play, "the same command plays this turn again")
+    kinds, remedy = (LeagueOptions, LeagueArguments), "the same command plays this turn again"
+    return run_command("league", __doc__, play, kinds, words, remedy)
 
 
 def _show(bar: ProgressBar, done: int, player: str, line: dict[str, float]) -> None:

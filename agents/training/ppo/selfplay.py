@@ -23,6 +23,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -30,14 +31,15 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._arguments import option
 from stkzoo.agents.planning import CHOICES, INPUT_SIZE, PolicyInput
 from stkzoo.agents.planning.arrays import FloatArray
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.errors import ConfigError
 
-from ..common.arguments import QUICK_TRACKS, PPOArguments, parse_races
-from ..common.command import ProgressBar, parse_script, run_command
+from ..common.arguments import QUICK_TRACKS, PPOArguments, RunOptions, parse_races
+from ..common.command import ProgressBar, run_command
 from ..common.fleet import Finish, Fleet, FleetStep, Lineup, lineups_of
 from ..common.run_folder import (
     ARGUMENTS,
@@ -411,50 +413,50 @@ def _company(lineup: Lineup) -> str:
 # ---------------------------------------------------------------------- the command
 
 
+@dataclass(frozen=True, slots=True)
+class SelfPlayOptions(RunOptions):
+    """Options of the command.
+
+    Attributes:
+        total_timesteps: total kart-steps to train for.
+        may_change: continue with other arguments than the run had; arguments.json records both.
+    """
+
+    total_timesteps: int = option(required=True)
+    may_change: bool = False
+
+
+def train(options: SelfPlayOptions, arguments: SelfPlayArguments) -> None:
+    """Trains, or continues a run.
+
+    Raises:
+        ConfigError: see :class:`PPOLearner`.
+    """
+    learner = PPOLearner(options.output, arguments, may_change=options.may_change)
+    total = options.total_timesteps
+    with (
+        closing(learner),
+        TrainingLog(learner.folder, learner.iteration) as log,
+        ProgressBar(total, learner.kart_steps) as bar,
+    ):
+        while learner.kart_steps < total:
+            before = learner.kart_steps
+            line = learner.iterate()
+            log.write(line)
+            bar.report(learner.kart_steps, _summary(line))
+            if learner.kart_steps // arguments.keep_every > before // arguments.keep_every:
+                learner.save_policy()
+            if learner.iteration % arguments.checkpoint_every == 0:
+                learner.save_checkpoint()
+                learner.begin_races()
+        learner.save_checkpoint()
+        learner.save_policy()
+
+
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    options: dict[str, dict[str, Any]] = {
-        "total_timesteps": {
-            "type": int,
-            "required": True,
-            "help": "total kart-steps to train for",
-        },
-        "may_change": {
-            "action": "store_true",
-            "help": "continue with other arguments than the run had; arguments.json records both",
-        },
-    }
-
-    def train() -> None:
-        arguments, own = parse_script("ppo.selfplay", __doc__, SelfPlayArguments, words, **options)
-        learner = PPOLearner(own["output"], arguments, may_change=own["may_change"])
-        total = own["total_timesteps"]
-        try:
-            with (
-                TrainingLog(learner.folder, learner.iteration) as log,
-                ProgressBar(total, learner.kart_steps) as bar,
-            ):
-                _train(learner, log, bar, total)
-        finally:
-            learner.close()
-
-    return run_command(train, "the same command continues from the last checkpoint")
-
-
-def _train(learner: PPOLearner, log: TrainingLog, bar: ProgressBar, total_timesteps: int) -> None:
-    arguments = learner.arguments
-    while learner.kart_steps < total_timesteps:
-        before = learner.kart_steps
-        line = learner.iterate()
-        log.write(line)
-        bar.report(learner.kart_steps, _summary(line))
-        if learner.kart_steps // arguments.keep_every > before // arguments.keep_every:
-            learner.save_policy()
-        if learner.iteration % arguments.checkpoint_every == 0:
-            learner.save_checkpoint()
-            learner.begin_races()
-    learner.save_checkpoint()
-    learner.save_policy()
+    kinds, remedy = (SelfPlayOptions, SelfPlayArguments), "the same command continues"
+    return run_command("ppo.selfplay", __doc__, train, kinds, words, remedy)
 
 
 _SHOWN = (

@@ -8,7 +8,7 @@ from typing import Any
 from ray.rllib.callbacks.callbacks import RLlibCallback
 from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS
 
-from .races import MAIN, PolicyMap, win_share
+from .races import MAIN, RLlibArguments, win_share
 
 #: Names of the figures that are logged.
 WIN_SHARE, RACES, RESTARTED = "win_share", "races", "restarted"
@@ -19,14 +19,12 @@ class SelfPlay(RLlibCallback):
     """Tells who won, and makes a frozen snapshot of the learner when it wins often.
 
     Args:
-        policies: which policy drives which kart.
-        promote_at: the learner's share of pairs won from which on it is promoted.
-        least_races: but not before so many races since the last time.
+        arguments: of the run.
     """
 
-    def __init__(self, policies: PolicyMap, promote_at: float, least_races: int) -> None:
+    def __init__(self, arguments: RLlibArguments) -> None:
         super().__init__()
-        self._policies, self._promote_at, self._least = policies, promote_at, least_races
+        self._arguments = arguments
         self.promotions = 0
         self.restarts = 0
         self._races_then = 0.0
@@ -37,8 +35,8 @@ class SelfPlay(RLlibCallback):
 
     def on_algorithm_init(self, *, algorithm: Any, **_: Any) -> None:
         """All past selves begin as the learner does."""
-        for number in range(self._policies.slots if self._policies.frozen else 0):
-            copy_main(algorithm, self._policies.slot(number))
+        for module in self._arguments.modules[1:]:
+            copy_main(algorithm, module)
 
     def on_episode_end(self, *, episode: Any, metrics_logger: Any, **_: Any) -> None:
         """Logs how the race ended; runs where the race ran."""
@@ -46,7 +44,7 @@ class SelfPlay(RLlibCallback):
             agent: int(single.get_infos(-1)["position"])
             for agent, single in episode.agent_episodes.items()
         }
-        share = win_share(positions, self._policies)
+        share = win_share(positions, self._arguments)
         if share is not None:
             metrics_logger.log_value(WIN_SHARE, share, reduce="mean", window=_WINDOW)
         metrics_logger.log_value(RACES, 1, reduce="lifetime_sum")
@@ -57,14 +55,11 @@ class SelfPlay(RLlibCallback):
         races = float(figures.get(RACES, 0.0))
         result["promotions"] = self.promotions
         result[RESTARTED] = self.restarts
-        is_due = races - self._races_then >= self._least
-        if (
-            not self._policies.frozen
-            or not is_due
-            or figures.get(WIN_SHARE, 0.0) < self._promote_at
-        ):
+        arguments, wins = self._arguments, figures.get(WIN_SHARE, 0.0)
+        is_due = races - self._races_then >= arguments.least_races
+        if not arguments.frozen or not is_due or wins < arguments.promote_at:
             return
-        copy_main(algorithm, self._policies.slot(self.promotions))
+        copy_main(algorithm, arguments.slot(self.promotions))
         self.promotions += 1
         self._races_then = races
         result["promotions"] = self.promotions

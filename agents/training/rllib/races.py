@@ -1,4 +1,4 @@
-"""What RLlib's env runners need on any node: the game's data, and races.
+"""What RLlib's env runners need on any node: the run's arguments, the game's data, and races.
 
 Nothing here needs Ray but :class:`PackSender`'s methods.
 """
@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from stkzoo import RaceParallelEnv, race_v0
 from stkzoo.engine.assets import cache_folder, find_assets, install, pack
-from stkzoo.errors import AssetError
+from stkzoo.errors import AssetError, ConfigError
+
+from ..common.arguments import PPOArguments, RunArguments, track_names
 
 #: The module that learns.
 MAIN = "main"
@@ -24,18 +26,71 @@ _PATIENCE = 1800.0
 
 
 @dataclass(frozen=True, slots=True)
-class PolicyMap:
-    """Which policy drives which kart: the learner's come first, those of frozen snapshots follow.
+class RLlibArguments(PPOArguments):
+    """Arguments of a run.
 
     Attributes:
+        iterations: total iterations.
+        env_runners: processes that race; 0 races in this one.
+        envs_per_runner: races at a time in each of them.
+        cpus_per_runner: processors that Ray reserves for each of them.
+        address: of a Ray cluster, or auto; empty starts Ray on this machine.
+        pack: headless pack for nodes without the game's data; empty makes one.
+        tracks: names of tracks, or train, test or all.
+        difficulty: of the game's AI, 0 to 3.
         learners: karts of the policy that learns.
         frozen: karts of its past selves.
-        slots: how many past selves there are; a new one takes the oldest one's place.
+        bots: karts of the game's AI.
+        slots: past selves that are kept.
+        promote_at: share of pairs won from which on a snapshot is made.
+        least_races: races between two snapshots.
+        max_cycles: steps after which a race is cut short.
+        train_batch_size: steps of races for an iteration, of all learners together.
+        checkpoint_every: iterations between two checkpoints.
+        sample_timeout: seconds that an iteration waits for env runners.
     """
 
-    learners: int
-    frozen: int
-    slots: int
+    may_be_zero: ClassVar[tuple[str, ...]] = (
+        *("seed", "env_runners", "frozen", "bots", "difficulty"),
+    )
+
+    n_epochs: int = 6
+    gae_lambda: float = 0.9
+    ent_coef: float = 0.003
+    iterations: int = 200
+    env_runners: int = 2
+    envs_per_runner: int = 1
+    cpus_per_runner: float = 1.0
+    address: str = ""
+    pack: str = ""
+    tracks: tuple[str, ...] = ("train",)
+    difficulty: int = 2
+    learners: int = 2
+    frozen: int = 2
+    bots: int = 1
+    slots: int = 5
+    promote_at: float = 0.6
+    least_races: int = 20
+    max_cycles: int = 1500
+    train_batch_size: int = 4000
+    checkpoint_every: int = 5
+    sample_timeout: float = 600.0
+
+    def __post_init__(self) -> None:
+        RunArguments.__post_init__(self)
+        if self.pack and not Path(self.pack).is_file():
+            raise ConfigError(
+                f"there is no pack {self.pack!r}; stkzoo assets pack --output writes one"
+            )
+        if not 0 <= self.promote_at <= 1:
+            raise ConfigError(f"promote_at is {self.promote_at}, expected 0 to 1")
+        if self.learners + self.frozen + self.bots > 20:
+            raise ConfigError("more than 20 karts in a race; give fewer learners, frozen or bots")
+
+    @property
+    def all_tracks(self) -> list[str]:
+        """The tracks by name."""
+        return track_names(self.tracks)
 
     @property
     def modules(self) -> list[str]:
@@ -43,14 +98,14 @@ class PolicyMap:
         return [MAIN, *(self.slot(number) for number in range(self.slots if self.frozen else 0))]
 
     def slot(self, number: int) -> str:
-        """The module that the snapshot of a number is kept in."""
+        """The module of the snapshot of a number; a new one takes the oldest one's place."""
         return f"past_{number % self.slots}"
 
     def module_of(self, agent: str, episode: str) -> str:
         """Who drives an agent's kart in an episode, the same whenever it is asked.
 
         Args:
-            agent: its id, ``kart_N``.
+            agent: its id, ``kart_N``; the learner's karts come first.
             episode: the episode's id, whose characters decide which past self drives.
         """
         number = int(agent.rpartition("_")[2])
@@ -59,20 +114,19 @@ class PolicyMap:
         return self.slot(sum(episode.encode()) + number)
 
 
-def win_share(positions: Mapping[str, int], policies: PolicyMap) -> float | None:
+def win_share(positions: Mapping[str, int], arguments: RLlibArguments) -> float | None:
     """Of all pairs of a learner and a past self, the share in which the learner is ahead.
 
     Args:
         positions: of all agents at the end, 1 is first.
-        policies: which policy drove which kart.
+        arguments: of the run; they say which policy drove which kart.
 
     Returns:
         0 to 1; ``None`` if there is no such pair.
     """
-    own = [
-        position for agent, position in positions.items() if policies.module_of(agent, "") == MAIN
-    ]
-    others = [p for agent, p in positions.items() if policies.module_of(agent, "") != MAIN]
+    own, others = list[int](), list[int]()
+    for agent, position in positions.items():
+        (own if arguments.module_of(agent, "") == MAIN else others).append(position)
     if not own or not others:
         return None
     return sum(a < b for a in own for b in others) / (len(own) * len(others))
@@ -175,21 +229,15 @@ def _asked_for() -> bytes:
     return data
 
 
-def make_race(config: Mapping[str, Any]) -> RaceParallelEnv:
-    """The races of one env runner: a race after another.
-
-    Args:
-        config: ``learners``, ``frozen``, ``bots``, ``tracks``, ``difficulty`` and
-            ``max_cycles``.
-    """
+def make_race(arguments: RLlibArguments) -> RaceParallelEnv:
+    """The races of one env runner: a race after another."""
     ensure_assets()
-    tracks: Sequence[str] = config["tracks"]
-    agents = config["learners"] + config["frozen"]
+    agents, tracks = arguments.learners + arguments.frozen, arguments.all_tracks
     return race_v0.parallel_env(
         agents=agents,
-        num_kart=agents + config["bots"],
-        track=tracks[0] if len(tracks) == 1 else list(tracks),
-        difficulty=config["difficulty"],
+        num_kart=agents + arguments.bots,
+        track=tracks[0] if len(tracks) == 1 else tracks,
+        difficulty=arguments.difficulty,
         view="racing",
-        max_cycles=config["max_cycles"],
+        max_cycles=arguments.max_cycles,
     )

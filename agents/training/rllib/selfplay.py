@@ -25,9 +25,8 @@ import shutil
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,10 +34,10 @@ import numpy.typing as npt
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.errors import ConfigError
 
-from ..common.arguments import PPOArguments, RunArguments, track_names
-from ..common.command import parse_script, run_command
+from ..common.arguments import RunOptions
+from ..common.command import run_command
 from ..common.run_folder import TrainingLog, keep_arguments
-from .races import MAIN, PackSender, PolicyMap, ensure_assets, make_race
+from .races import MAIN, PackSender, RLlibArguments, ensure_assets, make_race
 
 _CHECKPOINT, _POLICY = "checkpoint", "policy.safetensors"
 #: What may change when a run continues.
@@ -52,84 +51,6 @@ _LAYERS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class RLlibArguments(PPOArguments):
-    """Arguments of a run.
-
-    Attributes:
-        iterations: total iterations.
-        env_runners: processes that race; 0 races in this one.
-        envs_per_runner: races at a time in each of them.
-        cpus_per_runner: processors that Ray reserves for each of them.
-        address: of a Ray cluster, or auto; empty starts Ray on this machine.
-        pack: headless pack for nodes without the game's data; empty makes one.
-        tracks: names of tracks, or train, test or all.
-        difficulty: of the game's AI, 0 to 3.
-        learners: karts of the policy that learns.
-        frozen: karts of its past selves.
-        bots: karts of the game's AI.
-        slots: past selves that are kept.
-        promote_at: share of pairs won from which on a snapshot is made.
-        least_races: races between two snapshots.
-        max_cycles: steps after which a race is cut short.
-        train_batch_size: steps of races for an iteration, of all learners together.
-        checkpoint_every: iterations between two checkpoints.
-        sample_timeout: seconds that an iteration waits for env runners.
-    """
-
-    may_be_zero: ClassVar[tuple[str, ...]] = (
-        *("seed", "env_runners", "frozen", "bots", "difficulty"),
-    )
-
-    n_epochs: int = 6
-    gae_lambda: float = 0.9
-    ent_coef: float = 0.003
-    iterations: int = 200
-    env_runners: int = 2
-    envs_per_runner: int = 1
-    cpus_per_runner: float = 1.0
-    address: str = ""
-    pack: str = ""
-    tracks: tuple[str, ...] = ("train",)
-    difficulty: int = 2
-    learners: int = 2
-    frozen: int = 2
-    bots: int = 1
-    slots: int = 5
-    promote_at: float = 0.6
-    least_races: int = 20
-    max_cycles: int = 1500
-    train_batch_size: int = 4000
-    checkpoint_every: int = 5
-    sample_timeout: float = 600.0
-
-    def __post_init__(self) -> None:
-        RunArguments.__post_init__(self)
-        if self.pack and not Path(self.pack).is_file():
-            raise ConfigError(
-                f"there is no pack {self.pack!r}; stkzoo assets pack --output writes one"
-            )
-        if not 0 <= self.promote_at <= 1:
-            raise ConfigError(f"promote_at is {self.promote_at}, expected 0 to 1")
-        if self.learners + self.frozen + self.bots > 20:
-            raise ConfigError("more than 20 karts in a race; give fewer learners, frozen or bots")
-
-    @property
-    def policies(self) -> PolicyMap:
-        """Which policy drives which kart."""
-        return PolicyMap(self.learners, self.frozen, self.slots)
-
-    @property
-    def all_tracks(self) -> tuple[str, ...]:
-        """The tracks by name."""
-        return tuple(track_names(self.tracks))
-
-    def env_config(self) -> dict[str, Any]:
-        """What :func:`~.rllib_races.make_race` is given."""
-        names = ("learners", "frozen", "bots", "difficulty", "max_cycles")
-        return {**{name: getattr(self, name) for name in names}, "tracks": self.all_tracks}
-
-
 def build_config(arguments: RLlibArguments) -> Any:
     """RLlib's configuration of a run."""
     from ray.rllib.algorithms.ppo import PPOConfig
@@ -141,14 +62,13 @@ def build_config(arguments: RLlibArguments) -> Any:
 
     from .callbacks import SelfPlay
 
-    register_env("stkzoo_races", lambda config: ParallelPettingZooEnv(make_race(config)))
-    policies = arguments.policies
+    register_env("stkzoo_races", lambda _: ParallelPettingZooEnv(make_race(arguments)))
     model = DefaultModelConfig(
         fcnet_hiddens=list(arguments.hidden), fcnet_activation="tanh", vf_share_layers=False
     )
     return (
         PPOConfig()
-        .environment("stkzoo_races", env_config=arguments.env_config())
+        .environment("stkzoo_races")
         .env_runners(
             num_env_runners=arguments.env_runners,
             num_envs_per_env_runner=arguments.envs_per_runner,
@@ -163,14 +83,14 @@ def build_config(arguments: RLlibArguments) -> Any:
             env_runner_restore_timeout_s=300.0,
         )
         .multi_agent(
-            policies=set(policies.modules),
-            policy_mapping_fn=lambda agent, episode, **_: policies.module_of(agent, episode.id_),
+            policies=set(arguments.modules),
+            policy_mapping_fn=lambda agent, episode, **_: arguments.module_of(agent, episode.id_),
             policies_to_train=[MAIN],
         )
         .rl_module(
             rl_module_spec=MultiRLModuleSpec(
                 rl_module_specs={
-                    name: RLModuleSpec(model_config=model) for name in policies.modules
+                    name: RLModuleSpec(model_config=model) for name in arguments.modules
                 }
             )
         )
@@ -187,9 +107,7 @@ def build_config(arguments: RLlibArguments) -> Any:
             vf_clip_param=1e3,
             grad_clip=0.5,
         )
-        .callbacks(
-            functools.partial(SelfPlay, policies, arguments.promote_at, arguments.least_races)
-        )
+        .callbacks(functools.partial(SelfPlay, arguments))
         .debugging(seed=arguments.seed, log_level="ERROR")
     )
 
@@ -343,18 +261,18 @@ def sb3_names(state: Mapping[str, npt.NDArray[np.float32]]) -> dict[str, npt.NDA
     }
 
 
+def _train(options: RunOptions, arguments: RLlibArguments) -> None:
+    train(arguments, options.output, functools.partial(print, flush=True))
+    print(
+        f"{options.output / _POLICY} is the policy; the same command with more --iterations "
+        "continues"
+    )
+
+
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-
-    def run() -> None:
-        arguments, own = parse_script("rllib.selfplay", __doc__, RLlibArguments, words)
-        folder = own["output"]
-        train(arguments, folder, functools.partial(print, flush=True))
-        print(
-            f"{folder / _POLICY} is the policy; the same command with more --iterations continues"
-        )
-
-    return run_command(run, "the same command continues from the last checkpoint")
+    kinds, remedy = (RunOptions, RLlibArguments), "the same command continues"
+    return run_command("rllib.selfplay", __doc__, _train, kinds, words, remedy)
 
 
 if __name__ == "__main__":

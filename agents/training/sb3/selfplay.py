@@ -35,6 +35,7 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -45,8 +46,8 @@ from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.evaluation import require_openskill
 from stkzoo.wrappers.racing import CHOICES, RESCUE
 
-from ..common.arguments import PPOArguments, parse_races
-from ..common.command import ProgressBar, parse_script, run_command, training_library
+from ..common.arguments import PPOArguments, RunOptions, parse_races
+from ..common.command import ProgressBar, run_command, training_library
 from ..common.network_policy import initial_weights, save_driver
 from ..common.opponents import OpponentPool, bot_name
 from ..common.run_folder import TrainingLog, keep_arguments, load_checkpoint, save_checkpoint
@@ -446,47 +447,50 @@ def _seed(seed: int, number: int) -> int:
 # ---------------------------------------------------------------------- the command
 
 
+@dataclass(frozen=True, slots=True)
+class SB3Options(RunOptions):
+    """Options of the command.
+
+    Attributes:
+        total_timesteps: total kart-steps.
+        minutes: stop after this time, at the round's end.
+    """
+
+    total_timesteps: int = 10_000_000
+    minutes: float | None = None
+
+
+def train(options: SB3Options, arguments: SB3Arguments) -> None:
+    """Trains, or continues a run.
+
+    Raises:
+        ConfigError: see :class:`SB3Run`.
+    """
+    total, minutes = options.total_timesteps, options.minutes
+    with (
+        closing(SB3Run(options.output, arguments)) as run,
+        TrainingLog(run.folder, run.iteration) as log,
+    ):
+        with ProgressBar(total, run.kart_steps) as bar:
+
+            def report(line: dict[str, float]) -> None:
+                log.write(line)
+                show = bar.report if run.iteration % arguments.updates == 0 else bar.show
+                show(line["kart_steps"], _summary(line))
+                _log_evaluation(run, log)
+
+            begin = time.monotonic()
+            while run.kart_steps < total:
+                run.play_round(report)
+                if minutes is not None and time.monotonic() - begin > 60 * minutes:
+                    break
+        _finish(run, log)
+
+
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    options: dict[str, dict[str, Any]] = {
-        "total_timesteps": {
-            "type": int,
-            "default": 10_000_000,
-            "help": "total kart-steps (10000000)",
-        },
-        "minutes": {"type": float, "help": "stop after this time, at the round's end"},
-    }
-
-    def train() -> None:
-        arguments, own = parse_script("sb3.selfplay", __doc__, SB3Arguments, words, **options)
-        total = own["total_timesteps"]
-        run = SB3Run(own["output"], arguments)
-        try:
-            with TrainingLog(run.folder, run.iteration) as log:
-                with ProgressBar(total, run.kart_steps) as bar:
-                    _train(run, log, bar, total, own["minutes"])
-                _finish(run, log)
-        finally:
-            run.close()
-
-    return run_command(train, "the same command continues from the last round")
-
-
-def _train(
-    run: SB3Run, log: TrainingLog, bar: ProgressBar, total_timesteps: int, minutes: float | None
-) -> None:
-    begin, updates = time.monotonic(), run.arguments.updates
-
-    def report(line: dict[str, float]) -> None:
-        log.write(line)
-        show = bar.report if run.iteration % updates == 0 else bar.show
-        show(line["kart_steps"], _summary(line))
-        _log_evaluation(run, log)
-
-    while run.kart_steps < total_timesteps:
-        run.play_round(report)
-        if minutes is not None and time.monotonic() - begin > 60 * minutes:
-            break
+    remedy = "the same command continues from the last round"
+    return run_command("sb3.selfplay", __doc__, train, (SB3Options, SB3Arguments), words, remedy)
 
 
 def _summary(line: dict[str, float]) -> str:
