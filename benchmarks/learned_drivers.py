@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.table import Table
 
 from stkzoo import race_v0
-from stkzoo.agents.planning import ALL_LOOKS, PlanDriver
+from stkzoo.agents.planning.driver import ALL_LOOKS, PlanDriver
 from stkzoo.agents.pretrained.driver import read_numbers, read_policy
 from stkzoo.race import driver_names
 from stkzoo.tracks import SPLITS

@@ -10,7 +10,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from stkzoo.agents.planning import DriverParameters, PlanDriver
+from stkzoo.agents.planning.driver import PlanDriver
+from stkzoo.agents.planning.parameters import DriverParameters
 
 __all__ = ["PARAMETERS", "create_state", "env_name", "get_actor", "player_name"]
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from stkzoo import RaceParallelEnv
 from stkzoo.agents.heuristic import create_state
-from stkzoo.agents.planning import PlanDriver
+from stkzoo.agents.planning.driver import PlanDriver
 from stkzoo.errors import ConfigError
 
 Action = dict[str, Any]

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo.agents.planning import DriverParameters, PlanDriver
 from stkzoo.agents.planning.arrays import FloatArray
+from stkzoo.agents.planning.driver import PlanDriver
+from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.errors import ConfigError
 
 from .action_filter import ActionFilter

@@ -11,18 +11,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from stkzoo.agents.planning import BRAKE as BRAKE_PLAN
-from stkzoo.agents.planning import (
-    DRIFT_LEFT,
-    DRIFT_RIGHT,
-    HEADS,
-    MANOEUVRES,
-    OFFSETS,
-    PolicyInput,
-    is_drifting,
-    plan_turns,
-)
 from stkzoo.agents.planning.arrays import FloatArray, IntArray
+from stkzoo.agents.planning.driver import HEADS, OFFSETS, PolicyInput, is_drifting, plan_turns
+from stkzoo.agents.planning.plans import BRAKE as BRAKE_PLAN
+from stkzoo.agents.planning.plans import DRIFT_LEFT, DRIFT_RIGHT, MANOEUVRES
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import BRAKE
 

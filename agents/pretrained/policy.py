@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stkzoo.agents.planning import CHOICES, HEADS, INPUT_SIZE, PolicyInput, likeliest
 from stkzoo.agents.planning.arrays import FloatArray, IntArray
+from stkzoo.agents.planning.driver import CHOICES, HEADS, INPUT_SIZE, PolicyInput, likeliest
 
 #: No normalised input is farther from 0.
 INPUT_CLIP = 8.0

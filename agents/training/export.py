@@ -29,7 +29,7 @@ import numpy.typing as npt
 import stkzoo
 from stkzoo._arguments import option, positional
 from stkzoo._os import write_text
-from stkzoo.agents.planning import DriverParameters
+from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, check_shapes
 from stkzoo.agents.pretrained.ensemble import check_ensemble_weight, join_networks
 from stkzoo.agents.pretrained.mlp import MlpDriver, is_network

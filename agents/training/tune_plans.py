@@ -28,7 +28,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from stkzoo.agents.planning import DriverParameters
+from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.errors import unknown_name
 from stkzoo.tracks import TRAIN_TRACKS

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from stkzoo.agents.planning import OFFSETS, START_STEER, is_drifting, plan_turns
+from stkzoo.agents.planning.driver import OFFSETS, START_STEER, is_drifting, plan_turns
 from stkzoo.agents.planning.plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT
 from stkzoo.agents.pretrained import action_filter
 from stkzoo.agents.pretrained.driver import read_policy

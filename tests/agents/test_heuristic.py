@@ -10,8 +10,9 @@ from gymnasium.utils.env_checker import data_equivalence
 
 from stkzoo import AgentSpec, race_v0
 from stkzoo.agents import heuristic
-from stkzoo.agents.planning import LINE_MARKS, STEP, DriverParameters, RoadAhead
-from stkzoo.agents.planning.kart import RESCUE_STEPS
+from stkzoo.agents.planning.kart import RESCUE_STEPS, STEP
+from stkzoo.agents.planning.parameters import DriverParameters
+from stkzoo.agents.planning.road import LINE_MARKS, RoadAhead
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import surroundings_of
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from stkzoo.agents.planning import BRAKE, CHOICES, FREE, HEADS, INPUT_SIZE, PolicyInput
+from stkzoo.agents.planning.driver import CHOICES, HEADS, INPUT_SIZE, PolicyInput
+from stkzoo.agents.planning.plans import BRAKE, FREE
 from stkzoo.agents.pretrained.policy import RacingPolicy
 
 

@@ -9,7 +9,8 @@ import pytest
 import safetensors.numpy
 
 from stkzoo import race_v0
-from stkzoo.agents.planning import ALL_LOOKS, CHOICES, INPUT_SIZE, DriverParameters
+from stkzoo.agents.planning.driver import ALL_LOOKS, CHOICES, INPUT_SIZE
+from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained import action_filter
 from stkzoo.agents.pretrained.driver import (
     check_shapes,

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from stkzoo import kernel
-from stkzoo.agents.planning import DriverParameters, RoadAhead
 from stkzoo.agents.planning.kart import DRIFT_TURN
+from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.plans import BRAKE, plan_table, table_rows
-from stkzoo.agents.planning.road import LINE_MARKS
+from stkzoo.agents.planning.road import LINE_MARKS, RoadAhead
 from stkzoo.agents.planning.worth import road_columns, rule_columns
 from stkzoo.kernel.reference import plan_weigher
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from stkzoo.agents.planning import CHOICES, HEADS, INPUT_SIZE, DriverParameters
+from stkzoo.agents.planning.driver import CHOICES, HEADS, INPUT_SIZE
+from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.agents.training.common.arguments import TrainingRaces
 from stkzoo.agents.training.common.fleet import Fleet, Lineup, lineups_of

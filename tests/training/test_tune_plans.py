@@ -9,7 +9,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from stkzoo.agents.planning import DriverParameters
+from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.training import tune_plans
 from stkzoo.agents.training.tune_plans import BOUNDS, drive_all, from_unit, to_unit
 from tests.support.processes import children_of, process_exists, wait_until

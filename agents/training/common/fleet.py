@@ -13,16 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo.agents.planning import (
+from stkzoo.agents.planning.arrays import BoolArray, FloatArray, IntArray
+from stkzoo.agents.planning.driver import (
     ALL_LOOKS,
-    DriverParameters,
     PlanDriver,
     PolicyInput,
     mirrored_choices,
     mirrored_inputs,
     mirrored_prior,
 )
-from stkzoo.agents.planning.arrays import BoolArray, FloatArray, IntArray
+from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.engine import KartSetup, RaceSetup, Snapshot, TrackMap, WorkerSession, decode_track
 from stkzoo.engine.assets import find_assets
 from stkzoo.evaluation import load_ai_times

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.planning import DriverParameters, PlanDriver
 from stkzoo.agents.planning.arrays import FloatArray
+from stkzoo.agents.planning.driver import PlanDriver
+from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.action_filter import ActionFilter
 from stkzoo.agents.pretrained.driver import policy_of, read_numbers, read_policy
 from stkzoo.agents.pretrained.ensemble import EnsemblePolicy

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo.agents.planning import MEMORY_SIZE
 from stkzoo.agents.planning.arrays import FloatArray
+from stkzoo.agents.planning.memory import MEMORY_SIZE
 from stkzoo.agents.pretrained.mlp import HOLD, MlpDriver
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from stkzoo._os import atomic_write, write_text
-from stkzoo.agents.planning import DriverParameters
+from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.errors import ConfigError
 
 from .command import training_library

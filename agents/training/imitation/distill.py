@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo.agents.planning import BRAKE as BRAKE_PLAN
-from stkzoo.agents.planning import PolicyInput
 from stkzoo.agents.planning.arrays import IntArray
+from stkzoo.agents.planning.driver import PolicyInput
+from stkzoo.agents.planning.plans import BRAKE as BRAKE_PLAN
 from stkzoo.agents.pretrained.action_filter import INPUT_SIZE, ActionFilter, steering
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.agents.pretrained.policy import RacingPolicy

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo.agents.planning import CHOICE_NAMES, CHOICES, HEADS, INPUT_SIZE, mirrored_inputs
 from stkzoo.agents.planning.arrays import FloatArray
+from stkzoo.agents.planning.driver import CHOICE_NAMES, CHOICES, HEADS, INPUT_SIZE, mirrored_inputs
 from stkzoo.agents.pretrained.policy import INPUT_CLIP, RacingPolicy, network
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError

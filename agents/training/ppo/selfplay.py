@@ -32,8 +32,8 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._arguments import option
-from stkzoo.agents.planning import CHOICES, INPUT_SIZE, PolicyInput
 from stkzoo.agents.planning.arrays import FloatArray
+from stkzoo.agents.planning.driver import CHOICES, INPUT_SIZE, PolicyInput
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.errors import ConfigError

@@ -8,7 +8,7 @@ import pytest
 
 from stkzoo import race_v0
 from stkzoo.agents import pretrained
-from stkzoo.agents.planning import (
+from stkzoo.agents.planning.driver import (
     ALL_LOOKS,
     CHOICES,
     HEADS,

@@ -8,7 +8,6 @@ import pytest
 
 from stkzoo import race_v0
 from stkzoo.agents import heuristic
-from stkzoo.agents.planning import DriverParameters
 from stkzoo.agents.planning.kart import (
     BOOST_STEPS,
     DRIFT_APART,
@@ -16,6 +15,7 @@ from stkzoo.agents.planning.kart import (
     RELEASE_TURN,
     STEERING_LAG,
 )
+from stkzoo.agents.planning.parameters import DriverParameters
 
 
 def drive_alone(track, reverse=False):

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from stkzoo.agents.planning import STEP, DriverMemory, DriverParameters
-from stkzoo.agents.planning.kart import BOOST_LASTS, BOOST_STEPS, DRIFT_APART, RESCUE_STEPS
+from stkzoo.agents.planning.kart import BOOST_LASTS, BOOST_STEPS, DRIFT_APART, RESCUE_STEPS, STEP
+from stkzoo.agents.planning.memory import DriverMemory
+from stkzoo.agents.planning.parameters import DriverParameters
 
 
 def test_a_drift_is_remembered_with_what_it_earns():

@@ -3,7 +3,7 @@
 import numpy as np
 
 from stkzoo import race_v0
-from stkzoo.agents.planning import ALL_LOOKS
+from stkzoo.agents.planning.driver import ALL_LOOKS
 from stkzoo.agents.planning.rivals import RIVALS, RivalTracker
 from stkzoo.agents.planning.road import LINE_MARKS, RoadAhead
 from stkzoo.wrappers.racing import LOOKS, BatchedRacingView, RoadTable

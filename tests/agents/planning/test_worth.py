@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stkzoo.agents.planning import DriverParameters
 from stkzoo.agents.planning.memory import KartSituation
+from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.plans import BRAKE, FREE
 from stkzoo.agents.planning.rivals import Rivals
 from stkzoo.agents.planning.road import LINE_MARKS, RoadAhead
