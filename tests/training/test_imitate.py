@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
-from stkzoo.agents.training.common.arguments import RunOptions
+from stkzoo.agents.training.common.arguments import ScriptOptions
 from stkzoo.agents.training.common.command import run_command
 from stkzoo.agents.training.imitation.imitate import TeacherArguments, main, run
 from stkzoo.agents.training.imitation.network import fit, make_network, mirrored
@@ -164,7 +164,7 @@ def test_demonstrations_of_another_view_are_refused(tmp_path, capsys):
 def test_the_games_ai_can_be_cloned_but_not_asked():
     words = ["--output", "x", "--teacher", "ai", "--rounds", "0"]
     found = []
-    kinds = RunOptions, TeacherArguments
+    kinds = ScriptOptions, TeacherArguments
     run_command("imitation.imitate", None, lambda *each: found.extend(each), kinds, words)
     _, arguments = found
     assert arguments.rounds == 0

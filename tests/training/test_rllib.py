@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from stkzoo.agents.pretrained.mlp import MlpDriver
-from stkzoo.agents.training.common.arguments import RunOptions
+from stkzoo.agents.training.common.arguments import ScriptOptions
 from stkzoo.agents.training.common.command import run_command
 from stkzoo.agents.training.rllib.races import (
     MAIN,
@@ -113,7 +113,7 @@ def test_the_learned_weights_have_the_names_of_stable_baselines3():
 def test_the_command_line_is_read():
     words = ["--output", "run", "--tracks", "train", "--hidden", "64", "32"]
     found = []
-    kinds = RunOptions, RLlibArguments
+    kinds = ScriptOptions, RLlibArguments
     run_command("rllib.selfplay", None, lambda *given: found.extend(given), kinds, words)
     options, arguments = found
     assert options.output.name == "run"

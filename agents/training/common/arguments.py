@@ -16,7 +16,7 @@ QUICK_TRACKS = tuple(track for track in TRAIN_TRACKS if track != "black_forest")
 
 
 @dataclass(frozen=True, slots=True)
-class RunOptions:
+class ScriptOptions:
     """Options of every script, which are not among the arguments of its run.
 
     Attributes:

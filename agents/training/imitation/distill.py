@@ -33,7 +33,7 @@ from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.wrappers.racing import BRAKE, SIZE, controls_of_choices
 
-from ..common.arguments import QUICK_TRACKS, RunOptions
+from ..common.arguments import QUICK_TRACKS, ScriptOptions
 from ..common.command import run_command, training_torch
 from ..common.fleet import Finish, Fleet, Lineup
 from ..common.matches import Match, network_driver, play_matches
@@ -186,7 +186,10 @@ def _ratios(finishes: Sequence[Finish]) -> tuple[float, ...]:
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    kinds, remedy = (RunOptions, DistillationArguments), "the same command continues with its round"
+    kinds, remedy = (
+        (ScriptOptions, DistillationArguments),
+        "the same command continues with its round",
+    )
     return run_command(
         "imitation.distill", __doc__, partial(show_rounds, run), kinds, words, remedy
     )

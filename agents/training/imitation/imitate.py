@@ -45,7 +45,7 @@ from stkzoo.race import Driver, DriverInstance, DriverRequest, find_driver, run_
 from stkzoo.race.replay import action_of, controls_of
 from stkzoo.wrappers.racing import controls_of_choices
 
-from ..common.arguments import QUICK_TRACKS, RunArguments, RunOptions, track_names
+from ..common.arguments import QUICK_TRACKS, RunArguments, ScriptOptions, track_names
 from ..common.command import run_command
 from ..common.fleet import ai_time
 from .lessons import ImitationArguments, Lesson, Numbers, Report, run_rounds, show_rounds
@@ -259,7 +259,7 @@ def _instance(teacher: str, seed: int) -> DriverInstance:
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    kinds, remedy = (RunOptions, TeacherArguments), "the same command continues"
+    kinds, remedy = (ScriptOptions, TeacherArguments), "the same command continues"
     return run_command(
         "imitation.imitate", __doc__, partial(show_rounds, run), kinds, words, remedy
     )

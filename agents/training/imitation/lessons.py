@@ -22,7 +22,7 @@ from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import SIZE
 
-from ..common.arguments import NetworkArguments, RunOptions
+from ..common.arguments import NetworkArguments, ScriptOptions
 from ..common.command import ProgressBar
 from ..common.network_policy import save_driver
 from ..common.run_folder import LOG, keep_arguments, read_json_lines, write_log
@@ -216,7 +216,7 @@ def _summary(line: Mapping[str, Any]) -> str:
 
 
 def show_rounds(
-    run: Callable[[A, Path, Report], list[dict[str, Any]]], options: RunOptions, arguments: A
+    run: Callable[[A, Path, Report], list[dict[str, Any]]], options: ScriptOptions, arguments: A
 ) -> None:
     """Runs a script, shows its progress, and prints and plots its results.
 

@@ -37,7 +37,7 @@ from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import require_openskill
 
-from ..common.arguments import PPOArguments, RunOptions
+from ..common.arguments import PPOArguments, ScriptOptions
 from ..common.command import ProgressBar, run_command
 from ..common.matches import MatchRecord, plan_match_driver, play_records, rate_orders
 from ..common.run_folder import TrainingLog, check_resumed, write_json
@@ -278,7 +278,7 @@ def _start_weights(arguments: LeagueArguments) -> Mapping[str, Any]:
 
 
 @dataclass(frozen=True, slots=True)
-class LeagueOptions(RunOptions):
+class LeagueOptions(ScriptOptions):
     """Options of the command.
 
     Attributes:

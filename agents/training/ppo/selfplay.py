@@ -38,7 +38,7 @@ from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.errors import ConfigError
 
-from ..common.arguments import QUICK_TRACKS, PPOArguments, RunOptions, parse_races
+from ..common.arguments import QUICK_TRACKS, PPOArguments, ScriptOptions, parse_races
 from ..common.command import ProgressBar, run_command
 from ..common.fleet import Finish, Fleet, FleetStep, Lineup, lineups_of
 from ..common.run_folder import (
@@ -414,7 +414,7 @@ def _company(lineup: Lineup) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class SelfPlayOptions(RunOptions):
+class SelfPlayOptions(ScriptOptions):
     """Options of the command.
 
     Attributes:

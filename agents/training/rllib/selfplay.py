@@ -34,7 +34,7 @@ import numpy.typing as npt
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.errors import ConfigError
 
-from ..common.arguments import RunOptions
+from ..common.arguments import ScriptOptions
 from ..common.command import run_command
 from ..common.run_folder import TrainingLog, keep_arguments
 from .races import MAIN, PackSender, RLlibArguments, ensure_assets, make_race
@@ -261,7 +261,7 @@ def sb3_names(state: Mapping[str, npt.NDArray[np.float32]]) -> dict[str, npt.NDA
     }
 
 
-def _train(options: RunOptions, arguments: RLlibArguments) -> None:
+def _train(options: ScriptOptions, arguments: RLlibArguments) -> None:
     train(arguments, options.output, functools.partial(print, flush=True))
     print(
         f"{options.output / _POLICY} is the policy; the same command with more --iterations "
@@ -271,7 +271,7 @@ def _train(options: RunOptions, arguments: RLlibArguments) -> None:
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    kinds, remedy = (RunOptions, RLlibArguments), "the same command continues"
+    kinds, remedy = (ScriptOptions, RLlibArguments), "the same command continues"
     return run_command("rllib.selfplay", __doc__, _train, kinds, words, remedy)
 
 

@@ -46,7 +46,7 @@ from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.evaluation import require_openskill
 from stkzoo.wrappers.racing import CHOICES, RESCUE
 
-from ..common.arguments import PPOArguments, RunOptions, parse_races
+from ..common.arguments import PPOArguments, ScriptOptions, parse_races
 from ..common.command import ProgressBar, run_command, training_library
 from ..common.network_policy import initial_weights, save_driver
 from ..common.opponents import OpponentPool, bot_name
@@ -448,7 +448,7 @@ def _seed(seed: int, number: int) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class SB3Options(RunOptions):
+class SB3Options(ScriptOptions):
     """Options of the command.
 
     Attributes:
