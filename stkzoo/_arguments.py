@@ -8,13 +8,55 @@ import re
 import types
 import typing
 from collections import defaultdict
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import MISSING, Field, field, fields
-from typing import Any
+from typing import Any, NoReturn
 
-__all__ = ["add_options", "option", "positional", "values_of"]
+from stkzoo.errors import unknown_name
+
+__all__ = ["CommandParser", "add_options", "option", "positional", "values_of"]
 
 _ATTRIBUTE = re.compile(r"^    (\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
+
+
+class CommandParser(argparse.ArgumentParser):
+    """A parser whose errors are one line, which names what was probably meant."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**{"formatter_class": argparse.RawDescriptionHelpFormatter, **options})
+
+    def fail(self, message: str) -> NoReturn:
+        """Ends the program with exit code 2."""
+        self.exit(2, f"{self.prog}: {message}\n")
+
+    def error(self, message: str) -> NoReturn:
+        """Ends the program because of its command line; ``argparse`` calls this."""
+        joint = " See" if message.endswith("?") else "; see"
+        self.fail(f"{message.rstrip('.')}{joint} `{self.prog} --help`")
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """Parses a command line; unknown arguments are errors of the command they belong to."""
+        found, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            name = unknown[0].partition("=")[0]
+            if name.startswith("-"):
+                self.error(_unknown("option", name, self._option_string_actions))
+            self.error(f"unexpected argument {name!r}")
+        return found, unknown
+
+    def _check_value(self, action: argparse.Action, value: object) -> None:
+        if action.choices is not None and value not in action.choices:
+            if isinstance(action, argparse._SubParsersAction):
+                self.error(_unknown(str(action.metavar).lower(), value, action.choices))
+            known = ", ".join(map(str, action.choices))
+            raise argparse.ArgumentError(action, f"{value!r} is not one of {known}")
+
+
+def _unknown(kind: str, name: object, known: Collection[str]) -> str:
+    """The error for an unknown name, without the list of all."""
+    return str(unknown_name(kind, name, known)).partition(" Known: ")[0]
 
 
 def option(default: Any = None, **keywords: Any) -> Any:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
-from stkzoo.errors import ConfigError, check_number, unknown_name
+from stkzoo.errors import ConfigError, check_arguments, check_number, unknown_name
 from stkzoo.names import CameraMode
 
 __all__ = ["AgentSpec", "RandomStart", "Start"]
@@ -15,6 +15,7 @@ __all__ = ["AgentSpec", "RandomStart", "Start"]
 _MAX_START_SPEED = 25.0
 
 
+@check_arguments
 @dataclass
 class AgentSpec:
     """One agent of a race. Fields may be set after construction, until the next reset.
@@ -67,6 +68,7 @@ class AgentSpec:
         return cls(**value)  # type: ignore[arg-type]
 
 
+@check_arguments
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Start:
     """A place on the track to start from, and how fast.
@@ -103,6 +105,7 @@ class Start:
         check_number("behind of a start", self.behind, 0.0, 2e3)
 
 
+@check_arguments
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RandomStart:
     """Starts drawn at every reset, each number uniformly between two bounds.

@@ -23,12 +23,14 @@ text alone, and pickled.
 from __future__ import annotations
 
 import difflib
+import functools
 import importlib
+import inspect
 import math
 import numbers
 import operator
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, TypeVar
 
 __all__ = [
     "ActionError",
@@ -44,10 +46,14 @@ __all__ = [
     "ProtocolError",
     "RemoteError",
     "StkzooError",
+    "check_arguments",
     "check_whole",
     "import_extra",
     "unknown_name",
 ]
+
+
+Kind = TypeVar("Kind", bound=type)
 
 
 class StkzooError(Exception):
@@ -223,3 +229,19 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> ConfigError:
     near = difflib.get_close_matches(str(name), known, n=1)
     hint = f" Did you mean {near[0]!r}?" if near else ""
     return ConfigError(f"unknown {kind} {name!r}.{hint} Known: {', '.join(known)}.")
+
+
+def check_arguments(kind: Kind) -> Kind:
+    """Decorates a class: an unknown keyword is a ``ConfigError`` that names the nearest one."""
+    make: Any = kind.__init__  # type: ignore[misc]
+    known = list(inspect.signature(make).parameters)[1:]
+
+    @functools.wraps(make)
+    def checked(self: object, *values: object, **keywords: object) -> None:
+        for name in keywords:
+            if name not in known:
+                raise unknown_name("argument", name, known)
+        make(self, *values, **keywords)
+
+    kind.__init__ = checked  # type: ignore[misc]
+    return kind

@@ -5,10 +5,12 @@ import pickle
 import re
 from pathlib import Path
 
+import gymnasium as gym
 import pytest
 
 import stkzoo
-from stkzoo import errors
+from stkzoo import errors, race_v0
+from stkzoo.race import run_race
 
 ALL = [getattr(errors, name) for name in errors.__all__]
 CLASSES = [entry for entry in ALL if isinstance(entry, type)]
@@ -86,3 +88,23 @@ def test_a_number_out_of_its_bounds_is_refused(value):
 def test_a_number_within_bounds_is_given_as_a_float():
     assert [errors.check_number("share", value, 0, 1) for value in (0, 0.5, 1)] == [0.0, 0.5, 1.0]
     assert errors.check_number("reach", float("inf"), is_finite=False) == float("inf")
+
+
+@pytest.mark.parametrize(
+    ("make", "wrong", "meant"),
+    [
+        (race_v0.parallel_env, "numkart", "num_kart"),
+        (race_v0.env, "tracks", "track"),
+        (lambda **options: gym.make("supertuxkart/simple-v0", **options), "lap", "laps"),
+        (lambda **options: gym.make("supertuxkart/multi-full-v0", **options), "agent", "agents"),
+        (lambda **options: stkzoo.RaceVectorEnv(2, **options), "revers", "reverse"),
+        (lambda **options: run_race(["ai"], **options), "max_step", "max_steps"),
+        (stkzoo.AgentSpec, "rankstart", "rank_start"),
+        (stkzoo.Start, "distanc", "distance"),
+    ],
+)
+def test_an_unknown_keyword_is_one_line_with_what_was_meant(make, wrong, meant):
+    with pytest.raises(errors.ConfigError) as caught:
+        make(**{wrong: 1})
+    assert f"{wrong!r}. Did you mean {meant!r}?" in str(caught.value)
+    assert "\n" not in str(caught.value)

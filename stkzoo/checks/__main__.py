@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
@@ -11,7 +10,7 @@ from dataclasses import asdict, dataclass
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from stkzoo._arguments import add_options, option, positional
+from stkzoo._arguments import CommandParser, add_options, option, positional
 from stkzoo.checks import CHECKS
 from stkzoo.checks.play import CheckResult, EnvFactory, bind, load_factory, run_check, takes
 from stkzoo.errors import ConfigError, StkzooError, unknown_name
@@ -65,8 +64,8 @@ class ChecksArguments:
     json: bool = False
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def _parser() -> CommandParser:
+    parser = CommandParser(
         prog="python -m stkzoo.checks",
         description="Checks a ParallelEnv: spaces, ends, memory, determinism, API usage.",
         epilog="Exit code: 0 if nothing failed, 1 if something did, 2 for a bad command line.",

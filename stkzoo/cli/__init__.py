@@ -14,13 +14,14 @@ Modules are light to import: ``add_arguments`` and ``run`` import what is heavy.
 
 from __future__ import annotations
 
-import argparse
+import os
 import pkgutil
 import sys
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.metadata import version
 
+from stkzoo._arguments import CommandParser
 from stkzoo.cli._arguments import add_command
 from stkzoo.errors import StkzooError
 
@@ -48,18 +49,17 @@ exit codes:
 """
 
 
-def build_parser(command: str | None = None) -> argparse.ArgumentParser:
+def build_parser(command: str | None = None) -> CommandParser:
     """The parser of the command line.
 
     Args:
         command: the command that will be parsed; the others are listed, but without their
             arguments. ``None`` for the arguments of all commands.
     """
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         prog="stkzoo",
         description="Multi-agent kart racing on the real SuperTuxKart engine.",
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"stkzoo {version('stkzoo')}")
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
@@ -69,7 +69,7 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
         child = add_command(subparsers, name, module, **options)
         if command in (None, name):
             module.add_arguments(child)
-            child.set_defaults(run=getattr(module, "run", None), fail=child.error)
+            child.set_defaults(run=getattr(module, "run", None), fail=child.fail)
     return parser
 
 
@@ -80,10 +80,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: the words after the program's name; ``None`` for the process's own.
 
     Returns:
-        0 for success, 1 for failure, 2 for an invalid command line, 130 after an interrupt from
-        the keyboard.
+        0 for success, 1 for failure (also where the reader of its output is gone, as with
+        ``| head``), 2 for an invalid command line, 130 after an interrupt from the keyboard.
     """
     words = sys.argv[1:] if argv is None else list(argv)
+    try:
+        code = _run(words)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    return code
+
+
+def _run(words: list[str]) -> int:
     try:
         arguments = build_parser(words[0] if words else "").parse_args(words)
         return int(arguments.run(arguments))

@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any
 
-from stkzoo._arguments import add_options, option
+from stkzoo._arguments import CommandParser, add_options, option
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceSettings
 
@@ -34,11 +34,11 @@ def usage_errors(run: Run) -> Run:
 
 
 def add_command(
-    subparsers: argparse._SubParsersAction[argparse.ArgumentParser],
+    subparsers: argparse._SubParsersAction[CommandParser],
     name: str,
     documented: object,
     **options: Any,
-) -> argparse.ArgumentParser:
+) -> CommandParser:
     """Adds the parser of a command or an action.
 
     Args:
@@ -55,12 +55,11 @@ def add_command(
         help=summary[:1].lower() + summary[1:].rstrip("."),
         description=description.rstrip() or summary,
         epilog=heading.lower() + examples,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
         **options,
     )
 
 
-def add_actions(parser: argparse.ArgumentParser, *actions: Run) -> list[argparse.ArgumentParser]:
+def add_actions(parser: CommandParser, *actions: Run) -> list[CommandParser]:
     """Adds the actions of a command, such as ``install`` of ``stkzoo assets install``.
 
     Args:

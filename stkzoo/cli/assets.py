@@ -30,7 +30,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stkzoo._arguments import add_options, option
+from stkzoo._arguments import CommandParser, add_options, option
 from stkzoo.cli._arguments import add_actions
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ class InstallArguments:
     force: bool = False
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     status, install, pack, clean = add_actions(parser, _status, _install, _pack, _clean)
     status.add_argument("--names", action="store_true", help="list the tracks and karts by name")

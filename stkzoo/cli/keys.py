@@ -15,10 +15,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from stkzoo._arguments import CommandParser
 from stkzoo.cli._arguments import add_actions
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     new, show = add_actions(parser, _new, _show)
     new.add_argument("name", metavar="NAME", help="of the two files")

@@ -29,7 +29,7 @@ from stkzoo.env.grid import draw_race
 from stkzoo.env.options import MAX_CAMERAS, RaceOptions, check_agents, random_stream
 from stkzoo.env.rendering import RENDER_MODES, Rendering, frame_rate
 from stkzoo.env.starts import MAX_START_DRAWS, is_random
-from stkzoo.errors import ApiOrderError, ConfigError, check_number, check_whole
+from stkzoo.errors import ApiOrderError, ConfigError, check_arguments, check_number, check_whole
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.mdp.state import state_space
 from stkzoo.views import sees_ground, views_of_agents
@@ -41,6 +41,7 @@ logger = logging.getLogger(__name__)
 Observations = dict[str, Any]
 
 
+@check_arguments
 class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
     """One race of SuperTuxKart in which every agent drives a kart.
 

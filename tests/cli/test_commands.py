@@ -1,5 +1,7 @@
 """The command line is made of its modules: a new module is a new command."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -28,6 +30,33 @@ def test_only_the_arguments_of_the_command_at_hand_are_declared(command):
     assert declared == [command]
 
 
-def test_an_unknown_command_is_a_usage_error(capsys):
-    assert main(["tournement"]) == 2
-    assert "tournament" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (["tournement"], "tournament"),
+        (["assets", "instal"], "install"),
+        (["race", "heuristic", "--trak", "lighthouse"], "--track"),
+        (["race", "heuristic", "--outptu=a.json"], "--output"),
+        (["assets", "pack", "--outptu", "x"], "--output"),
+        (["race", "ai", "--error-handling", "ctch"], "catch"),
+    ],
+)
+def test_what_is_unknown_is_one_line_with_what_was_meant(words, meant, capsys):
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert meant in said
+    assert "--help`" in said
+
+
+@pytest.mark.parametrize("words", [["tracks"], ["tracks", "--json"], ["race", "--help"]])
+def test_a_reader_that_is_gone_is_no_traceback(words):
+    program = subprocess.Popen(
+        [sys.executable, "-c", "import sys, stkzoo.cli; sys.exit(stkzoo.cli.main())", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    program.stdout.close()
+    with program.stderr:
+        assert program.stderr.read() == b""
+    assert program.wait() in (0, 1)  # argparse swallows it

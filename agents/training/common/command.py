@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from stkzoo._arguments import add_options, values_of
+from stkzoo._arguments import CommandParser, add_options, values_of
 from stkzoo.errors import StkzooError, import_extra
 
 
@@ -33,11 +32,8 @@ def run_command(
         The exit code.
     """
     own = {"league": "stkzoo league"}
-    parser = argparse.ArgumentParser(
-        prog=own.get(module, f"python -m stkzoo.agents.training.{module}"),
-        description=description,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    prog = own.get(module, f"python -m stkzoo.agents.training.{module}")
+    parser = CommandParser(prog=prog, description=description)
     for kind in kinds:
         add_options(parser, kind)
     values = parser.parse_args(words)
