@@ -26,8 +26,10 @@ __all__ = [
     "LockedTemporaryDirectory",
     "atomic_write",
     "check_display",
+    "check_writable",
     "cpu_count",
     "file_digest",
+    "has_display",
     "read_zip",
     "remove_stale_directories",
     "try_lock",
@@ -49,6 +51,12 @@ def cpu_count() -> int:
     return os.cpu_count() or 1
 
 
+def has_display() -> bool:
+    """Whether a window can be opened."""
+    names = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
+    return sys.platform != "linux" or any(map(os.environ.get, names))
+
+
 def check_display(need: str, alternative: str = "") -> None:
     """Checks that there is a display for a window.
 
@@ -59,12 +67,34 @@ def check_display(need: str, alternative: str = "") -> None:
     Raises:
         ConfigError: there is none.
     """
-    names = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
-    if sys.platform == "linux" and not any(map(os.environ.get, names)):
+    if not has_display():
         raise ConfigError(
             f"{need}, but neither DISPLAY nor WAYLAND_DISPLAY names a display; start a desktop "
             f"session, or use `xvfb-run`{alternative}"
         )
+
+
+def check_writable(path: str | os.PathLike[str], noun: str) -> Path:
+    """Checks before the work that a file can be written when it is done.
+
+    Args:
+        path: the file; it may exist.
+        noun: what it is, such as ``"the result"``, for the message.
+
+    Raises:
+        ConfigError: it is a folder, a device or a pipe, or its folder is missing or not writable.
+    """
+    file = Path(path)
+    folder = file.absolute().parent
+    if file.exists() and not file.is_file():
+        remedy = "it is not a regular file; choose another name"
+    elif not folder.is_dir():
+        remedy = f"there is no folder {str(folder)!r}; make it first"
+    elif not os.access(folder, os.W_OK):
+        remedy = f"the folder {str(folder)!r} is not writable; choose another one"
+    else:
+        return file
+    raise ConfigError(f"{noun} cannot be written to {str(path)!r}: {remedy}")
 
 
 @contextlib.contextmanager

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 from stkzoo._arguments import add_options, option
+from stkzoo._os import check_display
 from stkzoo.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -55,18 +56,22 @@ class WindowArguments:
     hide: bool = option(False, rivals="window")
 
 
+def _number_of_cameras(text: str) -> int | None:
+    return None if text == "auto" else int(text)
+
+
 @dataclass
 class VideoArguments:
     """Options of a video.
 
     Attributes:
-        cameras: agents with a camera, 1 to 8 (default: up to 4)
+        cameras: agents with a camera, 1 to 8 (default: auto, up to 4)
         screen_width: width of the picture
         screen_height: height of the picture
         render_sub_steps: pictures per step, with ten steps per second
     """
 
-    cameras: int | None = None
+    cameras: int | None = option(metavar="N", type=_number_of_cameras)
     screen_width: int = option(854, metavar="PIXELS")
     screen_height: int = option(480, metavar="PIXELS")
     render_sub_steps: int = 3
@@ -100,6 +105,7 @@ def add_viewing_options(parser: argparse.ArgumentParser, video_option: str) -> N
     formats = ".mp4, .mkv, .avi, .webm, .ogv, .mov, .gif"
     video.add_argument(video_option, dest="video", metavar="FILE", help=f"make a video: {formats}")
     add_options(video, VideoArguments)
+    parser.set_defaults(video_option=video_option)
     add_options(parser.add_argument_group("a live page in the browser"), LivePageArguments)
 
 
@@ -110,6 +116,10 @@ def viewing_listeners(arguments: argparse.Namespace) -> list[RaceListener]:
         ConfigError: a value is invalid, the port is in use, or a library is missing.
     """
     found: list[RaceListener] = []
+    if arguments.video is None:
+        _check_unused(arguments, VideoArguments, arguments.video_option)
+    if not arguments.web:
+        _check_unused(arguments, LivePageArguments, "--web")
     if arguments.window:
         found.append(_window())
     if arguments.video is not None:
@@ -119,7 +129,18 @@ def viewing_listeners(arguments: argparse.Namespace) -> list[RaceListener]:
     return found
 
 
+def _check_unused(arguments: argparse.Namespace, kind: type, needed: str) -> None:
+    """Refuses options that do nothing without another one."""
+    for entry in fields(kind):
+        if getattr(arguments, entry.name) != entry.default:
+            option = "--" + entry.name.replace("_", "-")
+            raise ConfigError(
+                f"{option} does nothing without {needed}; add {needed}, or leave it out"
+            )
+
+
 def _window() -> RaceListener:
+    check_display("--window opens the game's window", ", or --record FILE for a video")
     from stkzoo.race import RaceListener
 
     class Window(RaceListener):

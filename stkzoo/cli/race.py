@@ -36,7 +36,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from stkzoo._arguments import add_options, option, positional, values_of
-from stkzoo._os import write_whole
+from stkzoo._os import check_writable, write_whole
 from stkzoo.cli import _race_options
 from stkzoo.cli._arguments import usage_errors
 from stkzoo.errors import AgentError, ConfigError, StkzooError
@@ -144,6 +144,8 @@ def _plan(
     """For each race the drivers, and the settings of :func:`stkzoo.race.run_race`."""
     if arguments.demo and arguments.drivers:
         raise ConfigError("--demo brings its own drivers; leave out --demo or the drivers")
+    if arguments.output not in (None, "-"):
+        check_writable(arguments.output, "the result")
     if arguments.races < 1:
         raise ConfigError(f"--races is {arguments.races}, expected 1 or more")
     drivers = [*remote, *(_DEMO_DRIVERS if arguments.demo else arguments.drivers)]

@@ -115,6 +115,8 @@ def find_driver(text: str, *, inline: bool = False, adapter: str | None = None) 
         raise ConfigError(
             f"driver {text!r} has no name after {_NAME_MARK}; write one or leave it out"
         )
+    if adapter is not None and not Path(adapter).is_file():
+        raise ConfigError(f"there is no adapter {adapter!r}; expected the path of a Python file")
     driver = _find(source, inline, None if adapter is None else str(Path(adapter).resolve()))
     return replace(driver, source=source, name=name or driver.name)
 
@@ -136,8 +138,6 @@ def _find(source: str, inline: bool, adapter: str | None) -> Driver:
         return Driver(source, start, sees_ground=env_sees_ground(env_name))
     if source.startswith(f"{_PRETRAINED}:"):
         raise unknown_name("driver", source, driver_names())
-    if adapter is not None and not Path(adapter).is_file():
-        raise ConfigError(f"there is no adapter {adapter!r}; expected the path of a Python file")
     files = find_files(source)
     if files is None:
         raise _unknown(source)

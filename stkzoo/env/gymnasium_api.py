@@ -58,7 +58,8 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
         options.setdefault("max_cycles", None)
         self.core = RaceParallelEnv(agents=agents, **options)
         self.render_mode = self.core.render_mode
-        self.metadata = {**self.metadata, "render_fps": self.core.metadata["render_fps"]}
+        drawn = {key: self.core.metadata[key] for key in ("render_modes", "render_fps")}
+        self.metadata = {**self.metadata, **drawn}
 
     @classmethod
     def initialize(

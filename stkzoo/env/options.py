@@ -148,7 +148,7 @@ def camera_mode(agent: AgentSpec) -> CameraMode:
     """The agent's camera mode, also when it is given as pystk2's own kind or by name."""
     mode: object = agent.camera_mode
     try:
-        return CameraMode[mode if isinstance(mode, str) else getattr(mode, "name", "")]
+        return CameraMode[mode.upper() if isinstance(mode, str) else getattr(mode, "name", "")]
     except KeyError:
         raise ConfigError(
             f"camera_mode is {agent.camera_mode!r}, expected one of "

@@ -27,7 +27,7 @@ from stkzoo.env.cameras import RaceCameras
 from stkzoo.env.episode import Episode, rewards_of_agents
 from stkzoo.env.grid import draw_race
 from stkzoo.env.options import MAX_CAMERAS, RaceOptions, check_agents, random_stream
-from stkzoo.env.rendering import RENDER_MODES, Rendering, frame_rate
+from stkzoo.env.rendering import RENDER_MODES, Rendering, available_modes, frame_rate
 from stkzoo.env.starts import MAX_START_DRAWS, is_random
 from stkzoo.errors import ApiOrderError, ConfigError, check_arguments, check_number, check_whole
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
@@ -59,7 +59,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         reward: see :mod:`stkzoo.mdp.rewards`.
         render_mode: ``"rgb_array"``: :meth:`render` gives a picture; ``"rgb_array_list"``: the
             pictures since the last call or reset; ``"human"``: the game's window follows the
-            race; ``None`` shows nothing. No mode changes a race.
+            race; ``None`` shows nothing. No mode changes a race. Where there is no display,
+            ``metadata["render_modes"]`` leaves ``"human"`` out and ``reset`` refuses it.
         num_cameras: how many agents have a camera, at most 8; with 0 those that ask for one,
             or the first agent.
         render_backend: what draws pictures: ``"engine"``, the game; ``"map"``, the race from
@@ -119,7 +120,11 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         engine_timeout = check_number("engine_timeout", engine_timeout, 1e-3, 1e6)
         BranchingRace.__init__(self, max_snapshots)
         self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": frame_rate(self.options.step_size)}
+        self.metadata = {
+            **self.metadata,
+            "render_modes": available_modes(),
+            "render_fps": frame_rate(self.options.step_size),
+        }
         self._rendering = Rendering(render_mode, render_backend, render_size, graphics_config)
         self._num_cameras = num_cameras
         self._assets = find_assets()
@@ -174,7 +179,11 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
 
         Returns:
             Observations and infos by agent.
+
+        Raises:
+            ConfigError: an option is invalid, or there is no display for ``"human"``.
         """
+        self._rendering.check()
         if seed is not None or self._np_random is None:
             self._np_random = random_stream(seed)
         options = {} if options is None else options

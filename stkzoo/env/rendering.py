@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._os import check_display
+from stkzoo._os import check_display, has_display
 from stkzoo.engine.render_session import has_graphics_card
 from stkzoo.env.episode import Episode
 from stkzoo.errors import ApiOrderError, ConfigError, unknown_name
@@ -21,6 +21,7 @@ from stkzoo.wrappers.camera import checked_size
 RENDER_MODES = ("human", "rgb_array", "rgb_array_list")
 
 _PRESETS = ("ld", "sd", "hd")
+
 
 Picture = npt.NDArray[np.uint8]
 
@@ -54,6 +55,15 @@ class Rendering:
     def backend(self) -> str:
         """What draws; see :attr:`stkzoo.render.renderer.RaceRenderer.backend`."""
         return self._renderer.backend
+
+    def check(self) -> None:
+        """Checks before a race that it can be shown.
+
+        Raises:
+            ConfigError: there is no display for the window.
+        """
+        if self.mode == "human":
+            check_display("render_mode is 'human'", " or render_mode=None")
 
     def reset(self, episode: Episode) -> None:
         """An episode has begun."""
@@ -104,6 +114,11 @@ class Rendering:
         self._renderer.close()
 
 
+def available_modes() -> list[str]:
+    """The render modes that work on this machine: without a display there is no window."""
+    return [mode for mode in RENDER_MODES if mode != "human" or has_display()]
+
+
 def scene_of(episode: Episode) -> Scene:
     """The episode's race as pictures need it."""
     race = episode.race
@@ -120,7 +135,7 @@ def check_render_mode(mode: str | None, backend: str) -> None:
     """Checks a render mode and who is to draw.
 
     Raises:
-        ConfigError: they are invalid, or there is no display for a window.
+        ConfigError: they are invalid.
     """
     if mode is not None and not (isinstance(mode, str) and mode in RENDER_MODES):
         raise ConfigError(
@@ -128,14 +143,11 @@ def check_render_mode(mode: str | None, backend: str) -> None:
         )
     if not (isinstance(backend, str) and backend in BACKENDS):
         raise unknown_name("render_backend", backend, BACKENDS)
-    if mode != "human":
-        return
-    if backend == "map":
+    if mode == "human" and backend == "map":
         raise ConfigError(
             'render_mode="human" opens the game\'s window, but render_backend is "map"; take '
             'render_mode="rgb_array" for pictures of the map, or another render_backend'
         )
-    check_display("render_mode is 'human'", " or render_mode=None")
 
 
 def drawing_preset(mode: str | None, choice: Any) -> str | dict[str, Any]:

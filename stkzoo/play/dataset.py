@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import stkzoo
-from stkzoo._os import write_whole
+from stkzoo._os import check_writable, write_whole
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import columns_of, kart_action_space, kart_observation_space
 from stkzoo.race import RaceListener, RaceProgress, RaceResult
@@ -39,8 +39,7 @@ class DatasetWriter(RaceListener):
         self._path = Path(path)
         if self._path.suffix != ".npz":
             raise ConfigError(f"the dataset is {path!r}, expected a path that ends in .npz")
-        if not self._path.absolute().parent.is_dir():
-            raise ConfigError(f"the dataset is {path!r}, but its folder does not exist; make it")
+        check_writable(path, "the dataset")
         self._view = view
         seen = kart_observation_space(sees_ground=sees_ground(VIEWS[view]))
         self._chain = AgentChain(_AGENT, seen, kart_action_space(), VIEWS[view])

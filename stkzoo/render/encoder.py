@@ -14,7 +14,7 @@ from typing import IO, NoReturn, cast
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._os import write_whole
+from stkzoo._os import check_writable, write_whole
 from stkzoo.engine.process import open_log, tail
 from stkzoo.errors import ConfigError, StkzooError
 
@@ -53,11 +53,7 @@ def check_video_path(path: str | os.PathLike[str]) -> Path:
             f"a video's name is {path.name!r}, expected one that ends with one of "
             f"{', '.join(FORMATS)}"
         )
-    folder = path.absolute().parent
-    if not folder.is_dir():
-        raise ConfigError(f"there is no folder {str(folder)!r} for the video; make it first")
-    if path.is_dir() or not os.access(folder, os.W_OK):
-        raise ConfigError(f"{str(path)!r} cannot be written; choose another name or folder")
+    check_writable(path, "the video")
     _ffmpeg()
     return path
 

@@ -60,13 +60,6 @@ def test_cameras_that_are_asked_for_are_left_alone(agents, options):
     assert cameras(agents, has_window=True, **options) == expected
 
 
-def test_a_window_without_a_display_is_refused(monkeypatch):
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
-        monkeypatch.delenv(name, raising=False)
-    with pytest.raises(ConfigError, match="xvfb-run"):
-        race_v0.parallel_env(render_mode="human")
-
-
 def test_agent_specs_may_be_changed_until_the_next_reset():
     spec = AgentSpec()
     with race_v0.parallel_env(agents=[spec], num_kart=2, track="olivermath") as env:

@@ -55,7 +55,7 @@ def race(env, steps=30, seed=7):
 @pytest.mark.parametrize("env_id", IDS)
 def test_check_env_passes_without_another_warning(env_id):
     with gym.make(env_id, **OPTIONS) as env:
-        # "human" needs a display; test_render.py has the check with the other modes.
+        # test_render.py has the check with pictures.
         check_env(env.unwrapped, skip_render_check=True)
 
 

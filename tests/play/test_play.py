@@ -322,7 +322,7 @@ def test_dict_actions_become_one_array_an_entry(tmp_path):
         ({"view": "flat"}, "view 'flat'"),
         ({"size": (1, 2)}, "size is"),
         ({"dataset": "me.csv"}, "ends in .npz"),
-        ({"dataset": "nowhere/me.npz"}, "its folder does not exist"),
+        ({"dataset": "nowhere/me.npz"}, "there is no folder"),
         ({"dataset": "me.npz", "view": "full"}, "differ in size"),
     ],
 )

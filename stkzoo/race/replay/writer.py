@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
+from stkzoo._os import check_writable
 from stkzoo.engine.assets import find_assets
 from stkzoo.engine.snapshot import CONTROLS
-from stkzoo.errors import ConfigError
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.replay.file import (
     DIGEST_SIZE,
@@ -32,16 +31,11 @@ class ReplayWriter(RaceListener):
         path: the file; written when the race is over, replacing an older one.
 
     Raises:
-        ConfigError: its folder does not exist, or it is a folder itself.
+        ConfigError: it cannot be written.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
-        if self.path.is_dir() or not self.path.absolute().parent.is_dir():
-            raise ConfigError(
-                f"the replay cannot be written as {str(path)!r}; expected a file's name in an "
-                "existing folder"
-            )
+        self.path = check_writable(path, "the replay")
         self._head: Replay | None = None
         self._first_digest = b""
         self._steps: list[tuple[list[list[float]], bytes]] = []  # controls and digest of each
