@@ -14,9 +14,9 @@ own, when an environment is made.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from stkzoo._lazy import lazy_names
 from stkzoo.config import AgentSpec, RandomStart, Start
 from stkzoo.env.ids import register_ids, register_view
 from stkzoo.errors import (
@@ -101,24 +101,16 @@ __all__ = [
     "register_view",
 ]
 
-#: Names that are loaded when they are first used.
-_LAZY = {
-    "RaceParallelEnv": "stkzoo.env.parallel",
-    "RaceState": "stkzoo.env.state",
-    "RaceVectorEnv": "stkzoo.env.vec.env",
-    "Reward": "stkzoo.mdp.rewards",
-    "STKRaceEnv": "stkzoo.env.gymnasium_api",
-    "STKRaceMultiEnv": "stkzoo.env.gymnasium_api",
-    "Scenario": "stkzoo.env.scenario",
-    "StartCurriculum": "stkzoo.env.starts",
-    "make_stkrace_vec": "stkzoo.env.vector",
+_HOMES = {
+    "stkzoo.env.gymnasium_api": ("STKRaceEnv", "STKRaceMultiEnv"),
+    "stkzoo.env.parallel": ("RaceParallelEnv",),
+    "stkzoo.env.scenario": ("Scenario",),
+    "stkzoo.env.starts": ("StartCurriculum",),
+    "stkzoo.env.state": ("RaceState",),
+    "stkzoo.env.vec.env": ("RaceVectorEnv",),
+    "stkzoo.env.vector": ("make_stkrace_vec",),
+    "stkzoo.mdp.rewards": ("Reward",),
 }
-
-
-def __getattr__(name: str) -> Any:
-    if name in _LAZY:
-        return getattr(importlib.import_module(_LAZY[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
+__getattr__ = lazy_names(__name__, _HOMES)
 
 register_ids()

@@ -5,55 +5,20 @@ from __future__ import annotations
 import sys
 from types import ModuleType
 
-from stkzoo._pystk2_gymnasium import (
-    definitions,
-    envs,
-    stk_wrappers,
-    utils,
-    vecenv,
-    wrappers,
-)
-from stkzoo._pystk2_gymnasium.definitions import (
-    ActionObservationWrapper,
-    AgentException,
-    AgentSpec,
-    CameraMode,
-)
-from stkzoo._pystk2_gymnasium.stk_wrappers import (
-    ConstantSizedObservations,
-    DiscreteActionsWrapper,
-    OnlyContinuousActionsWrapper,
-    PolarObservations,
-)
-from stkzoo._pystk2_gymnasium.vecenv import make_stkrace_vec
-from stkzoo._pystk2_gymnasium.wrappers import (
-    FlattenerWrapper,
-    FlattenMultiDiscreteActions,
-    MonoAgentWrapperAdapter,
-)
+from stkzoo._pystk2_gymnasium import definitions, envs, stk_wrappers, utils, vecenv, wrappers
 
 __version__ = "0.10.0"
 
-__all__ = [
-    "ActionObservationWrapper",
-    "AgentException",
-    "AgentSpec",
-    "CameraMode",
-    "ConstantSizedObservations",
-    "DiscreteActionsWrapper",
-    "FlattenMultiDiscreteActions",
-    "FlattenerWrapper",
-    "MonoAgentWrapperAdapter",
-    "OnlyContinuousActionsWrapper",
-    "PolarObservations",
-    "definitions",
-    "envs",
-    "make_stkrace_vec",
-    "stk_wrappers",
-    "utils",
-    "vecenv",
-    "wrappers",
-]
+#: The package itself has the names of these modules too.
+_NAMES = {
+    name: value
+    for module in (definitions, stk_wrappers, vecenv, wrappers)
+    for name, value in vars(module).items()
+    if not name.startswith("_")
+}
+globals().update(_NAMES)
+
+__all__ = ["definitions", "envs", "stk_wrappers", "utils", "vecenv", "wrappers", *_NAMES]
 
 
 def modules() -> dict[str, ModuleType]:

@@ -7,8 +7,9 @@ kernel and the modules directly in ``stkzoo``, so that an engine process starts 
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from stkzoo._lazy import lazy_names
 
 if TYPE_CHECKING:
     from stkzoo.engine.session import WorkerSession
@@ -25,18 +26,11 @@ __all__ = [
     "decode_track",
 ]
 
-#: Modules of the names, loaded when they are first used: an engine process needs few.
+# An engine process needs few of them.
 _HOMES = {
-    "KartSetup": "setup",
-    "RaceSetup": "setup",
-    "Snapshot": "snapshot",
-    "TrackMap": "track",
-    "WorkerSession": "session",
-    "decode_track": "track",
+    "stkzoo.engine.session": ("WorkerSession",),
+    "stkzoo.engine.setup": ("KartSetup", "RaceSetup"),
+    "stkzoo.engine.snapshot": ("Snapshot",),
+    "stkzoo.engine.track": ("TrackMap", "decode_track"),
 }
-
-
-def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = lazy_names(__name__, _HOMES)

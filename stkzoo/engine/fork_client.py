@@ -8,7 +8,6 @@ import json
 import os
 import select
 import socket
-import subprocess
 import sys
 import threading
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from stkzoo.engine.process import (
     explain_os_errors,
     open_log,
     spawn_interpreter,
+    stop,
     tail,
 )
 from stkzoo.errors import EngineCrashed, EngineTimeout
@@ -148,19 +148,10 @@ class ForkServerClient:
             return int(status)
         return None
 
-    def drop_child(self, pid: int) -> None:
-        """Ends a child without waiting for it."""
-        with contextlib.suppress(OSError):
-            wire.send(self._control, wire.DROP, str(pid).encode())
-
     def close(self) -> None:
         """Ends the fork server and with it all its children."""
         self._control.close()
-        try:
-            self._process.wait(2.0)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        stop(self._process, 2.0)
         self._home.close()
         self._log.close()
 
@@ -188,7 +179,8 @@ class _ForkedProcess(RaceProcess):
         return "was lost" if status is None else describe_end(os.waitstatus_to_exitcode(status))
 
     def drop(self) -> None:
-        self.fork_server.drop_child(self.pid)
+        with contextlib.suppress(OSError):
+            wire.send(self.fork_server._control, wire.DROP, str(self.pid).encode())
         self._free()
 
     def fork(self) -> RaceProcess:

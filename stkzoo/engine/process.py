@@ -235,11 +235,7 @@ class SpawnedProcess(RaceProcess):
     def end(self) -> str:
         """See :meth:`RaceProcess.end`."""
         self.connection.close()
-        try:
-            self._process.wait(0.2)
-        except subprocess.TimeoutExpired:
-            self._kill()
-        self._home.close()
+        self._kill(patience=0.2)
         return describe_end(self._process.returncode)
 
     def drop(self) -> None:
@@ -247,10 +243,18 @@ class SpawnedProcess(RaceProcess):
         self._kill()
         self._free()
 
-    def _kill(self) -> None:
-        self._process.kill()
-        self._process.wait()
+    def _kill(self, patience: float = 0.0) -> None:
+        stop(self._process, patience)
         self._home.close()
+
+
+def stop(process: subprocess.Popen[bytes], patience: float) -> None:
+    """Waits so many seconds for a process to end by itself, then kills it."""
+    try:
+        process.wait(patience)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 def describe_end(returncode: int) -> str:

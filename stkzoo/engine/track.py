@@ -48,7 +48,6 @@ class TrackMap:
         begins = np.cumsum([0, *map(len, self.successors)], dtype=np.intp)
         successors = np.array([node for nodes in self.successors for node in nodes], np.intp)
         self.graph = TrackGraph(*arrays, begins, successors, self.length)
-        self._orders: dict[int, IntArray] = {}
 
     @property
     def num_nodes(self) -> int:
@@ -68,13 +67,8 @@ class TrackMap:
         Returns:
             ``(A, P)`` indices; the first column is ``nodes``.
         """
-        rows = [self._ahead(node)[:max_paths] for node in nodes.tolist()]
+        rows = [self.graph.ahead(node)[:max_paths] for node in nodes.tolist()]
         return np.array(rows, np.intp).reshape(len(rows), -1)
-
-    def _ahead(self, node: int) -> IntArray:
-        if node not in self._orders:
-            self._orders[node] = self.graph.ahead(node)
-        return self._orders[node]
 
 
 def encode_track(track: Any) -> bytes:

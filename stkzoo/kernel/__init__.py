@@ -14,9 +14,10 @@ from __future__ import annotations
 import importlib
 import os
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from stkzoo.kernel.plan_table import PlanTable as PlanTable
+import numpy as np
+import numpy.typing as npt
 
 if TYPE_CHECKING:
     from stkzoo.kernel._kernel import *  # noqa: F403 - all names of the stub
@@ -46,6 +47,38 @@ def _extension() -> ModuleType | None:
         return importlib.import_module("stkzoo.kernel._kernel")
     except ImportError:
         return None
+
+
+class PlanTable(NamedTuple):
+    """The plans of all states: ``S`` states, ``T`` moments, ``C`` plans.
+
+    Attributes:
+        spans: ``(T,)`` how long the moments last [s].
+        least: ``(S, T, C)`` share of full lock that can be turned, positive to the right, from
+        most: ``(S, T, C)`` to this.
+        drifts: ``(S, T, C)`` 1 where the kart drifts.
+        releases: ``(S, T, C)`` 1 where it goes on turning after a drift.
+        slower: ``(S, T, C)`` change of speed [m/s].
+        lanes: ``(S, T, C)`` where to drive, -1 is the left edge of the road, 1 the right one.
+        items: ``(S, C)`` number of the item to drive over instead, -1 for none.
+        manoeuvres: ``(S, C)`` what the plan begins with; -1 is no plan.
+        boosts: ``(S, C)`` 0 if it earns the small boost, 1 if the big one, -1 if none.
+        boost_steps: ``(S, C)`` in how many steps.
+        needs_drift: ``(S, C)`` whether it is for karts that may begin a drift.
+    """
+
+    spans: npt.NDArray[np.float32]
+    least: npt.NDArray[np.float32]
+    most: npt.NDArray[np.float32]
+    drifts: npt.NDArray[np.float32]
+    releases: npt.NDArray[np.float32]
+    slower: npt.NDArray[np.float32]
+    lanes: npt.NDArray[np.float32]
+    items: npt.NDArray[np.intp]
+    manoeuvres: npt.NDArray[np.intp]
+    boosts: npt.NDArray[np.intp]
+    boost_steps: npt.NDArray[np.float32]
+    needs_drift: npt.NDArray[np.bool_]
 
 
 _compiled = _extension()

@@ -159,6 +159,7 @@ static int copy_numbers(PyObject *value, npy_intp count, void *to)
 static int copy_report(const GameStepper *self, PyObject *number, Kart *records)
 {
     const npy_intp kart = PyLong_AsSsize_t(number);
+    if (kart < 0 || kart >= self->num_kart) return refuse("there is no such kart to report");
     PyObject *action = PyObject_CallOneArg(self->report, number);
     int status = action ? 0 : -1;
     for (int i = 0; !status && i < NUM_CONTROLS; i++) {
@@ -375,15 +376,6 @@ static PyObject *stepper_serve(PyObject *self, PyObject *file)
 
 /* ---------------------------------------------------------------- the type */
 
-static int are_valid(const GameStepper *self)
-{
-    for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(self->reporting); i++) {
-        const npy_intp kart = PyLong_AsSsize_t(PyTuple_GET_ITEM(self->reporting, i));
-        if (kart < 0 || kart >= self->num_kart) return 0;
-    }
-    return PyTuple_GET_SIZE(self->controls) == NUM_CONTROLS;
-}
-
 /* GameStepper(race, world, actions, controls, phases, last_phase, reporting): the engine's race,
    world and a list of its actions, the names of the controls, the phases' numbers by the engine's
    own, and the karts whose control is reported. */
@@ -395,6 +387,7 @@ static int stepper_set_up(GameStepper *self, PyObject *args, PyObject *Py_UNUSED
                           &self->last_phase, &PyTuple_Type, &self->reporting)) {
         return -1;
     }
+    if (PyTuple_GET_SIZE(self->controls) != NUM_CONTROLS) return refuse("there are other controls");
     self->phase = self->last_phase - 1;
     const npy_intp size = PyList_GET_SIZE(self->actions) * NUM_CONTROLS;
     if (!(self->present = room_for(self, size, sizeof *self->present))) return -1;
@@ -410,7 +403,6 @@ static int stepper_set_up(GameStepper *self, PyObject *args, PyObject *Py_UNUSED
     PyObject *state = write_block(self, &block);
     int status = state ? find_places(self, block) : -1;
     Py_XDECREF(state);
-    if (!status && !are_valid(self)) status = refuse("the controls or karts do not fit the race");
     return status;
 }
 

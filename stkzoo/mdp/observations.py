@@ -112,6 +112,10 @@ _CHOICES = {
 }
 
 
+#: What :func:`own_state` gives.
+OWN_KEYS = (*_NUMBERS, *_CHOICES)
+
+
 def own_state(records: Any) -> Batch:
     """What karts know of themselves, from their records ``(A,)``."""
     count = len(records)
@@ -123,14 +127,13 @@ def own_state(records: Any) -> Batch:
 
 def ai_actions(snapshot: Snapshot, karts: IntArray) -> Batch:
     """What the game's AI chose for some karts that report it, as a batch of actions."""
-    control = snapshot.karts["control"][karts]
-    actions: Batch = {
-        "acceleration": control[:, 0:1],
-        "steer": control[:, 1:2],
-    }
-    for column, name in enumerate(CONTROLS[2:], start=2):
-        actions[name] = control[:, column].astype(np.int64)
-    return actions
+    return as_actions(snapshot.karts["control"][karts])
+
+
+def as_actions(controls: FloatArray) -> Batch:
+    """The game's own actions for controls ``(..., 7)``: numbers ``(..., 1)``, buttons ``(...)``."""
+    buttons = {name: controls[..., CONTROLS.index(name)].astype(np.int64) for name in CONTROLS[2:]}
+    return {"acceleration": controls[..., 0:1], "steer": controls[..., 1:2], **buttons}
 
 
 def _center_path(ends: FloatArray) -> Batch:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.names import AttachmentType, GroundKind, ItemType, Phase, PowerupType
 
 #: Observed power-up counts stop here; the game itself has shown up to 6.
@@ -34,11 +35,7 @@ def kart_action_space() -> spaces.Dict:
         {
             "acceleration": spaces.Box(0, 1, shape=(1,)),
             "steer": spaces.Box(-1, 1, shape=(1,)),
-            "brake": spaces.Discrete(2),
-            "drift": spaces.Discrete(2),
-            "fire": spaces.Discrete(2),
-            "nitro": spaces.Discrete(2),
-            "rescue": spaces.Discrete(2),
+            **{button: spaces.Discrete(2) for button in CONTROLS[2:]},
         }
     )
 

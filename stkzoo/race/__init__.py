@@ -8,8 +8,9 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from stkzoo._lazy import lazy_names
 
 if TYPE_CHECKING:
     from stkzoo.drivers import (
@@ -60,8 +61,8 @@ __all__ = [
     "run_race",
 ]
 
-#: Names by module, loaded when they are first used: the process of an agent needs few.
-_LAZY = {
+# The process of an agent needs few of them.
+_HOMES = {
     "stkzoo.drivers": (
         "Actor",
         "ActorMaker",
@@ -85,10 +86,4 @@ _LAZY = {
     "stkzoo.race.settings": ("ERROR_HANDLING", "RaceSettings"),
     "stkzoo.race.video": ("RaceFilm", "RaceVideo"),
 }
-_HOMES = {name: module for module, names in _LAZY.items() for name in names}
-
-
-def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        return getattr(importlib.import_module(_HOMES[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = lazy_names(__name__, _HOMES)

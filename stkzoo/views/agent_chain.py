@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import gymnasium as gym
@@ -12,7 +14,6 @@ from gymnasium import spaces
 from stkzoo.errors import ActionError, AgentError, AgentException
 from stkzoo.views.actions import read_action
 from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
-from stkzoo.views.memory import WrapperMemory
 from stkzoo.views.plan import ViewPlan
 from stkzoo.views.split_step import AgentStep, CompiledPart, MonoAgentEnv, SplitStep
 
@@ -37,6 +38,56 @@ def agent_failures(agent: str, doing: str) -> Iterator[None]:
             f"the wrappers of agent {agent!r} failed to {doing}: {type(error).__name__}: {error}",
             agent,
         ) from error
+
+
+@dataclass(frozen=True, slots=True)
+class WrapperMemory:
+    """The attributes of some objects at one moment, as copies.
+
+    Attributes:
+        owners: the objects.
+        attributes: their attributes, in the same order. References to an owner lead to the
+            owner itself, spaces are shared, and all else is a copy.
+    """
+
+    owners: tuple[Any, ...]
+    attributes: list[dict[str, Any]]
+
+    @classmethod
+    def of(cls, owners: Sequence[Any]) -> WrapperMemory:
+        """What some objects remember now.
+
+        Raises:
+            Exception: an attribute cannot be copied by :func:`copy.deepcopy`.
+        """
+        memo = {id(owner): owner for owner in owners}
+        return cls(tuple(owners), copy.deepcopy([vars(o) for o in owners], memo | _spaces(owners)))
+
+    def check(self, others: Sequence[Any]) -> None:
+        """Checks that other objects can remember this.
+
+        Raises:
+            TypeError: they are of other classes.
+        """
+        here, there = ([type(o) for o in objects] for objects in (self.owners, others))
+        if here != there:
+            raise TypeError(f"they are {_names(there)}; the state's were {_names(here)}")
+
+    def give_to(self, others: Sequence[Any]) -> None:
+        """Makes other objects, or the same ones, remember this; their spaces stay theirs.
+
+        Args:
+            others: objects of the same classes in the same order (:meth:`check`).
+        """
+        memo: dict[int, Any] = dict(zip(map(id, self.owners), others, strict=True))
+        for owner, other in zip(self.owners, others, strict=True):
+            for name, value in vars(owner).items():
+                if isinstance(value, spaces.Space):
+                    memo[id(value)] = vars(other).get(name, value)
+        copies = copy.deepcopy(self.attributes, memo)
+        for other, attributes in zip(others, copies, strict=True):
+            vars(other).clear()
+            vars(other).update(attributes)
 
 
 class AgentChain:
@@ -300,3 +351,12 @@ def _is_compiled(wrapper: Any) -> bool:
         and wrapper.keeps_promise()
         and _has_plain_step(wrapper)  # type: ignore[arg-type]
     )
+
+
+def _spaces(owners: Sequence[Any]) -> dict[int, Any]:
+    values = [value for owner in owners for value in vars(owner).values()]
+    return {id(value): value for value in values if isinstance(value, spaces.Space)}
+
+
+def _names(kinds: list[type]) -> str:
+    return ", ".join(kind.__name__ for kind in kinds) or "pure functions"

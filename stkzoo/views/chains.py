@@ -12,7 +12,7 @@ from gymnasium import spaces
 
 from stkzoo.errors import ActionError, AgentException
 from stkzoo.kernel import ActionReader, CarController
-from stkzoo.views.memory import WrapperMemory
+from stkzoo.views.agent_chain import WrapperMemory
 from stkzoo.views.plan import ObservationSource, Observer, ViewPlan
 from stkzoo.views.walker import ChainWalker, Factories, StepParts
 

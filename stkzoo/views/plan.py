@@ -9,7 +9,7 @@ straight from their action.
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,9 @@ from gymnasium import spaces
 
 from stkzoo.kernel import ActionReader, CarController, KartObserver
 from stkzoo.mdp.spaces import shows_ground
+
+if TYPE_CHECKING:
+    from stkzoo.wrappers.control import ControlWrapper
 
 IntArray = npt.NDArray[np.intp]
 
@@ -56,18 +59,6 @@ class Observer(Protocol):
         """The observations, in Gymnasium's form."""
 
 
-class CarPlan(Protocol):
-    """An action in physical units (:class:`~stkzoo.wrappers.control.ControlWrapper`)."""
-
-    step_size: float
-
-    def identity(self) -> Hashable:
-        """Equal for those that do the same."""
-
-    def new_controller(self, columns: Sequence[str]) -> CarController:
-        """What turns it into controls."""
-
-
 class ViewPlan:
     """What the compiled wrappers of one agent do.
 
@@ -83,7 +74,7 @@ class ViewPlan:
         columns: of the controls.
         leaves: what the numbers of an action are, by key; under ``""`` for an action that is
             one array or number.
-        car: an action in physical units, if the controls are made of one.
+        car: the wrapper of an action in physical units, if the controls are made of one.
         has_action: whether observations carry the ``action`` of the game's AI.
         sees_ground: whether observations tell of the ground.
 
@@ -110,7 +101,7 @@ class ViewPlan:
         self.leaves: dict[str, Leaf] = {
             key: (_entry(action_space[key], column),) for column, key in enumerate(columns)
         }
-        self.car: CarPlan | None = None
+        self.car: ControlWrapper | None = None
         self.has_action = "action" in observation_space.spaces
         self.sees_ground = shows_ground(observation_space)
 
@@ -158,7 +149,7 @@ class ViewPlan:
 
     def new_controller(self) -> CarController | None:
         """What turns an action in physical units into controls."""
-        return None if self.car is None else self.car.new_controller(self.columns)
+        return None if self.car is None else self.car.car_action.new_controller(self.columns)
 
     def new_observer(self) -> KartObserver:
         """What makes observations from the game's records, but for the ground."""

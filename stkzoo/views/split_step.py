@@ -71,7 +71,7 @@ class MonoAgentEnv(AgentSide, gym.Env[Any, Any]):
         action_space: the agent's actions after all wrappers.
     """
 
-    # No part of what is remembered (:mod:`stkzoo.views.memory`): it belongs to the race.
+    # No part of what is remembered (``WrapperMemory``): it belongs to the race.
     __slots__ = ("camera",)
 
     # Annotated afresh because gymnasium leaves the values' types open.

@@ -20,7 +20,6 @@ from stkzoo.wrappers.flattening import FlattenerWrapper
 from stkzoo.wrappers.observations import ConstantSizedObservations, PolarObservations
 
 if TYPE_CHECKING:
-    from stkzoo.kernel import CarController
     from stkzoo.views.plan import ViewPlan
 
 #: The game's own buttons that can stand beside the two numbers.
@@ -69,7 +68,7 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
         self.buttons = _checked_buttons(buttons)
         self.step_size = check_number("step_size", step_size, unit="seconds")
         super().__init__(env)
-        self._idle = _idle_buttons(dict_space(env.action_space, "actions", "ControlWrapper"))
+        _check_actions(dict_space(env.action_space, "actions", "ControlWrapper"))
         _check_observations(dict_space(env.observation_space, "observations", "ControlWrapper"))
         own = {button: spaces.Discrete(2) for button in self.buttons}
         control = copy.deepcopy(self.car_action.space)
@@ -95,10 +94,6 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
         car = self.car_action
         return car.type, car.normalize_act, car.parameters, self.step_size
 
-    def new_controller(self, columns: Sequence[str]) -> CarController:
-        """See :meth:`stkzoo.views.plan.CarPlan.new_controller`."""
-        return self.car_action.new_controller(columns)
-
     def _start(self, step_size: float) -> None:
         self._step_size = step_size
         self._memory = self.car_action.memory()
@@ -123,7 +118,7 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
         )
         numbers = controls.astype(np.float32)
         return {
-            **self._idle,
+            **dict.fromkeys(BUTTONS, 0),
             "acceleration": numbers[:1],
             "steer": numbers[1:2],
             "brake": int(numbers[2]),
@@ -197,14 +192,13 @@ def _checked_buttons(buttons: object) -> tuple[str, ...]:
     return tuple(button for button in BUTTONS if button in buttons)
 
 
-def _idle_buttons(space: spaces.Dict) -> dict[str, int]:
+def _check_actions(space: spaces.Dict) -> None:
     keys = {*_PEDALS, *BUTTONS}
     if set(space.spaces) != keys or not isinstance(space["acceleration"], spaces.Box):
         raise ConfigError(
             f"ControlWrapper needs the game's own actions ({', '.join(sorted(keys))}). Put it "
             f"around full or simple, not around other actions. Found {space!r:.200}"
         )
-    return dict.fromkeys(BUTTONS, 0)
 
 
 def _check_observations(space: spaces.Dict) -> None:

@@ -14,7 +14,8 @@ from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
 from stkzoo.errors import ActionError, ConfigError, check_number, check_whole
-from stkzoo.wrappers.marl.teams import Parts, Teams
+from stkzoo.views.walker import StepParts
+from stkzoo.wrappers.marl.teams import Teams
 
 
 class MessageChannel(BaseParallelWrapper[str, Any, Any]):
@@ -89,7 +90,7 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
         self._said = {}
         return self._with_messages(observations), infos
 
-    def step(self, actions: dict[str, Any]) -> Parts:
+    def step(self, actions: dict[str, Any]) -> StepParts:
         """Steps the race and delivers what was said.
 
         Raises:
@@ -146,10 +147,9 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
         if math.isinf(self.reach):
             return True
         race: Any = self.env.unwrapped
-        karts = dict(zip(race.possible_agents, race.race.kart_indices, strict=True))
-        places = race.snapshot.karts["location"]
-        between = places[karts[agent]] - places[karts[other]]
-        return bool(np.linalg.norm(between) <= self.reach)
+        places = race.snapshot.karts["location"][list(race.race.kart_indices)]
+        here, there = (places[self.possible_agents.index(name)] for name in (agent, other))
+        return bool(np.linalg.norm(here - there) <= self.reach)
 
 
 def _teams_in(env: Any) -> dict[str, int]:

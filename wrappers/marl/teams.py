@@ -16,6 +16,7 @@ from stkzoo.agent_names import find_agent
 from stkzoo.errors import ConfigError, check_number
 from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
 from stkzoo.mdp.transition import progress_of
+from stkzoo.views.walker import StepParts
 
 #: What a driver knows of each team-mate: where it is (x right, y up, z forward) [m] and how fast
 #: it moves [m/s] in the driver's own frame, how far it is ahead along the race [m], its rank, its
@@ -30,10 +31,6 @@ MATE_FEATURES = (
     ("racing", 1),
 )
 _SIZE = sum(size for _, size in MATE_FEATURES)
-
-Parts = tuple[
-    dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]
-]
 
 
 class Teams(BaseParallelWrapper[str, Any, Any]):
@@ -107,7 +104,7 @@ class Teams(BaseParallelWrapper[str, Any, Any]):
         observations, infos = self.env.reset(seed=seed, options=options)
         return self._seen(observations), self._with_team(infos, {}, {})
 
-    def step(self, actions: dict[str, Any]) -> Parts:
+    def step(self, actions: dict[str, Any]) -> StepParts:
         """Steps the race and shares the rewards."""
         observations, own, terminations, truncations, infos = self.env.step(actions)
         means = {

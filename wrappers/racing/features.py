@@ -86,6 +86,18 @@ def _mirror() -> npt.NDArray[np.float32]:
 #: ``(SIZE,)`` of 1 and -1: a view times this is the view of the mirrored race, left for right.
 MIRROR = _mirror()
 
+#: What a kart knows of itself as numbers, and what each is divided by.
+_OWN_UNITS = {
+    "velocity": 20.0,
+    "max_steer_angle": 1.0,
+    "skeed_factor": 1.0,
+    "energy": 20.0,
+    "attachment_time_left": 10.0,
+    "shield_time": 10.0,
+    "jumping": 1.0,
+    "powerup_count": 3.0,
+}
+
 _KART_REACH, _ITEM_REACH = 60.0, 60.0  # [m]
 _ITEM_LEAST_AHEAD, _ITEM_LEVEL = 0.5, 6.0  # [m]
 
@@ -128,15 +140,9 @@ def racing_features(own: Mapping[str, Any], around: Surroundings) -> FloatArray:
 
 
 def _write_own(view: FloatArray, own: Mapping[str, Any]) -> None:
-    view[:, PLACES["velocity"]] = own["velocity"] / 20.0
-    view[:, PLACES["max_steer_angle"]] = own["max_steer_angle"]
-    view[:, PLACES["skeed_factor"]] = own["skeed_factor"]
-    view[:, PLACES["energy"]] = own["energy"] / 20.0
-    view[:, PLACES["attachment_time_left"]] = own["attachment_time_left"] / 10.0
-    view[:, PLACES["shield_time"]] = own["shield_time"] / 10.0
-    view[:, PLACES["jumping"]] = np.reshape(own["jumping"], (-1, 1))
+    for name, unit in _OWN_UNITS.items():
+        view[:, PLACES[name]] = np.reshape(own[name], (len(view), -1)) / unit
     view[:, PLACES["powerup_type"]] = _one_of(own["powerup_type"], NUM_POWERUPS)
-    view[:, PLACES["powerup_count"]] = np.reshape(own["powerup_count"], (-1, 1)) / 3.0
     hanging = _ATTACHMENTS[own["attachment"]]
     view[:, PLACES["attachment"]] = _one_of(hanging, len(ATTACHMENTS))
 

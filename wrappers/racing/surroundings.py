@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import KART_DTYPE, Snapshot
 from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
-from stkzoo.mdp.observations import own_state
+from stkzoo.mdp.observations import OWN_KEYS, own_state
 from stkzoo.wrappers.racing.road import (
     LOOKS,
     MAX_SEGMENTS,
@@ -25,11 +25,6 @@ IntArray = npt.NDArray[Any]
 
 #: Stands for the type of an item that is not there.
 ABSENT = -1
-
-_OWN = (
-    *("velocity", "max_steer_angle", "skeed_factor", "energy", "attachment_time_left"),
-    *("shield_time", "jumping", "powerup_type", "powerup_count", "attachment"),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +64,7 @@ def surroundings_of(observation: Mapping[str, Any], looks: FloatArray = LOOKS) -
     items = _rows(batch["items_position"], 3)
     types = np.asarray(batch["items_type"], np.int64).reshape(items.shape[:2])
     around = Surroundings(_road(paths, looks), _rows(batch["karts_position"], 3), items, types)
-    own = {key: np.asarray(batch[key]) for key in _OWN}
+    own = {key: np.asarray(batch[key]) for key in OWN_KEYS}
     return own, around
 
 
@@ -130,8 +125,7 @@ def surroundings_in(
         items=to_kart_frame(items, locations, matrices),
         item_types=_padded([s.items["type"].astype(np.int64) for s in snapshots], ABSENT)[race],
     )
-    own = own_state(records)
-    return {key: own[key] for key in _OWN}, around
+    return own_state(records), around
 
 
 def _padded(parts: Sequence[npt.NDArray[Any]], blank: float) -> npt.NDArray[Any]:

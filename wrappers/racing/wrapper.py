@@ -15,6 +15,7 @@ from gymnasium import spaces
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import RacingObserver
+from stkzoo.mdp.observations import as_actions
 from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space, observed_action
 from stkzoo.wrappers.racing.features import KERNEL_TABLES, SIZE, racing_features
@@ -218,16 +219,8 @@ class RacingActions(ActionFormWrapper, CompiledWrapper):
 
     def action(self, action: npt.NDArray[Any]) -> dict[str, Any]:
         """The game's own action."""
-        controls = controls_of_choices(np.asarray(action))
-        buttons = {
-            key: controls[..., column].astype(np.int64)
-            for column, key in enumerate(CONTROLS[2:], start=2)
-        }
-        return {
-            "acceleration": controls[..., 0:1],
-            "steer": controls[..., 1:2],
-            **{key: value if value.ndim else int(value) for key, value in buttons.items()},
-        }
+        parts = as_actions(controls_of_choices(np.asarray(action)))
+        return {key: value if value.ndim else int(value) for key, value in parts.items()}
 
     def observed_action(self, action: Mapping[str, Any]) -> npt.NDArray[np.int64]:
         """The choices nearest to an action."""
