@@ -81,8 +81,8 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
     logs = [(Path(folder).name, require_log(folder)) for folder in folders]
     names = {name for _, log in logs for line in log for name in line}
     panels = [panel for panel in _PANELS if names & set(panel[1])]
-    ratings = [(Path(folder).name, _read_ratings(Path(folder))) for folder in folders]
-    ratings = [(run, found) for run, found in ratings if found]
+    files = [Path(folder) / "ratings.json" for folder in folders]
+    ratings = [(f.parent.name, json.loads(f.read_text())) for f in files if f.exists()]
     count = len(panels) + 2 * bool(ratings)
     rows = max(-(-count // 2), 1)
     figure = new_figure(10, 2.8 * rows)
@@ -116,11 +116,6 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
 def _x(line: Mapping[str, Any]) -> float:
     """Where a line of a log is drawn."""
     return float(line["kart_steps"] / 1e6 if "kart_steps" in line else line["round"])
-
-
-def _read_ratings(folder: Path) -> dict[str, Any]:
-    file = folder / "ratings.json"
-    return json.loads(file.read_text()) if file.exists() else {}
 
 
 def _smooth(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -37,7 +37,7 @@ def fleet():
 
 
 def way_of(fleet):
-    kart = fleet._races[0].snapshot.karts[0]
+    kart = fleet.races[0].snapshot.karts[0]
     return float(kart["overall_distance"])
 
 

@@ -13,8 +13,7 @@ import torch
 from stkzoo.agents.planning.driver import CHOICES, HEADS, INPUT_SIZE
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.weights import load_weights
-from stkzoo.agents.training.common.arguments import TrainingRaces
-from stkzoo.agents.training.common.fleet import Fleet, Lineup, lineups_of
+from stkzoo.agents.training.common.fleet import Fleet, Lineup
 from stkzoo.agents.training.common.matches import match_driver
 from stkzoo.agents.training.common.run_folder import plan_parameters, run_parameters
 from stkzoo.agents.training.evaluate import evaluate, newest_policy
@@ -131,11 +130,6 @@ def test_choices_that_are_not_learned_stay_those_of_the_plans(tmp_path):
 def test_unknown_choices_are_refused(tmp_path, names):
     with pytest.raises(ConfigError, match="begin, turn, nitro, fire"):
         PPOLearner(tmp_path, SelfPlayArguments(**SMALL | {"learns": names}))
-
-
-def test_groups_of_races_have_lineups():
-    groups = [TrainingRaces(8, 0, 2), TrainingRaces(4, 2, 1)]
-    assert lineups_of(groups) == [Lineup(8, 0), Lineup(8, 0), Lineup(4, 2)]
 
 
 def test_a_fleet_begins_the_same_races_with_the_same_seed():

@@ -13,7 +13,7 @@ from stkzoo import Start
 from stkzoo.agents.pretrained.action_filter import INPUT_MIRROR, INPUT_SIZE, ActionFilter
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
-from stkzoo.agents.training.common.arguments import TrainingRaces, parse_races
+from stkzoo.agents.training.common.fleet import Lineup, parse_races
 from stkzoo.agents.training.common.matches import rate_orders
 from stkzoo.agents.training.common.network_policy import initial_weights, save_driver
 from stkzoo.agents.training.common.opponents import OpponentPool, bot_name
@@ -93,10 +93,11 @@ def test_hard_rivals_come_more_often():
 
 def test_the_most_beaten_rival_goes_when_the_pool_is_full():
     pool = OpponentPool(2)
-    assert pool.add("first") is None
-    assert pool.add("second") is None
+    pool.add("first")
+    pool.add("second")
+    assert [rival.name for rival in pool.opponents] == ["first", "second"]
     pool.update("second", 1.0)
-    assert pool.add("third").name == "second"
+    pool.add("third")
     assert [rival.name for rival in pool.opponents] == ["first", "third"]
     pool.update("second", 1.0)  # a race that was still under way
 
@@ -136,8 +137,8 @@ def test_all_training_tracks_are_in_the_curriculum():
 
 
 def test_groups_of_races_are_read():
-    assert parse_races(["4x3", "2+1"]) == [TrainingRaces(4, 0, 3), TrainingRaces(2, 1, 1)]
-    for text in ("many", "0x2", "2+-1"):
+    assert parse_races(["4x3", "2+1"]) == [*[Lineup(4, 0)] * 3, Lineup(2, 1)]
+    for text in ("many", "0x2", "2+-1", "2x0", "2x", ""):
         with pytest.raises(ConfigError, match="expected for example 4x3"):
             parse_races([text])
 
@@ -151,7 +152,7 @@ def test_rivals_drive_without_teaching(monkeypatch, policy):
     monkeypatch.setattr(sb3_races, "SHORT_RACE", 12)
     bots, snapshots = pools()
     snapshots.add("past")
-    groups = [TrainingRaces(4, 0, 1), TrainingRaces(1, 2, 1)]
+    groups = [Lineup(4, 0), Lineup(1, 2)]
     envs = SelfPlayVecEnv(
         groups, Curriculum(["olivermath"]), bots, snapshots, snapshot_share=1.0, grid_share=0.0
     )
@@ -183,7 +184,7 @@ def test_rivals_drive_without_teaching(monkeypatch, policy):
 def test_the_same_seed_gives_the_same_races(policy):
     bots, snapshots = pools()
     snapshots.add("past")
-    groups = [TrainingRaces(2, 1, 1), TrainingRaces(2, 0, 1)]
+    groups = [Lineup(2, 1), Lineup(2, 0)]
     envs = SelfPlayVecEnv(groups, Curriculum(["olivermath"]), bots, snapshots, snapshot_share=0.5)
     weights = {name: value.numpy() for name, value in policy.state_dict().items()}
     envs.add_driver("past", MlpDriver(weights))
@@ -204,7 +205,7 @@ def test_the_same_seed_gives_the_same_races(policy):
 def test_pace_and_places_of_a_whole_race():
     """Full throttle from the grid, straight on; the AI leaves it behind."""
     bots, snapshots = pools()
-    groups = [TrainingRaces(1, 1, 1)]
+    groups = [Lineup(1, 1)]
     envs = SelfPlayVecEnv(groups, Curriculum(["olivermath"]), bots, snapshots, grid_share=1)
     try:
         envs.seed(1)
@@ -227,7 +228,7 @@ def test_the_way_goes_on_behind_the_finish(monkeypatch):
     monkeypatch.setattr(sb3_races, "RandomStart", lambda: near_finish)
     bots, snapshots = pools()
     envs = SelfPlayVecEnv(
-        [TrainingRaces(1, 0, 1)], Curriculum(["lighthouse"]), bots, snapshots, grid_share=0.0
+        [Lineup(1, 0)], Curriculum(["lighthouse"]), bots, snapshots, grid_share=0.0
     )
     try:
         envs.seed(1)
@@ -540,7 +541,7 @@ def test_buffers_leave_rivals_out():
     """The rows of :class:`ActiveRolloutBuffer` are those that ``kart_steps`` counts."""
     bots, snapshots = pools()
     envs = SelfPlayVecEnv(
-        [TrainingRaces(4, 0, 1)], Curriculum(["olivermath"]), bots, snapshots, snapshot_share=1
+        [Lineup(4, 0)], Curriculum(["olivermath"]), bots, snapshots, snapshot_share=1
     )
     snapshots.add("past")
     model = PPO(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from stkzoo._arguments import option
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo.errors import check_whole
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
 #: The training tracks but for one, on which a race takes three times as long.
@@ -81,44 +81,6 @@ class PPOArguments(NetworkArguments):
     gae_lambda: float = 0.95
     clip_range: float = 0.2
     ent_coef: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class TrainingRaces:
-    """Races with the same number of agents and of the game's AI karts.
-
-    Attributes:
-        agents: karts that learn.
-        bots: karts of the game's AI.
-        races: how many such races run side by side.
-    """
-
-    agents: int
-    bots: int
-    races: int
-
-
-def parse_races(texts: Sequence[str]) -> list[TrainingRaces]:
-    """Parses ``4x3`` (three races of four agents) or ``2+2x1`` (two agents and two AI karts).
-
-    Raises:
-        ConfigError: a text has another form.
-    """
-    groups = []
-    for text in texts:
-        who, _, races = text.partition("x")
-        agents, _, bots = who.partition("+")
-        try:
-            group = TrainingRaces(int(agents), int(bots or 0), int(races or 1))
-        except ValueError:
-            group = TrainingRaces(0, 0, 0)
-        if min(group.agents, group.races) < 1 or group.bots < 0:
-            raise ConfigError(
-                f"races {text!r} are invalid; expected for example 4x3 (three races of four "
-                "agents) or 2+2x1 (one race of two agents and two karts of the game's AI)"
-            )
-        groups.append(group)
-    return groups
 
 
 def track_names(names: Sequence[str]) -> list[str]:

@@ -7,6 +7,7 @@ a second); one such race is kept per track, direction, lineup and number.
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -25,12 +26,13 @@ from stkzoo.agents.planning.driver import (
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.engine import KartSetup, RaceSetup, Snapshot, TrackMap, WorkerSession, decode_track
 from stkzoo.engine.assets import find_assets
+from stkzoo.errors import ConfigError
 from stkzoo.evaluation import load_ai_times
 from stkzoo.names import Phase
 from stkzoo.wrappers.racing import BatchedRacingView, RoadTable, Surroundings
 
-from .arguments import TrainingRaces
-
+#: So many learners, so many karts of the game's AI, so many races; see :func:`parse_races`.
+_RACES = re.compile(r"([1-9]\d*)(?:\+(\d+))?(?:x([1-9]\d*))?")
 #: A race is cut short after this multiple of the AI's median time.
 _PATIENCE = 1.6
 #: And this long after the first learner has finished [s].
@@ -60,9 +62,25 @@ class Lineup:
     difficulty: int = 3
 
 
-def lineups_of(groups: Sequence[TrainingRaces]) -> list[Lineup]:
-    """The lineups of groups of races, one per race."""
-    return [Lineup(group.agents, group.bots) for group in groups for _ in range(group.races)]
+def parse_races(texts: Sequence[str]) -> list[Lineup]:
+    """Parses ``4x3`` (three races of four learners) or ``2+2x1`` (two and two AI karts).
+
+    Returns:
+        The lineup of each race.
+
+    Raises:
+        ConfigError: a text has another form.
+    """
+    lineups = []
+    for text in texts:
+        if not (found := _RACES.fullmatch(text)):
+            raise ConfigError(
+                f"races {text!r} are invalid; expected for example 4x3 (three races of four "
+                "agents) or 2+2x1 (one race of two agents and two karts of the game's AI)"
+            )
+        learners, bots, races = (int(number or 0) for number in found.groups())
+        lineups += [Lineup(learners, bots)] * (races or 1)
+    return lineups
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,14 +215,25 @@ class RaceStarts:
             self._sessions.pop(point)[0].close()
 
 
-class _FleetRace:
-    """One race after another of one lineup."""
+class FleetRace:
+    """One race after another of one lineup.
 
-    def __init__(self, lineup: Lineup, starts: RaceStarts, place_reward: float) -> None:
+    Args:
+        lineup: who is in the races.
+        starts: where they begin.
+        place_reward: reward per place.
+        slots: of its learners in the fleet.
+    """
+
+    def __init__(
+        self, lineup: Lineup, starts: RaceStarts, place_reward: float, slots: IntArray
+    ) -> None:
+        self.slots = slots
         self.lineup, self._starts, self._place_reward = lineup, starts, place_reward
         self._session = starts.new_session()
 
     def begin(self, track: str, reverse: bool, number: int) -> None:
+        """Begins a race; ``number`` is that of its starting point."""
         self.start = StartingPoint(track, reverse, number, self.lineup)
         self._ai_time = ai_time(track, reverse, self.lineup.difficulty)
         self.snapshot = self._starts.begin(self.start, self._session)
@@ -256,6 +285,7 @@ class _FleetRace:
         return Finish(start.track, start.reverse, self.lineup, ratio, estimate, rank)
 
     def close(self) -> None:
+        """Ends the race."""
         self._session.close()
 
 
@@ -266,6 +296,10 @@ class RaceFleet:
         lineups: the lineup of each race.
         starts: starting points to share with another fleet.
         place_reward: reward per place; a metre is worth 0.05.
+
+    Attributes:
+        races: the race of each lineup.
+        num_slots: how many learners there are.
     """
 
     def __init__(
@@ -275,45 +309,49 @@ class RaceFleet:
         place_reward: float = 0.0,
     ) -> None:
         self.starts = starts or RaceStarts()
-        self._races = [_FleetRace(lineup, self.starts, place_reward) for lineup in lineups]
-        self._first = np.cumsum([0, *(lineup.learners for lineup in lineups)])
-        self.num_slots = int(self._first[-1])
+        self.num_slots = sum(lineup.learners for lineup in lineups)
+        ends = np.cumsum([lineup.learners for lineup in lineups])
+        slots = np.split(np.arange(self.num_slots), ends[:-1])
+        self.races = [
+            FleetRace(lineup, self.starts, place_reward, own)
+            for lineup, own in zip(lineups, slots, strict=True)
+        ]
 
     def start_at(self, places: Sequence[tuple[str, bool, int]]) -> None:
         """Starts each race at a track, a direction and a number of a starting point."""
-        for race, (track, reverse, number) in zip(self._races, places, strict=True):
+        for race, (track, reverse, number) in zip(self.races, places, strict=True):
             race.begin(track, reverse, number)
 
     @property
     def active(self) -> BoolArray:
         """``(S,)``: who is racing."""
-        return np.concatenate([race.racing for race in self._races])
+        return np.concatenate([race.racing for race in self.races])
 
     def send_controls(self, controls: FloatArray) -> None:
         """Starts a step with the engine's controls ``(S, 7)``."""
         controls[~self.active] = 0.0
-        for race, first in zip(self._races, self._first, strict=False):
-            race.send(controls[first : first + race.lineup.learners])
+        for race in self.races:
+            race.send(controls[race.slots])
 
     def receive_step(self) -> FleetStep:
         """Waits for the step; its outcome."""
         active = self.active
-        parts = [race.receive() for race in self._races]
+        parts = [race.receive() for race in self.races]
         rewards, ended = (np.concatenate([part[column] for part in parts]) for column in (0, 1))
         return FleetStep(rewards, active, ended, [end for part in parts for end in part[2]])
 
     def surroundings(self) -> tuple[dict[str, Any], Surroundings]:
         """What the learners' karts know of themselves, and what is around them."""
         return self.starts.view.surroundings(
-            [race.snapshot for race in self._races],
-            [race.road for race in self._races],
-            [race.karts for race in self._races],
+            [race.snapshot for race in self.races],
+            [race.road for race in self.races],
+            [race.karts for race in self.races],
             ALL_LOOKS,
         )
 
     def close(self, *, with_starts: bool = True) -> None:
         """Ends all races, and those that wait at GO."""
-        for race in self._races:
+        for race in self.races:
             race.close()
         if with_starts:
             self.starts.close()
@@ -359,7 +397,7 @@ class Fleet(RaceFleet):
             seed: seed of these races and of those that follow them.
         """
         self._random = np.random.default_rng(seed)
-        for number in range(len(self._races)):
+        for number in range(len(self.races)):
             self._begin(number)
         return self._look(is_later=False)
 
@@ -380,7 +418,7 @@ class Fleet(RaceFleet):
         view = self._look(is_later=True)
         last = np.zeros_like(view.inputs)
         last[step.ended] = view.inputs[step.ended]
-        over = [n for n, race in enumerate(self._races) if not race.racing.any()]
+        over = [n for n, race in enumerate(self.races) if not race.racing.any()]
         for number in over:
             self._begin(number)
         if over:
@@ -390,8 +428,8 @@ class Fleet(RaceFleet):
     def _begin(self, number: int) -> None:
         track = self._tracks[int(self._random.integers(len(self._tracks)))]
         reverse = bool(self._random.integers(2))
-        self._races[number].begin(track, reverse, int(self._random.integers(self._variants)))
-        rows = np.arange(self._first[number], self._first[number + 1])
+        self.races[number].begin(track, reverse, int(self._random.integers(self._variants)))
+        rows = self.races[number].slots
         self.drivers.forget(rows)
         self._is_mirrored[rows] = self._random.random(len(rows)) < 0.5 * self._mirrors
 

@@ -68,18 +68,11 @@ class OpponentPool:
         """All of them, the oldest first."""
         return list(self._opponents.values())
 
-    def add(self, name: str) -> Opponent | None:
-        """Adds an opponent.
-
-        Returns:
-            The one that was dropped for it, if any.
-        """
-        dropped = None
+    def add(self, name: str) -> None:
+        """Adds an opponent; a full pool drops the most beaten one for it."""
         if name not in self._opponents and len(self._opponents) >= self.size:
-            dropped = max(self.opponents, key=lambda opponent: opponent.beaten)
-            del self._opponents[dropped.name]
+            del self._opponents[max(self.opponents, key=lambda opponent: opponent.beaten).name]
         self._opponents.setdefault(name, Opponent(name))
-        return dropped
 
     def draw(self, random: np.random.Generator, among: Sequence[str] | None = None) -> str:
         """Draws an opponent's name by weight.

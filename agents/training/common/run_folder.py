@@ -31,29 +31,14 @@ def write_json(path: Path, content: Any) -> None:
     write_text(path, json.dumps(content, indent=1) + "\n")
 
 
-def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """Lists the fields that differ from those in a JSON file; empty if none does."""
-    now = json.loads(json.dumps(now))
-    changed = [name for name in now if before.get(name) != now[name]]
-    return ", ".join(f"{n} was {before.get(n)!r}, now {now[n]!r}" for n in changed)
-
-
-def check_version(folder: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Checks that this version of stkzoo wrote the arguments of a run; see :func:`check_resumed`.
-
-    Raises:
-        ConfigError: another version wrote them.
-    """
-    if set(before) != set(now):
-        raise ConfigError(
-            f"the run in {str(folder)!r} is of another version of stkzoo, with other arguments; "
-            "give another --output (and --init with its newest policy to start from that)"
-        )
-
-
 def check_resumed(
-    folder: Path, before: Mapping[str, Any], now: Mapping[str, Any], remedy: str = ""
-) -> None:
+    folder: Path,
+    before: Mapping[str, Any],
+    now: Mapping[str, Any],
+    remedy: str = "",
+    *,
+    may_change: bool = False,
+) -> bool:
     """Checks that a run continues with the arguments that it has.
 
     Args:
@@ -61,16 +46,27 @@ def check_resumed(
         before: the arguments in its files.
         now: the arguments given.
         remedy: what else the user can do than give the same arguments or another folder.
+        may_change: whether the run may continue with other arguments.
+
+    Returns:
+        Whether they differ.
 
     Raises:
         ConfigError: the arguments differ, or another version of stkzoo wrote the files.
     """
-    check_version(folder, before, now)
-    if changed := differences(before, now):
+    if set(before) != set(now):
         raise ConfigError(
-            f"the run in {str(folder)!r} has other arguments: {changed}; give the same, or "
-            f"another --output{remedy}"
+            f"the run in {str(folder)!r} is of another version of stkzoo, with other arguments; "
+            "give another --output (and --init with its newest policy to start from that)"
         )
+    given = json.loads(json.dumps(now))
+    changed = [f"{n} was {before[n]!r}, now {given[n]!r}" for n in given if before[n] != given[n]]
+    if changed and not may_change:
+        raise ConfigError(
+            f"the run in {str(folder)!r} has other arguments: {', '.join(changed)}; give the same, "
+            f"or another --output{remedy}"
+        )
+    return bool(changed)
 
 
 def keep_arguments(

@@ -15,7 +15,7 @@ from stkzoo.agents.pretrained.action_filter import INPUT_MIRROR
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
-from ..common.command import training_torch
+from ..common.command import training_library, training_torch
 
 Numbers = npt.NDArray[Any]
 
@@ -107,7 +107,8 @@ def fit(
     for _ in range(n_epochs):
         order = torch.from_numpy(random.permutation(len(targets)))
         for rows in order.split(batch_size):
-            loss = _loss(torch, _logits(network, inputs[rows]), targets[rows], bells)
+            steer, *others = targets[rows].T
+            loss = sum(_losses(_logits(network, inputs[rows]), [bells[steer], *others]))
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
@@ -123,28 +124,25 @@ def _bells() -> npt.NDArray[np.float32]:
     return shares
 
 
+def _losses(logits: Sequence[Any], targets: Sequence[Any]) -> list[Any]:
+    """The mean cross-entropy of each choice; a target is numbers or shares."""
+    entropy = training_library("torch").nn.functional.cross_entropy
+    return [entropy(*pair) for pair in zip(logits, targets, strict=True)]
+
+
 def _logits(network: Any, inputs: Any) -> Any:
-    return network.action_net(network.mlp_extractor.policy_net(inputs))
-
-
-def _loss(torch: Any, logits: Any, targets: Any, bells: Any) -> Any:
-    entropy = torch.nn.functional.cross_entropy
-    steer, *others = logits.split(list(CHOICES), dim=1)
-    loss = entropy(steer, bells[targets[:, 0]])
-    for column, part in enumerate(others, start=1):
-        loss = loss + entropy(part, targets[:, column])
-    return loss
+    """The logits of each choice."""
+    logits = network.action_net(network.mlp_extractor.policy_net(inputs))
+    return logits.split(list(CHOICES), dim=1)
 
 
 def _judge(torch: Any, network: Any, observations: Numbers, actions: Numbers) -> Fit:
-    entropy = torch.nn.functional.cross_entropy
-    targets = torch.from_numpy(actions.astype(np.int64))
+    targets = torch.from_numpy(actions.astype(np.int64)).T
     with torch.no_grad():
-        parts = _logits(network, torch.from_numpy(observations.astype(np.float32))).split(
-            list(CHOICES), dim=1
-        )
-        loss = sum(float(entropy(part, targets[:, n])) for n, part in enumerate(parts))
+        parts = _logits(network, torch.from_numpy(observations.astype(np.float32)))
+        loss = sum(map(float, _losses(parts, targets)))
         right = [
-            float((part.argmax(1) == targets[:, n]).float().mean()) for n, part in enumerate(parts)
+            float((part.argmax(1) == target).float().mean())
+            for part, target in zip(parts, targets, strict=True)
         ]
     return Fit(round(loss, 4), [round(share, 4) for share in right])

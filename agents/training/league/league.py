@@ -209,7 +209,7 @@ class League:
             state.kart_steps += learner.kart_steps - player.kart_steps
             player.kart_steps = learner.kart_steps
             name = f"{player.name}-{player.total_turns + 1:03d}"
-            save_weights(self._file(name), learner.weights())
+            learner.save_policy(self._file(name))
         finally:
             learner.close()
 

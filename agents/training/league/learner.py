@@ -12,8 +12,7 @@ from stkzoo.agents.planning.arrays import FloatArray, IntArray
 from stkzoo.agents.planning.driver import PolicyInput
 from stkzoo.agents.pretrained.policy import RacingPolicy
 
-from ..common.arguments import parse_races
-from ..common.fleet import Finish, FleetStep, Lineup, lineups_of
+from ..common.fleet import Finish, FleetStep, Lineup
 from ..ppo.selfplay import PPOLearner, SelfPlayArguments
 from .players import PlayerMatchmaker
 
@@ -70,20 +69,12 @@ class LeagueLearner(PPOLearner):
     def begin_races(self) -> None:
         """Begins new races, and draws the rivals in them."""
         super().begin_races()
-        lineups = lineups_of(parse_races(self.arguments.races))
-        self._races: list[list[_RivalRace]] = []
-        for group in range(self.arguments.groups):
-            races, first = [], 0
-            for lineup in lineups[group :: self.arguments.groups]:
-                races.append(_RivalRace(lineup, np.arange(first, first + lineup.learners)))
-                first += lineup.learners
-            self._races.append(races)
+        self._races = [
+            [_RivalRace(race.lineup, race.slots) for race in fleet.races] for fleet in self._fleets
+        ]
+        for races in self._races:
             for race in races:
                 self._assign(race)
-
-    def weights(self) -> dict[str, FloatArray]:
-        """The present weights of the policy."""
-        return dict(self._network.actor().weights)
 
     def _assign(self, race: _RivalRace) -> None:
         can_meet = race.lineup.learners > 1 and not race.lineup.bots

@@ -36,16 +36,14 @@ from stkzoo.agents.planning.arrays import FloatArray
 from stkzoo.agents.planning.driver import CHOICES, INPUT_SIZE, PolicyInput
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
-from stkzoo.errors import ConfigError
 
-from ..common.arguments import QUICK_TRACKS, PPOArguments, ScriptOptions, parse_races
+from ..common.arguments import QUICK_TRACKS, PPOArguments, ScriptOptions
 from ..common.command import ProgressBar, run_command
-from ..common.fleet import Finish, Fleet, FleetStep, Lineup, lineups_of
+from ..common.fleet import Finish, Fleet, FleetStep, Lineup, parse_races
 from ..common.run_folder import (
     ARGUMENTS,
     TrainingLog,
-    check_version,
-    differences,
+    check_resumed,
     load_checkpoint,
     plan_parameters,
     save_checkpoint,
@@ -166,7 +164,7 @@ class PPOLearner:
             arguments.hidden, arguments.seed, arguments.learns, arguments.init
         )
         self._rules = plan_parameters(arguments.plans)
-        lineups = lineups_of(parse_races(arguments.races))
+        lineups = parse_races(arguments.races)
         self._fleets: list[Fleet] = []
         for group in range(arguments.groups):
             fleet = Fleet(
@@ -370,9 +368,9 @@ class PPOLearner:
         }
         save_checkpoint(self.folder, facts, {"network": self._network.state()})
 
-    def save_policy(self) -> Path:
-        """Writes the present policy; its path."""
-        path = self.folder / f"policy-{self.kart_steps:09d}.safetensors"
+    def save_policy(self, path: Path | None = None) -> Path:
+        """Writes the present policy, by default among the run's; its path."""
+        path = path or self.folder / f"policy-{self.kart_steps:09d}.safetensors"
         save_weights(path, self._network.actor().weights)
         return path
 
@@ -389,15 +387,14 @@ class PPOLearner:
     def _restore(self, facts: dict[str, Any], state: dict[str, Any], may_change: bool) -> None:
         self._history = facts["history"]
         now, last = self._chapter(facts["kart_steps"]), self._history[-1]
-        check_version(self.folder, last["arguments"], now["arguments"])
-        changed = [differences(last.get(part, {}), now[part]) for part in ("arguments", "rules")]
-        if any(changed) and not may_change:
-            raise ConfigError(
-                f"the run in {str(self.folder)!r} has other arguments or parameters of plans: "
-                f"{', '.join(filter(None, changed))}; give the same, another --output, or "
-                "--may-change to continue with these"
-            )
-        if any(changed):
+        rules = {name: last.get("rules", {}).get(name) for name in now["rules"]}
+        if check_resumed(
+            self.folder,
+            {**last["arguments"], **rules},
+            {**now["arguments"], **now["rules"]},
+            ", or --may-change to continue with these",
+            may_change=may_change,
+        ):
             self._history.append(now)
         self.kart_steps, self.iteration = facts["kart_steps"], facts["iteration"]
         for finish in facts["recent"]:

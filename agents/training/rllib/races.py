@@ -5,9 +5,8 @@ Nothing here needs Ray but :class:`PackSender`'s methods.
 
 from __future__ import annotations
 
-import contextlib
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -179,7 +178,11 @@ def ensure_assets(archive: str = "") -> bool:
     """
     if _have_assets():
         return False
-    with _one_at_a_time():
+    from filelock import FileLock
+
+    cache = cache_folder()
+    cache.mkdir(parents=True, exist_ok=True)
+    with FileLock(cache / "rllib.lock"):  # one process of a node at a time
         if _have_assets():  # another env runner of this node has installed it
             return False
         if archive:
@@ -198,21 +201,6 @@ def _have_assets() -> bool:
     except AssetError:
         return False
     return True
-
-
-@contextlib.contextmanager
-def _one_at_a_time() -> Iterator[None]:
-    """Lets one process per node install at a time; the system frees the lock of a killed one."""
-    folder = cache_folder()
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "rllib.lock").open("a") as file:
-        try:
-            import fcntl
-        except ImportError:  # Windows
-            yield
-            return
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield
 
 
 def _asked_for() -> bytes:

@@ -112,21 +112,18 @@ def build_config(arguments: RLlibArguments) -> Any:
     )
 
 
-def train(arguments: RLlibArguments, folder: Path, on_line: Any = print) -> dict[str, Any]:
+def train(options: ScriptOptions, arguments: RLlibArguments) -> None:
     """Trains, or continues a run.
 
     Args:
+        options: the run's folder.
         arguments: of the run.
-        folder: the run's.
-        on_line: called with each iteration's figures in words.
-
-    Returns:
-        The last iteration's figures.
 
     Raises:
         ConfigError: Ray is not installed, or the folder has another run.
         AssetError: the game's data is missing here.
     """
+    folder = options.output
     ray = _ray()
     keep_arguments(folder, arguments, _FREE)
     ensure_assets(arguments.pack)
@@ -140,12 +137,13 @@ def train(arguments: RLlibArguments, folder: Path, on_line: Any = print) -> dict
     algorithm = None
     try:
         algorithm = _algorithm(arguments, folder)
-        return _iterations(algorithm, arguments, folder, on_line)
+        _iterations(algorithm, arguments, folder)
     finally:
         if algorithm is not None:
             algorithm.stop()
         ray.kill(sender)
         ray.shutdown()
+    print(f"{folder / _POLICY} is the policy; the same command with more --iterations continues")
 
 
 def _ray() -> Any:
@@ -178,23 +176,19 @@ def _remind(algorithm: Any, last: Mapping[str, Any]) -> None:
         callback.remember(last["promotions"], last["races"])
 
 
-def _iterations(
-    algorithm: Any, arguments: RLlibArguments, folder: Path, on_line: Any
-) -> dict[str, Any]:
+def _iterations(algorithm: Any, arguments: RLlibArguments, folder: Path) -> None:
     with TrainingLog(folder, algorithm.iteration) as log:
-        line = log.last
-        if line:
-            _remind(algorithm, line)
+        if log.last:
+            _remind(algorithm, log.last)
         while algorithm.iteration < arguments.iterations:
             begun = time.monotonic()
             result = algorithm.train()
             line = _figures(algorithm, result, time.monotonic() - begun)
             log.write(line)
-            on_line(_in_words(line, arguments.iterations))
+            print(_in_words(line, arguments.iterations), flush=True)
             done = algorithm.iteration
             if done % arguments.checkpoint_every == 0 or done == arguments.iterations:
                 _save(algorithm, folder)
-    return line
 
 
 def _figures(algorithm: Any, result: Mapping[str, Any], seconds: float) -> dict[str, Any]:
@@ -261,18 +255,10 @@ def sb3_names(state: Mapping[str, npt.NDArray[np.float32]]) -> dict[str, npt.NDA
     }
 
 
-def _train(options: ScriptOptions, arguments: RLlibArguments) -> None:
-    train(arguments, options.output, functools.partial(print, flush=True))
-    print(
-        f"{options.output / _POLICY} is the policy; the same command with more --iterations "
-        "continues"
-    )
-
-
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     kinds, remedy = (ScriptOptions, RLlibArguments), "the same command continues"
-    return run_command("rllib.selfplay", __doc__, _train, kinds, words, remedy)
+    return run_command("rllib.selfplay", __doc__, train, kinds, words, remedy)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ it would drop to zero, unpredictably and by far more than good and bad driving d
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -28,8 +29,7 @@ from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.errors import ConfigError
 from stkzoo.sb3 import RaceVecEnv
 
-from ..common.arguments import TrainingRaces
-from ..common.fleet import ai_time
+from ..common.fleet import Lineup, ai_time
 from ..common.opponents import OpponentPool, bot_name
 from .curriculum import Curriculum
 
@@ -82,22 +82,22 @@ def way_and_places() -> Reward:
 class _SelfPlayRace:
     """One race after another: the drivers of the present one, and the options of the next one."""
 
-    def __init__(self, env: Any, group: TrainingRaces, first: int) -> None:
-        self.env, self.group = env, group
-        self.slots = slice(first, first + group.agents)
+    def __init__(self, env: Any, lineup: Lineup, first: int) -> None:
+        self.env, self.lineup = env, lineup
+        self.slots = slice(first, first + lineup.learners)
         self.rival = ""
-        self.is_learner = np.ones(group.agents, bool)
-        self.ended = np.zeros(group.agents, bool)
-        self.finals: list[dict[str, Any]] = [{}] * group.agents
+        self.is_learner = np.ones(lineup.learners, bool)
+        self.ended = np.zeros(lineup.learners, bool)
+        self.finals: list[dict[str, Any]] = [{}] * lineup.learners
         self.from_grid = self.next_from_grid = True
-        self.begin_at = np.zeros(group.agents)
+        self.begin_at = np.zeros(lineup.learners)
 
     def begin(self, infos: Sequence[dict[str, Any]]) -> None:
         self.ended[:] = False
         self.from_grid = self.next_from_grid
         self.begin_at = np.array([info["distance"] for info in infos])
-        self.rival, self.is_learner = "", np.ones(self.group.agents, bool)
-        if self.group.bots:
+        self.rival, self.is_learner = "", np.ones(self.lineup.learners, bool)
+        if self.lineup.bots:
             self.rival = bot_name(self.env.race.difficulty)
         race = self.env.race
         self._ai_speed = self.env.track_map.length / ai_time(
@@ -132,9 +132,9 @@ class _SelfPlayRace:
         return ends
 
     def _beaten(self, row: int, places: npt.NDArray[Any]) -> float:
-        if self.group.bots:
+        if self.lineup.bots:
             before = places[row] - 1 - int((places < places[row]).sum())
-            return float(np.clip(1.0 - before / self.group.bots, 0.0, 1.0))
+            return float(np.clip(1.0 - before / self.lineup.bots, 0.0, 1.0))
         rivals = places[~self.is_learner]
         return float((places[row] < rivals).mean()) if len(rivals) else math.nan
 
@@ -143,7 +143,7 @@ class SelfPlayVecEnv(VecEnv):
     """The races.
 
     Args:
-        groups: the races.
+        lineups: of the races.
         curriculum: decides what races are like; it is updated with the results.
         bots: the game's bots as opponents; updated likewise.
         snapshots: the frozen opponents; updated likewise.
@@ -157,12 +157,12 @@ class SelfPlayVecEnv(VecEnv):
         ends: results of the learner's karts; the reader empties it.
 
     Raises:
-        ConfigError: a group is invalid.
+        ConfigError: a lineup is invalid.
     """
 
     def __init__(
         self,
-        groups: Sequence[TrainingRaces],
+        lineups: Sequence[Lineup],
         curriculum: Curriculum,
         bots: OpponentPool,
         snapshots: OpponentPool,
@@ -178,11 +178,11 @@ class SelfPlayVecEnv(VecEnv):
         self._races: list[_SelfPlayRace] = []
         first = 0
         reward = way_and_places()
-        for group in groups:
+        for lineup, own in itertools.groupby(lineups):
             env = RaceVecEnv(
-                group.races,
-                agents=group.agents,
-                num_kart=group.agents + group.bots,
+                len([*own]),
+                agents=lineup.learners,
+                num_kart=lineup.learners + lineup.bots,
                 track=curriculum.tracks[0],
                 view="racing",
                 reward=reward,
@@ -190,8 +190,8 @@ class SelfPlayVecEnv(VecEnv):
             )
             self._envs.append(env)
             for race in env.races.races:
-                self._races.append(_SelfPlayRace(race, group, first))
-                first += group.agents
+                self._races.append(_SelfPlayRace(race, lineup, first))
+                first += lineup.learners
         self._cuts = np.cumsum([env.num_envs for env in self._envs])[:-1].tolist()
         self._random = np.random.default_rng()
         self._action_filter = ActionFilter(first, hold)
@@ -272,7 +272,7 @@ class SelfPlayVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
         """An attribute of each slot's race."""
-        by_slot = [race.env for race in self._races for _ in range(race.group.agents)]
+        by_slot = [race.env for race in self._races for _ in range(race.lineup.learners)]
         return [getattr(by_slot[slot], attr_name) for slot in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
@@ -304,7 +304,7 @@ class SelfPlayVecEnv(VecEnv):
             infos[slot]["terminal_observation"] = seen[slot]
 
     def _update_race(self, race: _SelfPlayRace, dones: Any, rewards: Any, infos: list[Any]) -> None:
-        for row in range(race.group.agents):
+        for row in range(race.lineup.learners):
             slot = race.slots.start + row
             info = infos[slot]
             is_active = not race.ended[row]
@@ -324,14 +324,14 @@ class SelfPlayVecEnv(VecEnv):
             self._curriculum.update(end.pace)
         beaten = [end.beaten for end in ends if end.rival]
         if beaten:
-            pool = self._bots if race.group.bots else self._snapshots
+            pool = self._bots if race.lineup.bots else self._snapshots
             pool.update(race.rival, float(np.mean(beaten)))
         self.ends += ends
 
     def _begin(self, race: _SelfPlayRace, infos: Sequence[dict[str, Any]]) -> None:
         race.begin(infos)
         self._action_filter.forget(race.slots)
-        is_faced = not race.group.bots and race.group.agents > 1 and self._snapshots.opponents
+        is_faced = not race.lineup.bots and race.lineup.learners > 1 and self._snapshots.opponents
         if is_faced and self._random.random() < self._snapshot_share:
             race.face(self._snapshots.draw(self._random), self._random)
         self._plan(race)

@@ -46,8 +46,9 @@ from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.evaluation import require_openskill
 from stkzoo.wrappers.racing import CHOICES, RESCUE
 
-from ..common.arguments import PPOArguments, ScriptOptions, parse_races
+from ..common.arguments import PPOArguments, ScriptOptions
 from ..common.command import ProgressBar, run_command, training_library
+from ..common.fleet import parse_races
 from ..common.network_policy import initial_weights, save_driver
 from ..common.opponents import OpponentPool, bot_name
 from ..common.run_folder import TrainingLog, keep_arguments, load_checkpoint, save_checkpoint
@@ -294,13 +295,13 @@ class SB3Run:
 
     def _make_races(self) -> Any:
         races = importlib.import_module("stkzoo.agents.training.sb3.races")
-        groups = parse_races(self.arguments.races)
+        lineups = parse_races(self.arguments.races)
         if self.arguments.supersuit:
             training_library("supersuit", _EXTRAS)
             other = importlib.import_module("stkzoo.agents.training.sb3.supersuit")
-            return other.SuperSuitRaces(groups[0], self.arguments.tracks[:1])
+            return other.SuperSuitRaces(lineups, self.arguments.tracks[:1])
         return races.SelfPlayVecEnv(
-            groups,
+            lineups,
             self._curriculum,
             self._bots,
             self._snapshots,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from stkzoo import race_v0
 
-from ..common.arguments import TrainingRaces
+from ..common.fleet import Lineup
 from .races import SHORT_RACE, RaceEnd, way_and_places
 
 
@@ -19,7 +20,7 @@ class SuperSuitRaces(VecEnvWrapper):
     """Races in which the learner drives all karts, one after another within a step.
 
     Args:
-        group: of which races; its bots drive too.
+        lineups: of the races; only those like the first are driven. Its bots drive too.
         tracks: drawn evenly.
 
     Attributes:
@@ -28,10 +29,12 @@ class SuperSuitRaces(VecEnvWrapper):
         ends: nothing; SuperSuit does not tell how a kart's race ended.
     """
 
-    def __init__(self, group: TrainingRaces, tracks: tuple[str, ...]) -> None:
+    def __init__(self, lineups: Sequence[Lineup], tracks: tuple[str, ...]) -> None:
+        first = lineups[0]
+        self.num_races = lineups.count(first)
         race = race_v0.parallel_env(
-            agents=group.agents,
-            num_kart=group.agents + group.bots,
+            agents=first.learners,
+            num_kart=first.learners + first.bots,
             track=tracks,
             view="racing",
             reward=way_and_places(),
@@ -40,11 +43,10 @@ class SuperSuitRaces(VecEnvWrapper):
         )
         races = supersuit.pettingzoo_env_to_vec_env_v1(supersuit.black_death_v3(race))
         envs = supersuit.concat_vec_envs_v1(
-            races, group.races, num_cpus=0, base_class="stable_baselines3"
+            races, self.num_races, num_cpus=0, base_class="stable_baselines3"
         )
         self._inner = envs.venv  # SuperSuit's SB3 form hands on no seed
         self._seed: int | None = None
-        self.num_races = group.races
         self.kart_steps, self.rewarded = 0, 0.0
         self.ends: list[RaceEnd] = []
         super().__init__(envs)
