@@ -116,7 +116,7 @@ def export_policy(
         raise ConfigError(f"{str(target)!r} is not the folder of an agent; give another --output")
     target.mkdir(parents=True, exist_ok=True)
     save_weights(target / WEIGHTS, arrays)
-    facts = {
+    facts: dict[str, Any] = {
         "name": name,
         "sha256": digest_of(target / WEIGHTS),
         "size": (target / WEIGHTS).stat().st_size,
@@ -129,7 +129,9 @@ def export_policy(
     write_text(target / "pystk_actor.py", _MODULE.format(name=name, view=view))
     write_json(target / CARD, facts)
     if not (target / "CARD.md").exists():
-        write_text(target / "CARD.md", _card(facts))
+        lines = "\n".join(map(_describe, facts["runs"]))
+        card = _CARD.format(**{**facts, "weights": WEIGHTS, "runs": lines})
+        write_text(target / "CARD.md", card)
     return target
 
 
@@ -169,11 +171,6 @@ def _run_of(source: Path) -> dict[str, Any]:
     if isinstance(history, dict):  # a run whose arguments never change
         history = [{"from": 0, "arguments": history}]
     return {"kart_steps": int(digits) if digits.isdigit() else None, "history": history}
-
-
-def _card(facts: dict[str, Any]) -> str:
-    lines = "\n".join(map(_describe, facts["runs"]))
-    return _CARD.format(**{**facts, "weights": WEIGHTS, "runs": lines})
 
 
 def _describe(run: dict[str, Any]) -> str:

@@ -162,18 +162,20 @@ class FleetStep:
 
 
 class RaceStarts:
-    """Races that stand at GO, each started when it is first needed."""
+    """Races that stand at GO, each started when it is first needed.
+
+    Attributes:
+        root: folder of the game's data.
+        tables: the roads, by number.
+        view: sees them.
+    """
 
     def __init__(self) -> None:
-        self._root = find_assets().root
+        self.root = find_assets().root
         self._sessions: dict[StartingPoint, tuple[WorkerSession, Snapshot]] = {}
         self._roads: dict[tuple[str, bool], int] = {}
-        self._tables: list[RoadTable] = []
+        self.tables: list[RoadTable] = []
         self.view = BatchedRacingView([])
-
-    def new_session(self) -> WorkerSession:
-        """A session for races that begin here."""
-        return WorkerSession(self._root)
 
     def begin(self, start: StartingPoint, session: WorkerSession) -> Snapshot:
         """Begins a race in a session; its first snapshot."""
@@ -184,7 +186,7 @@ class RaceStarts:
         return snapshot
 
     def _start(self, point: StartingPoint) -> tuple[WorkerSession, Snapshot]:
-        session = self.new_session()
+        session = WorkerSession(self.root)
         start = session.start(point.setup())
         self._add_road(point, decode_track(start.track))
         snapshot = start.snapshot
@@ -197,17 +199,13 @@ class RaceStarts:
     def _add_road(self, point: StartingPoint, track: TrackMap) -> None:
         key = point.track, point.reverse
         if key not in self._roads:
-            self._roads[key] = len(self._tables)
-            self._tables.append(RoadTable(track))
-            self.view = BatchedRacingView(self._tables)
+            self._roads[key] = len(self.tables)
+            self.tables.append(RoadTable(track))
+            self.view = BatchedRacingView(self.tables)
 
     def road(self, point: StartingPoint) -> int:
         """The number of the road in ``view`` of a race that has begun before."""
         return self._roads[point.track, point.reverse]
-
-    def length(self, point: StartingPoint) -> float:
-        """The length of a lap [m]."""
-        return self._tables[self.road(point)].length
 
     def close(self, keep: Collection[StartingPoint] = ()) -> None:
         """Ends the waiting races, except those at some starting points."""
@@ -230,7 +228,7 @@ class FleetRace:
     ) -> None:
         self.slots = slots
         self.lineup, self._starts, self._place_reward = lineup, starts, place_reward
-        self._session = starts.new_session()
+        self._session = WorkerSession(starts.root)
 
     def begin(self, track: str, reverse: bool, number: int) -> None:
         """Begins a race; ``number`` is that of its starting point."""
@@ -240,8 +238,8 @@ class FleetRace:
         is_bot = np.array([kart.is_bot for kart in self.start.setup().karts])
         self.karts = np.flatnonzero(~is_bot)
         self.racing = np.ones(len(self.karts), bool)
-        self.length = self._starts.length(self.start)
         self.road = self._starts.road(self.start)
+        self.length = self._starts.tables[self.road].length
         self.first_finish: float | None = None
 
     def send(self, controls: FloatArray) -> None:

@@ -38,11 +38,6 @@ class Opponent:
     beaten: float = 0.5
     races: int = 0
 
-    @property
-    def weight(self) -> float:
-        """Weight in the draw."""
-        return (1.0 - self.beaten) ** 2 + _LEAST_WEIGHT
-
     def update(self, beaten: float) -> None:
         """Updates with the share of the duels that the learner won in a race."""
         # The first races are a plain mean, with one half at the start.
@@ -82,7 +77,8 @@ class OpponentPool:
             among: only these, which must be in the pool; all by default.
         """
         names = list(self._opponents) if among is None else list(among)
-        weights = np.array([self._opponents[name].weight for name in names])
+        shares = [(1.0 - self._opponents[name].beaten) ** 2 for name in names]
+        weights = np.array(shares) + _LEAST_WEIGHT
         return names[int(random.choice(len(names), p=weights / weights.sum()))]
 
     def update(self, name: str, beaten: float) -> None:

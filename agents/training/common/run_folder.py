@@ -96,7 +96,7 @@ def keep_arguments(
 
 
 def plan_parameters(file: str | Path) -> DriverParameters:
-    """The parameters in a JSON file, such as ``best.json`` of ``tune_plans``.
+    """The parameters in a JSON file: ``best.json`` of ``tune_plans``, or a run's arguments.
 
     Args:
         file: the file; empty is the default parameters.
@@ -106,7 +106,14 @@ def plan_parameters(file: str | Path) -> DriverParameters:
     """
     if not file:
         return DriverParameters()
-    return _parameters(file, lambda content: content)
+    try:
+        content = json.loads(Path(file).read_text())
+        return DriverParameters(**(content[-1]["rules"] if isinstance(content, list) else content))
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise ConfigError(
+            f"{str(file)!r} has no parameters of plans as this version of stkzoo has them "
+            f"({error}); give another file, or the version that wrote it"
+        ) from None
 
 
 def run_parameters(folder: Path) -> DriverParameters:
@@ -116,21 +123,7 @@ def run_parameters(folder: Path) -> DriverParameters:
         ConfigError: the run is of another version.
     """
     file = folder / ARGUMENTS
-    return (
-        _parameters(file, lambda content: content[-1]["rules"])
-        if file.exists()
-        else plan_parameters("")
-    )
-
-
-def _parameters(file: str | Path, find: Any) -> DriverParameters:
-    try:
-        return DriverParameters(**find(json.loads(Path(file).read_text())))
-    except (OSError, ValueError, LookupError, TypeError) as error:
-        raise ConfigError(
-            f"{str(file)!r} has no parameters of plans as this version of stkzoo has them "
-            f"({error}); give another file, or the version that wrote it"
-        ) from None
+    return plan_parameters(file if file.exists() else "")
 
 
 # ---------------------------------------------------------------------- checkpoint

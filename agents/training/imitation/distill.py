@@ -186,13 +186,9 @@ def _ratios(finishes: Sequence[Finish]) -> tuple[float, ...]:
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    kinds, remedy = (
-        (ScriptOptions, DistillationArguments),
-        "the same command continues with its round",
-    )
-    return run_command(
-        "imitation.distill", __doc__, partial(show_rounds, run), kinds, words, remedy
-    )
+    kinds, show = (ScriptOptions, DistillationArguments), partial(show_rounds, run)
+    remedy = "the same command continues with its round"
+    return run_command("imitation.distill", __doc__, show, kinds, words, remedy)
 
 
 if __name__ == "__main__":

@@ -259,10 +259,9 @@ def _instance(teacher: str, seed: int) -> DriverInstance:
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    kinds, remedy = (ScriptOptions, TeacherArguments), "the same command continues"
-    return run_command(
-        "imitation.imitate", __doc__, partial(show_rounds, run), kinds, words, remedy
-    )
+    kinds, show = (ScriptOptions, TeacherArguments), partial(show_rounds, run)
+    remedy = "the same command continues"
+    return run_command("imitation.imitate", __doc__, show, kinds, words, remedy)
 
 
 if __name__ == "__main__":

@@ -119,6 +119,9 @@ class League:
         folder: the league's.
         arguments: of the league.
 
+    Attributes:
+        page: the page's file.
+
     Raises:
         ConfigError: a library is missing, an argument is invalid, or the folder has another league.
     """
@@ -126,6 +129,7 @@ class League:
     def __init__(self, folder: str | Path, arguments: LeagueArguments) -> None:
         require_openskill()
         self.folder, self.arguments = Path(folder), arguments
+        self.page = self.folder / _PAGE
         (self.folder / _MEMBERS).mkdir(parents=True, exist_ok=True)
         self._policies: dict[str, RacingPolicy] = {}
         self._state = _LeagueState()
@@ -142,11 +146,6 @@ class League:
     def kart_steps(self) -> int:
         """Kart-steps of all players."""
         return self._state.kart_steps
-
-    @property
-    def page(self) -> Path:
-        """The page's file."""
-        return self.folder / _PAGE
 
     def play_turn(self, report: Report) -> str:
         """Plays the next turn and writes its results.
@@ -246,7 +245,7 @@ class League:
     def _save(self) -> None:
         state = self._state
         if state.ratings:
-            write_text(self.folder / _PAGE, page(state.members, state.matches, state.ratings))
+            write_text(self.page, page(state.members, state.matches, state.ratings))
         content = {"version": _VERSION, "arguments": asdict(self.arguments), **asdict(state)}
         write_json(self.folder / _STATE, content)
 

@@ -452,7 +452,8 @@ def train(options: SelfPlayOptions, arguments: SelfPlayArguments) -> None:
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    kinds, remedy = (SelfPlayOptions, SelfPlayArguments), "the same command continues"
+    kinds = SelfPlayOptions, SelfPlayArguments
+    remedy = "the same command continues from the last checkpoint"
     return run_command("ppo.selfplay", __doc__, train, kinds, words, remedy)
 
 

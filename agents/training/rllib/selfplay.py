@@ -169,17 +169,12 @@ def _algorithm(arguments: RLlibArguments, folder: Path) -> Any:
     return algorithm
 
 
-def _remind(algorithm: Any, last: Mapping[str, Any]) -> None:
-    """Restores the progress of self-play, which is not in the checkpoint."""
-    found = algorithm.callbacks
-    for callback in found if isinstance(found, list) else [found]:
-        callback.remember(last["promotions"], last["races"])
-
-
 def _iterations(algorithm: Any, arguments: RLlibArguments, folder: Path) -> None:
     with TrainingLog(folder, algorithm.iteration) as log:
         if log.last:
-            _remind(algorithm, log.last)
+            found = algorithm.callbacks  # the progress of self-play is not in the checkpoint
+            for callback in found if isinstance(found, list) else [found]:
+                callback.remember(log.last["promotions"], log.last["races"])
         while algorithm.iteration < arguments.iterations:
             begun = time.monotonic()
             result = algorithm.train()
@@ -257,7 +252,8 @@ def sb3_names(state: Mapping[str, npt.NDArray[np.float32]]) -> dict[str, npt.NDA
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    kinds, remedy = (ScriptOptions, RLlibArguments), "the same command continues"
+    kinds = ScriptOptions, RLlibArguments
+    remedy = "the same command continues from the last checkpoint"
     return run_command("rllib.selfplay", __doc__, train, kinds, words, remedy)
 
 

@@ -36,7 +36,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -59,6 +59,8 @@ from .curriculum import EASY_TO_HARD, Curriculum
 #: Initial bias of choices, by their place in the view: to go rather than to brake, and to drift or
 #: call for the rescue rarely. Without it every kart stands for most of its first races.
 _BIASES = {CHOICES[0]: 1.5, CHOICES[0] + RESCUE: -3.0, sum(CHOICES[:2]): 2.0}
+#: Arguments that Stable-Baselines3's PPO has too, under the same names.
+_PPO_NAMES = {entry.name for entry in fields(PPOArguments)} - {"hidden"}
 #: Karts in the means of the log.
 _RECENT = 100
 #: Time limit of the last evaluations [s].
@@ -216,7 +218,9 @@ class SB3Run:
             self._restore(*checkpoint)
         else:
             if arguments.init:
-                self._load(initial_weights(arguments.init, self._model.policy))
+                weights = initial_weights(arguments.init, self._model.policy)
+                tensors = {n: self._torch.from_numpy(array) for n, array in weights.items()}
+                self._model.policy.load_state_dict(tensors)
             self._keep()
             self.save_checkpoint()
 
@@ -324,16 +328,9 @@ class SB3Run:
                 self._envs,
                 rollout_buffer_class=buffers.ActiveRolloutBuffer,
                 n_steps=arguments.n_steps,
-                batch_size=arguments.batch_size,
-                n_epochs=arguments.n_epochs,
-                learning_rate=arguments.learning_rate,
-                gamma=arguments.gamma,
-                gae_lambda=arguments.gae_lambda,
-                clip_range=arguments.clip_range,
-                ent_coef=arguments.ent_coef,
                 policy_kwargs={"net_arch": list(arguments.hidden)},
-                seed=arguments.seed,
                 device="cpu",
+                **{name: getattr(arguments, name) for name in _PPO_NAMES},
             )
         with self._torch.no_grad():
             for choice, bias in _BIASES.items():
@@ -416,10 +413,6 @@ class SB3Run:
 
     def _make_ready(self, name: str) -> None:
         self._envs.add_driver(name, load_driver(self.folder / f"{name}.safetensors"))
-
-    def _load(self, weights: dict[str, Any]) -> None:
-        tensors = {name: self._torch.from_numpy(array) for name, array in weights.items()}
-        self._model.policy.load_state_dict(tensors)
 
     def _restore(self, facts: dict[str, Any], state: dict[str, Any]) -> None:
         self.kart_steps, self.iteration = facts["kart_steps"], facts["iteration"]
