@@ -229,7 +229,7 @@ def _show_results(results: Sequence[BenchmarkResult]) -> None:
         plan = result.plan
         errors = f"; the agent failed {result.errors} times" if result.errors else ""
         say(
-            f"{result.label}: {len(result.outcomes)} of {len(plan.races())} races on "
+            f"{result.label}: {len(result.races)} of {len(plan.races())} races on "
             f"{', '.join(plan.tracks)}; AI difficulty {plan.settings.difficulty}; with 95 % "
             f"intervals{errors}."
         )

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import astuple
 
 import numpy as np
 import pytest
@@ -77,7 +78,7 @@ def test_a_form_that_cannot_be_is_told(name):
 def test_orders_put_the_agent_where_the_form_says():
     plan = plan_benchmark("random@:dice", split="lighthouse", seeds=1, reverse=[True])
     by_race = dict(zip(plan.races(), plan.orders(), strict=True))
-    found = {(race.form.name, race.end): order for race, order in by_race.items()}
+    found = {(race.form, race.end): order for race, order in by_race.items()}
     dice = "random@:dice"
     assert found["PPAAA", "back"].drivers == ("ai", "ai", "ai", dice, dice)
     assert found["PPAAA", "back"].wait_for == (3, 4)
@@ -246,9 +247,9 @@ def made_up(ratio, won, *, seeds=5, **changes):
     plan = plan_benchmark("random", **options)
     outcomes = []
     for race in plan.races():
-        ai_time = plan.ai_time(race.track, race.reverse)
-        kart = KartOutcome(ratio(race) * ai_time, 1 if won(race) else 2, 0, 0)
-        outcomes.append(RaceOutcome(race, "awaited_finished", ai_time, plan.limit, (kart,)))
+        time = ratio(race) * plan.ai_time(race.track, race.reverse)
+        kart = KartOutcome(time, 1 if won(race) else 2, 0, 0)
+        outcomes.append(RaceOutcome(*astuple(race), "awaited_finished", ratio(race), (kart,)))
     return BenchmarkResult(plan, tuple(outcomes))
 
 
@@ -269,10 +270,7 @@ def test_groups_have_the_means_of_their_races():
 def test_an_agent_that_never_finishes_can_be_drawn(tmp_path):
     plan = made_up(lambda _: 1.0, lambda _: False, seeds=2, split="test").plan
     lost = (KartOutcome(None, 2, 0, 0),)
-    outcomes = [
-        RaceOutcome(race, "max_steps", plan.ai_time(race.track, race.reverse), plan.limit, lost)
-        for race in plan.races()
-    ]
+    outcomes = [RaceOutcome(*astuple(race), "max_steps", plan.limit, lost) for race in plan.races()]
     result = BenchmarkResult(plan, tuple(outcomes))
     for group in result.groups:
         ratio = group.figures["time_ratio"]

@@ -80,7 +80,7 @@ def test_the_result_follows_its_schema_and_is_read_again(small):
     jsonschema.validate(written, schema("benchmark-result"))
     from_races, from_file = load_benchmark(folder), load_benchmark(folder / "result.json")
     assert from_races == result
-    assert from_file.outcomes == result.outcomes
+    assert from_file.races == result.races
     assert from_file.groups == result.groups
 
 
@@ -114,7 +114,7 @@ def test_two_agents_meet_the_same_conditions(small, tmp_path):
     _, heuristic, _ = small
     one = run_benchmark("ai", output=tmp_path / "ai", plot=False, **SMALL)
     two = run_benchmark("ai@:again", output=tmp_path / "again", plot=False, jobs=1, **SMALL)
-    assert [outcome.karts for outcome in one.outcomes] == [o.karts for o in two.outcomes]
+    assert [outcome.karts for outcome in one.races] == [o.karts for o in two.races]
     same = compare(one, two).difference().figures["time_ratio"]
     assert (same.value, same.low, same.high) == (0.0, 0.0, 0.0)
     assert compare(heuristic, one).difference().figures["time_ratio"].value != 0.0
@@ -165,7 +165,7 @@ def test_a_killed_benchmark_goes_on_to_the_same_result(small, tmp_path):
     assert done.returncode == 0, done.stderr
     assert "6 of 6 races on lighthouse" in done.stdout
     assert all((folder / "races" / name).read_bytes() == text for name, text in kept.items())
-    assert load_benchmark(folder).outcomes == whole.outcomes
+    assert load_benchmark(folder).races == whole.races
 
 
 # ------------------------------------------------------------------ the race's end, rescues

@@ -66,8 +66,8 @@ def compare(first: BenchmarkResult, second: BenchmarkResult) -> Comparison:
             f"{first.label} and {second.label} raced under different conditions: "
             f"{'; '.join(differing)}. Run the benchmark again for one of them"
         )
-    others = {(outcome.race.kind, outcome.race.index): outcome for outcome in second.outcomes}
-    shared = [own for own in first.outcomes if (own.race.kind, own.race.index) in others]
+    others = {race.key: race for race in second.races}
+    shared = [race for race in first.races if race.key in others]
     if not shared:
         raise ConfigError(
             f"{first.label} and {second.label} have no race in common; give both the same tracks, "
@@ -76,7 +76,7 @@ def compare(first: BenchmarkResult, second: BenchmarkResult) -> Comparison:
 
     def minus(kind: FigureKind) -> FigureKind:
         def difference(mine: RaceOutcome) -> float | None:
-            one, two = kind.of(mine), kind.of(others[mine.race.kind, mine.race.index])
+            one, two = kind.of(mine), kind.of(others[mine.key])
             return None if one is None or two is None else one - two
 
         return FigureKind(kind.name, difference, kind.bounds and (-kind.bounds[1], kind.bounds[1]))

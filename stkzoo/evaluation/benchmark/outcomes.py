@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
 
 from stkzoo.evaluation.benchmark.races import BenchmarkRace, direction_name
 from stkzoo.evaluation.statistics import Estimate, estimate_known
@@ -29,55 +28,52 @@ class KartOutcome:
 
 
 @dataclass(frozen=True, slots=True)
-class RaceOutcome:
-    """The outcome of one race for the agent.
+class RaceOutcome(BenchmarkRace):
+    """One race, and its outcome for the agent.
 
     Attributes:
-        race: the race.
         status: why it ended.
-        ai_time: the AI's median time there [s].
-        limit: the multiple of it after which the race ended.
+        time_ratio: the karts' mean finish time as a multiple of the AI's. A kart that did not
+            finish counts with the limit after which the race ended.
         karts: the agent's, in the order of the grid.
     """
 
-    race: BenchmarkRace
     status: str
-    ai_time: float
-    limit: float
+    time_ratio: float
     karts: tuple[KartOutcome, ...]
 
     @classmethod
     def of(
         cls, race: BenchmarkRace, result: RaceResult, ai_time: float, limit: float
     ) -> RaceOutcome:
-        """The agent's part of a race's result."""
-        places = race.form.places(race.end)
+        """The agent's part of a race's result.
+
+        Args:
+            race: the race.
+            result: its result.
+            ai_time: the AI's median time there [s].
+            limit: the multiple of it after which the race ends.
+        """
+        places = race.lineup.places(race.end)
         own = [row for row in result.agents if row.start_position - 1 in places]
         lost = [row.agent for row in own if row.finish_time is None]
         last = dict(zip(reversed(lost), range(len(result.agents), 0, -1), strict=False))
         own.sort(key=lambda row: row.start_position)
         karts = tuple(_kart(row, last.get(row.agent, row.rank)) for row in own)
-        return cls(race, result.status, ai_time, limit, karts)
-
-    @property
-    def time_ratio(self) -> float:
-        """The karts' mean finish time as a multiple of the AI's; at most ``limit``.
-
-        A kart that did not finish counts with the limit.
-        """
-        return _mean([self._ratio(kart) for kart in self.karts])
+        ratios = [limit if k.time is None else min(k.time / ai_time, limit) for k in karts]
+        return cls(**asdict(race), status=result.status, time_ratio=_mean(ratios), karts=karts)
 
     @property
     def is_won(self) -> float | None:
         """1 if a kart of the agent won, else 0; ``None`` without rivals."""
-        if not self.race.form.rivals:
+        if not self.lineup.rivals:
             return None
         return float(any(kart.rank == 1 and kart.time is not None for kart in self.karts))
 
     @property
     def rank(self) -> float | None:
         """The karts' mean rank; ``None`` without rivals."""
-        return _mean([kart.rank for kart in self.karts]) if self.race.form.rivals else None
+        return _mean([kart.rank for kart in self.karts]) if self.lineup.rivals else None
 
     @property
     def unfinished(self) -> float:
@@ -89,18 +85,6 @@ class RaceOutcome:
         """How often each kart was put back on the road; ``None`` if not counted."""
         counts = [kart.rescues for kart in self.karts if kart.rescues is not None]
         return _mean(counts) if len(counts) == len(self.karts) else None
-
-    def _ratio(self, kart: KartOutcome) -> float:
-        return self.limit if kart.time is None else min(kart.time / self.ai_time, self.limit)
-
-    def to_dict(self) -> dict[str, Any]:
-        """The outcome as JSON values; the rest follows from the plan."""
-        return {
-            **self.race.to_dict(),
-            "status": self.status,
-            "time_ratio": round(self.time_ratio, 5),
-            "karts": [asdict(kart) for kart in self.karts],
-        }
 
 
 def _kart(row: AgentResult, rank: int) -> KartOutcome:
@@ -137,9 +121,9 @@ FIGURES = (
 
 _GROUPINGS: dict[str, Callable[[BenchmarkRace], str]] = {
     "all": lambda _: "",
-    "form": lambda race: race.form.name,
+    "form": lambda race: race.form,
     "direction": lambda race: direction_name(race.reverse),
-    "end": lambda race: race.end if race.form.rivals else "alone",
+    "end": lambda race: race.end if race.lineup.rivals else "alone",
     "track": lambda race: race.track,
     "track and direction": lambda race: f"{race.track} {direction_name(race.reverse)}",
 }
@@ -173,15 +157,15 @@ def group_races(
     groups: dict[tuple[str, str], list[RaceOutcome]] = {}
     for by, name_of in _GROUPINGS.items():
         for outcome in outcomes:
-            groups.setdefault((by, name_of(outcome.race)), []).append(outcome)
+            groups.setdefault((by, name_of(outcome)), []).append(outcome)
     return tuple(_group(by, name, members, kinds) for (by, name), members in groups.items())
 
 
 def _group(
     by: str, name: str, outcomes: Sequence[RaceOutcome], kinds: Sequence[FigureKind]
 ) -> RaceGroup:
-    strata = [outcome.race.kind for outcome in outcomes]
-    chances = [outcome.race.form.chance for outcome in outcomes if outcome.race.form.rivals]
+    strata = [outcome.kind for outcome in outcomes]
+    chances = [outcome.lineup.chance for outcome in outcomes if outcome.lineup.rivals]
     figures = {
         kind.name: estimate_known([kind.of(outcome) for outcome in outcomes], strata, kind.bounds)
         for kind in kinds

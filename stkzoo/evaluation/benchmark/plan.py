@@ -22,7 +22,6 @@ from stkzoo.evaluation.batch.plan import (
 from stkzoo.evaluation.batch.run import RunOptions, load_batch, run_batch
 from stkzoo.evaluation.benchmark.ai_times import load_ai_times
 from stkzoo.evaluation.benchmark.outcomes import (
-    KartOutcome,
     RaceGroup,
     RaceOutcome,
     find_group,
@@ -37,7 +36,7 @@ from stkzoo.evaluation.benchmark.races import (
     make_races,
 )
 from stkzoo.evaluation.statistics import CONFIDENCE
-from stkzoo.race.document import Document, typed
+from stkzoo.race.document import Document
 from stkzoo.race.result import RaceResult
 from stkzoo.race.settings import RaceSettings
 
@@ -102,12 +101,11 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
         return [self._order(race) for race in self.races()]
 
     def _order(self, race: BenchmarkRace) -> RaceOrder:
-        places = race.form.places(race.end)
-        karts = range(race.form.agents + race.form.rivals)
+        places = race.lineup.places(race.end)
         longest = self.limit * self.ai_time(race.track, race.reverse)
         return RaceOrder(
             race.number,
-            tuple(self.agent.text if place in places else "ai" for place in karts),
+            tuple(self.agent.text if place in places else "ai" for place in range(len(race.form))),
             replace(
                 self.settings,
                 track=race.track,
@@ -120,15 +118,14 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
 
     def summarize(self, results: Mapping[int, RaceResult], _: Path) -> BenchmarkResult:
         """The result of the races that have been run."""
-        races = [race for race in self.races() if race.number in results]
-        ai_times = [self.ai_time(race.track, race.reverse) for race in races]
-        return BenchmarkResult(
-            self,
-            tuple(
-                RaceOutcome.of(race, results[race.number], ai_time, self.limit)
-                for race, ai_time in zip(races, ai_times, strict=True)
-            ),
+        outcomes = (
+            RaceOutcome.of(
+                race, results[race.number], self.ai_time(race.track, race.reverse), self.limit
+            )
+            for race in self.races()
+            if race.number in results
         )
+        return BenchmarkResult(self, tuple(outcomes))
 
     def draw(self, result: BenchmarkResult, path: Path) -> None:
         """Plots the result into a file."""
@@ -233,7 +230,7 @@ class BenchmarkResult(Document):
 
     Attributes:
         plan: the benchmark.
-        outcomes: the races that have been run.
+        races: the races that have been run.
     """
 
     # docs/schemas/benchmark-result.schema.json
@@ -242,7 +239,17 @@ class BenchmarkResult(Document):
     rows: ClassVar[str] = "races"
 
     plan: BenchmarkPlan
-    outcomes: tuple[RaceOutcome, ...]
+    races: tuple[RaceOutcome, ...]
+
+    def __post_init__(self) -> None:
+        planned = {race.number: (*race.key, race.seed) for race in self.plan.races()}
+        for race in self.races:
+            found, expected = (*race.key, race.seed), planned[race.number]
+            if found != expected:
+                raise ConfigError(
+                    f"race {race.number} of the benchmark result is {found}, expected {expected}; "
+                    "another version of stkzoo wrote it"
+                )
 
     @property
     def label(self) -> str:
@@ -252,17 +259,17 @@ class BenchmarkResult(Document):
     @property
     def is_complete(self) -> bool:
         """Whether all races have been run."""
-        return len(self.outcomes) == len(self.plan.races())
+        return len(self.races) == len(self.plan.races())
 
     @property
     def errors(self) -> int:
         """How often the agent failed."""
-        return sum(kart.errors for outcome in self.outcomes for kart in outcome.karts)
+        return sum(kart.errors for race in self.races for kart in race.karts)
 
     @cached_property
     def groups(self) -> tuple[RaceGroup, ...]:
         """The figures, over all races and over parts of them."""
-        return group_races(self.outcomes)
+        return group_races(self.races)
 
     def group(self, by: str = "all", name: str = "") -> RaceGroup:
         """The figures of some races.
@@ -279,31 +286,8 @@ class BenchmarkResult(Document):
             "is_complete": self.is_complete,
             "interval": {"kind": "bootstrap over races", "confidence": CONFIDENCE},
             "groups": [asdict(group) for group in self.groups],
-            "plan": self.plan.to_dict(),
-            "races": [outcome.to_dict() for outcome in self.outcomes],
+            **Document.to_dict(self),
         }
-
-    @classmethod
-    def _decode(cls, values: Mapping[str, Any]) -> BenchmarkResult:
-        plan = BenchmarkPlan.from_dict(values["plan"])
-        races = {race.number: race for race in plan.races()}
-        return cls(
-            plan,
-            tuple(_outcome(entry, races[entry["number"]], plan) for entry in values["races"]),
-        )
-
-
-def _outcome(values: Mapping[str, Any], race: BenchmarkRace, plan: BenchmarkPlan) -> RaceOutcome:
-    expected = race.to_dict()
-    found = {name: values[name] for name in expected}
-    if found != expected:
-        raise ConfigError(
-            f"race {race.number} of the benchmark result is {found}, expected {expected}; another "
-            "version of stkzoo wrote it"
-        )
-    karts = tuple(typed(KartOutcome, kart) for kart in values["karts"])
-    ai_time = plan.ai_time(race.track, race.reverse)
-    return RaceOutcome(race, values["status"], ai_time, plan.limit, karts)
 
 
 def run_benchmark(agent: str, *, output: str | os.PathLike[str], **options: Any) -> BenchmarkResult:

@@ -6,8 +6,7 @@ import hashlib
 import itertools
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 from stkzoo.errors import ConfigError
 
@@ -73,31 +72,34 @@ class BenchmarkRace:
         number: counts the races, from 0.
         track: the track's name.
         reverse: driven in reverse direction.
-        form: how many karts the agent and the AI drive.
+        form: name of the form, such as ``"PPAAA"``.
         end: the end of the grid from which the agent starts: ``"front"`` or ``"back"``.
         index: counts the races that differ only in their seeds, from 0.
+        seed: of all random choices in the race; the same for every agent.
     """
 
     number: int
     track: str
     reverse: bool
-    form: BenchmarkForm
+    form: str
     end: str
     index: int
+    seed: int
+
+    @property
+    def lineup(self) -> BenchmarkForm:
+        """How many karts the agent and the AI drive."""
+        return BenchmarkForm.of(self.form)
 
     @property
     def kind(self) -> tuple[str, bool, str, str]:
         """What the races have in common that differ only in their seeds."""
-        return self.track, self.reverse, self.form.name, self.end
+        return self.track, self.reverse, self.form, self.end
 
     @property
-    def seed(self) -> int:
-        """The seed of all random choices in the race; the same for every agent."""
-        return race_seed(*self.kind, self.index)
-
-    def to_dict(self) -> dict[str, Any]:
-        """The race as JSON values."""
-        return {**asdict(self), "form": self.form.name, "seed": self.seed}
+    def key(self) -> tuple[str, bool, str, str, int]:
+        """The description of the race, equal in all benchmarks."""
+        return *self.kind, self.index
 
 
 def race_seed(track: str, reverse: bool, form: str, end: str, index: int) -> int:
@@ -123,11 +125,11 @@ def make_races(
         seeds: races of each kind.
     """
     kinds = [
-        (track, reverse, form, end)
+        (track, reverse, form.name, end)
         for track, reverse, form in itertools.product(tracks, directions, forms)
         for end in form.ends
     ]
     return tuple(
-        BenchmarkRace(number, *kind, index)
+        BenchmarkRace(number, *kind, index, race_seed(*kind, index))
         for number, (index, kind) in enumerate(itertools.product(range(seeds), kinds))
     )
