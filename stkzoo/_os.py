@@ -1,10 +1,11 @@
-"""What the library needs of the operating system: cores, a display, files, zips, locks."""
+"""What the library needs of the machine: cores, a display, files, zips, locks, addresses."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
 import hashlib
+import ipaddress
 import os
 import shutil
 import stat
@@ -30,6 +31,8 @@ __all__ = [
     "cpu_count",
     "file_digest",
     "has_display",
+    "ip_address_of",
+    "is_loopback",
     "read_zip",
     "remove_stale_directories",
     "try_lock",
@@ -297,3 +300,17 @@ def _remove_if_unlocked(folder: Path) -> None:
             shutil.rmtree(folder, ignore_errors=True)
     finally:
         os.close(handle)
+
+
+def ip_address_of(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    """The IP address that a text is; ``None`` for a name."""
+    try:
+        return ipaddress.ip_address(host)
+    except ValueError:
+        return None
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach an address or name."""
+    address = ip_address_of(host)
+    return host.lower() == "localhost" or (address is not None and address.is_loopback)

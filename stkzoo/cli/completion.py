@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from stkzoo.errors import ConfigError
+from stkzoo.errors import import_extra
 
 #: The shells that shtab supports.
 _SHELLS = ("bash", "zsh", "fish", "tcsh")
@@ -29,12 +29,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Prints the script."""
     from stkzoo.cli import build_parser
 
-    try:
-        import shtab
-    except ImportError:
-        raise ConfigError(
-            "completion needs shtab, which is not installed; run `pip install 'stkzoo[completion]'`"
-        ) from None
+    shtab = import_extra("shtab", "completion needs", "completion")
     parser = build_parser()
     _complete_files(parser, shtab.FILE)
     print(shtab.complete(parser, shell=arguments.shell))

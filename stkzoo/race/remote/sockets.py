@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import ipaddress
 import re
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from stkzoo.errors import ConfigError, RemoteError
+from stkzoo._os import is_loopback
+from stkzoo.errors import ConfigError, RemoteError, import_extra
 from stkzoo.race.remote.protocol import LIMITS
 
 if TYPE_CHECKING:
@@ -24,19 +23,13 @@ _DEFAULT_PORT = "5555"
 _TCP = re.compile(r"(?P<host>\[[0-9a-fA-F:.%]+\]|[A-Za-z0-9_.-]+|\*)(:(?P<port>\d{1,5}|\*))?")
 
 
-def zmq_module() -> ModuleType:
+def zmq_module() -> Any:
     """The module ``zmq``.
 
     Raises:
         ConfigError: it is not installed.
     """
-    try:
-        import zmq
-    except ImportError as error:
-        raise ConfigError(
-            "networked races need pyzmq, which is not installed: pip install 'stkzoo[remote]'"
-        ) from error
-    return zmq
+    return import_extra("zmq", "networked races need", "remote")
 
 
 def full_address(text: str) -> str:
@@ -64,21 +57,24 @@ def _is_port(text: str) -> bool:
 
 def is_local(address: str) -> bool:
     """Whether only programs on the same machine can reach an address."""
-    if address.startswith("ipc://"):
-        return True
     host = address.removeprefix("tcp://").rpartition(":")[0].strip("[]")
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
+    return address.startswith("ipc://") or is_loopback(host)
 
 
-#: Interval of heartbeats, and the silence after which a connection is dead [ms].
-_HEARTBEAT, _DEAD = 1000, 4000
-#: Time limit for a client to prove its keys [ms].
-_HANDSHAKE = 5000
 #: Queue length on either side of one connection [messages].
 _QUEUE = 16
+#: Options of all sockets [ms]. A connection is dead after a silence of ``HEARTBEAT_TIMEOUT``.
+_LIMITS = {
+    "LINGER": 0,
+    "MAXMSGSIZE": LIMITS.max_bytes,
+    "RCVHWM": _QUEUE,
+    "SNDHWM": _QUEUE * 4,
+    "HEARTBEAT_IVL": 1000,
+    "HEARTBEAT_TIMEOUT": 4000,
+    "HEARTBEAT_TTL": 4000,
+}
+#: Time limit for a client to prove its keys [ms].
+_HANDSHAKE = 5000
 _DOMAIN = b"stkzoo"
 
 
@@ -116,21 +112,11 @@ def server_socket(context: zmq.Context[Any], address: str, keys: ServerKeys) -> 
     Raises:
         ConfigError: the address is not available.
     """
-    lib = zmq_module()
-    socket: zmq.Socket[Any] = context.socket(lib.ROUTER)
-    _set_limits(socket, address)
-    socket.setsockopt(lib.ROUTER_MANDATORY, 1)
-    socket.setsockopt(lib.HANDSHAKE_IVL, _HANDSHAKE)
+    options: dict[str, Any] = {"ROUTER_MANDATORY": 1, "HANDSHAKE_IVL": _HANDSHAKE}
     if keys.own is not None:
-        socket.setsockopt(lib.ZAP_DOMAIN, _DOMAIN)
-        socket.setsockopt(lib.CURVE_SERVER, 1)
-        socket.setsockopt(lib.CURVE_SECRETKEY, keys.own.secret.encode())
-    try:
-        socket.bind(address)
-    except lib.ZMQError as error:
-        socket.close(0)
-        raise ConfigError(f"cannot listen on {address}: {error}") from error
-    return socket
+        secret = keys.own.secret.encode()
+        options |= {"ZAP_DOMAIN": _DOMAIN, "CURVE_SERVER": 1, "CURVE_SECRETKEY": secret}
+    return _open_socket(context, "ROUTER", address, options)
 
 
 def client_socket(
@@ -147,35 +133,31 @@ def client_socket(
     Raises:
         RemoteError: the address cannot be connected to.
     """
-    lib = zmq_module()
-    socket: zmq.Socket[Any] = context.socket(lib.DEALER)
-    _set_limits(socket, address)
-    socket.setsockopt(lib.RECONNECT_IVL, 50)
-    socket.setsockopt(lib.RECONNECT_IVL_MAX, 500)
+    options: dict[str, Any] = {"RECONNECT_IVL": 50, "RECONNECT_IVL_MAX": 500}
     if server_key is not None:
         assert keys is not None  # noqa: S101 - RemoteDriverGroup makes them
-        socket.setsockopt(lib.CURVE_SERVERKEY, server_key.encode())
-        socket.setsockopt(lib.CURVE_PUBLICKEY, keys.public.encode())
-        socket.setsockopt(lib.CURVE_SECRETKEY, keys.secret.encode())
+        options["CURVE_SERVERKEY"] = server_key.encode()
+        options["CURVE_PUBLICKEY"] = keys.public.encode()
+        options["CURVE_SECRETKEY"] = keys.secret.encode()
+    return _open_socket(context, "DEALER", address, options)
+
+
+def _open_socket(
+    context: zmq.Context[Any], kind: str, address: str, options: dict[str, Any]
+) -> zmq.Socket[Any]:
+    lib, is_server = zmq_module(), kind == "ROUTER"
+    socket: zmq.Socket[Any] = context.socket(getattr(lib, kind))
+    for name, value in {**_LIMITS, "IPV6": int("[" in address), **options}.items():
+        socket.setsockopt(getattr(lib, name), value)
     try:
-        socket.connect(address)
+        (socket.bind if is_server else socket.connect)(address)
     except lib.ZMQError as error:
         socket.close(0)
-        raise RemoteError(f"cannot connect to {address}: {error}") from error
+        error_type, attempt = (
+            (ConfigError, "listen on") if is_server else (RemoteError, "connect to")
+        )
+        raise error_type(f"cannot {attempt} {address}: {error}") from error
     return socket
-
-
-def _set_limits(socket: zmq.Socket[Any], address: str) -> None:
-    zmq = zmq_module()
-    socket.setsockopt(zmq.LINGER, 0)
-    socket.setsockopt(zmq.MAXMSGSIZE, LIMITS.max_bytes)
-    socket.setsockopt(zmq.RCVHWM, _QUEUE)
-    socket.setsockopt(zmq.SNDHWM, _QUEUE * 4)
-    socket.setsockopt(zmq.HEARTBEAT_IVL, _HEARTBEAT)
-    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, _DEAD)
-    socket.setsockopt(zmq.HEARTBEAT_TTL, _DEAD)
-    if "[" in address:
-        socket.setsockopt(zmq.IPV6, 1)
 
 
 class ClientAuthenticator:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import hmac
-import ipaddress
 import logging
 import mimetypes
 import secrets
@@ -17,6 +16,7 @@ from urllib.parse import urlsplit
 
 from aiohttp import web
 
+from stkzoo._os import ip_address_of, is_loopback
 from stkzoo.errors import ConfigError
 from stkzoo.race.web.control import RaceControl
 from stkzoo.race.web.feed import RaceNews
@@ -73,7 +73,7 @@ class RequestGuard:
         """
         host, origin = headers.get("Host", ""), headers.get("Origin")
         name = _name_of(f"//{host}")
-        if name is None or (name not in ("localhost", self._host) and _address_of(name) is None):
+        if name is None or (name not in ("localhost", self._host) and ip_address_of(name) is None):
             raise web.HTTPForbidden(text="the page has another name; open it by its address\n")
         # Programs other than browsers send no Origin, and could send any.
         if origin is not None and origin.lower() != f"http://{host.lower()}":
@@ -84,12 +84,6 @@ class RequestGuard:
         return hmac.compare_digest(key.encode(), self.key.encode()) or not self.key
 
 
-def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach an address."""
-    address = _address_of(host)
-    return host.lower() == "localhost" or (address is not None and address.is_loopback)
-
-
 def _name_of(url: str) -> str | None:
     try:
         parts = urlsplit(url)
@@ -98,13 +92,6 @@ def _name_of(url: str) -> str | None:
         return None
     is_plain = not (parts.username or parts.path or parts.query or parts.fragment)
     return parts.hostname if is_plain and has_port else None
-
-
-def _address_of(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    try:
-        return ipaddress.ip_address(name)
-    except ValueError:
-        return None
 
 
 class LiveServer:
@@ -228,7 +215,7 @@ def _listener(host: str, port: int) -> socket.socket:
 
 def _shown(host: str, listener: socket.socket) -> str:
     """The address to open in a browser: this machine's own for a wildcard address."""
-    address = _address_of(listener.getsockname()[0])
+    address = ip_address_of(listener.getsockname()[0])
     if address is not None and address.is_unspecified:
         beyond = "2001:db8::1" if address.version == 6 else "192.0.2.1"
         with suppress(OSError), socket.socket(listener.family, socket.SOCK_DGRAM) as way:
