@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,21 +15,23 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemaini
 
 from stkzoo.cli._console import make_bars, say
 from stkzoo.evaluation import BatchError, BatchProgress, RunOptions
+from stkzoo.evaluation.batch import run as batch
+from stkzoo.evaluation.batch.order import RACES
+from stkzoo.evaluation.batch.plan import BatchPlan
 
-_INTERRUPTED = 130
+_AGENT_FAILED, _INTERRUPTED = 3, 130
 
 Result = TypeVar("Result")
 
 
 def run_batch(
-    arguments: argparse.Namespace, run: Callable[[RunOptions], Result], resume: str
+    arguments: argparse.Namespace, run: Callable[[RunOptions], Result]
 ) -> tuple[Result | None, int]:
     """Runs a batch with a progress bar.
 
     Args:
         arguments: of the command, with ``jobs`` and ``race_timeout``.
         run: runs the batch.
-        resume: how to resume it after an interruption.
 
     Returns:
         The result, and the exit code. The result is ``None`` if there is nothing to show.
@@ -59,13 +62,37 @@ def run_batch(
         except KeyboardInterrupt:
             print(
                 f"stkzoo: interrupted after {done} of {total} races, which are kept; resume with: "
-                f"{resume}",
+                "the same command",
                 file=sys.stderr,
             )
             return None, _INTERRUPTED
 
 
-def say_kept(folder: Path, *names: str) -> None:
-    """Names the files that a batch has left in its folder."""
-    kept = ", ".join(name for name in names if (folder / name).exists())
-    say(f"More in {folder}{os.sep}: {kept}")
+def run_plan(
+    arguments: argparse.Namespace,
+    plan: BatchPlan[batch.AnyDocument],
+    folder: Path,
+    show: Callable[[batch.AnyDocument], object],
+) -> int:
+    """Runs a planned batch and shows its result.
+
+    Args:
+        arguments: of the command, with ``jobs``, ``race_timeout`` and ``json``.
+        plan: the batch.
+        folder: its folder.
+        show: prints the result.
+
+    Returns:
+        The exit code.
+    """
+    result, code = run_batch(arguments, partial(batch.run_batch, plan, folder))
+    if result is None:
+        return code
+    if arguments.json:
+        print(result.to_json())
+    else:
+        show(result)
+        names = (plan.result_file, f"{plan.noun}.png", RACES)
+        kept = ", ".join(name for name in names if (folder / name).exists())
+        say(f"More in {folder}{os.sep}: {kept}")
+    return code or (_AGENT_FAILED if getattr(result, "errors", 0) else 0)

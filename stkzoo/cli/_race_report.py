@@ -97,22 +97,13 @@ def show_series(results: Sequence[RaceResult]) -> None:
     """Prints several races with the same drivers as one table."""
     tracks = ", ".join(dict.fromkeys(result.track for result in results))
     say(f"{len(results)} races, seeds {results[0].seed} to {results[-1].seed}: {tracks}")
-    columns = (
-        "driver",
-        "kart",
-        "wins",
-        "mean rank",
-        "finished",
-        "mean time [s]",
-        "reward",
-        "errors",
-    )
+    numbers = ("wins", "mean rank", "finished", "mean time [s]", "reward", "errors")
     by_agent: dict[str, list[AgentResult]] = {}
     for result in results:
         for row in result.agents:
             by_agent.setdefault(row.agent, []).append(row)
     in_order = sorted(by_agent.values(), key=lambda rows: fmean(row.rank for row in rows))
-    show_table(columns, map(_series_cells, in_order), left=_TEXT_COLUMNS)
+    show_table((*_TEXT_COLUMNS, *numbers), map(_series_cells, in_order), left=_TEXT_COLUMNS)
     for result in results:
         for row in result.agents:
             _show_errors(row, f" in the race with seed {result.seed}")

@@ -29,7 +29,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,7 +51,6 @@ if TYPE_CHECKING:
         RaceGroup,
     )
 
-_AGENT_FAILED = 3
 _MAIN_GROUPS = ("all", "form")
 _SHOWN_GROUPS = (*_MAIN_GROUPS, "direction", "end", "track")
 #: Width of a line with all figures; on a narrower terminal the intervals are printed below.
@@ -122,20 +120,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _benchmark(arguments: argparse.Namespace) -> int:
-    from stkzoo.cli._batch import run_batch, say_kept
-    from stkzoo.evaluation.batch.run import run_batch as run_races
+    from stkzoo.cli._batch import run_plan
 
     plan = _plan(arguments)
     folder = Path(arguments.output or Path("benchmark", plan.agent.label.replace("/", "_")))
-    result, code = run_batch(arguments, partial(run_races, plan, folder), "the same command")
-    if result is None:
-        return code
-    if arguments.json:
-        print(result.to_json())
-    else:
-        _show_results([result])
-        say_kept(folder, "result.json", "benchmark.png", "races")
-    return code or (_AGENT_FAILED if result.errors else 0)
+    return run_plan(arguments, plan, folder, lambda result: _show_results([result]))
 
 
 def _plan(arguments: argparse.Namespace) -> BenchmarkPlan:
@@ -157,31 +146,15 @@ def _plan(arguments: argparse.Namespace) -> BenchmarkPlan:
 
 
 def _baseline(arguments: argparse.Namespace) -> int:
-    from stkzoo.cli._batch import run_batch
+    from stkzoo.cli._batch import run_plan
     from stkzoo.cli._console import say
-    from stkzoo.evaluation import measure_ai_times
-    from stkzoo.evaluation.benchmark.ai_times import AI_TIMES_FILE
+    from stkzoo.evaluation.benchmark.ai_times import plan_ai_times
 
+    plan = plan_ai_times(tracks=arguments.split or "all", seeds=arguments.seeds)
     folder = Path(arguments.output or "ai-times")
-    times, code = run_batch(
-        arguments,
-        lambda options: measure_ai_times(
-            folder,
-            tracks=arguments.split or "all",
-            seeds=arguments.seeds,
-            jobs=options.jobs,
-            race_timeout=options.race_timeout,
-            on_race=options.on_race,
-        ),
-        "the same command",
+    return run_plan(
+        arguments, plan, folder, lambda times: say(f"{len(times.by_race)} times of the game's AI")
     )
-    if times is None:
-        return code
-    if arguments.json:
-        print(times.to_json())
-    else:
-        say(f"{len(times.by_race)} times of the game's AI in {folder / AI_TIMES_FILE}")
-    return 0
 
 
 def _compare(arguments: argparse.Namespace) -> int:

@@ -102,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
         label = plan.agent.label.replace(":", "-")
         arguments.output = arguments.output or f"supertuxkart/{label}-v0"
         file = Path(f"{arguments.output.replace('/', '-')}.npz")  # until the import into Minari
-    demos, code = run_batch(arguments, partial(record_plan, plan, file), "the same command")
+    demos, code = run_batch(arguments, partial(record_plan, plan, file))
     return code if demos is None else _finish(arguments, demos, file)
 
 

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,7 +37,6 @@ if TYPE_CHECKING:
 
 #: Options that are arguments of ``plan_tournament``.
 _PLANNED = ("agents", "tracks", "races", "per_race", "seed")
-_AGENT_FAILED = 3
 
 
 @dataclass
@@ -78,21 +76,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 @usage_errors
 def run(arguments: argparse.Namespace) -> int:
     """Runs or resumes a tournament."""
-    from stkzoo.cli._batch import run_batch, say_kept
-    from stkzoo.evaluation.batch.run import run_batch as run_races
+    from stkzoo.cli._batch import run_plan
 
     folder = Path(arguments.resume or arguments.output)
-    races = partial(run_races, _plan(arguments, folder), folder)
-    result, code = run_batch(arguments, races, f"stkzoo tournament --resume {folder}")
-    if result is None:
-        return code
-    if arguments.json:
-        print(result.to_json())
-    else:
-        _show(result)
-        say_kept(folder, "result.json", "tournament.png", "races")
-    has_failed = any(row.errors for row in result.standings)
-    return code or (_AGENT_FAILED if has_failed else 0)
+    return run_plan(arguments, _plan(arguments, folder), folder, _show)
 
 
 def _plan(arguments: argparse.Namespace, folder: Path) -> TournamentPlan:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
@@ -37,18 +38,18 @@ class Estimate:
 
 
 def estimate_mean(
-    values: Sequence[float],
+    values: Sequence[float | None],
     strata: Sequence[Hashable],
     bounds: tuple[float, float] | None = None,
-) -> Estimate:
+) -> Estimate | None:
     """The mean of one value per race, with a 95 % bootstrap interval.
 
     The bootstrap resamples the races within each stratum, and draws one race less than the
     stratum has. The drawn means then vary as much as the mean itself does, even in small strata
-    (McCarthy and Snowden 1985).
+    (McCarthy and Snowden 1985). ``None`` if no value is known.
 
     Args:
-        values: one per race, at least one.
+        values: one per race; ``None`` where there is none.
         strata: the stratum of each race, fixed over repetitions of the experiment. A stratum
             with a single race carries no information about chance; the result then has no
             interval.
@@ -58,28 +59,20 @@ def estimate_mean(
     """
     members: dict[Hashable, list[float]] = {}
     for value, stratum in zip(values, strata, strict=True):
-        members.setdefault(stratum, []).append(value)
-    mean = math.fsum(values) / len(values)
+        if value is not None:
+            members.setdefault(stratum, []).append(value)
+    count = sum(map(len, members.values()))
+    if not count:
+        return None
+    mean = math.fsum(itertools.chain(*members.values())) / count
     if min(map(len, members.values())) < 2:
         return Estimate(mean, None, None)
     if bounds is not None and all(min(own) == max(own) for own in members.values()):
-        margin = 1 - ((1 - CONFIDENCE) / 2) ** (1 / len(values))
+        margin = 1 - ((1 - CONFIDENCE) / 2) ** (1 / count)
         return Estimate(mean, max(bounds[0], mean - margin), min(bounds[1], mean + margin))
-    low, high = percentile_interval(_resampled_means(list(members.values()), len(values)))
+    low, high = percentile_interval(_resampled_means(list(members.values()), count))
     # Where all races agree, sums in another order differ in the last place.
     return Estimate(mean, min(float(low), mean), max(float(high), mean))
-
-
-def estimate_known(
-    values: Sequence[float | None],
-    strata: Sequence[Hashable],
-    bounds: tuple[float, float] | None = None,
-) -> Estimate | None:
-    """:func:`estimate_mean` of the values that are known; ``None`` if none is."""
-    known = [(value, at) for value, at in zip(values, strata, strict=True) if value is not None]
-    if not known:
-        return None
-    return estimate_mean([value for value, _ in known], [at for _, at in known], bounds)
 
 
 def percentile_interval(draws: npt.ArrayLike) -> npt.NDArray[np.float64]:

@@ -84,7 +84,7 @@ class _Worker:
     def __init__(self, folder: Path, race_timeout: float) -> None:
         self._folder, self._timeout = str(folder.absolute()), race_timeout
         self._lock = threading.Lock()
-        self._process: _Process | None = None
+        self._running: tuple[subprocess.Popen[bytes], OutputTail] | None = None
         self._is_closed = False
 
     def run(self, order: RaceOrder) -> OrderOutcome:
@@ -97,12 +97,22 @@ class _Worker:
             with self._lock:
                 if self._is_closed:
                     return OrderOutcome(order, error="the batch was ended")
-                self._process = process = self._process or _Process()
-            if answer := process.ask(text, self._timeout):
-                return OrderOutcome(order, **answer)
-            self._process = None
-            error = process.end(_END_TIMEOUT)
-            if process.was_late:
+                process, said = self._running = self._running or _start()
+            assert process.stdin is not None  # noqa: S101 - opened as pipes
+            assert process.stdout is not None  # noqa: S101 - opened as pipes
+            watch = threading.Timer(self._timeout, process.kill)
+            watch.start()
+            try:
+                process.stdin.write(text + b"\n")
+                process.stdin.flush()
+                return OrderOutcome(order, **json.loads(process.stdout.readline()))
+            except (OSError, ValueError):  # its output is closed, or cut off
+                was_late = watch.finished.is_set()
+            finally:
+                watch.cancel()
+            self._running = None
+            error = _end(process, said, _END_TIMEOUT)
+            if was_late:
                 return OrderOutcome(order, error=f"it was not over after {self._timeout:g} s")
         return OrderOutcome(order, error=error)
 
@@ -110,55 +120,37 @@ class _Worker:
         """Ends the process, also during a race."""
         with self._lock:
             self._is_closed = True
-        if process := self._process:
-            process.end()
+        if running := self._running:
+            _end(*running)
 
 
-class _Process:
-    """A process of :mod:`stkzoo.evaluation.batch.worker`."""
+def _start() -> tuple[subprocess.Popen[bytes], OutputTail]:
+    paths = [path for path in sys.path if path]
+    process = subprocess.Popen(  # noqa: S603 - our own program
+        [sys.executable, "-m", _WORKER],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        # Modules that this program finds are found there too.
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        start_new_session=True,  # Ctrl-C is for this program, which ends its workers
+    )
+    return process, OutputTail(process.stderr)
 
-    def __init__(self) -> None:
-        self.was_late = False
-        paths = [path for path in sys.path if path]
-        self._process = subprocess.Popen(  # noqa: S603 - our own program
-            [sys.executable, "-m", _WORKER],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            # Modules that this program finds are found there too.
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
-            start_new_session=True,  # Ctrl-C is for this program, which ends its workers
-        )
-        self._said = OutputTail(self._process.stderr)
 
-    def ask(self, line: bytes, timeout: float) -> dict[str, str]:
-        """Runs one race; the answer has ``result`` or ``error``, and is empty if it died."""
-        assert self._process.stdin is not None  # noqa: S101 - opened as pipes
-        assert self._process.stdout is not None  # noqa: S101 - opened as pipes
-        watch = threading.Timer(timeout, self._process.kill)
-        watch.start()
-        try:
-            self._process.stdin.write(line + b"\n")
-            self._process.stdin.flush()
-            answer: dict[str, str] = json.loads(self._process.stdout.readline())
-        except (OSError, ValueError):  # its output is closed, or cut off
-            self.was_late = watch.finished.is_set()
-            return {}
-        finally:
-            watch.cancel()
-        return answer
-
-    def end(self, patience: float = 0.0) -> str:
-        """Ends the process, after some time to end by itself [s]; says how it ended."""
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(patience)
-        self._process.kill()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(_END_TIMEOUT)
-        self._said.close()
-        for stream in (self._process.stdin, self._process.stdout):
-            if stream is not None:
-                with contextlib.suppress(OSError):  # what was not sent yet
-                    stream.close()
-        code, said = self._process.returncode, self._said.text()
-        return f"its process ended with code {code}" + (f"; last lines:\n{said}" if said else "")
+def _end(process: subprocess.Popen[bytes], said: OutputTail, patience: float = 0.0) -> str:
+    """Ends a process, after some time to end by itself [s]; says how it ended."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(patience)
+    process.kill()
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(_END_TIMEOUT)
+    said.close()
+    for stream in (process.stdin, process.stdout):
+        if stream is not None:
+            with contextlib.suppress(OSError):  # what was not sent yet
+                stream.close()
+    text = said.text()
+    return f"its process ended with code {process.returncode}" + (
+        f"; last lines:\n{text}" if text else ""
+    )

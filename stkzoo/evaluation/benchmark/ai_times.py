@@ -181,28 +181,30 @@ class AiTimesPlan(BatchPlan[AiTimes]):
         return AiTimes.from_races(results[number] for number in sorted(results))
 
 
-def measure_ai_times(
-    output: str | os.PathLike[str],
+def plan_ai_times(
     *,
     tracks: str | Sequence[str] = "all",
     seeds: int = 5,
     difficulties: Sequence[int] = (3, 2, 1, 0),
-    **options: Any,
-) -> AiTimes:
+) -> AiTimesPlan:
+    """Plans the races of :func:`measure_ai_times`."""
+    found = find_tracks(tracks, RaceSettings())
+    return AiTimesPlan(tracks=found, seeds=seeds, difficulties=tuple(difficulties))
+
+
+def measure_ai_times(output: str | os.PathLike[str], **options: Any) -> AiTimes:
     """Races the game's AI against itself in both directions, or resumes that.
 
     Args:
         output: a folder of its own, for every race and finally ``ai_times.json``.
-        tracks: names, or ``"train"``, ``"test"`` or ``"all"``.
-        seeds: races of five karts per time.
-        difficulties: levels of the AI.
-        options: as in :class:`~stkzoo.evaluation.RunOptions`.
+        options: ``tracks`` are names, or ``"train"``, ``"test"`` or ``"all"`` (the default).
+            ``seeds`` is the number of races of five karts per time, and ``difficulties`` are the
+            levels of the AI. The others are as in :class:`~stkzoo.evaluation.RunOptions`.
 
     Raises:
         ConfigError: an argument is invalid, or ``output`` has something else.
         AssetError: the game's data is missing.
         BatchError: some races could not be run.
     """
-    found = find_tracks(tracks, RaceSettings())
-    plan = AiTimesPlan(tracks=found, seeds=seeds, difficulties=tuple(difficulties))
-    return run_batch(plan, output, RunOptions(**options))
+    run, plan = RunOptions.split(options)
+    return run_batch(plan_ai_times(**plan), output, run)

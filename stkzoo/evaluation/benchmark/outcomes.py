@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 from stkzoo.evaluation.benchmark.races import BenchmarkRace, direction_name
-from stkzoo.evaluation.statistics import Estimate, estimate_known
+from stkzoo.evaluation.statistics import Estimate, estimate_mean
 from stkzoo.race.result import AgentResult, RaceResult
 
 
@@ -167,7 +167,7 @@ def _group(
     strata = [outcome.kind for outcome in outcomes]
     chances = [outcome.lineup.chance for outcome in outcomes if outcome.lineup.rivals]
     figures = {
-        kind.name: estimate_known([kind.of(outcome) for outcome in outcomes], strata, kind.bounds)
+        kind.name: estimate_mean([kind.of(outcome) for outcome in outcomes], strata, kind.bounds)
         for kind in kinds
     }
     return RaceGroup(by, name, len(outcomes), _mean(chances) if chances else None, figures)

@@ -173,6 +173,11 @@ class TournamentResult(Document):
         """Whether all races have been run."""
         return len(self.races) == self.plan.races
 
+    @property
+    def errors(self) -> int:
+        """How often agents failed."""
+        return sum(row.errors for row in self.standings)
+
     def payoff(self, one: int, two: int) -> float | None:
         """The share of their races in which one agent of ``standings`` beat another."""
         won, lost = self.ahead[one][two], self.ahead[two][one]
