@@ -15,10 +15,9 @@ which agents finish at different times; keywords that ``functools.partial`` has 
 left alone.
 """
 
-from stkzoo.checks import api_usage, determinism, endings, values
-from stkzoo.checks.api_usage import *  # noqa: F403 - all public functions named check_
+from stkzoo.checks import conduct, determinism, values
+from stkzoo.checks.conduct import *  # noqa: F403 - all public functions named check_
 from stkzoo.checks.determinism import *  # noqa: F403
-from stkzoo.checks.endings import *  # noqa: F403
 from stkzoo.checks.play import (
     Check,
     CheckFailed,
@@ -39,7 +38,7 @@ from stkzoo.checks.values import *  # noqa: F403
 #: Every check by its name without ``check_``.
 CHECKS: dict[str, Check] = {
     name.removeprefix("check_"): check
-    for module in (values, endings, api_usage, determinism)
+    for module in (values, conduct, determinism)
     for name, check in vars(module).items()
     if name.startswith("check_")
 }

@@ -20,7 +20,6 @@ from stkzoo.evaluation.batch.entrants import Entrant
 from stkzoo.evaluation.batch.run import BatchError, BatchProgress, RunOptions
 from stkzoo.evaluation.benchmark.ai_times import AiTime, AiTimes, load_ai_times, measure_ai_times
 from stkzoo.evaluation.benchmark.comparison import Comparison, compare
-from stkzoo.evaluation.benchmark.outcomes import KartOutcome, RaceGroup, RaceOutcome
 from stkzoo.evaluation.benchmark.plan import (
     BenchmarkPlan,
     BenchmarkResult,
@@ -29,7 +28,14 @@ from stkzoo.evaluation.benchmark.plan import (
     run_benchmark,
 )
 from stkzoo.evaluation.benchmark.plot import plot_benchmark
-from stkzoo.evaluation.benchmark.races import FORMS, BenchmarkForm, BenchmarkRace
+from stkzoo.evaluation.benchmark.races import (
+    FORMS,
+    BenchmarkForm,
+    BenchmarkRace,
+    KartOutcome,
+    RaceGroup,
+    RaceOutcome,
+)
 from stkzoo.evaluation.demonstrations.check import DemoCheck, check_demonstrations
 from stkzoo.evaluation.demonstrations.dataset import (
     DemoEpisode,

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.benchmark.outcomes import (
+from stkzoo.evaluation.benchmark.plan import BenchmarkResult
+from stkzoo.evaluation.benchmark.races import (
     FIGURES,
     FigureKind,
     RaceGroup,
@@ -14,7 +15,6 @@ from stkzoo.evaluation.benchmark.outcomes import (
     find_group,
     group_races,
 )
-from stkzoo.evaluation.benchmark.plan import BenchmarkResult
 from stkzoo.evaluation.statistics import CONFIDENCE
 from stkzoo.race.document import Document
 

@@ -21,18 +21,16 @@ from stkzoo.evaluation.batch.plan import (
 )
 from stkzoo.evaluation.batch.run import RunOptions, load_batch, run_batch
 from stkzoo.evaluation.benchmark.ai_times import load_ai_times
-from stkzoo.evaluation.benchmark.outcomes import (
-    RaceGroup,
-    RaceOutcome,
-    find_group,
-    group_races,
-)
 from stkzoo.evaluation.benchmark.plot import plot_benchmark
 from stkzoo.evaluation.benchmark.races import (
     FORMS,
     BenchmarkForm,
     BenchmarkRace,
+    RaceGroup,
+    RaceOutcome,
     direction_name,
+    find_group,
+    group_races,
     make_races,
 )
 from stkzoo.evaluation.statistics import CONFIDENCE

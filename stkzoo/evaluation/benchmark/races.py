@@ -1,14 +1,16 @@
-"""The races of the benchmark: drivers, track, start positions and seed."""
+"""The races of the benchmark, their outcomes for the agent, and figures over groups of them."""
 
 from __future__ import annotations
 
 import hashlib
 import itertools
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 
 from stkzoo.errors import ConfigError
+from stkzoo.evaluation.statistics import Estimate, estimate_mean
+from stkzoo.race.result import AgentResult, RaceResult
 
 #: The race forms of the protocol.
 FORMS = ("PAAAA", "PPAAA", "P")
@@ -133,3 +135,175 @@ def make_races(
         BenchmarkRace(number, *kind, index, race_seed(*kind, index))
         for number, (index, kind) in enumerate(itertools.product(range(seeds), kinds))
     )
+
+
+@dataclass(frozen=True, slots=True)
+class KartOutcome:
+    """The outcome of one kart of the agent.
+
+    Attributes:
+        time: its finish time [s]; ``None`` if it did not finish.
+        rank: its rank; karts of the agent that did not finish have the last ranks.
+        rescues: how often it was put back on the road; ``None`` if not counted.
+        errors: how often the agent failed.
+    """
+
+    time: float | None
+    rank: int
+    rescues: int | None
+    errors: int
+
+
+@dataclass(frozen=True, slots=True)
+class RaceOutcome(BenchmarkRace):
+    """One race, and its outcome for the agent.
+
+    Attributes:
+        status: why it ended.
+        time_ratio: the karts' mean finish time as a multiple of the AI's. A kart that did not
+            finish counts with the limit after which the race ended.
+        karts: the agent's, in the order of the grid.
+    """
+
+    status: str
+    time_ratio: float
+    karts: tuple[KartOutcome, ...]
+
+    @classmethod
+    def of(
+        cls, race: BenchmarkRace, result: RaceResult, ai_time: float, limit: float
+    ) -> RaceOutcome:
+        """The agent's part of a race's result.
+
+        Args:
+            race: the race.
+            result: its result.
+            ai_time: the AI's median time there [s].
+            limit: the multiple of it after which the race ends.
+        """
+        places = race.lineup.places(race.end)
+        own = [row for row in result.agents if row.start_position - 1 in places]
+        lost = [row.agent for row in own if row.finish_time is None]
+        last = dict(zip(reversed(lost), range(len(result.agents), 0, -1), strict=False))
+        own.sort(key=lambda row: row.start_position)
+        karts = tuple(_kart(row, last.get(row.agent, row.rank)) for row in own)
+        ratios = [limit if k.time is None else min(k.time / ai_time, limit) for k in karts]
+        return cls(**asdict(race), status=result.status, time_ratio=_mean(ratios), karts=karts)
+
+    @property
+    def is_won(self) -> float | None:
+        """1 if a kart of the agent won, else 0; ``None`` without rivals."""
+        if not self.lineup.rivals:
+            return None
+        return float(any(kart.rank == 1 and kart.time is not None for kart in self.karts))
+
+    @property
+    def rank(self) -> float | None:
+        """The karts' mean rank; ``None`` without rivals."""
+        return _mean([kart.rank for kart in self.karts]) if self.lineup.rivals else None
+
+    @property
+    def unfinished(self) -> float:
+        """The share of karts that did not finish."""
+        return _mean([kart.time is None for kart in self.karts])
+
+    @property
+    def rescues(self) -> float | None:
+        """How often each kart was put back on the road; ``None`` if not counted."""
+        counts = [kart.rescues for kart in self.karts if kart.rescues is not None]
+        return _mean(counts) if len(counts) == len(self.karts) else None
+
+
+def _kart(row: AgentResult, rank: int) -> KartOutcome:
+    time = None if row.finish_time is None else round(row.finish_time, 4)
+    return KartOutcome(time, rank, row.rescues, row.num_errors)
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values)
+
+
+@dataclass(frozen=True, slots=True)
+class FigureKind:
+    """A kind of figure.
+
+    Attributes:
+        name: its name.
+        of: its value in one race; ``None`` where undefined.
+        bounds: the least and greatest possible value, for shares and counts.
+    """
+
+    name: str
+    of: Callable[[RaceOutcome], float | None]
+    bounds: tuple[float, float] | None = None
+
+
+FIGURES = (
+    FigureKind("time_ratio", lambda race: race.time_ratio),
+    FigureKind("win_rate", lambda race: race.is_won, (0.0, 1.0)),
+    FigureKind("mean_rank", lambda race: race.rank),
+    FigureKind("unfinished", lambda race: race.unfinished, (0.0, 1.0)),
+    FigureKind("rescues", lambda race: race.rescues, (0.0, float("inf"))),
+)
+
+_GROUPINGS: dict[str, Callable[[BenchmarkRace], str]] = {
+    "all": lambda _: "",
+    "form": lambda race: race.form,
+    "direction": lambda race: direction_name(race.reverse),
+    "end": lambda race: race.end if race.lineup.rivals else "alone",
+    "track": lambda race: race.track,
+    "track and direction": lambda race: f"{race.track} {direction_name(race.reverse)}",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class RaceGroup:
+    """A group of races and its figures.
+
+    Attributes:
+        by: what they have in common: ``"all"``, ``"form"``, ``"direction"``, ``"end"``,
+            ``"track"`` or ``"track and direction"``.
+        name: which of these; empty for all.
+        races: how many.
+        chance: the share that the agent would win if all drivers were equally good; ``None``
+            without rivals.
+        figures: by name of :data:`FIGURES`; ``None`` for a figure that no race has.
+    """
+
+    by: str
+    name: str
+    races: int
+    chance: float | None
+    figures: Mapping[str, Estimate | None]
+
+
+def group_races(
+    outcomes: Sequence[RaceOutcome], kinds: Sequence[FigureKind] = FIGURES
+) -> tuple[RaceGroup, ...]:
+    """The figures over all races and over parts of them, in display order."""
+    groups: dict[tuple[str, str], list[RaceOutcome]] = {}
+    for by, name_of in _GROUPINGS.items():
+        for outcome in outcomes:
+            groups.setdefault((by, name_of(outcome)), []).append(outcome)
+    return tuple(_group(by, name, members, kinds) for (by, name), members in groups.items())
+
+
+def _group(
+    by: str, name: str, outcomes: Sequence[RaceOutcome], kinds: Sequence[FigureKind]
+) -> RaceGroup:
+    strata = [outcome.kind for outcome in outcomes]
+    chances = [outcome.lineup.chance for outcome in outcomes if outcome.lineup.rivals]
+    figures = {
+        kind.name: estimate_mean([kind.of(outcome) for outcome in outcomes], strata, kind.bounds)
+        for kind in kinds
+    }
+    return RaceGroup(by, name, len(outcomes), _mean(chances) if chances else None, figures)
+
+
+def find_group(groups: Sequence[RaceGroup], by: str, name: str) -> RaceGroup:
+    """The figures of some races.
+
+    Raises:
+        KeyError: there are no such races.
+    """
+    return {(group.by, group.name): group for group in groups}[by, name]
