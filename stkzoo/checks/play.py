@@ -9,8 +9,8 @@ from __future__ import annotations
 import copy
 import functools
 import hashlib
-import importlib
 import inspect
+import pkgutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -53,15 +53,14 @@ def load_factory(target: str) -> EnvFactory:
     Raises:
         ConfigError: it does not exist.
     """
-    module_name, colon, name = target.partition(":")
-    if not (module_name and colon and name):
+    if not all(target.partition(":")):
         raise ConfigError(
             f"the environment is {target!r}, expected module:callable, such as "
             "stkzoo.race_v0:parallel_env"
         )
     try:
-        factory = functools.reduce(getattr, name.split("."), importlib.import_module(module_name))
-    except (ImportError, AttributeError) as error:
+        factory = pkgutil.resolve_name(target)
+    except (ImportError, AttributeError, ValueError) as error:
         raise ConfigError(
             f"the environment {target!r} cannot be loaded: {error}; run the command from a "
             "folder, or with a PYTHONPATH, from which the module can be imported"

@@ -51,6 +51,8 @@ if TYPE_CHECKING:
         RaceGroup,
     )
 
+#: Options that are arguments of ``plan_benchmark``.
+_PLANNED = ("agent", "difficulty", "seeds", "ai_times")
 _MAIN_GROUPS = ("all", "form")
 _SHOWN_GROUPS = (*_MAIN_GROUPS, "direction", "end", "track")
 #: Width of a line with all figures; on a narrower terminal the intervals are printed below.
@@ -134,13 +136,10 @@ def _plan(arguments: argparse.Namespace) -> BenchmarkPlan:
         raise ConfigError("no agent; name one, such as heuristic, or see --help")
     split = arguments.split or ["test"]
     return plan_benchmark(
-        arguments.agent,
         split=split[0] if len(split) == 1 else split,
-        difficulty=arguments.difficulty,
         forms=arguments.forms or FORMS,
-        seeds=arguments.seeds,
         reverse=chosen_directions(arguments),
-        ai_times=arguments.ai_times,
+        **values_of(arguments, BenchmarkArguments, only=_PLANNED),
         **values_of(arguments, RaceSettings, without=BenchmarkPlan.decided),
     )
 

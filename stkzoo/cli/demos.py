@@ -45,6 +45,9 @@ from stkzoo.race import RaceSettings
 if TYPE_CHECKING:
     from stkzoo.evaluation import Demonstrations, DemoPlan
 
+#: Options that are arguments of ``plan_demonstrations``.
+_PLANNED = ("agent", "view", "tracks", "karts", "rivals", "substeps")
+
 
 @dataclass
 class DemosArguments:
@@ -118,14 +121,9 @@ def _plan(arguments: argparse.Namespace) -> DemoPlan:
             "leave it out"
         )
     return plan_demonstrations(
-        arguments.agent,
-        view=arguments.view,
-        tracks=arguments.tracks,
         reverse=chosen_directions(arguments),
         seeds=range(arguments.first_seed, arguments.first_seed + arguments.seeds),
-        karts=arguments.karts,
-        rivals=arguments.rivals,
-        substeps=arguments.substeps,
+        **values_of(arguments, DemosArguments, only=_PLANNED),
         **values_of(arguments, RaceSettings, without=DemoPlan.decided),
     )
 

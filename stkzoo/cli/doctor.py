@@ -25,7 +25,7 @@ from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 
-from stkzoo.engine.assets import DATADIR_VARIABLE, Assets, find_assets
+from stkzoo.engine.assets import DATADIR_VARIABLE, find_assets
 from stkzoo.errors import AssetError
 from stkzoo.kernel import IS_COMPILED
 
@@ -105,16 +105,12 @@ def _diagnose() -> list[Finding]:
     # A variable that overrides the data is unset first.
     prefix = f"unset {DATADIR_VARIABLE}; " if os.environ.get(DATADIR_VARIABLE) else ""
     install = f"{prefix}stkzoo assets install"
-    try:
-        assets, problem = find_assets(), ""
-    except AssetError as error:
-        assets, problem = None, str(error)
     return [
         _look("Python", _python, "install Python 3.10 or newer", required=True),
         _look("engine", _engine, "pip install PySuperTuxKart2", required=True),
-        _look("race data", partial(_race_data, assets, problem), install, required=True),
-        _look("engine starts", partial(_start, assets, install), install, required=True),
-        _look("headless pack", partial(_pack, assets), f"{prefix}stkzoo assets pack"),
+        _look("race data", _race_data, install, required=True),
+        _look("engine starts", partial(_start, install), install, required=True),
+        _look("headless pack", _pack, f"{prefix}stkzoo assets pack"),
         _look("full data", _full_data, install),
         _look("fork", _fork, "use Linux"),
         _look("kernel", _kernel, _KERNEL_REMEDY),
@@ -129,11 +125,13 @@ def _diagnose() -> list[Finding]:
 
 
 def _look(name: str, find: Callable[[], str], remedy: str, *, required: bool = False) -> Finding:
-    """Runs a check, which returns what it found or raises :class:`NotFound`."""
+    """Runs a check, which returns what it found, or raises NotFound or AssetError."""
     try:
         return Finding(name, True, find(), "", required)
     except NotFound as problem:
         return Finding(name, False, problem.found, problem.remedy or remedy, required)
+    except AssetError as error:
+        return Finding(name, False, str(error).splitlines()[0], remedy, required)
 
 
 def _python() -> str:
@@ -149,15 +147,13 @@ def _engine() -> str:
     return f"PySuperTuxKart2 {metadata.version('PySuperTuxKart2')}"
 
 
-def _race_data(assets: Assets | None, problem: str) -> str:
-    if assets is None:
-        raise NotFound(problem)
+def _race_data() -> str:
+    assets = find_assets()
     return f"{len(assets.tracks)} tracks, {len(assets.karts)} karts in {assets.root}"
 
 
-def _start(assets: Assets | None, install: str) -> str:
-    if assets is None:
-        raise NotFound("not tried: no data")
+def _start(install: str) -> str:
+    assets = find_assets()
     code, text = _probe(_PROBE, {DATADIR_VARIABLE: str(assets.root)})
     lines = [line.split()[1:] for line in text.splitlines() if line.startswith("tracks:")]
     if code != 0 or not lines:
@@ -190,17 +186,14 @@ def _last_line(text: str) -> str:
     return lines[-1] if lines else "it wrote nothing"
 
 
-def _pack(assets: Assets | None) -> str:
-    if assets is None or not assets.headless:
+def _pack() -> str:
+    if not find_assets().headless:
         raise NotFound("not in use: races start slower")
     return "in use: races start faster"
 
 
 def _full_data() -> str:
-    try:
-        assets = find_assets(graphics=True)
-    except AssetError as error:
-        raise NotFound(str(error).splitlines()[0]) from error
+    assets = find_assets(graphics=True)
     return f"{assets.root} ({assets.source})"
 
 

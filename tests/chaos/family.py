@@ -14,7 +14,7 @@ _KINDS = (
     ("stkzoo.engine.worker", "race"),
     ("stkzoo.engine.render_process", "drawing"),
     ("stkzoo.drivers.process", "agent"),
-    ("stkzoo.evaluation.batch.worker", "worker"),
+    ("stkzoo.evaluation.batch.pool", "worker"),
     ("ffmpeg", "encoder"),
 )
 

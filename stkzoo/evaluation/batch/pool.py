@@ -1,4 +1,4 @@
-"""Runs races in several processes at a time."""
+"""Runs races in several worker processes at a time: both ends."""
 
 from __future__ import annotations
 
@@ -8,21 +8,26 @@ import os
 import subprocess
 import sys
 import threading
+import traceback
 from collections.abc import Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass
+from importlib import import_module
 from pathlib import Path
 from queue import SimpleQueue
+from typing import Any
 
 from stkzoo._os import remove_stale_directories
 from stkzoo.drivers.failures import OutputTail
+from stkzoo.errors import StkzooError
 from stkzoo.evaluation.batch.order import RaceOrder
+from stkzoo.race.document import typed
 
 #: How often a race is tried whose process dies.
 _TRIES = 2
 _END_TIMEOUT = 5.0  # [s]
 _WAIT_INTERVAL = 0.5  # [s]
-_WORKER = "stkzoo.evaluation.batch.worker"
+_WORKER = "from stkzoo.evaluation.batch.pool import serve; serve()"
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +132,7 @@ class _Worker:
 def _start() -> tuple[subprocess.Popen[bytes], OutputTail]:
     paths = [path for path in sys.path if path]
     process = subprocess.Popen(  # noqa: S603 - our own program
-        [sys.executable, "-m", _WORKER],
+        [sys.executable, "-c", _WORKER],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -154,3 +159,37 @@ def _end(process: subprocess.Popen[bytes], said: OutputTail, patience: float = 0
     return f"its process ended with code {process.returncode}" + (
         f"; last lines:\n{text}" if text else ""
     )
+
+
+def serve() -> None:
+    """Runs races in a worker process, one after another.
+
+    It reads one JSON line per race from standard input and writes one line with the outcome to
+    standard output. It exits as soon as its input is closed, even during a race, so it never
+    outlives the program that started it.
+    """
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # agents' prints must not mix with the answers
+    lines: SimpleQueue[dict[str, Any]] = SimpleQueue()
+    threading.Thread(target=_read, args=(lines,), daemon=True).start()
+    while True:
+        answers.write(json.dumps(_run(lines.get())) + "\n")
+        answers.flush()
+
+
+def _read(lines: SimpleQueue[dict[str, Any]]) -> None:
+    try:
+        for line in sys.stdin:
+            lines.put(json.loads(line))
+    finally:
+        os._exit(0)
+
+
+def _run(line: dict[str, Any]) -> dict[str, str]:
+    try:
+        kind = getattr(import_module(line["module"]), line["class"])
+        return {"result": typed(kind, line["order"]).run(Path(line["folder"])).to_json()}
+    except StkzooError as error:
+        return {"error": str(error)}
+    except Exception:  # noqa: BLE001 - the program reports it to the user
+        return {"error": traceback.format_exc()}

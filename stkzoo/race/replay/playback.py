@@ -19,6 +19,8 @@ from stkzoo.race.result import RaceResult, versions_now
 from stkzoo.race.runner import run_race
 
 _DIFFERS = "differs"
+#: Fields that are settings of a race too.
+_SETTINGS = ("laps", "difficulty", "reverse", "seed", "max_paths")
 _RACE_FACTS = ("track", "reverse", "laps", "difficulty", "seed", "race_length", "steps")
 _AGENT_FACTS = ("start_position", "rank", "finish_time", "laps", "distance", "reward")
 
@@ -82,11 +84,7 @@ def play_replay(
         start_positions=replay.start_positions,
         # As many choices as in the recording, so that the random numbers are the same.
         track=(replay.track,) * replay.num_tracks,
-        laps=replay.laps,
-        difficulty=replay.difficulty,
-        reverse=replay.reverse,
-        seed=replay.seed,
-        max_paths=replay.max_paths,
+        **{name: getattr(replay, name) for name in _SETTINGS},
         max_steps=replay.steps + 1,  # the comparison ends the race
         action_timeout=None,
     )

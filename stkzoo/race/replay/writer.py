@@ -21,6 +21,9 @@ from stkzoo.race.replay.file import (
 )
 from stkzoo.race.result import RaceResult, versions_now
 
+#: Fields of a replay that are facts of the race in it.
+_RACE_FACTS = ("track", "reverse", "laps", "difficulty", "kart_types")
+
 
 class ReplayWriter(RaceListener):
     """Writes a replay of the race that it listens to.
@@ -78,17 +81,13 @@ def _head(race: RaceProgress) -> Replay:
     """The replay of a race on the grid."""
     env, info = race.env, race.race_info
     return Replay(
-        track=info.track,
-        reverse=info.reverse,
-        laps=info.laps,
-        difficulty=info.difficulty,
+        **{name: getattr(info, name) for name in _RACE_FACTS},
         max_paths=env.options.max_paths,
         step_size=float(env.options.step_size),
         seed=race.seed,
         num_tracks=len(env.options.tracks(find_assets().tracks)),
         engine_seed=info.seed,
         start_positions=tuple(kart + 1 for kart in info.kart_indices),
-        kart_types=info.kart_types,
         agents=tuple(
             ReplayAgent(race.names[agent], race.sources[agent], spec.use_ai)
             for agent, spec in zip(env.possible_agents, env.specs, strict=True)
