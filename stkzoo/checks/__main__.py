@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
 
 from stkzoo._arguments import CommandParser, add_options, option, positional
 from stkzoo.checks import CHECKS
@@ -107,25 +107,19 @@ def _run(
 ) -> list[dict[str, object]]:
     outcomes: list[dict[str, object]] = []
     console = out or Console(stderr=True)
+    pairs = [(variant, name) for variant in variants for name in names]
+    columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    hidden = not console.is_terminal
     with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        console=console,
-        transient=True,
-        auto_refresh=False,
-        disable=not console.is_terminal,
+        *columns, console=console, transient=True, auto_refresh=False, disable=hidden
     ) as progress:
-        task = progress.add_task("", total=len(variants) * len(names))
-        for variant, make_env in variants.items():
-            for name in names:
-                progress.update(task, description=f"{variant} {name}".strip(), refresh=True)
-                outcome = run_check(CHECKS[name], make_env)
-                outcomes.append({"variant": variant, "check": name, **asdict(outcome)})
-                if out is not None:
-                    out.print(_line(variant, name, outcome))
-                progress.advance(task)
+        task = progress.add_task("")
+        for variant, name in progress.track(pairs, task_id=task):
+            progress.update(task, description=f"{variant} {name}".strip(), refresh=True)
+            outcome = run_check(CHECKS[name], variants[variant])
+            outcomes.append({"variant": variant, "check": name, **asdict(outcome)})
+            if out is not None:
+                out.print(_line(variant, name, outcome))
     return outcomes
 
 

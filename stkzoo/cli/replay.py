@@ -19,7 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 from stkzoo._arguments import add_options, positional
@@ -91,9 +91,7 @@ def _show(replay: Replay, playback: Playback, *, as_json: bool) -> None:
         values = {
             "type": "replay-check",
             "is_exact": playback.is_exact,
-            "first_difference": playback.first_difference,
-            "result_differences": playback.result_differences,
-            "steps": playback.steps,
+            **asdict(playback),
             "recorded_steps": replay.steps,
             "result": json.loads(playback.result.to_json()),
         }
@@ -113,11 +111,8 @@ def _show(replay: Replay, playback: Playback, *, as_json: bool) -> None:
             file=sys.stderr,
         )
         return
-    where = (
-        f"after step {playback.first_difference}"
-        if playback.first_difference
-        else ("on the grid already")
-    )
+    step = playback.first_difference
+    where = f"after step {step}" if step else "on the grid already"
     print(
         f"stkzoo: the race is another one: {where} a kart is not where it was (the recorded race "
         f"has {replay.steps} steps). The game's data or the machine may be another; versions "

@@ -19,10 +19,11 @@ as it is over, so that the same call resumes after an interruption.
 from stkzoo.evaluation.batch.entrants import Entrant
 from stkzoo.evaluation.batch.run import BatchError, BatchProgress, RunOptions
 from stkzoo.evaluation.benchmark.ai_times import AiTime, AiTimes, load_ai_times, measure_ai_times
-from stkzoo.evaluation.benchmark.comparison import Comparison, compare
 from stkzoo.evaluation.benchmark.plan import (
     BenchmarkPlan,
     BenchmarkResult,
+    Comparison,
+    compare,
     load_benchmark,
     plan_benchmark,
     run_benchmark,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
@@ -84,9 +85,7 @@ class Standing:
         agents = [row for race in own for row in results[race.number].agents]
         rows = [row for row in agents if row.driver == entrant.label]
         times = [row.finish_time for row in rows if row.finish_time is not None]
-        track_ranks: dict[str, list[int]] = {
-            track: [] for track in sorted(race.track for race in own)
-        }
+        track_ranks: dict[str, list[int]] = defaultdict(list)
         for race, rank in zip(own, ranks, strict=True):
             track_ranks[race.track].append(rank)
         return cls(
@@ -101,7 +100,7 @@ class Standing:
             retired=sum(row.status == "retired" for row in rows),
             errors=sum(row.num_errors for row in rows),
             mean_time=_mean(times),
-            track_ranks={track: fmean(on_track) for track, on_track in track_ranks.items()},
+            track_ranks={track: fmean(on_track) for track, on_track in sorted(track_ranks.items())},
         )
 
 

@@ -36,8 +36,8 @@ class Server:
     key: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Failure:
+@dataclass(eq=False)
+class Failure(Exception):
     """An agent's failure, as the server reported it.
 
     Attributes:
@@ -77,10 +77,10 @@ class Connection:
         self._poller.register(self._socket, self._zmq.POLLIN)
         self._poller.register(self._monitor, self._zmq.POLLIN)
         self._next_seat = self._step = 0
-        self._opened: dict[int, tuple[str, int | None] | Failure] = {}
         self._observations: list[list[Any]] = []
+        self._starting: set[int] = set()
         self._asked: set[int] = set()
-        self._decided: dict[int, Decision | Failure] = {}
+        self._answers: dict[int, tuple[str, int | None] | Decision | Failure] = {}
         self._seats: set[int] = set()
         self._send(protocol.HELLO, protocol=protocol.VERSION, stkzoo=version("stkzoo"))
 
@@ -96,18 +96,35 @@ class Connection:
         number = self._next_seat
         self._next_seat += 1
         self._seats.add(number)
+        self._starting.add(number)
         self._send(protocol.OPEN, protocol=protocol.VERSION, seat=number, **fields)
         return number
 
-    def wait_opened(self, seat: int, deadline: float) -> tuple[str, int | None] | Failure:
-        """How the start of a driver ended: its name and the path segments it uses, or a failure."""
-        self._wait(lambda: seat in self._opened, deadline, "start an agent")
-        return self._opened[seat]
+    def wait_answer(self, seat: int, deadline: float, what: str) -> Any:
+        """The answer to the last request for a seat.
+
+        Args:
+            seat: its number.
+            deadline: for the answer.
+            what: what the server was asked to do.
+
+        Returns:
+            After :meth:`open` the driver's name and the path segments it uses; after
+            :meth:`ask` its decision.
+
+        Raises:
+            Failure: the driver failed.
+        """
+        self._wait(lambda: seat in self._answers, deadline, what)
+        answer = self._answers.pop(seat)
+        if isinstance(answer, Failure):
+            raise answer
+        return answer
 
     def ask(self, seat: int, observation: Any) -> None:
         """Keeps an observation until every seat has one, or until :meth:`flush`."""
         self._require()
-        self._decided.pop(seat, None)
+        self._answers.pop(seat, None)
         self._observations.append([seat, encode(observation)])
         if len(self._observations) == len(self._seats):
             self.flush()  # the server starts while other servers are still asked
@@ -123,11 +140,6 @@ class Connection:
             self._send(protocol.ACT, step=self._step, observations=observations)
         except (ProtocolError, RemoteError) as error:
             self._fail(str(error))
-
-    def wait_decision(self, seat: int, deadline: float) -> Decision | Failure:
-        """The decision on the seat's last observation."""
-        self._wait(lambda: seat in self._decided, deadline, "answer")
-        return self._decided.pop(seat)
 
     def close_seat(self, seat: int) -> None:
         """Ends a driver instance; the last one ends the connection."""
@@ -204,10 +216,9 @@ class Connection:
         frames = self._socket.recv_multipart()
         try:
             self._handle(frames)
-        except ProtocolError as error:
-            self._fail(f"{self.server.address} broke the protocol: {error}")
         except Exception as error:  # noqa: BLE001 - no server may end the race
-            self._fail(f"{self.server.address} broke the protocol: {error!r:.200}")
+            text = str(error) if isinstance(error, ProtocolError) else f"{error!r:.200}"
+            self._fail(f"{self.server.address} broke the protocol: {text}")
 
     def _fail(self, text: str) -> None:
         self.failure = self.failure or text
@@ -249,15 +260,16 @@ class Connection:
 
     def _handle_opened(self, fields: dict[str, Any]) -> None:
         seat = protocol.field(fields, "seat", int)
-        if not 0 <= seat < self._next_seat or seat in self._opened:
+        if seat not in self._starting:
             raise ProtocolError(f"a start of seat {seat}, which was not asked for")
+        self._starting.discard(seat)
         if "error" in fields:
-            self._opened[seat] = Failure(reported_error(fields["error"], ""))
+            self._answers[seat] = Failure(reported_error(fields["error"], ""))
             return
         paths = fields.get("paths_used")
         if paths is not None and (type(paths) is not int or paths < 0):
             raise ProtocolError(f"{paths!r:.50} track segments, expected a number")
-        self._opened[seat] = printable(protocol.field(fields, "name", str), 100), paths
+        self._answers[seat] = printable(protocol.field(fields, "name", str), 100), paths
 
     def _handle_acted(self, fields: dict[str, Any]) -> None:
         if protocol.field(fields, "step", int) != self._step:
@@ -281,4 +293,4 @@ class Connection:
         if seat not in self._asked:
             raise ProtocolError(f"an answer of seat {seat}, which was not asked")
         self._asked.discard(seat)
-        self._decided[seat] = outcome
+        self._answers[seat] = outcome

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from itertools import zip_longest
-from typing import Any, NoReturn
+from typing import Any
 
 from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.failures import printable
@@ -26,7 +26,7 @@ _MARGIN = 5.0
 _TIMEOUT = 60.0
 
 
-class RemoteDriverGroup:
+class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
     """The agents of some servers, as drivers of races.
 
     >>> from stkzoo.race import run_race
@@ -82,9 +82,6 @@ class RemoteDriverGroup:
         except BaseException:
             self.close()
             raise
-
-    def __enter__(self) -> RemoteDriverGroup:
-        return self
 
     def __exit__(self, *exception: object) -> None:
         self.close()
@@ -189,12 +186,10 @@ class RemoteInstance:
             if welcome["agents"][self._number : self._number + 1] != [self._description]:
                 raise ProtocolError(f"{self._server.address} has other agents than before")
             deadline = self._begin + start_timeout + _MARGIN
-            opened = self._connection.wait_opened(self._seat, deadline)
-        if isinstance(opened, Failure):
-            self._fail(opened)
+            answer = self._connection.wait_answer(self._seat, deadline, "start an agent")
         self._group.record(self._server, is_there=True)
-        name, self._paths = opened
-        return name
+        name, self._paths = answer
+        return str(name)
 
     def ask(self, observation: Any) -> None:
         """Keeps the observation until every driver has one."""
@@ -206,9 +201,8 @@ class RemoteInstance:
         """Waits for the decision."""
         self._group.flush()
         with self._failures():
-            decision = self._connection.wait_decision(self._seat, self._begin + self._timeout())
-        if isinstance(decision, Failure):
-            self._fail(decision)
+            deadline = self._begin + self._timeout()
+            decision: Decision = self._connection.wait_answer(self._seat, deadline, "answer")
         return decision
 
     def close(self) -> None:
@@ -225,17 +219,15 @@ class RemoteInstance:
 
     @contextmanager
     def _failures(self) -> Iterator[None]:
-        """Raises :class:`AgentError` for a server that is gone; all its agents fail with it."""
+        """Raises :class:`AgentError` for an agent that failed, or whose server is gone."""
         try:
             yield
+        except Failure as failure:
+            self.is_usable = failure.is_usable
+            failure.error.key = self._agent
+            raise failure.error from None
         except RemoteError as error:
             self.is_usable = False
             self._group.record(self._server, is_there=False)
             is_late = "in time" in str(error)
             raise (AgentTimeout if is_late else AgentError)(str(error), self._agent) from error
-
-    def _fail(self, failure: Failure) -> NoReturn:
-        """Raises for an agent whose failure the server reported."""
-        self.is_usable = failure.is_usable
-        failure.error.key = self._agent
-        raise failure.error

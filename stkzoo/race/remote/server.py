@@ -36,7 +36,7 @@ _HELLO_LIMITS = Limits(max_bytes=4096, max_depth=2, max_length=16)
 _NUMBERS = itertools.count()
 
 
-class RaceServer:
+class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
     """Serves agents to races elsewhere, race after race, to several clients at once.
 
     It listens from the start; :meth:`serve` does the work, in the thread that calls it.
@@ -87,9 +87,6 @@ class RaceServer:
             raise
         #: Where it listens, with its port.
         self.address: str = self._socket.getsockopt_string(self._zmq.LAST_ENDPOINT)
-
-    def __enter__(self) -> RaceServer:
-        return self
 
     def __exit__(self, *exception: object) -> None:
         self.close()
