@@ -75,7 +75,8 @@ def load_factory(target: str) -> EnvFactory:
 
 def takes(make_env: EnvFactory, name: str) -> bool:
     """Whether the factory has a keyword in its signature that is not bound yet."""
-    return name in _parameters(make_env) and name not in _bound(make_env)
+    bound = make_env.keywords if isinstance(make_env, functools.partial) else {}
+    return name in _parameters(make_env) and name not in bound
 
 
 def bind(make_env: EnvFactory, name: str, value: Any) -> EnvFactory:
@@ -116,10 +117,6 @@ def _parameters(make_env: EnvFactory) -> dict[str, inspect.Parameter]:
         return dict(inspect.signature(make_env).parameters)
     except (TypeError, ValueError):  # some callables have no signature
         return {}
-
-
-def _bound(make_env: EnvFactory) -> frozenset[str]:
-    return frozenset(make_env.keywords if isinstance(make_env, functools.partial) else ())
 
 
 def _fitted(make_env: EnvFactory, **options: Any) -> EnvFactory:

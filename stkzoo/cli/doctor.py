@@ -263,8 +263,4 @@ def _extra(names: list[str]) -> str:
 
 
 def _has_distribution(name: str) -> bool:
-    try:
-        metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return False
-    return True
+    return any(metadata.distributions(name=name))

@@ -104,7 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
         result = play_race(
             arguments.opponents or ("ai", "ai", "ai"),
             name=arguments.name,
-            backend=_backend(arguments),
+            backend="map" if arguments.map else "engine" if arguments.is_3d else "auto",
             size=(arguments.width, arguments.height),
             listeners=replay_listeners(arguments),
             seed=random.randrange(2**16) if arguments.seed is None else arguments.seed,
@@ -116,12 +116,6 @@ def run(arguments: argparse.Namespace) -> int:
         return 130
     show_race(result)
     return 3 if result.has_errors else 0
-
-
-def _backend(arguments: argparse.Namespace) -> str:
-    if arguments.map:
-        return "map"
-    return "engine" if arguments.is_3d else "auto"
 
 
 def _recording(arguments: argparse.Namespace) -> dict[str, Any]:

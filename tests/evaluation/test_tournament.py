@@ -262,7 +262,7 @@ def test_a_race_whose_process_is_killed_is_run_again(tmp_path):
     plan = plan_tournament(["ai", "heuristic"], tracks=["lighthouse"], races=2, max_steps=300)
     outcomes = run_in_parallel(plan.orders(), tmp_path, 1, 100)
     first = next(outcomes)
-    (worker,) = [pid for pid in children_of(os.getpid()) if "worker" in cmdline(pid)]
+    (worker,) = [pid for pid in children_of(os.getpid()) if "batch.pool" in cmdline(pid)]
     os.kill(worker, signal.SIGKILL)
     second = next(outcomes)
     assert (first.error, second.error) == ("", "")

@@ -234,9 +234,8 @@ class Connection:
             return
         fields = protocol.unpack(body)
         if kind == protocol.ERROR:
-            self._fail(
-                f"{self.server.address}: {printable(protocol.field(fields, 'text', str), 4000)}"
-            )
+            text = printable(protocol.field(fields, "text", str), 4000)
+            self._fail(f"{self.server.address}: {text}")
         elif kind == protocol.WELCOME:
             self._handle_welcome(fields)
         elif kind == protocol.OPENED:
