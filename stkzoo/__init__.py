@@ -47,6 +47,7 @@ from stkzoo.wrappers import (
 )
 
 if TYPE_CHECKING:
+    from stkzoo.drivers import OpponentPool
     from stkzoo.env.gymnasium_api import STKRaceEnv, STKRaceMultiEnv
     from stkzoo.env.parallel import RaceParallelEnv
     from stkzoo.env.scenario import Scenario
@@ -81,6 +82,7 @@ __all__ = [
     "ItemType",
     "MonoAgentWrapperAdapter",
     "OnlyContinuousActionsWrapper",
+    "OpponentPool",
     "Phase",
     "PolarObservations",
     "PowerupType",
@@ -102,6 +104,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "stkzoo.drivers": ("OpponentPool",),
     "stkzoo.env.gymnasium_api": ("STKRaceEnv", "STKRaceMultiEnv"),
     "stkzoo.env.parallel": ("RaceParallelEnv",),
     "stkzoo.env.scenario": ("Scenario",),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -117,6 +118,10 @@ class DriverMemory:
         self._all = np.zeros((len(_NAMES), count), np.float32)
         self._of = _Fields(*self._all)
         self._of.since_fire[:] = _LONG_AGO
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._of = _Fields(*self._all)  # a copy's rows are those of its own array
 
     def look(self, speed: FloatArray, skeed_factor: FloatArray) -> None:
         """A step has passed.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from stkzoo.drivers.code import Actor, ActorMaker
 from stkzoo.drivers.driver import Driver, driver_names, find_driver
 from stkzoo.drivers.instances import Decision, DriverInstance, DriverLimits, DriverRequest
+from stkzoo.drivers.pool import OpponentPool
 
 __all__ = [
     "Actor",
@@ -14,6 +15,7 @@ __all__ = [
     "DriverInstance",
     "DriverLimits",
     "DriverRequest",
+    "OpponentPool",
     "driver_names",
     "find_driver",
 ]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 import importlib.util
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
@@ -27,6 +28,9 @@ Actor = Callable[[Any], Any]
 #: Makes the actor of one race from its observation space, action space and a seed.
 ActorMaker = Callable[[spaces.Space[Any], spaces.Space[Any], int], Actor]
 
+#: Picks the actions of several karts at once, by their actors and observations.
+BatchActor = Callable[[Sequence[Actor], Sequence[Any]], Sequence[Any]]
+
 #: The names of the reference; a layer above this one, so it is imported when an agent is loaded.
 _REFERENCE = "stkzoo._pystk2_gymnasium"
 _DEFAULT_ENV = "supertuxkart/full-v0"
@@ -38,16 +42,19 @@ class AgentCode:
     """An agent's code, loaded.
 
     Attributes:
-        wrap: wraps its kart's environment (the ``full`` view) into its own view.
+        wrap: wraps its kart's environment (the ``full`` view) into its own view; ``None`` for the
+            view of those that it races against.
         make_actor: makes its actor for one race.
         name: the name that it gives itself; may be empty.
         scope: context for running its code.
+        act_together: picks the actions of several of its karts at once; ``None`` if it cannot.
     """
 
-    wrap: ViewFactory
+    wrap: ViewFactory | None
     make_actor: ActorMaker
     name: str = ""
     scope: AbstractContextManager[Any] = field(default_factory=nullcontext)
+    act_together: BatchActor | None = None
 
 
 def load_agent(place: AgentPlace, adapter: str | None = None) -> AgentCode:
@@ -84,7 +91,9 @@ def read_module(
 
     Args:
         module: has ``get_actor(module_dir, observation_space, action_space)`` and may have
-            ``create_state()``, ``get_wrappers()``, ``env_name`` and ``player_name``.
+            ``create_state()``, ``get_wrappers()``, ``env_name``, ``player_name`` and
+            ``get_batch_actor(module_dir)``, whose result picks the actions of several karts at
+            once by their states and observations.
         scope: context for running its code.
         create_actor: an adapter's function.
 
@@ -114,7 +123,19 @@ def read_module(
     wrappers = list(getattr(module, "get_wrappers", list)() or [])
     name = str(getattr(module, "player_name", ""))
     wrap = partial(_wrap, [view, *wrappers])
-    return AgentCode(wrap, make_actor, name, scope or nullcontext())
+    together = None
+    if create_actor is None and hasattr(module, "get_batch_actor"):
+        together = partial(_act_together, functools.cache(partial(module.get_batch_actor, folder)))
+    return AgentCode(wrap, make_actor, name, scope or nullcontext(), together)
+
+
+def _act_together(
+    batch_actor: Callable[[], Callable[[list[Any], Sequence[Any]], Sequence[Any]]],
+    actors: Sequence[Actor],
+    observations: Sequence[Any],
+) -> Sequence[Any]:
+    """The actions of actors that :func:`read_module` made."""
+    return batch_actor()([actor.args[0] for actor in actors], observations)  # type: ignore[attr-defined]
 
 
 def _wrap(wrappers: list[ViewFactory], env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import importlib
 import pkgutil
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,6 +26,7 @@ from stkzoo.drivers.files import AgentFiles, declared_env, find_files
 from stkzoo.drivers.inline import InlineInstance
 from stkzoo.drivers.instances import DriverStart
 from stkzoo.drivers.isolated import IsolatedInstance
+from stkzoo.drivers.policy import PolicyActor, act_together, plain_policy
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.views import VIEWS
 
@@ -38,6 +40,10 @@ _NAME_MARK = "@:"
 _GAME_AI = {"ai": None, "ai:0": 0, "ai:1": 1, "ai:2": 2, "ai:3": 3}
 
 
+#: Loads a driver's code; its resources last as long as the stack.
+CodeLoader = Callable[[ExitStack], AgentCode]
+
+
 @dataclass(frozen=True, slots=True)
 class Driver:
     """A kind of driver, of which every race starts an instance.
@@ -49,6 +55,8 @@ class Driver:
         difficulty: the race's difficulty, if the driver asks for one: the game's AI has one level
             per race.
         sees_ground: whether its observations include the ground beside the road.
+        load: loads its code into this program; ``None`` for the game's AI and for drivers that run
+            elsewhere.
     """
 
     name: str
@@ -56,6 +64,7 @@ class Driver:
     source: str = ""
     difficulty: int | None = None
     sees_ground: bool = False
+    load: CodeLoader | None = None
 
     @property
     def is_game_ai(self) -> bool:
@@ -72,14 +81,34 @@ class Driver:
                 action space and a seed.
             view: name of the view that it observes and acts in.
         """
+        load = partial(_code_of_actor, make_actor, view)
+        return cls._here(name, load, name, env_sees_ground(view))
 
-        def load(_: ExitStack) -> AgentCode:
-            if view not in VIEWS:
-                raise unknown_name("view", view, VIEWS)
-            return AgentCode(VIEWS[view], make_actor)
+    @classmethod
+    def of_policy(cls, policy: object, view: str | None = None, name: str = "") -> Driver:
+        """A driver that is a policy without a memory.
 
+        Args:
+            policy: a function from an observation to an action; or an object with
+                Stable-Baselines3's ``predict``, which is asked for all karts at once and picks
+                the likeliest actions. What it learns later changes the driver.
+            view: name of the view that it observes and acts in; ``None`` for that of the agents
+                that it races against (in :func:`~stkzoo.race.run_race`, ``full``).
+            name: name to show; by default that of the function or class.
+
+        Raises:
+            ConfigError: it is neither.
+        """
+        policy = plain_policy(policy)
+        name = name or getattr(policy, "__name__", type(policy).__name__)
+        load = partial(_code_of_policy, policy, view)
+        return cls._here(name, load, name, view is not None and env_sees_ground(view))
+
+    @classmethod
+    def _here(cls, name: str, load: CodeLoader, source: str, sees_ground: bool) -> Driver:
+        """A driver whose code runs in this program."""
         start = partial(InlineInstance, load=load)
-        return cls(name, start, name, sees_ground=env_sees_ground(view))
+        return cls(name, start, source, sees_ground=sees_ground, load=load)
 
 
 def driver_names() -> list[str]:
@@ -134,19 +163,19 @@ def _find(source: str, inline: bool, adapter: str | None) -> Driver:
     if source in driver_names():
         module = f"{_AGENTS}.{source.replace(':', '.')}"
         env_name = declared_env(AgentFiles(module, None))
-        start = partial(InlineInstance, load=lambda _: _load_shipped(module))
-        return Driver(source, start, sees_ground=env_sees_ground(env_name))
+        load = partial(_load_shipped, module)
+        return Driver._here(source, load, source, env_sees_ground(env_name))
     if source.startswith(f"{_PRETRAINED}:"):
         raise unknown_name("driver", source, driver_names())
     files = find_files(source)
     if files is None:
         raise _unknown(source)
-    in_process = partial(
-        InlineInstance, load=lambda resources: load_agent(files.place(resources), adapter)
-    )
-    isolated = partial(IsolatedInstance, files=files, adapter=adapter)
     sees_ground = env_sees_ground(declared_env(files))
-    return Driver("", in_process if inline else isolated, sees_ground=sees_ground)
+    if inline:
+        return Driver._here("", partial(_load_files, files, adapter), source, sees_ground)
+    return Driver(
+        "", partial(IsolatedInstance, files=files, adapter=adapter), sees_ground=sees_ground
+    )
 
 
 def _unknown(source: str) -> ConfigError:
@@ -156,14 +185,36 @@ def _unknown(source: str) -> ConfigError:
     return ConfigError(f"{error} Or give the path of a folder or zip, or a module's name.")
 
 
-def _load_shipped(module: str) -> AgentCode:
+def _load_shipped(module: str, _: ExitStack) -> AgentCode:
     try:
         return read_module(importlib.import_module(module))
     except ImportError as error:
         raise ConfigError(f"{module} cannot be loaded: {error}") from error
 
 
+def _load_files(files: AgentFiles, adapter: str | None, resources: ExitStack) -> AgentCode:
+    return load_agent(files.place(resources), adapter)
+
+
+def _code_of_actor(make_actor: ActorMaker, view: str, _: ExitStack) -> AgentCode:
+    if view not in VIEWS:
+        raise unknown_name("view", view, VIEWS)
+    return AgentCode(VIEWS[view], make_actor)
+
+
+def _code_of_policy(policy: Any, view: str | None, _: ExitStack) -> AgentCode:
+    if view is not None and view not in VIEWS:
+        raise unknown_name("view", view, VIEWS)
+    together = act_together if hasattr(policy, "predict") else None
+    wrap = None if view is None else VIEWS[view]
+    return AgentCode(wrap, partial(PolicyActor, policy), act_together=together)
+
+
 def _random_actor(_: spaces.Space[Any], action_space: spaces.Space[Any], seed: int) -> Actor:
     own_space = copy.deepcopy(action_space)
     own_space.seed(seed)
-    return lambda _: own_space.sample()
+    return partial(_sample, own_space)
+
+
+def _sample(action_space: spaces.Space[Any], _: Any) -> Any:
+    return action_space.sample()

@@ -31,6 +31,9 @@ from stkzoo.views.chains import AgentChains
 if TYPE_CHECKING:
     from typing_extensions import Self
 
+    from stkzoo.drivers import Driver
+    from stkzoo.env.opponents import RaceOpponents
+
 
 class ClonableEnv(EzPickle):
     """An environment that can go on from where another of its kind is."""
@@ -88,6 +91,7 @@ class BranchingRace(ClonableEnv):
     _chains: AgentChains
     _rewards: Mapping[str, Reward]
     _ai_agents: set[str]
+    _opponents: RaceOpponents | None
 
     if TYPE_CHECKING:
 
@@ -172,6 +176,7 @@ class BranchingRace(ClonableEnv):
             agents=tuple(self.agents),
             controls=episode.past_controls(),
             digest=digest_of(episode.snapshot),
+            opponents=episode.race.opponent_indices,
         )
 
     def restore_state(self, state: RaceState) -> None:
@@ -213,6 +218,8 @@ class BranchingRace(ClonableEnv):
         self.agents: list[str] = []
         self._episode: Episode | None = None
         self._asked: Episode | None = None  # whose step is under way
+        if self._opponents is not None:
+            self._opponents.close()
 
     def _from_state(
         self, state: object, options: Mapping[str, Any], options_now: RaceOptions
@@ -224,7 +231,10 @@ class BranchingRace(ClonableEnv):
         _check_beside("state", options)
         if not moment.agents:
             raise ApiOrderError("the state was saved when all agents had left; nobody can act")
+        self._check_opponents(moment.opponents is not None)
         kept.resume_in(self._session)
+        if self._opponents is not None and moment.opponents is not None:
+            self._opponents.go_on_from(moment.opponents)
         return list(moment.agents), moment.episode.restarted(options_now, self._rewards)
 
     def _from_scenario(
@@ -239,6 +249,7 @@ class BranchingRace(ClonableEnv):
                 f"scenario is {scenario!r}, expected a Scenario or the path of its file"
             )
         self._check_roster("scenario", scenario.roster)
+        drivers = self._drivers_in(scenario)
         if scenario.setup.track not in self._assets.tracks:
             raise ConfigError(
                 f"the scenario's track {scenario.setup.track!r} is not here; `stkzoo assets "
@@ -246,11 +257,34 @@ class BranchingRace(ClonableEnv):
             )
         self._end_race()  # in case the start fails
         setup, begun = scenario.setup, scenario.reach(self._session)
-        drawn = setup, scenario.kart_indices, begun
+        drawn = setup, (*scenario.kart_indices, *scenario.opponents), begun
         episode = Episode(options_now, *drawn, self._rewards, self._assets.root)
         for row in scenario.controls:
             episode.remember(row)
+        if self._opponents is not None:
+            self._opponents.begin(drivers, episode)
         return [agent for agent in self.possible_agents if agent in scenario.agents], episode
+
+    def _drivers_in(self, scenario: Scenario) -> tuple[Driver, ...]:
+        """The drivers of a scenario's opponents, which start at its moment."""
+        self._check_opponents(bool(scenario.opponents))
+        if self._opponents is None:
+            return ()
+        drivers, _ = self._opponents.draw(self.np_random, scenario.setup.difficulty)
+        bots = [scenario.setup.karts[kart].is_bot for kart in scenario.opponents]
+        if bots != [driver.is_game_ai for driver in drivers]:
+            raise ConfigError(
+                f"the scenario has {len(bots)} opponents, {sum(bots)} of them driven by the game; "
+                "this environment's are others; make one with the same"
+            )
+        return drivers
+
+    def _check_opponents(self, has_opponents: bool) -> None:
+        if has_opponents != (self._opponents is not None):
+            raise ConfigError(
+                f"the moment is of a race with{'' if has_opponents else 'out'} opponents, unlike "
+                "this environment's races; make one with the same opponents"
+            )
 
     def _roster(self) -> RaceRoster:
         ai_agents = frozenset(self._ai_agents)
@@ -269,10 +303,12 @@ class BranchingRace(ClonableEnv):
         episode = self._running("save_state").copy()
         random = copy.deepcopy(self.np_random)
         memory = self._chains.memory()
-        return Moment(episode, tuple(self.agents), self._roster(), random, memory)
+        opponents = None if self._opponents is None else self._opponents.moment(episode)
+        return Moment(episode, tuple(self.agents), self._roster(), random, memory, opponents)
 
     def _check_moment(self, moment: Moment) -> None:
         self._check_roster("state", moment.roster)
+        self._check_opponents(moment.opponents is not None)
         self._chains.check_memory(moment.memory)
 
     def _go_on_from(self, moment: Moment) -> None:
@@ -281,6 +317,8 @@ class BranchingRace(ClonableEnv):
         self._episode = moment.episode.copy()
         self.agents = list(moment.agents)
         self._np_random = copy.deepcopy(moment.random)
+        if self._opponents is not None and moment.opponents is not None:
+            self._opponents.go_on_from(moment.opponents)
 
 
 def _checked_state(state: object) -> RaceState:

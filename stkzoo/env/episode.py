@@ -48,7 +48,7 @@ class Episode:
     Args:
         options: the options of this race.
         setup: what the engine was given.
-        kart_indices: each agent's kart.
+        kart_indices: the karts of the agents and then of the opponents.
         start: what the engine answered.
         rewards: every agent's reward, in agent order.
         root: of the game's data.
@@ -73,13 +73,20 @@ class Episode:
         self.setup, self._root = setup, root
         names = ("track", "reverse", "laps", "difficulty", "seed")
         chosen = {name: getattr(setup, name) for name in names}
-        self.race = RaceInfo(**chosen, kart_indices=kart_indices, kart_types=start.kart_types)
+        agents, opponents = kart_indices[: len(rewards)], kart_indices[len(rewards) :]
+        called = tuple(setup.karts[kart].name for kart in opponents)
+        self.race = RaceInfo(
+            **chosen,
+            kart_indices=agents,
+            kart_types=start.kart_types,
+            opponent_indices=opponents,
+            opponents=called,
+        )
         self.track_map = decode_track(start.track)
         self.snapshot = start.snapshot
-        self._kart_of = dict(zip(rewards, kart_indices, strict=True))
+        self._kart_of = {f"kart_{number}": kart for number, kart in enumerate(kart_indices)}
         self._players = np.flatnonzero([not kart.is_bot for kart in setup.karts])
-        nobody = np.empty(0, np.intp)
-        self._asked_for: tuple[tuple[str, ...], tuple[IntArray, IntArray]] = (), (nobody, nobody)
+        self._places_of: dict[tuple[str, ...], tuple[IntArray, IntArray]] = {}
         self._reports_control = any(kart.reports_control for kart in setup.karts)
         self._past: Any = None  # (what was before, the latest controls), shared by copies
         self._start(options, rewards)
@@ -194,10 +201,10 @@ class Episode:
     def _places(self, agents: Sequence[str]) -> tuple[IntArray, IntArray]:
         """The agents' karts, and their rows among the players."""
         key = tuple(agents)
-        if key != self._asked_for[0]:  # they change only when an agent leaves
+        if key not in self._places_of:
             karts = np.array([self._kart_of[agent] for agent in key], np.intp)
-            self._asked_for = key, (karts, np.searchsorted(self._players, karts))
-        return self._asked_for[1]
+            self._places_of[key] = karts, np.searchsorted(self._players, karts)
+        return self._places_of[key]
 
 
 @dataclass(frozen=True)

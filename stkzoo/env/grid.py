@@ -26,6 +26,8 @@ class RaceInfo:
         seed: the engine's own seed.
         kart_indices: each agent's kart, as an index in grid order.
         kart_types: model name of each kart, in grid order.
+        opponent_indices: each opponent's kart, as an index in grid order.
+        opponents: each opponent's name.
     """
 
     track: str
@@ -35,6 +37,8 @@ class RaceInfo:
     seed: int
     kart_indices: tuple[int, ...]
     kart_types: tuple[str, ...]
+    opponent_indices: tuple[int, ...] = ()
+    opponents: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +67,7 @@ def draw_race(
     num_cameras: int,
     has_window: bool,
     random: np.random.Generator,
+    opponents: Sequence[AgentSpec] = (),
 ) -> tuple[RaceSetup, tuple[int, ...]]:
     """Draws what is left to chance: the track, the engine's seed and the free grid places.
 
@@ -70,25 +75,28 @@ def draw_race(
     agents get one that the game's AI does not drive; if there are none, the first agent.
 
     Returns:
-        What the engine is told, and each agent's kart as an index in grid order.
+        What the engine is told, and the karts of the agents and then of the opponents as
+        indices in grid order.
     """
     track = tracks[int(random.integers(len(tracks)))]
     seed = int(random.integers(2**16))
-    kart_indices = _draw_places(agents, options.num_kart, random)
+    everyone = [*agents, *opponents]
+    kart_indices = _draw_places(everyone, options.num_kart, random)
     karts = [KartSetup()] * options.num_kart
     cameras = [camera_mode(agent) for agent in agents]
     if has_window and not num_cameras and CameraMode.ON not in cameras:
         cameras = _with_cameras(agents, cameras)
-    for agent, index, camera in zip(agents, kart_indices, cameras, strict=True):
+    cameras += [camera_mode(opponent) for opponent in opponents]
+    for number, (agent, index) in enumerate(zip(everyone, kart_indices, strict=True)):
         karts[index] = KartSetup(
             is_bot=agent.use_ai,
-            reports_control=agent.use_ai,
+            reports_control=agent.use_ai and number < len(agents),
             kart=agent.kart,
             name=agent.name,
             color=float(agent.color),
-            camera_mode=int(camera),
+            camera_mode=int(cameras[number]),
         )
-    names = [f"kart_{number}" for number in range(len(agents))]
+    names = [f"kart_{number}" for number in range(len(everyone))]
     setup = RaceSetup(
         track=track,
         karts=tuple(karts),

@@ -6,7 +6,7 @@ import logging
 import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
@@ -35,6 +35,10 @@ from stkzoo.mdp.state import state_space
 from stkzoo.views import sees_ground, views_of_agents
 from stkzoo.views.chains import AgentChains
 from stkzoo.views.walker import StepParts
+
+if TYPE_CHECKING:
+    from stkzoo.drivers import Driver
+    from stkzoo.env.opponents import OpponentChoice
 
 logger = logging.getLogger(__name__)
 
@@ -73,6 +77,9 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         engine_timeout: seconds that the game may take for one step.
         max_snapshots: how many states saved by this environment may be open at a time;
             each is a process of about a megabyte and two open files.
+        opponents: drivers of further karts, which are no agents: a list of names
+            (:func:`stkzoo.race.find_driver`), policies, drivers and pools, one for each; or a
+            :class:`~stkzoo.OpponentPool`, which drives all karts that are no agents.
 
     Raises:
         ConfigError: an argument is invalid.
@@ -109,15 +116,18 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         engine_timeout: float = 30.0,
         max_snapshots: int = 100,
         start: Any = None,
+        opponents: Any = None,
     ) -> None:
         arguments = {name: value for name, value in locals().items() if name != "self"}
         EzPickle.__init__(self, **arguments)
         arguments["step_size"] = 0.1 if step_size is None else step_size
         chosen = {name: arguments[name] for name in RaceOptions.__dataclass_fields__}
         self.options = RaceOptions(**chosen)
-        self.specs = _specs(agents, num_kart)
+        choice, num_opponents = _opponents(opponents, agents, num_kart)
+        self.specs = _specs(agents, num_kart - num_opponents)
         check_whole("num_cameras", num_cameras, 0, MAX_CAMERAS)
         engine_timeout = check_number("engine_timeout", engine_timeout, 1e-3, 1e6)
+        self._opponents = None
         BranchingRace.__init__(self, max_snapshots)
         self.render_mode = render_mode
         self.metadata = {
@@ -150,6 +160,11 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         self.observation_spaces = self._chains.observation_spaces
         self.action_spaces = self._chains.action_spaces
         self.state_space = state_space(num_kart)
+        if choice is not None:
+            from stkzoo.env.opponents import RaceOpponents
+
+            view = next(iter(views.values()))
+            self._opponents = RaceOpponents(choice, len(self.specs), num_opponents, view)
         self._session = _session(self._assets, use_subprocess, engine_timeout)
 
     # ------------------------------------------------------------------ PettingZoo's API
@@ -194,7 +209,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         elif options.get("state") is not None:
             found = self._from_state(options["state"], options, options_now)
         else:
-            found = list(self.possible_agents), self._new_race(options_now, self._np_random)
+            found = list(self.possible_agents), self._new_race(options_now, options)
         agents, self._episode = found
         self.agents, self._asked = [], None  # in case a wrapper fails
         result = self._chains.reset(
@@ -211,7 +226,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
     def step(self, actions: Mapping[str, Any]) -> StepParts:
         """Advances the race by one step.
 
-        Its phases: :meth:`decode` makes controls of the actions, :meth:`send` steps the game,
+        Its phases: :meth:`decode` makes controls of the actions, opponents add theirs, :meth:`send`
+        steps the game,
         and :meth:`step_wait` reads the moment after it, scores rewards and ends, observes and
         gathers infos. Wrappers that the kernel does not do run last.
 
@@ -228,8 +244,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             ApiOrderError: before the first ``reset``.
             EngineError: the game died or hangs; ``reset`` starts a new race.
         """
-        controls = self.decode(actions)
-        self.send(controls)
+        self.step_async(actions)
         return self.step_wait()
 
     def step_async(self, actions: Mapping[str, Any]) -> None:
@@ -246,7 +261,9 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             ApiOrderError: before the first ``reset``, or twice without :meth:`step_wait`.
             EngineError: the game died or hangs; ``reset`` starts a new race.
         """
-        self.send(self.decode(actions))
+        controls = self.decode(actions)
+        drive_opponents([self], [controls])
+        self.send(controls)
 
     def decode(self, actions: Mapping[str, Any]) -> npt.NDArray[np.float32]:
         """The first half of :meth:`step_async`: checks the actions and moves nothing.
@@ -376,13 +393,15 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
 
     # ------------------------------------------------------------------ helpers
 
-    def _new_race(self, options: RaceOptions, random: np.random.Generator) -> Episode:
+    def _new_race(self, options: RaceOptions, asked: Mapping[str, Any]) -> Episode:
+        random = self.np_random
+        options, drivers, opponents = self._draw_opponents(options, asked, random)
         tracks = options.tracks(self._assets.tracks)
         has_window = self.render_mode == "human"
         self._end_race()  # in case the start fails
         for draws_left in reversed(range(MAX_START_DRAWS)):
             setup, kart_indices = draw_race(
-                options, self.specs, tracks, self._num_cameras, has_window, random
+                options, self.specs, tracks, self._num_cameras, has_window, random, opponents
             )
             try:
                 begun = self._begin(setup)
@@ -390,7 +409,21 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             except ConfigError:  # a place where no kart can stand
                 if not draws_left or not is_random(options.start):
                     raise
-        return Episode(options, setup, kart_indices, begun, self._rewards, self._assets.root)
+        drawn = setup, kart_indices, begun
+        episode = Episode(options, *drawn, self._rewards, self._assets.root)
+        if self._opponents is not None:
+            self._opponents.begin(drivers, episode)
+        return episode
+
+    def _draw_opponents(
+        self, options: RaceOptions, asked: Mapping[str, Any], random: np.random.Generator
+    ) -> tuple[RaceOptions, tuple[Driver, ...], list[AgentSpec]]:
+        """The options of a race with its opponents, their drivers, and how they start."""
+        if self._opponents is None:
+            return options, (), []
+        drivers, level = self._opponents.draw(random, asked.get("difficulty"))
+        options = options if level is None else replace(options, difficulty=level)
+        return options, drivers, self._opponents.specs(drivers)
 
     def _begin(self, setup: RaceSetup) -> RaceStart:
         """Starts a race."""
@@ -424,6 +457,41 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         if unknown:
             logger.warning("reset() ignores unknown options: %s", ", ".join(map(str, unknown)))
         return episode
+
+
+def drive_opponents(
+    races: Sequence[RaceParallelEnv], controls: Sequence[npt.NDArray[np.float32]]
+) -> None:
+    """Adds the opponents' controls to those that :meth:`RaceParallelEnv.decode` gave.
+
+    Args:
+        races: races that are about to be stepped, the karts of one driver together.
+        controls: of each race.
+    """
+    if any(race._opponents is not None for race in races):
+        from stkzoo.env.opponents import drive_together
+
+        drive_together(
+            [
+                (race._opponents, race._running("step"), own)
+                for race, own in zip(races, controls, strict=True)
+                if race._opponents is not None and race.agents
+            ]
+        )
+
+
+def _opponents(
+    opponents: Any, agents: Sequence[object] | int | None, num_kart: int
+) -> tuple[OpponentChoice | None, int]:
+    """What was asked for as opponents, and how many there are."""
+    if opponents is None:
+        return None, 0
+    from stkzoo.env.opponents import OpponentChoice
+
+    choice = OpponentChoice.of(opponents)
+    given = len(agents) if isinstance(agents, Sequence) else agents
+    assert choice is not None  # noqa: S101 - opponents are not None
+    return choice, choice.count(given, num_kart)
 
 
 def _specs(

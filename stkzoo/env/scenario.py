@@ -43,6 +43,7 @@ class Scenario:
         controls: ``(T, P, 7)`` float32: what the player karts did in each step.
         digest: of all karts at the moment, to check that it has been reached.
         engine: version of the engine.
+        opponents: each opponent's kart, in grid order.
     """
 
     setup: RaceSetup
@@ -51,6 +52,7 @@ class Scenario:
     controls: npt.NDArray[np.float32] = field(repr=False)
     digest: str
     engine: str = field(default_factory=lambda: version(_ENGINE))
+    opponents: tuple[int, ...] = ()
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes a file, whole or not at all.
@@ -58,7 +60,7 @@ class Scenario:
         Raises:
             ConfigError: it cannot be written.
         """
-        names = ("kart_indices", "agents", "digest", "engine")
+        names = ("kart_indices", "agents", "digest", "engine", "opponents")
         about = {"type": _TYPE, "format": _FORMAT, "setup": asdict(self.setup)}
         about |= {name: getattr(self, name) for name in names}
         members = {
@@ -143,6 +145,7 @@ def _read(text: bytes, numbers: bytes) -> Scenario:
         controls=np.frombuffer(numbers, "<f4").astype(np.float32).reshape(shape),
         digest=str(about["digest"]),
         engine=str(about["engine"]),
+        opponents=tuple(map(int, about.get("opponents", ()))),
     )
 
 
@@ -161,6 +164,6 @@ def _check(scenario: Scenario) -> None:
     if len(setup.starts) not in (0, len(setup.karts)):
         raise ValueError("karts and starts do not fit")
     check_whole("seed", setup.seed, 0, 2**31 - 1)
-    indices = scenario.kart_indices
+    indices = (*scenario.kart_indices, *scenario.opponents)
     if len(set(indices)) != len(indices) or not set(indices) <= set(range(len(setup.karts))):
-        raise ValueError("agents' karts are invalid")
+        raise ValueError("the karts of agents or opponents are invalid")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from stkzoo.env.episode import Episode
 from stkzoo.env.grid import RaceInfo, RaceRoster
 from stkzoo.errors import ApiOrderError
 from stkzoo.views.chains import ChainsMemory
+
+if TYPE_CHECKING:
+    from stkzoo.env.opponents import OpponentsMoment
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +29,7 @@ class Moment:
         roster: who races.
         random: the environment's random stream.
         memory: what the agents' wrappers remember.
+        opponents: the opponents, if there are any.
     """
 
     episode: Episode
@@ -33,6 +37,7 @@ class Moment:
     roster: RaceRoster
     random: np.random.Generator
     memory: ChainsMemory
+    opponents: OpponentsMoment | None = None
 
 
 class RaceState:

@@ -16,7 +16,7 @@ from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.agents.training.common.fleet import Lineup, parse_races
 from stkzoo.agents.training.common.matches import rate_orders
 from stkzoo.agents.training.common.network_policy import initial_weights, save_driver
-from stkzoo.agents.training.common.opponents import OpponentPool, bot_name
+from stkzoo.agents.training.common.opponents import RivalPool, bot_name
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.plot import main as plot_main
 from stkzoo.agents.training.rate import evaluate_policy, read_evaluations
@@ -76,7 +76,7 @@ def policy():
 
 
 def test_hard_rivals_come_more_often():
-    pool = OpponentPool(3)
+    pool = RivalPool(3)
     for name in ("hard", "even", "easy"):
         pool.add(name)
     for _ in range(60):
@@ -92,7 +92,7 @@ def test_hard_rivals_come_more_often():
 
 
 def test_the_most_beaten_rival_goes_when_the_pool_is_full():
-    pool = OpponentPool(2)
+    pool = RivalPool(2)
     pool.add("first")
     pool.add("second")
     assert [rival.name for rival in pool.opponents] == ["first", "second"]
@@ -103,7 +103,7 @@ def test_the_most_beaten_rival_goes_when_the_pool_is_full():
 
 
 def test_a_pool_comes_back():
-    pool, other = OpponentPool(2), OpponentPool(2)
+    pool, other = RivalPool(2), RivalPool(2)
     pool.add("first")
     pool.update("first", 1.0)
     other.restore(json.loads(json.dumps(pool.state())))
@@ -144,7 +144,7 @@ def test_groups_of_races_are_read():
 
 
 def pools():
-    return OpponentPool(4, [bot_name(difficulty) for difficulty in range(4)]), OpponentPool(4)
+    return RivalPool(4, [bot_name(difficulty) for difficulty in range(4)]), RivalPool(4)
 
 
 @pytest.mark.slow

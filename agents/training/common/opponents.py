@@ -25,7 +25,7 @@ def bot_name(difficulty: int) -> str:
 
 
 @dataclass(slots=True)
-class Opponent:
+class Rival:
     """An opponent in the pool.
 
     Attributes:
@@ -46,7 +46,7 @@ class Opponent:
         self.races += 1
 
 
-class OpponentPool:
+class RivalPool:
     """The opponents.
 
     Args:
@@ -56,10 +56,10 @@ class OpponentPool:
 
     def __init__(self, size: int, names: Sequence[str] = ()) -> None:
         self.size = size
-        self._opponents = {name: Opponent(name) for name in names}
+        self._opponents = {name: Rival(name) for name in names}
 
     @property
-    def opponents(self) -> list[Opponent]:
+    def opponents(self) -> list[Rival]:
         """All of them, the oldest first."""
         return list(self._opponents.values())
 
@@ -67,7 +67,7 @@ class OpponentPool:
         """Adds an opponent; a full pool drops the most beaten one for it."""
         if name not in self._opponents and len(self._opponents) >= self.size:
             del self._opponents[max(self.opponents, key=lambda opponent: opponent.beaten).name]
-        self._opponents.setdefault(name, Opponent(name))
+        self._opponents.setdefault(name, Rival(name))
 
     def draw(self, random: np.random.Generator, among: Sequence[str] | None = None) -> str:
         """Draws an opponent's name by weight.
@@ -92,4 +92,4 @@ class OpponentPool:
 
     def restore(self, state: Sequence[Mapping[str, Any]]) -> None:
         """Restores a :meth:`state`."""
-        self._opponents = {kept["name"]: Opponent(**kept) for kept in state}
+        self._opponents = {kept["name"]: Rival(**kept) for kept in state}

@@ -12,7 +12,7 @@ from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.errors import ConfigError
 
 from ..common.matches import SEATS, Match, MatchRecord
-from ..common.opponents import OpponentPool
+from ..common.opponents import RivalPool
 
 #: Kinds of players.
 MAIN, EXPLOITER, LEAGUE_EXPLOITER = "main", "exploiter", "league-exploiter"
@@ -40,7 +40,7 @@ class Player:
         turns: played since then.
         past_turns: played before.
         kart_steps: learned from since it began.
-        pool: how its duels went, of :class:`~stkzoo.agents.training.common.opponents.OpponentPool`.
+        pool: how its duels went, of :class:`~stkzoo.agents.training.common.opponents.RivalPool`.
     """
 
     name: str
@@ -123,7 +123,7 @@ class PlayerMatchmaker:
         policy: Callable[[str], RacingPolicy],
     ) -> None:
         self._player, self.policy = player, policy
-        self.pool = OpponentPool(_ENDLESS)
+        self.pool = RivalPool(_ENDLESS)
         self.pool.restore(player.pool)
         for member in members:
             self.pool.add(member["name"])

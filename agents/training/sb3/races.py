@@ -30,7 +30,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.sb3 import RaceVecEnv
 
 from ..common.fleet import Lineup, ai_time
-from ..common.opponents import OpponentPool, bot_name
+from ..common.opponents import RivalPool, bot_name
 from .curriculum import Curriculum
 
 Indices = None | int | Iterable[int]
@@ -164,8 +164,8 @@ class SelfPlayVecEnv(VecEnv):
         self,
         lineups: Sequence[Lineup],
         curriculum: Curriculum,
-        bots: OpponentPool,
-        snapshots: OpponentPool,
+        bots: RivalPool,
+        snapshots: RivalPool,
         *,
         snapshot_share: float = 0.5,
         grid_share: float = 0.3,

@@ -50,7 +50,7 @@ from ..common.arguments import PPOArguments, ScriptOptions
 from ..common.command import ProgressBar, run_command, training_library
 from ..common.fleet import parse_races
 from ..common.network_policy import initial_weights, save_driver
-from ..common.opponents import OpponentPool, bot_name
+from ..common.opponents import RivalPool, bot_name
 from ..common.run_folder import TrainingLog, keep_arguments, load_checkpoint, save_checkpoint
 from ..export import export_policy
 from ..rate import EVALUATIONS, RATINGS
@@ -206,8 +206,8 @@ class SB3Run:
         keep_arguments(self.folder, arguments, remedy=remedy)
         self.kart_steps = self.iteration = self.rounds = 0
         self._curriculum = Curriculum(arguments.tracks, arguments.pass_at)
-        self._bots = OpponentPool(4, [bot_name(difficulty) for difficulty in range(4)])
-        self._snapshots = OpponentPool(arguments.pool_size)
+        self._bots = RivalPool(4, [bot_name(difficulty) for difficulty in range(4)])
+        self._snapshots = RivalPool(arguments.pool_size)
         self._recent: deque[Any] = deque(maxlen=_RECENT)
         self._envs = self._make_races()
         self._model = self._make_model()

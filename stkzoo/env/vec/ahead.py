@@ -53,8 +53,9 @@ class AheadRace(RaceParallelEnv):
         if "state" in options:
             return
         random = copy.deepcopy(self.np_random) if seed is None else random_stream(seed)
+        now, _, specs = self._draw_opponents(now, options, random)
         tracks = now.tracks(self._assets.tracks)
-        setup, _ = draw_race(now, self.specs, tracks, self._num_cameras, False, random)
+        setup, _ = draw_race(now, self.specs, tracks, self._num_cameras, False, random, specs)
         if self._next and self._next[0] == setup:
             return
         self._forget_next()

@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array,
 from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo._os import cpu_count
+from stkzoo.env.parallel import drive_opponents
 from stkzoo.env.vec.ahead import AheadRace
 from stkzoo.env.vec.slots import BoolArray, RaceSlots, SlotSteps
 from stkzoo.errors import ActionError, ApiOrderError, ConfigError, check_whole
@@ -93,6 +94,10 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         if not isinstance(prefetch, (bool, type(None))):
             raise ConfigError(f"prefetch is {prefetch!r}, expected True, False or None")
         self.prefetch = cpu_count() > num_races if prefetch is None else prefetch
+        if options.get("opponents") is not None:
+            from stkzoo.env.opponents import OpponentChoice
+
+            options["opponents"] = OpponentChoice.of(options["opponents"])  # one for all races
         self.races = tuple(AheadRace(view=view, **options) for _ in range(num_races))
         first, self.num_races = self.races[0], num_races
         self.num_agents = len(first.possible_agents)
@@ -211,6 +216,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         except ActionError:
             self._name_the_race(singles)
             raise
+        drive_opponents(self.races, controls)
         for row, own in zip(self._rows, controls, strict=True):
             row.send(own)
 

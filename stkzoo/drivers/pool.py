@@ -1,0 +1,124 @@
+"""Opponents of a race, and a pool of them to draw from."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from stkzoo.drivers.driver import Driver, find_driver
+from stkzoo.drivers.policy import frozen_policy
+from stkzoo.errors import ConfigError, check_number
+
+
+def as_driver(opponent: object) -> Driver:
+    """The driver that a user means.
+
+    Args:
+        opponent: a driver, the name of one (:func:`~stkzoo.race.find_driver`), or a policy
+            (:meth:`Driver.of_policy`).
+
+    Raises:
+        ConfigError: it is none of these.
+    """
+    if isinstance(opponent, Driver):
+        return opponent
+    if isinstance(opponent, str):
+        return find_driver(opponent)
+    if callable(opponent) or hasattr(opponent, "predict"):
+        return Driver.of_policy(opponent)
+    raise ConfigError(
+        f"an opponent is {opponent!r:.200}, expected a driver's name such as 'pretrained:ace' or "
+        "'ai:3', a Driver, a function from an observation to an action, or an object with "
+        "Stable-Baselines3's predict"
+    )
+
+
+class OpponentPool:
+    """Opponents with weights; a race draws one for each kart that the pool is given.
+
+    It may grow while races run. Every race that starts later draws from what is in it then.
+
+    Args:
+        opponents: the first opponents, as for :meth:`add`.
+        weights: theirs; 1 each by default.
+
+    Raises:
+        ConfigError: as :meth:`add`.
+
+    Example:
+        >>> from stkzoo import OpponentPool
+        >>> pool = OpponentPool(["pretrained:ace", "ai:3"], weights=[1, 3])
+        >>> pool.add("heuristic", weight=2)
+        >>> pool.weights
+        {'pretrained:ace': 1.0, 'ai:3': 3.0, 'heuristic': 2.0}
+    """
+
+    def __init__(
+        self, opponents: Iterable[Any] = (), weights: Sequence[float] | None = None
+    ) -> None:
+        self._drivers: dict[str, Driver] = {}
+        self.weights: dict[str, float] = {}
+        given = list(opponents)
+        chosen = [1.0] * len(given) if weights is None else list(weights)
+        if len(chosen) != len(given):
+            raise ConfigError(
+                f"{len(chosen)} weights for {len(given)} opponents; give one for each"
+            )
+        for opponent, weight in zip(given, chosen, strict=True):
+            self.add(opponent, weight=weight)
+
+    def add(
+        self, opponent: Any, *, weight: float = 1.0, view: str | None = None, name: str = ""
+    ) -> None:
+        """Adds an opponent.
+
+        Args:
+            opponent: a driver's name, a :class:`~stkzoo.race.Driver`, or a policy
+                (:meth:`~stkzoo.race.Driver.of_policy`), of which the pool keeps a copy that
+                does not learn.
+            weight: how often it is drawn, beside the weights of the others.
+            view: the view that a policy observes and acts in; by default that of the agents.
+            name: name to show; a number is added to one that is taken.
+
+        Raises:
+            ConfigError: it is no opponent, or the weight is not above 0.
+        """
+        weight = check_number("weight of an opponent", weight)
+        if isinstance(opponent, (str, Driver)):
+            driver = as_driver(opponent)
+            name = name or driver.name or driver.source
+        else:
+            driver = Driver.of_policy(frozen_policy(opponent), view, name)
+            name = driver.name
+        numbered = (f"{name} {number}" for number in itertools.count(2))
+        name = next(free for free in itertools.chain([name], numbered) if free not in self.weights)
+        self._drivers[name] = replace(driver, name=name)
+        self.weights[name] = weight
+
+    def __len__(self) -> int:
+        return len(self._drivers)
+
+    def draw(self, random: np.random.Generator, difficulty: int | None = None) -> Driver:
+        """Draws an opponent by weight.
+
+        Args:
+            random: draws it.
+            difficulty: the race's, if it is decided: opponents that ask for another are left out.
+
+        Raises:
+            ConfigError: there is nobody to draw.
+        """
+        names = [
+            name
+            for name, driver in self._drivers.items()
+            if difficulty is None or driver.difficulty in (None, difficulty)
+        ]
+        if not names:
+            which = f" at difficulty {difficulty}" if len(self) else ""
+            raise ConfigError(f"the pool has no opponents{which}; add() one before the race")
+        weights = np.array([self.weights[name] for name in names])
+        return self._drivers[names[int(random.choice(len(names), p=weights / weights.sum()))]]

@@ -1,0 +1,107 @@
+"""Opponents in a pool, and what counts as one."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from stkzoo.drivers import Driver, OpponentPool
+from stkzoo.drivers.pool import as_driver
+from stkzoo.errors import ConfigError
+
+
+def straight(observation):
+    """Full throttle."""
+    del observation
+    return [1.0, 0.0]
+
+
+class Still:
+    """A policy in the form of Stable-Baselines3 that still learns."""
+
+    def __init__(self):
+        self.weights = np.zeros(2)
+
+    def predict(self, observation, deterministic=False):
+        assert deterministic
+        return np.tile(self.weights, (len(observation), 1)), None
+
+
+def draws(pool, count=2000, seed=1, **options):
+    random = np.random.default_rng(seed)
+    return [pool.draw(random, **options).name for _ in range(count)]
+
+
+def test_opponents_are_drawn_by_their_weights():
+    pool = OpponentPool(["heuristic", "random"], weights=[1, 3])
+    share = Counter(draws(pool))["random"] / 2000
+    assert 0.7 < share < 0.8
+
+
+def test_the_same_stream_draws_the_same_opponents():
+    pool = OpponentPool(["heuristic", "random", "ai"])
+    assert draws(pool, 50) == draws(pool, 50)
+    assert draws(pool, 50) != draws(pool, 50, seed=2)
+
+
+def test_a_pool_draws_what_is_added_to_it():
+    pool = OpponentPool(["heuristic"])
+    pool.add(straight, weight=1000)
+    assert Counter(draws(pool, 100)).most_common(1)[0][0] == "straight"
+    assert len(pool) == 2
+
+
+def test_names_that_are_taken_are_numbered():
+    pool = OpponentPool([straight, straight, "random"])
+    pool.add(straight, name="random")
+    assert list(pool.weights) == ["straight", "straight 2", "random", "random 2"]
+
+
+def test_opponents_of_another_difficulty_are_left_out():
+    pool = OpponentPool(["ai:0", "ai:3", "random"])
+    assert {*draws(pool, 100, difficulty=3)} == {"ai:3", "random"}
+    with pytest.raises(ConfigError, match=r"no opponents at difficulty 1; add\(\)"):
+        draws(OpponentPool(["ai:0"]), 1, difficulty=1)
+
+
+def test_an_empty_pool_says_what_to_do():
+    with pytest.raises(ConfigError, match=r"no opponents; add\(\) one before the race"):
+        draws(OpponentPool(), 1)
+
+
+def test_a_pool_keeps_a_copy_that_does_not_learn():
+    policy, pool = Still(), OpponentPool()
+    pool.add(policy)
+    policy.weights += 1
+    kept = pool.draw(np.random.default_rng(0)).load(None).make_actor(None, None, 0)
+    assert kept(np.zeros(3)).tolist() == [0, 0]
+
+
+def test_a_pool_can_be_pickled_and_copied():
+    pool = OpponentPool(["pretrained:ace", "ai:3", straight, Still()])
+    for twin in (pickle.loads(pickle.dumps(pool)), copy.deepcopy(pool)):
+        assert draws(twin, 20) == draws(pool, 20)
+
+
+@pytest.mark.parametrize("wrong", [3, None, ["heuristic"], Still])
+def test_what_is_no_opponent_is_refused(wrong):
+    with pytest.raises(ConfigError, match="expected a"):
+        OpponentPool().add(wrong)
+
+
+def test_weights_are_checked():
+    with pytest.raises(ConfigError, match="weight of an opponent is 0, expected a number above 0"):
+        OpponentPool().add("ai", weight=0)
+    with pytest.raises(ConfigError, match="1 weights for 2 opponents"):
+        OpponentPool(["ai", "random"], weights=[1])
+
+
+def test_drivers_names_and_policies_are_opponents():
+    driver = Driver.of_policy(straight, view="racing", name="fast")
+    assert as_driver(driver) is driver
+    assert as_driver("ai:3").difficulty == 3
+    assert as_driver(straight).name == "straight"

@@ -1,0 +1,286 @@
+"""Karts that are no agents, but driven by drivers of any kind."""
+
+from __future__ import annotations
+
+import logging
+import pickle
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from pettingzoo.test import parallel_api_test
+
+from stkzoo import OpponentPool, RaceVectorEnv, race_v0
+from stkzoo.drivers import Driver, find_driver
+from stkzoo.errors import AgentException, ConfigError
+
+AGENTS = Path(__file__).parents[1] / "data" / "agents"
+RACE = {"agents": 1, "track": "lighthouse", "view": "flattened_continuous_actions"}
+FORWARD = np.array([1.0, 0.0], np.float32)
+
+
+def forward(observation):
+    """Full throttle, in the view of the agents."""
+    assert observation["continuous"].shape == (92,)
+    return FORWARD
+
+
+class Fails:
+    """A policy that raises in its third step."""
+
+    def __init__(self):
+        self.steps = 0
+
+    def __call__(self, _):
+        self.steps += 1
+        if self.steps == 3:
+            raise ValueError("out of ideas")
+        return FORWARD
+
+
+class Batches:
+    """A policy in the form of Stable-Baselines3; keeps the sizes of its batches."""
+
+    def __init__(self):
+        self.sizes = []
+
+    def predict(self, observation, deterministic):
+        assert deterministic
+        self.sizes.append(len(observation["continuous"]))
+        return np.tile(FORWARD, (self.sizes[-1], 1)), None
+
+
+def against(opponents, **options):
+    options = {**RACE, "num_kart": 1 + len(opponents), **options}
+    return race_v0.parallel_env(opponents=opponents, **options)
+
+
+def drive(env, steps):
+    """Where all karts are after so many steps of full throttle."""
+    for _ in range(steps):
+        env.step(dict.fromkeys(env.agents, FORWARD))
+    return env.snapshot.karts["location"].copy()
+
+
+def test_opponents_of_all_kinds_drive():
+    opponents = ["pretrained:ace", "heuristic", "ai:3", str(AGENTS / "plain"), forward]
+    with against(opponents, num_kart=7) as env:
+        observations, infos = env.reset(seed=1)
+        assert env.possible_agents == [*observations] == [*infos] == ["kart_0"]
+        assert env.state().shape == env.state_space.shape == (4 + 27 * 7,)
+        assert env.race.opponents == ("pretrained:ace", "heuristic", "ai:3", "plain", "forward")
+        assert env.race.difficulty == 3
+        assert not {*env.race.kart_indices} & {*env.race.opponent_indices}
+        start = env.snapshot.karts["location"].copy()
+        end = drive(env, 60)
+        moved = np.linalg.norm(end - start, axis=1)
+        assert (moved[list(env.race.opponent_indices)] > 10).all()
+        env.reset(seed=1)
+        assert (drive(env, 60) == end).all()
+
+
+def test_the_games_ai_is_simply_a_kart_of_the_game():
+    with against(["ai", "ai:1"], num_kart=4) as env:
+        env.reset(seed=1)
+        assert env.race.difficulty == 1
+        karts = [env._episode.setup.karts[kart] for kart in env.race.opponent_indices]
+        assert all(kart.is_bot and not kart.reports_control for kart in karts)
+
+
+def test_without_agents_given_the_other_karts_are_agents():
+    with race_v0.parallel_env(num_kart=4, track="lighthouse", opponents=["ai"]) as env:
+        assert env.num_agents == 0
+        assert env.possible_agents == ["kart_0", "kart_1", "kart_2"]
+
+
+def test_a_pool_draws_for_each_race_from_the_environments_stream():
+    pool = OpponentPool(["random", "ai:0", "heuristic"])
+
+    def races(env, count=12):
+        env.reset(seed=5)
+        names = [env.race.opponents]
+        for _ in range(count - 1):
+            env.reset()
+            names.append(env.race.opponents)
+        return names
+
+    with against([pool, "ai"], num_kart=3) as env, against([pool, "ai"], num_kart=3) as other:
+        drawn = races(env)
+        assert races(other) == drawn
+        assert {names[0] for names in drawn} == {"random", "ai:0", "heuristic"}
+        pool.add(forward, weight=1e9)
+        env.reset()
+        assert env.race.opponents == ("forward", "ai")
+
+
+def test_a_pool_alone_drives_all_karts_that_are_no_agents():
+    pool = OpponentPool(["ai:1", "ai:3"])
+    with race_v0.parallel_env(**RACE, num_kart=4, opponents=pool) as env:
+        env.reset(seed=1, options={"difficulty": 1})
+        assert env.race.opponents == ("ai:1", "ai:1", "ai:1")
+        env.reset(seed=3)
+        assert len({*env.race.opponents}) == 1
+
+
+def test_an_opponent_that_fails_is_out_and_the_race_goes_on(caplog):
+    hostile = str(AGENTS / "hostile" / "exits.py")
+    with against([Fails(), hostile, lambda _: [9.0, 0.0]]) as env:
+        env.reset(seed=1)
+        with caplog.at_level(logging.WARNING, "stkzoo.env.opponents"):
+            drive(env, 20)
+        assert env.agents == ["kart_0"]
+        said = [record.getMessage() for record in caplog.records]
+        assert len(said) == 3
+        assert "opponent Fails of kart_1 is out of the race: ValueError: out of ideas" in said
+        assert any("opponent exits of kart_2 is out" in text for text in said)
+        assert any("kart_3 is out" in text and "9.0" in text for text in said)
+        env.reset(seed=2)
+        assert len(env._opponents.ask(env._episode)) == 3
+
+
+def test_opponents_finish_while_the_agents_still_race():
+    stand = np.zeros(2, np.float32)
+    with against(["heuristic"], track="olivermath", max_cycles=800) as env:
+        env.reset(seed=1)
+        kart = env.race.opponent_indices[0]
+        while not env.snapshot.karts["has_finished_race"][kart]:
+            env.step({"kart_0": stand})
+        for _ in range(3):
+            assert env.agents == ["kart_0"]
+            *_, infos = env.step({"kart_0": stand})
+        assert infos["kart_0"]["position"] == 2
+
+
+def test_a_saved_state_has_what_opponents_remember():
+    opponents = [
+        "pretrained:ace",
+        "heuristic",
+        "random",
+        find_driver(str(AGENTS / "plain"), inline=True),
+    ]
+    with against(opponents) as env:
+        env.reset(seed=3)
+        drive(env, 40)
+        with env.save_state() as state, env.clone() as twin:
+            end = drive(env, 40)
+            assert (drive(twin, 40) == end).all()
+            env.restore_state(state)
+            assert (drive(env, 40) == end).all()
+            env.reset(options={"state": state})
+            assert (drive(env, 40) == end).all()
+            other = race_v0.parallel_env(**RACE, num_kart=5)
+            with other, pytest.raises(ConfigError, match="one with the same opponents"):
+                other.reset(options={"state": state})
+
+
+def test_a_scenario_starts_the_opponents_at_its_moment(tmp_path):
+    with against([forward, "ai"]) as env:
+        env.reset(seed=3)
+        drive(env, 20)
+        env.scenario().save(tmp_path / "here.zip")
+        end = drive(env, 20)
+        env.reset(options={"scenario": tmp_path / "here.zip"})
+        assert (drive(env, 20) == end).all()
+    with against([forward, forward]) as env, pytest.raises(ConfigError, match="1 of them driven"):
+        env.reset(options={"scenario": tmp_path / "here.zip"})
+
+
+def keeps(_, __, ___):
+    seen = []
+    return lambda observation: seen.append(observation) or {}
+
+
+@pytest.mark.parametrize(
+    ("opponent", "why"),
+    [
+        (str(AGENTS / "plain"), r"process of its own; let it run here, by find_driver\("),
+        (Driver.of_actor("keeps", keeps), "give an object with __call__"),
+    ],
+)
+def test_opponents_whose_memory_cannot_be_copied_say_so(opponent, why):
+    with against([opponent]) as env:
+        env.reset(seed=1)
+        with pytest.raises(AgentException, match=rf"of kart_1 cannot be saved: .*{why}"):
+            env.save_state()
+
+
+def test_the_karts_of_one_driver_in_many_races_are_driven_together():
+    policy = Batches()
+    options = {**RACE, "num_kart": 4, "opponents": [policy, "pretrained:ace", policy]}
+    envs = RaceVectorEnv(2, **options)
+    envs.reset(seed=[7, 8])
+    for _ in range(30):
+        envs.step(np.tile(FORWARD, (2, 1)))
+    assert policy.sizes == [4] * 30
+    for number, race in enumerate(envs.races):
+        with race_v0.parallel_env(**options) as env:
+            env.reset(seed=7 + number)
+            assert (drive(env, 30) == race.snapshot.karts["location"]).all()
+    envs.close()
+
+
+def test_races_started_ahead_have_the_same_opponents():
+    ends = []
+    for prefetch in (True, False):
+        pool = OpponentPool(["random", "ai:3", forward])
+        envs = RaceVectorEnv(1, **RACE, num_kart=3, opponents=pool, max_cycles=5, prefetch=prefetch)
+        envs.reset(seed=2)
+        names = []
+        for _ in range(30):
+            envs.step(FORWARD[None])
+            names.append((envs.races[0].race.opponents, envs.races[0].snapshot.karts.tobytes()))
+        ends.append(names)
+        envs.close()
+    assert ends[0] == ends[1]
+
+
+@pytest.mark.filterwarnings("ignore:.*Box observation space")
+def test_environments_with_opponents_pass_the_checkers():
+    with against(["heuristic", forward], num_kart=4, agents=2, max_cycles=40) as env:
+        parallel_api_test(env, num_cycles=60)
+    env = gym.make(
+        "supertuxkart/flattened_continuous_actions-v0",
+        num_kart=3,
+        track="lighthouse",
+        opponents=["heuristic", forward],
+    )
+    check_env(env.unwrapped, skip_render_check=True)
+    assert env.unwrapped.core.race.opponents == ("heuristic", "forward")
+    env.close()
+
+
+def test_without_opponents_nothing_is_loaded():
+    with race_v0.parallel_env(**RACE, num_kart=2) as env:
+        assert env._opponents is None
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"opponents": "ai"}, r"opponents is 'ai', expected a list such as"),
+        ({"opponents": ["aj"]}, "unknown driver 'aj'. Known: ai"),
+        ({"opponents": [3]}, "an opponent is 3, expected a driver's name"),
+        ({"opponents": ["ai", "ai"]}, "1 agents and 2 opponents for 2 karts; raise num_kart"),
+        ({"opponents": ["ai"] * 2, "agents": None}, "an agent and 2 opponents for 2 karts"),
+        ({"opponents": OpponentPool(), "agents": None}, "say how many agents there are"),
+        ({"opponents": ["ai:1", "ai:3"], "num_kart": 3}, r"the difficulties \[1, 3\]"),
+    ],
+)
+def test_what_is_no_choice_of_opponents_is_refused(options, message):
+    with pytest.raises(ConfigError, match=message):
+        race_v0.parallel_env(**{**RACE, "num_kart": 2, **options})
+
+
+def test_reset_may_not_ask_for_another_difficulty():
+    with against(["ai:3"]) as env, pytest.raises(ConfigError, match=r"difficulties \[1, 3\]"):
+        env.reset(options={"difficulty": 1})
+
+
+def test_opponents_of_an_environment_can_be_pickled():
+    env = against(["pretrained:ace", "ai:3", forward])
+    with env, pickle.loads(pickle.dumps(env)) as twin:
+        for one in (env, twin):
+            one.reset(seed=1)
+        assert (drive(env, 5) == drive(twin, 5)).all()
