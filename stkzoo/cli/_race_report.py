@@ -85,6 +85,10 @@ def show_race(result: RaceResult) -> None:
     )
     for row in result.agents:
         _show_errors(row)
+        if row.num_clipped:
+            say(
+                f"\n{row.driver} ({row.agent}): {row.num_clipped} actions were clipped to its space"
+            )
 
 
 def _race_cells(row: AgentResult) -> Sequence[str]:

@@ -51,7 +51,9 @@ class InlineInstance:
             self._code = self._load(self._resources)
             with self._code.scope:
                 kart_spaces = request.observation_space, request.action_space
-                self._chain = AgentChain(request.agent, *kart_spaces, self._code.wrap)
+                self._chain = AgentChain(
+                    request.agent, *kart_spaces, self._code.wrap, is_strict=False
+                )
                 self._chain.action_space.seed(request.seed)
                 view = self._chain.observation_space, self._chain.action_space
                 self._actor = self._code.make_actor(*view, request.seed)
@@ -68,7 +70,7 @@ class InlineInstance:
         agent = self._request.agent
         if not self._is_ready:
             raise AgentError(f"{agent} was asked before it was ready", agent)
-        begin = time.perf_counter()
+        begin, clipped = time.perf_counter(), self._chain.num_clipped
         with self._guarded("action", self._request.limits.action_timeout), self._code.scope:
             seen = self._see(self._observation)
             try:
@@ -77,7 +79,8 @@ class InlineInstance:
                 self._skip_step()
                 raise
             self._is_begun = True
-        return Decision(action, time.perf_counter() - begin)
+        seconds = time.perf_counter() - begin
+        return Decision(action, seconds, is_clipped=self._chain.num_clipped != clipped)
 
     def close(self) -> None:
         """Closes the driver's wrappers and removes its unpacked files."""

@@ -57,10 +57,12 @@ class Decision:
     Attributes:
         action: in the action space of the request; the runner checks it.
         seconds: how long the driver took, measured where its code runs.
+        is_clipped: whether a number was outside its ``Box`` and was clipped.
     """
 
     action: Any
     seconds: float
+    is_clipped: bool = False
 
 
 class DriverInstance(Protocol):

@@ -108,7 +108,7 @@ class IsolatedInstance:
         seconds = reply.get("seconds")
         if reply.get("number") != self._number or not isinstance(seconds, float):
             self._fail(f"its process answered with {reply!r:.200}; expected an action")
-        return Decision(reply.get("action"), seconds)
+        return Decision(reply.get("action"), seconds, reply.get("is_clipped") is True)
 
     def close(self) -> None:
         """Ends the process and all that it started, and removes the agent's unpacked files."""

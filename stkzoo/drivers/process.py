@@ -142,7 +142,7 @@ def _decide(instance: InlineInstance, observation: Any) -> dict[str, Any]:
         decision = instance.answer()
     except AgentError as error:
         return {"error": error_report(error)}
-    return {"action": decision.action, "seconds": decision.seconds}
+    return {name: getattr(decision, name) for name in ("action", "seconds", "is_clipped")}
 
 
 def _seed_everything(seed: int) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import logging
 from pathlib import PurePath
 from typing import Any
 
@@ -16,6 +17,12 @@ from stkzoo.race.result import AgentFailure
 from stkzoo.race.settings import RaceSettings
 
 _MAX_FAILURES_KEPT = 20
+_CLIPPED = (
+    "an action of {} ({}) at step {} has a number outside its space, which is clipped; from now "
+    "on such actions are only counted"
+)
+
+logger = logging.getLogger(__name__)
 
 
 class RacingDriver:
@@ -34,6 +41,7 @@ class RacingDriver:
         name: the name to show.
         failures: the first failures.
         num_failures: number of all failures.
+        num_clipped: decisions with a number outside its ``Box``, which was clipped.
         seconds: duration of each decision [s].
         is_retired: whether it has been taken out of the race.
     """
@@ -42,7 +50,7 @@ class RacingDriver:
         self.agent = request.agent
         self.name = driver.name
         self.failures: list[AgentFailure] = []
-        self.num_failures = 0
+        self.num_failures = self.num_clipped = 0
         self.seconds: list[float] = []
         self.is_retired = False
         self._driver, self._request, self._settings = driver, request, settings
@@ -97,6 +105,10 @@ class RacingDriver:
             self._handle(error, step)
             return self._replacement()
         self.seconds.append(decision.seconds)
+        if decision.is_clipped:
+            if not self.num_clipped:
+                logger.warning("%s", _CLIPPED.format(self.name, self.agent, step))
+            self.num_clipped += 1
         return decision.action
 
     def replace_action(self, error: Exception, step: int) -> Any:

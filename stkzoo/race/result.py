@@ -67,6 +67,7 @@ class AgentResult:
         reward: the sum over the race.
         rescues: how often its kart was put back on the road; ``None`` in old results.
         num_errors: number of failures.
+        num_clipped: number of actions with a number outside its space, which was clipped.
         errors: the first failures.
         action_time: duration of its decisions; ``None`` for the game's AI.
     """
@@ -83,6 +84,7 @@ class AgentResult:
     reward: float
     rescues: int | None = None
     num_errors: int = 0
+    num_clipped: int = 0
     errors: tuple[AgentFailure, ...] = ()
     action_time: ActionTime | None = field(compare=False, default=None)
 

@@ -371,6 +371,7 @@ class _RaceRun:
             reward=self._totals[agent],
             rescues=int(self._rescues.counts[start_position - 1]),
             num_errors=member.num_failures if member else 0,
+            num_clipped=member.num_clipped if member else 0,
             errors=tuple(member.failures) if member else (),
             action_time=ActionTime.of(member.seconds) if member else None,
         )

@@ -44,6 +44,23 @@ def read_action(space: spaces.Space[Any], action: object, agent: str, name: str 
     return value
 
 
+def clip_numbers(space: spaces.Space[Any], action: object) -> Any:
+    """An action with the finite numbers of each ``Box`` brought inside it; the rest as it is."""
+    if isinstance(space, spaces.Dict) and isinstance(action, Mapping):
+        parts = space.spaces
+        return {
+            key: clip_numbers(parts[key], value) if key in parts else value
+            for key, value in action.items()
+        }
+    if not isinstance(space, spaces.Box) or _is_whole(space):
+        return action
+    try:
+        array = np.asarray(action, np.float64)
+        return np.clip(array, space.low, space.high) if np.isfinite(array).all() else action
+    except (TypeError, ValueError, OverflowError, RuntimeError):
+        return action
+
+
 def _value(space: spaces.Space[Any], action: Any) -> Any:
     """The action in Gymnasium's form, or ``None`` if it is not in the space."""
     if isinstance(space, spaces.Dict):

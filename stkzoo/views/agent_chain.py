@@ -12,7 +12,7 @@ import gymnasium as gym
 from gymnasium import spaces
 
 from stkzoo.errors import ActionError, AgentError, AgentException
-from stkzoo.views.actions import read_action
+from stkzoo.views.actions import clip_numbers, read_action
 from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
 from stkzoo.views.plan import ViewPlan
 from stkzoo.views.split_step import AgentStep, CompiledPart, MonoAgentEnv, SplitStep
@@ -100,6 +100,8 @@ class AgentChain:
         action_space: what the agent chooses from, before all wrappers.
         base_observation_space: the innermost observations.
         base_action_space: the innermost actions.
+        num_clipped: how many actions had numbers outside a ``Box``, which were clipped; ``None``
+            where those are errors.
         is_pure: whether the wrappers that run here are all pure functions of this package.
 
     Args:
@@ -107,6 +109,7 @@ class AgentChain:
         observation_space: its observations without wrappers.
         action_space: its actions without wrappers.
         factory: wraps the agent's environment.
+        is_strict: whether finite numbers outside a ``Box`` are errors.
 
     Raises:
         AgentException: the factory raised, or returned no wrapper of what it was given.
@@ -118,8 +121,9 @@ class AgentChain:
         observation_space: spaces.Space[Any],
         action_space: spaces.Space[Any],
         factory: WrapperFactory,
+        is_strict: bool = True,
     ) -> None:
-        self.agent = agent
+        self.agent, self.num_clipped = agent, None if is_strict else 0
         self.base_observation_space = observation_space
         self.base_action_space = action_space
         self._mono = MonoAgentEnv(observation_space, action_space)
@@ -198,7 +202,7 @@ class AgentChain:
         Raises:
             ActionError: it is not.
         """
-        return read_action(self.action_space, action, self.agent)
+        return self._checked(self.action_space, action, "action")
 
     def begin_step(self, action: Any) -> Any:
         """Runs the half before the race's step: the base action for the agent's action."""
@@ -222,7 +226,17 @@ class AgentChain:
         """
         base = self.begin_step(action)
         name = "action after its wrappers" if self._wrappers else "action"
-        return read_action(self.base_action_space, base, self.agent, name)
+        return self._checked(self.base_action_space, base, name)
+
+    def _checked(self, space: spaces.Space[Any], action: object, name: str) -> Any:
+        try:
+            return read_action(space, action, self.agent, name)
+        except ActionError:
+            if self.num_clipped is None:
+                raise
+            clipped = read_action(space, clip_numbers(space, action), self.agent, name)
+            self.num_clipped += 1
+            return clipped
 
     def finish_step(self, result: AgentStep) -> AgentStep:
         """Runs the half after the race's step on the agent's part of the result."""

@@ -17,6 +17,7 @@ from stkzoo.race import (
     run_race,
 )
 from tests.support.paths import SCHEMAS
+from tests.support.remote_race import write_agent
 
 SCHEMA = SCHEMAS / "race-result.schema.json"
 
@@ -291,3 +292,24 @@ def test_thinking_time_is_told(result):
     times = {row.driver: row.action_time for row in result.agents}
     assert times["ai"] is None
     assert 0 < times["heuristic"].mean <= times["heuristic"].p99 <= times["heuristic"].max
+
+
+def test_numbers_outside_a_box_are_clipped_and_counted_but_nan_fails(tmp_path, caplog):
+    backwards = write_agent(
+        tmp_path, "backwards", "return {**action_space.sample(), 'acceleration': [-1.0]}"
+    )
+    undefined = write_agent(
+        tmp_path, "undefined", "return {**action_space.sample(), 'steer': [float('nan')]}"
+    )
+
+    eager = Driver.of_actor("eager", lambda _, space, __: lambda _: space.sample() | {"steer": 2.0})
+    drivers = [backwards, undefined, eager]
+    result = run_race(drivers, track="lighthouse", seed=1, max_steps=5)
+    rows = {row.agent: row for row in result.agents}
+    assert [rows[f"kart_{n}"].num_clipped for n in range(3)] == [5, 0, 5]
+    assert [rows[f"kart_{n}"].status for n in range(3)] == ["racing", "retired", "racing"]
+    assert "nan" in rows["kart_1"].errors[0].message
+    warned = [record.getMessage() for record in caplog.records]
+    assert [text.split()[3] for text in warned if "clipped" in text] == ["backwards", "eager"]
+    assert RaceResult.from_json(result.to_json()) == result
+    jsonschema.validate(json.loads(result.to_json()), json.loads(SCHEMA.read_text()))

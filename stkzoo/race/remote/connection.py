@@ -275,8 +275,10 @@ class Connection:
             raise ProtocolError(f"an answer to step {fields['step']}, expected {self._step}")
         for entry in protocol.field(fields, "decisions", list):
             match entry:
-                case [int(seat), bytes(action), float(seconds)] if 0 <= seconds < 1e9:
-                    self._decide(seat, Decision(decode(action), seconds))
+                case [int(seat), bytes(action), float(seconds), bool(is_clipped)] if (
+                    0 <= seconds < 1e9
+                ):
+                    self._decide(seat, Decision(decode(action), seconds, is_clipped))
                 case _:
                     raise ProtocolError(f"a decision {entry!r:.100}")
         for entry in protocol.field(fields, "failures", list):

@@ -239,9 +239,9 @@ def _ask(instance: DriverInstance, data: bytes) -> bool:
     return True
 
 
-def _answer(instance: DriverInstance) -> tuple[bytes, float]:
+def _answer(instance: DriverInstance) -> tuple[bytes, float, bool]:
     decision = instance.answer()
-    return encode(decision.action), float(decision.seconds)
+    return encode(decision.action), float(decision.seconds), decision.is_clipped
 
 
 def _shorter(own: float | None, requested: object) -> float | None:
