@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from gymnasium.wrappers.utils import create_zero_array
 
@@ -20,6 +21,7 @@ from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.views import ViewFactory, sees_ground
 from stkzoo.views.agent_chain import AgentChain
 from stkzoo.wrappers.camera import CameraKind, Shot
+from stkzoo.wrappers.control import ControlWrapper
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +91,11 @@ def keys_to_action(view: ViewFactory, name: str) -> dict[Any, Any]:
     seen = kart_observation_space(use_ai=True, sees_ground=sees_ground(view))
     chain = AgentChain("kart_0", seen, kart_action_space(), with_camera(view, _NoCamera()))
     blank: dict[str, Any] = create_zero_array(chain.base_observation_space)
+    wrapper: Any = chain.env
+    while isinstance(wrapper, gym.Wrapper):
+        if isinstance(wrapper, ControlWrapper):
+            wrapper.reads_keys = True
+        wrapper = wrapper.env
     codes = sorted(key.code for key in KEYS)
     chosen: dict[Any, Any] = {}
     for number in range(len(codes) + 1):

@@ -120,6 +120,23 @@ def test_keys_of_the_discrete_view_drive_as_those_of_the_full_view():
     assert distances[0] == distances[1] > 5
 
 
+@pytest.mark.parametrize("view", ["control", "flattened_control"])
+def test_the_keys_drive_and_steer_in_physical_units(view):
+    velocities = []
+    for turn in (LEFT, RIGHT):
+        env = make(view, num_kart=1)
+        env.reset(seed=1)
+        actions = env.unwrapped.get_keys_to_action()
+        for keys in [(UP,)] * 50 + [tuple(sorted((UP, turn)))] * 5:
+            env.step(actions[keys])
+        kart = env.unwrapped.core.snapshot.karts[0]
+        velocities.append((float(kart["speed"]), kart["front"] - kart["location"]))
+        env.close()
+    (left_speed, left), (right_speed, right) = velocities
+    assert min(left_speed, right_speed) > 5
+    assert np.cross(left, right)[1] > 0.05
+
+
 def test_a_view_that_hides_what_a_key_means_says_so():
     stkzoo.register_view(
         "keyless",

@@ -177,7 +177,26 @@ class CarAction:
             self.steering.read(steer * max_steer_angle, angle_before, step_size),
             self.longitudinal.read(accl, speed, step_size),
         ]
-        action = np.stack(np.broadcast_arrays(*numbers), axis=-1)
+        return self._in_space(np.stack(np.broadcast_arrays(*numbers), axis=-1))
+
+    def held(self, controls: FloatArray) -> FloatArray:
+        """The action for keys that are held, whatever the kart's speed.
+
+        Full throttle asks for the most of the longitudinal number, the brake for the least, and
+        neither for 0; full steering asks for the most of the steering number.
+
+        Args:
+            controls: ``(..., 3)``: ``acceleration``, ``steer`` and ``brake``.
+
+        Returns:
+            ``(..., 2)`` float32 in ``space``.
+        """
+        throttle, steer, brake = np.moveaxis(np.asarray(controls, np.float64), -1, 0)
+        pushed = np.stack([steer, np.where(brake > 0, -1.0, throttle)], axis=-1)
+        return self._in_space(np.where(pushed < 0, -pushed * self._low, pushed * self._high))
+
+    def _in_space(self, action: FloatArray) -> FloatArray:
+        """An action ``(..., 2)`` in physical units as one of ``space``, float32."""
         if self.normalize_act:
             action = (action - self._low) / (self._high - self._low) * 2.0 - 1.0
         inside: FloatArray = np.clip(action, self.space.low, self.space.high).astype(np.float32)

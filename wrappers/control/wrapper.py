@@ -51,6 +51,8 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
     """
 
     has_memory = True
+    #: Read the observed ``action`` as keys that are held, at any speed: see :meth:`CarAction.held`.
+    reads_keys = False
 
     def __init__(
         self,
@@ -135,7 +137,10 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
             return observation
         done = observation["action"]
         controls = np.array([float(np.reshape(done[key], -1)[0]) for key in _PEDALS])
-        read = self.car_action.read(controls, speed, max_angle, before, self._step_size)
+        if self.reads_keys:
+            read = self.car_action.held(controls)
+        else:
+            read = self.car_action.read(controls, speed, max_angle, before, self._step_size)
         self._memory[0] = controls[1] * max_angle
         buttons = {button: int(done[button]) for button in self.buttons}
         return {**observation, "action": {"control": read, **buttons}}
