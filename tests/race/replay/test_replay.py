@@ -325,7 +325,7 @@ def test_what_is_no_replay_is_one_line_and_exit_1(tmp_path, capsys, kind):
 
 
 def test_a_place_that_cannot_be_written_is_told_before_the_race(tmp_path):
-    with pytest.raises(ConfigError, match="expected a file's name in an existing folder"):
+    with pytest.raises(ConfigError, match=r"there is no folder .*; make it first"):
         ReplayWriter(tmp_path / "nowhere" / "race.stkz")
 
 
