@@ -309,10 +309,9 @@ class RaceFleet:
         self.starts = starts or RaceStarts()
         self.num_slots = sum(lineup.learners for lineup in lineups)
         ends = np.cumsum([lineup.learners for lineup in lineups])
-        slots = np.split(np.arange(self.num_slots), ends[:-1])
         self.races = [
-            FleetRace(lineup, self.starts, place_reward, own)
-            for lineup, own in zip(lineups, slots, strict=True)
+            FleetRace(lineup, self.starts, place_reward, np.arange(end - lineup.learners, end))
+            for lineup, end in zip(lineups, ends, strict=True)
         ]
 
     def start_at(self, places: Sequence[tuple[str, bool, int]]) -> None:

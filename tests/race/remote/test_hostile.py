@@ -116,7 +116,11 @@ def lies(*frames, **fields):
     def lie(kind, asked):
         if kind == b"O":
             return [b"P", OPENED]
-        answer = {"step": asked["step"], "decisions": [[0, encode(ACTION), 0.1]], "failures": []}
+        answer = {
+            "step": asked["step"],
+            "decisions": [[0, encode(ACTION), 0.1, False]],
+            "failures": [],
+        }
         return [*frames] or [b"D", pack(**{**answer, **fields})]
 
     return lie
@@ -127,17 +131,20 @@ LIES = {
     "one frame": (lies(b"D"), "1 frames came"),
     "unknown kind": (lies(b"?", pack()), "message kind b'?' came"),
     "another step": (lies(step=77), "an answer to step 77"),
-    "another seat": (lies(decisions=[[5, encode(ACTION), 0.1]]), "seat 5, which was not asked"),
-    "twice": (lies(decisions=[[0, encode(ACTION), 0.1]] * 2), "seat 0, which was not asked"),
+    "another seat": (
+        lies(decisions=[[5, encode(ACTION), 0.1, False]]),
+        "seat 5, which was not asked",
+    ),
+    "twice": (lies(decisions=[[0, encode(ACTION), 0.1, False]] * 2), "seat 0, which was not asked"),
     "no answer": (lies(decisions=[]), "no answer for seats [0]"),
-    "odd action": (lies(decisions=[[0, b"\xc1", 0.1]]), "no message"),
+    "odd action": (lies(decisions=[[0, b"\xc1", 0.1, False]]), "no message"),
     "odd time": (lies(decisions=[[0, encode(ACTION), float("nan")]]), "a decision"),
     "odd failure": (lies(decisions=[], failures=[[0, 1, False]]), "an error 1"),
     "arrays everywhere": (lies(decisions=[[np.zeros(3)] * 3]), "a decision"),
     "array as failure": (lies(decisions=[], failures=[[0, [np.zeros(2)] * 3, True]]), "an error"),
-    "wrong shape": (lies(decisions=[[0, encode({"steer": [1, 2, 3]}), 0.1]]), ""),
+    "wrong shape": (lies(decisions=[[0, encode({"steer": [1, 2, 3]}), 0.1, False]]), ""),
     "not a number": (
-        lies(decisions=[[0, encode({**ACTION, "steer": [float("nan")]}), 0.1]]),
+        lies(decisions=[[0, encode({**ACTION, "steer": [float("nan")]}), 0.1, False]]),
         "",
     ),
     "silence": (lambda kind, _: [b"P", OPENED] if kind == b"O" else None, "in time"),
