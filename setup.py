@@ -9,6 +9,7 @@ _PARTS = (
     "module",
     "action_reader",
     "car_controller",
+    "event_counter",
     "game_stepper",
     "kart_observer",
     "plan_weigher",

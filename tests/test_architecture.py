@@ -44,6 +44,7 @@ LAYERS = [
         "mdp",
         [
             "stkzoo.mdp",
+            "stkzoo.kernel.reference.event_counter",
             "stkzoo.kernel.reference.kart_observer",
             "stkzoo.kernel.reference.step_scorer",
         ],

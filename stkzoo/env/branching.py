@@ -19,7 +19,7 @@ from stkzoo.engine.snapshot import Snapshot
 from stkzoo.engine.track import TrackMap
 from stkzoo.env.episode import Episode
 from stkzoo.env.grid import RaceInfo, RaceRoster
-from stkzoo.env.options import RaceOptions
+from stkzoo.env.options import OF_AN_EPISODE, RaceOptions
 from stkzoo.env.rendering import scene_of
 from stkzoo.env.scenario import Scenario, digest_of
 from stkzoo.env.state import Moment, RaceState
@@ -329,7 +329,7 @@ def _checked_state(state: object) -> RaceState:
 
 def _check_beside(what: str, options: Mapping[str, Any]) -> None:
     """Checks that options of an episode do not choose what its state or scenario has chosen."""
-    own = {what, "num_kart", "max_cycles", "max_paths"}
+    own = {what, "num_kart", *OF_AN_EPISODE}
     both = ({*RaceOptions.__dataclass_fields__, "state"} - own) & set(options)
     if both:
         raise ConfigError(

@@ -17,10 +17,12 @@ from stkzoo.engine.race import RaceStart
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.engine.track import decode_track
+from stkzoo.env.endings import Endings, Ends, endings_of
 from stkzoo.env.grid import RaceInfo
 from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import StepScorer
+from stkzoo.mdp.events import EVENTS, RaceEvents
 from stkzoo.mdp.observations import ai_actions, observe_karts
 from stkzoo.mdp.rewards import Reward, as_reward
 from stkzoo.mdp.state import race_state
@@ -29,9 +31,6 @@ from stkzoo.wrappers.racing import ground_table
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
-
-#: Rewards, terminations and truncations, each by agent.
-Ends = tuple[dict[str, float], dict[str, bool], dict[str, bool]]
 
 
 def rewards_of_agents(choice: object, agents: Sequence[str]) -> dict[str, Reward]:
@@ -102,7 +101,7 @@ class Episode:
         """An episode that starts at this moment of this race.
 
         Args:
-            options: of which ``max_cycles`` and ``max_paths`` count.
+            options: of which those :data:`~stkzoo.env.options.OF_AN_EPISODE` count.
             rewards: every agent's reward, in agent order.
         """
         twin = copy.copy(self)
@@ -191,7 +190,13 @@ class Episode:
         """Starts all counts at zero."""
         self._rewards = rewards
         race_length = self.track_map.length * self.race.laps
-        self._record = EpisodeRecord(rewards, self.race.kart_indices, race_length)
+        endings, events = endings_of(options), None
+        if options.events or endings is not None:
+            events = RaceEvents(self.track_map, self.setup.step_size, len(self.setup.karts))
+        kinds = EVENTS if options.events else ()
+        self._record = EpisodeRecord(
+            rewards, self.race.kart_indices, race_length, kinds, events, endings
+        )
         self._num_steps = 0
         self._max_cycles = options.max_cycles
         num_nodes = self.track_map.num_nodes
@@ -218,28 +223,39 @@ class _RewardGroup:
 
 
 class EpisodeRecord:
-    """Rewards and infos of one episode.
+    """Rewards, ends and infos of one episode.
 
     Args:
         rewards: every agent's reward, in agent order.
         kart_indices: every agent's kart, in agent order.
         race_length: laps times the lap's length [m].
+        kinds: the events that stand in infos: all or none.
+        events: what counts them, if they or ``endings`` are asked for.
+        endings: ends by choice.
     """
 
     def __init__(
-        self, rewards: Mapping[str, Reward], kart_indices: Sequence[int], race_length: float
+        self,
+        rewards: Mapping[str, Reward],
+        kart_indices: Sequence[int],
+        race_length: float,
+        kinds: Sequence[str] = (),
+        events: RaceEvents | None = None,
+        endings: Endings | None = None,
     ) -> None:
         self._karts = np.array(kart_indices, np.intp)
         self._rows = {agent: row for row, agent in enumerate(rewards)}
         names = sorted({name for reward in rewards.values() for name in reward.terms})
         self._groups = _groups(rewards, self._karts, {name: c for c, name in enumerate(names)})
-        self._race_length = race_length
-        self._last = np.zeros((len(rewards), len(names)))
+        self._race_length, self._num_terms = race_length, len(names)
+        self._events, self._endings = events, endings
+        columns = [*(f"reward/{name}" for name in names), *(f"event/{kind}" for kind in kinds)]
+        self._last = np.zeros((len(rewards), len(columns)))
         self._sums = np.zeros_like(self._last)
         self._keys = (
             *("position", "distance", "lap", "finish_time"),
-            *(f"reward/{name}" for name in names),
-            *(f"episode/reward/{name}" for name in names),
+            *columns,
+            *(f"episode/{column}" for column in columns),
             *("episode/return", "episode/length"),
         )
         self._scorer: tuple[tuple[str, ...], StepScorer] | None = None
@@ -261,7 +277,15 @@ class EpisodeRecord:
         own = [group for group in self._groups if group.reward.kernel_terms is None]
         if own:
             self._score_in_python(own, Transition(before, after, self._race_length))
-        return self._scorer_of(agents).score(before.data, after.data, is_over)
+        if self._events is not None:
+            self._events.count(before, after)
+            if self._last.shape[1] > self._num_terms:
+                self._last[:, self._num_terms :] = self._events.counts[self._karts]
+        ends = self._scorer_of(agents).score(before.data, after.data, is_over)
+        if self._endings is not None and self._events is not None:
+            karts = self._karts[[self._rows[agent] for agent in agents]]
+            self._endings.end(ends, agents, karts, after, self._events.seconds)
+        return ends
 
     def infos(
         self, snapshot: Snapshot, agents: Sequence[str], length: int
@@ -272,8 +296,15 @@ class EpisodeRecord:
         laps done, ``finish_time`` seconds (0 before the finish), ``reward/<term>`` the
         weighted terms of this step, ``episode/reward/<term>`` their sums,
         ``episode/return`` the sum of all, ``episode/length`` the steps so far (``length``).
+        With events, ``event/<name>`` and ``episode/event/<name>`` are those of
+        :data:`stkzoo.mdp.events.EVENTS`. With ends by choice, agents whose episode has ended have
+        ``ended_by`` too (:class:`~stkzoo.env.endings.Endings`).
         """
-        return self._scorer_of(agents).infos(snapshot.data, length)
+        infos = self._scorer_of(agents).infos(snapshot.data, length)
+        for agent, reason in self._endings.reasons.items() if self._endings else ():
+            if agent in infos:
+                infos[agent]["ended_by"] = reason
+        return infos
 
     def _score_in_python(self, groups: Sequence[_RewardGroup], step: Transition) -> None:
         """Writes the terms of rewards that have others than the kernel's."""
@@ -298,7 +329,8 @@ class EpisodeRecord:
             if terms is not None:
                 rewards.append((*terms, group.columns, np.array(racing, np.intp)))
         numbers = self._last, self._sums, self._keys, self._race_length
-        return StepScorer(agents, self._karts[rows], rows, *numbers, tuple(rewards))
+        scored = tuple(rewards), self._num_terms
+        return StepScorer(agents, self._karts[rows], rows, *numbers, *scored)
 
     def __getstate__(self) -> dict[str, Any]:
         # A copy has arrays of its own, and so a scorer of its own.

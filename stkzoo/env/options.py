@@ -26,8 +26,12 @@ _WHOLE = {
     "difficulty": (0, 3),
     "max_paths": (1, _MAX_COUNT),
     "max_cycles": (1, _MAX_COUNT),
+    "end_when_first_finishes": (0, _MAX_COUNT),
 }
-_OPTIONAL = ("max_paths", "max_cycles")
+_OPTIONAL = ("max_paths", "max_cycles", "end_when_first_finishes")
+_SECONDS = ("end_when_stuck", "end_when_wrong_way", "end_off_road")
+#: Options that count from an episode's first moment, wherever in a race that is.
+OF_AN_EPISODE = (*_OPTIONAL, *_SECONDS, "events")
 #: As many views as the game's window can be split into.
 MAX_CAMERAS = 8
 
@@ -49,6 +53,14 @@ class RaceOptions:
         start: where the karts start: ``None`` on the grid, a distance [m], a
             :class:`~stkzoo.config.Start`, a :class:`~stkzoo.config.RandomStart` or ``"random"``,
             or a mapping from agents to these.
+        events: whether infos count contacts, hits, overtakes and so on
+            (:data:`stkzoo.mdp.events.EVENTS`).
+        end_when_stuck: terminates an agent whose kart stays within 3 m for so long [s]; ``None``
+            is never, as for the others.
+        end_when_wrong_way: the same for driving against the road's direction [s].
+        end_off_road: the same for being off the road [s].
+        end_when_first_finishes: steps after which those who still race are truncated, from the
+            step in which the first kart finishes on; 0 is at once.
     """
 
     num_kart: int = 3
@@ -60,6 +72,11 @@ class RaceOptions:
     step_size: float = 0.1
     max_cycles: int | None = 1500
     start: Any = None
+    events: bool = False
+    end_when_stuck: float | None = None
+    end_when_wrong_way: float | None = None
+    end_off_road: float | None = None
+    end_when_first_finishes: int | None = None
 
     def __post_init__(self) -> None:
         check_start(self.start)
@@ -67,8 +84,12 @@ class RaceOptions:
             value = getattr(self, name)
             if value is not None or name not in _OPTIONAL:
                 object.__setattr__(self, name, check_whole(name, value, low, high))
-        if not isinstance(self.reverse, bool):
-            raise ConfigError(f"reverse is {self.reverse!r}, expected True or False")
+        for name in ("reverse", "events"):
+            if not isinstance(getattr(self, name), bool):
+                raise ConfigError(f"{name} is {getattr(self, name)!r}, expected True or False")
+        for name in _SECONDS:
+            if getattr(self, name) is not None:
+                check_number(name, getattr(self, name), 0.0, unit="seconds")
         check_number("step_size", self.step_size, 1e-3, _MAX_STEP_SIZE)
         if isinstance(self.track, Sequence) and not isinstance(self.track, str):
             object.__setattr__(self, "track", tuple(self.track))

@@ -56,8 +56,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         agents: a list of :class:`~stkzoo.config.AgentSpec` or mappings of their fields, or how
             many; all karts by default. Karts beyond the agents are driven by the game.
         num_kart: see :class:`~stkzoo.env.options.RaceOptions`, as for ``track``, ``laps``,
-            ``difficulty``, ``max_paths``, ``step_size``, ``reverse``, ``max_cycles`` and
-            ``start``.
+            ``difficulty``, ``max_paths``, ``step_size``, ``reverse``, ``max_cycles``,
+            ``start``, ``events`` and those that begin with ``end_``.
         view: name of a view for all agents (:data:`stkzoo.views.VIEWS`), a function
             that wraps a Gymnasium environment, or a mapping from agents to these.
         reward: see :mod:`stkzoo.mdp.rewards`.
@@ -117,6 +117,11 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         max_snapshots: int = 100,
         start: Any = None,
         opponents: Any = None,
+        events: bool = False,
+        end_when_stuck: float | None = None,
+        end_when_wrong_way: float | None = None,
+        end_off_road: float | None = None,
+        end_when_first_finishes: int | None = None,
     ) -> None:
         arguments = {name: value for name, value in locals().items() if name != "self"}
         EzPickle.__init__(self, **arguments)
@@ -188,7 +193,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
                 alone, except ``num_kart``; others are ignored with a log line. ``state``
                 is a :class:`~stkzoo.env.state.RaceState`: the episode starts at that moment
                 of that race, with the agents that were racing, and counts from zero; of
-                the other options only ``max_cycles`` and ``max_paths`` go with it. ``scenario``
+                the other options only ``max_cycles``, ``max_paths``, ``events`` and those that
+                begin with ``end_`` go with it. ``scenario``
                 is a :class:`~stkzoo.env.scenario.Scenario` or the path of its file: the
                 same with a moment that was kept as a file.
 

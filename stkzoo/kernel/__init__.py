@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _TWINS = {
     "ActionReader": "action_reader",
     "CarController": "car_controller",
+    "EventCounter": "event_counter",
     "GameStepper": "game_stepper",
     "KartObserver": "kart_observer",
     "RacingObserver": "racing_observer",

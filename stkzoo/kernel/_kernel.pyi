@@ -97,6 +97,16 @@ class CarController:
         places: npt.NDArray[np.intp],
     ) -> None: ...
 
+class EventCounter:
+    def __new__(
+        cls,
+        nodes: npt.NDArray[np.float32],
+        step_size: float,
+        memory: npt.NDArray[np.float64],
+        counts: npt.NDArray[np.float64],
+    ) -> EventCounter: ...
+    def count(self, before: bytes, after: bytes) -> None: ...
+
 class StepScorer:
     def __new__(
         cls,
@@ -108,6 +118,7 @@ class StepScorer:
         keys: tuple[str, ...],
         race_length: float,
         rewards: tuple[Any, ...],
+        num_terms: int,
     ) -> StepScorer: ...
     def score(
         self, before: bytes, after: bytes, is_over: bool

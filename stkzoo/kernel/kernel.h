@@ -121,6 +121,6 @@ void free_object(PyObject *self);
 PyObject *join_rows(PyObject *module, PyObject *rows);
 PyObject *weigh_plans(PyObject *module, PyObject *args);
 
-extern PyTypeObject CarControllerType, GameStepperType, TrackGraphType, KartObserverType, RacingObserverType, ActionReaderType, StepScorerType;
+extern PyTypeObject CarControllerType, EventCounterType, GameStepperType, TrackGraphType, KartObserverType, RacingObserverType, ActionReaderType, StepScorerType;
 
 #endif

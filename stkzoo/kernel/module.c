@@ -163,8 +163,8 @@ static struct PyModuleDef module = {
 PyMODINIT_FUNC PyInit__kernel(void)
 {
     static PyTypeObject *const TYPES[] = {
-        &ActionReaderType,   &CarControllerType, &GameStepperType, &KartObserverType,
-        &RacingObserverType, &StepScorerType,    &TrackGraphType,
+        &ActionReaderType,  &CarControllerType,  &EventCounterType, &GameStepperType,
+        &KartObserverType,  &RacingObserverType, &StepScorerType,   &TrackGraphType,
     };
     import_array();
     PyObject *kernel = PyModule_Create(&module);

@@ -21,8 +21,8 @@ typedef struct {
     PyObject *agents, *keys; /* tuples */
     PyObject *blank_info;    /* with all keys */
     Indices karts, rows;     /* each agent's kart, and its row of the arrays below */
-    Doubles last, sums;      /* (R, C): a step's terms and the episode's, of all agents */
-    npy_intp num_columns;
+    Doubles last, sums;      /* (R, C): a step's terms, then events, and the episode's, of all agents */
+    npy_intp num_columns, num_terms;
     double race_length;
     Reward *rewards;
     Py_ssize_t num_rewards;
@@ -109,7 +109,7 @@ static PyObject *info_of(const StepScorer *self, npy_intp agent, const Kart *kar
     status = status ? status : put(dict, *key++, PyLong_FromLong(laps));
     status = status ? status : put(dict, *key++, PyFloat_FromDouble(kart->finish_time));
     for (npy_intp c = 0; !status && c < 2 * width; c++) {
-        if (c >= width) total += sums[c - width];
+        if (c >= width && c < width + self->num_terms) total += sums[c - width];
         status = put(dict, *key++, PyFloat_FromDouble(c < width ? last[c] : sums[c - width]));
     }
     status = status ? status : put(dict, *key++, PyFloat_FromDouble(total));
@@ -122,7 +122,7 @@ static double total_of(const StepScorer *self, npy_intp agent)
 {
     double total = 0;
     const double *last = row_of(self, self->last, agent);
-    for (npy_intp c = 0; c < self->num_columns; c++) total += last[c];
+    for (npy_intp c = 0; c < self->num_terms; c++) total += last[c];
     return total;
 }
 
@@ -201,7 +201,7 @@ static int set_reward(const StepScorer *self, Reward *reward, PyObject *spec)
     const int fits = reward->weights.size == reward->terms.size &&
                      reward->columns.size == reward->terms.size &&
                      are_below(reward->terms, NUM_TERMS) &&
-                     are_below(reward->columns, self->num_columns) &&
+                     are_below(reward->columns, self->num_terms) &&
                      are_below(reward->who, self->karts.size);
     return fits ? 0 : refuse("the parts of a reward do not fit together");
 }
@@ -215,7 +215,8 @@ static int set_rows(StepScorer *self, PyArrayObject *sums)
     if (self->karts.size != count || self->rows.size != count ||
         self->last.size != self->sums.size || !are_below(self->karts, NPY_MAX_INT32) ||
         !are_below(self->rows, num_rows) ||
-        PyTuple_GET_SIZE(self->keys) != 6 + 2 * self->num_columns) {
+        PyTuple_GET_SIZE(self->keys) != 6 + 2 * self->num_columns || self->num_terms < 0 ||
+        self->num_terms > self->num_columns) {
         return refuse("the arrays do not fit together");
     }
     if (!(self->is_racing = room_for(self, num_rows, sizeof *self->is_racing))) return -1;
@@ -223,15 +224,15 @@ static int set_rows(StepScorer *self, PyArrayObject *sums)
     return 0;
 }
 
-/* StepScorer(agents, karts, rows, last, sums, keys, race_length, rewards): rewards is a tuple of
-   what set_reward takes. */
+/* StepScorer(agents, karts, rows, last, sums, keys, race_length, rewards, num_terms): rewards is a
+   tuple of what set_reward takes. */
 static int scorer_set_up(StepScorer *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
     PyObject *rewards;
-    if (!PyArg_ParseTuple(args, "O!O&O&O&O&O!dO!", &PyTuple_Type, &self->agents, as_indices,
+    if (!PyArg_ParseTuple(args, "O!O&O&O&O&O!dO!n", &PyTuple_Type, &self->agents, as_indices,
                           &self->karts, as_indices, &self->rows, as_written_doubles, &self->last,
                           as_written_doubles, &self->sums, &PyTuple_Type, &self->keys,
-                          &self->race_length, &PyTuple_Type, &rewards) ||
+                          &self->race_length, &PyTuple_Type, &rewards, &self->num_terms) ||
         set_rows(self, (PyArrayObject *)PyTuple_GET_ITEM(args, 4)) < 0 ||
         !(self->blank_info = keep(self, PyDict_New()))) {
         return -1;

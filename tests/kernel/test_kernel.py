@@ -25,6 +25,7 @@ from stkzoo.errors import ActionError
 from stkzoo.kernel import (
     IS_COMPILED,
     ActionReader,
+    EventCounter,
     KartObserver,
     RacingObserver,
     StepScorer,
@@ -122,6 +123,7 @@ USERS = {
     "engine.race": ["GameStepper"],
     "engine.track": ["TrackGraph"],
     "env.episode": ["StepScorer"],
+    "mdp.events": ["EventCounter"],
     "drivers.codec": ["join_rows"],
     "views.plan": ["ActionReader", "KartObserver"],
     "wrappers.control.car_action": ["CarController"],
@@ -162,6 +164,7 @@ def test_a_twin_takes_what_the_stub_says(name):
 )
 def test_a_race_is_the_same_with_and_without_the_kernel(view, track, numpy_only):
     settings = {"num_kart": 4, "agents": 3, "track": track, "view": view, "max_cycles": 40}
+    settings |= {"events": True, "end_when_stuck": 1.0}
     with_kernel = race_v0.parallel_env(**settings)
     first = with_kernel.reset(seed=3)
     for space in with_kernel.action_spaces.values():
@@ -457,7 +460,7 @@ ALONE = (
 
 
 def scorer_of(*, alone=ALONE, rewards=()):
-    return StepScorer(*alone, rewards)
+    return StepScorer(*alone, rewards, 1)
 
 
 def test_the_kernel_checks_what_it_is_given():
@@ -502,6 +505,25 @@ def test_the_kernel_checks_what_it_is_given():
         track_of([[0]], count=2)
     with pytest.raises(IndexError):
         track_of([[0]]).ahead(1)
+
+
+def test_a_counter_checks_what_it_is_given():
+    nodes = np.zeros((1, 2, 3), np.float32)
+    memory, counts = np.zeros((1, 9)), np.zeros((1, 10))
+    counter = EventCounter(nodes, 0.1, memory, counts)
+    header, items = np.zeros((), HEADER_DTYPE), np.zeros(0, ITEM_DTYPE)
+    one, two = (Snapshot.of(header, np.zeros(n, KART_DTYPE), items).data for n in (1, 2))
+    counter.count(one, one)
+    with pytest.raises(ValueError, match="of 2 karts"):
+        counter.count(one, two)
+    with pytest.raises(ValueError, match="do not fit"):
+        EventCounter(nodes, 0.1, memory[:, 1:].copy(), counts)
+    with pytest.raises(ValueError, match="do not fit"):
+        EventCounter(nodes, 0.1, memory, counts[:, 1:].copy())
+    nowhere = np.zeros(1, KART_DTYPE)
+    nowhere["node"] = 1
+    with pytest.raises(ValueError, match="no segment"):
+        counter.count(one, Snapshot.of(header, nowhere, items).data)
 
 
 @pytest.mark.parametrize(

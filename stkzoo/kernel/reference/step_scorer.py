@@ -24,7 +24,7 @@ class StepScorer:
         agents: their ids.
         karts: their karts.
         rows: their rows of ``last`` and ``sums``.
-        last: ``(R, C)`` the latest step's reward terms, which :meth:`score` writes.
+        last: ``(R, C)`` the latest step's reward terms, which :meth:`score` writes, and events.
         sums: ``(R, C)`` the episode's, to which it adds them.
         keys: of an info, in order.
         race_length: laps times the lap's length [m].
@@ -43,14 +43,15 @@ class StepScorer:
         keys: tuple[str, ...],
         race_length: float,
         rewards: tuple[tuple[IntArray, FloatArray, IntArray, IntArray], ...],
+        num_terms: int,
     ) -> None:
         if not len(agents) == len(karts) == len(rows) or last.shape != sums.shape:
             raise ValueError("the arrays do not fit together")
-        if len(keys) != 6 + 2 * last.shape[1]:
+        if len(keys) != 6 + 2 * last.shape[1] or not 0 <= num_terms <= last.shape[1]:
             raise ValueError("the arrays do not fit together")
         self._agents, self._karts, self._rows = agents, karts, rows
         self._last, self._sums, self._keys = last, sums, keys
-        self._race_length, self._rewards = race_length, rewards
+        self._race_length, self._rewards, self._num_terms = race_length, rewards, num_terms
         self._absent = np.ones(len(last), np.bool_)
         self._absent[rows] = False
 
@@ -72,7 +73,7 @@ class StepScorer:
                 self._last[rows, column] = weight * values[karts]
         self._last[self._absent] = 0.0
         self._sums += self._last
-        totals = self._last.sum(axis=1)[self._rows].tolist()
+        totals = self._last[:, : self._num_terms].sum(axis=1)[self._rows].tolist()
         finished = (step.after.karts["has_finished_race"][self._karts] > 0).tolist()
         cut_short = [bool(is_over) and not ended for ended in finished]
         rewards, terminations, truncations = (
@@ -93,7 +94,7 @@ class StepScorer:
                 float(kart["finish_time"]),
                 *self._last[row].tolist(),
                 *sums,
-                reduce(operator.add, sums, 0.0),
+                reduce(operator.add, sums[: self._num_terms], 0.0),
                 length,
             ]
             infos[agent] = dict(zip(self._keys, values, strict=True))

@@ -1,0 +1,125 @@
+"""Ends of an episode by choice, and why it has ended."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import stkzoo
+from stkzoo import ConfigError, Start, race_v0
+from stkzoo.env.options import RaceOptions
+
+REST = {"steer": np.zeros(1, "f4")} | dict.fromkeys(
+    ("brake", "drift", "fire", "nitro", "rescue"), 0
+)
+
+
+def drive(acceleration, **others):
+    return {"acceleration": np.full(1, acceleration, "f4")} | REST | others
+
+
+def race_to_the_end(env, actions, **reset):
+    """Every agent's last step: its number, terminated, truncated, info."""
+    env.reset(seed=1, **reset)
+    ends, number = {}, 0
+    while env.agents:
+        number += 1
+        parts = env.step({agent: actions[agent] for agent in env.agents})
+        for agent, info in parts[4].items():
+            if parts[2][agent] or parts[3][agent]:
+                ends[agent] = number, parts[2][agent], parts[3][agent], info
+            else:
+                assert "ended_by" not in info
+    return ends
+
+
+def test_an_agent_that_stands_is_stuck_and_one_that_drives_is_not():
+    with race_v0.parallel_env(
+        num_kart=2, track="lighthouse", end_when_stuck=2.0, max_cycles=80
+    ) as env:
+        ends = race_to_the_end(env, {"kart_0": drive(0.0), "kart_1": drive(0.6)})
+        stood, terminated, truncated, info = ends["kart_0"]
+        assert (terminated, truncated, info["ended_by"]) == (True, False, "stuck")
+        # Two seconds from GO on, which comes after nineteen steps.
+        assert 38 <= stood <= 41
+        assert ends["kart_1"][1:3] == (False, True)
+        assert ends["kart_1"][3]["ended_by"] == "max_cycles"
+        assert env.infos(["kart_0"])["kart_0"]["ended_by"] == "stuck"
+
+
+def test_agents_that_turn_around_or_leave_the_road_are_ended():
+    starts = {
+        "kart_0": Start(distance=60.0, heading=np.pi, speed=8.0),
+        "kart_1": Start(distance=90.0, heading=np.pi / 2, speed=8.0),
+    }
+    with race_v0.parallel_env(
+        num_kart=2,
+        track="lighthouse",
+        start=starts,
+        end_when_wrong_way=1.0,
+        end_off_road=1.5,
+        max_cycles=100,
+    ) as env:
+        ends = race_to_the_end(env, {"kart_0": drive(0.5), "kart_1": drive(0.5)})
+    (back, *back_ends), (off, *off_ends) = ends["kart_0"], ends["kart_1"]
+    assert (back_ends[:2], back_ends[2]["ended_by"]) == ([True, False], "wrong_way")
+    assert (off_ends[:2], off_ends[2]["ended_by"]) == ([True, False], "off_road")
+    assert back < off < 60
+
+
+def test_a_race_is_cut_some_steps_after_the_first_finish():
+    starts = {"kart_0": Start(share=0.97, speed=20.0), "kart_1": Start(distance=50.0)}
+    options = {"start": starts}
+    with race_v0.parallel_env(num_kart=2, track="lighthouse", max_cycles=400) as env:
+        actions = {"kart_0": drive(1.0), "kart_1": drive(0.0)}
+        for steps in (0, 5):
+            now = {**options, "end_when_first_finishes": steps}
+            ends = race_to_the_end(env, actions, options=now)
+            first, last = ends["kart_0"], ends["kart_1"]
+            assert (first[1:3], first[3]["ended_by"]) == ((True, False), "finish")
+            assert (last[1:3], last[3]["ended_by"]) == ((False, True), "first_finish")
+            assert last[0] - first[0] == steps
+
+
+def test_every_form_of_environment_takes_the_options():
+    chosen = {"num_kart": 2, "track": "lighthouse", "end_when_stuck": 0.5, "events": True}
+    env = gym.make("supertuxkart/simple-v0", **chosen)
+    _, info = env.reset(seed=1)
+    assert info["event/overtake"] == info["episode/event/off_road"] == 0
+    terminated = False
+    while not terminated:
+        _, _, terminated, truncated, info = env.step(drive(0.0))
+        assert not truncated
+    assert info["ended_by"] == "stuck"
+    env.close()
+    envs = stkzoo.RaceVectorEnv(1, view="box_continuous", **chosen)
+    _, infos = envs.reset(seed=1)
+    assert infos["episode/event/kart_contact"].tolist() == [0, 0]
+    ends = np.zeros(2, bool)
+    while not ends.all():
+        _, _, ends, _, infos = envs.step(np.zeros((2, 2), "f4"))
+    assert infos["final_info"]["ended_by"].tolist() == ["stuck"] * 2
+    envs.close()
+
+
+def test_nothing_stands_in_infos_that_was_not_asked_for():
+    with race_v0.parallel_env(num_kart=1, track="lighthouse", max_cycles=2) as env:
+        (_, terminated, truncated, info) = race_to_the_end(env, {"kart_0": drive(0.0)})["kart_0"]
+    assert (terminated, truncated) == (False, True)
+    assert not [key for key in info if "event" in key or key == "ended_by"]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("end_when_stuck", 0),
+        ("end_when_wrong_way", "5"),
+        ("end_off_road", float("nan")),
+        ("end_off_road", True),
+        ("end_when_first_finishes", -1),
+        ("end_when_first_finishes", 1.5),
+        ("events", 1),
+    ],
+)
+def test_a_wrong_value_is_refused_by_name(name, value):
+    with pytest.raises(ConfigError, match=f"{name} is {value!r}, expected"):
+        RaceOptions(**{name: value})
