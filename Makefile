@@ -7,6 +7,8 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 # On all cores; a core that is done takes tests from another one.
 PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
+# The tests start hundreds of programs, which start faster from bytecode.
+unexport PYTHONDONTWRITEBYTECODE
 
 GRAPHICS_PACKAGES := libegl1 libgl1 libgl1-mesa-dri xvfb
 BROWSER_PACKAGES := chromium chromium-driver

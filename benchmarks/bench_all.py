@@ -25,9 +25,9 @@ BENCHMARKS: dict[str, tuple[str, ...]] = {
     "transport": ("--steps", "10", "--karts", "2"),
     "resets": ("--steps", "1", "--rounds", "1"),
     "memory": ("--steps", "5", "--resets", "4", "--tracks", "zengarden"),
-    "vector": ("--steps", "5", "--rounds", "1", "--karts", "2", "--races", "1", "2"),
+    "vector": ("--steps", "5", "--rounds", "1", "--karts", "2", "--races", "2"),
     "states": ("--steps", "1", "--karts", "2"),
-    "scaling": ("--steps", "10", "--karts", "1", "3", "--tracks", "zengarden"),
+    "scaling": ("--steps", "10", "--karts", "3", "--view", "flattened", "--tracks", "zengarden"),
     "profile": ("--steps", "10", "--karts", "2", "--view", "flattened"),
 }
 

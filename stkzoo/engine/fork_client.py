@@ -151,9 +151,11 @@ class ForkServerClient:
     def close(self) -> None:
         """Ends the fork server and with it all its children."""
         self._control.close()
-        stop(self._process, 2.0)
-        self._home.close()
-        self._log.close()
+        try:
+            stop(self._process, 2.0)
+        finally:
+            self._home.close()
+            self._log.close()
 
     def forget(self) -> None:
         """Closes the handles of a fork server that belongs to this process's parent."""
@@ -209,8 +211,9 @@ def _retire(fork_server: ForkServerClient) -> None:
 
 @atexit.register
 def _close_all() -> None:
-    while _fork_servers:
-        _fork_servers.popitem()[1].close()
+    with contextlib.suppress(KeyboardInterrupt):  # what is left ends with the program
+        while _fork_servers:
+            _fork_servers.popitem()[1].close()
 
 
 def _forget_all() -> None:

@@ -249,12 +249,14 @@ class SpawnedProcess(RaceProcess):
 
 
 def stop(process: subprocess.Popen[bytes], patience: float) -> None:
-    """Waits so many seconds for a process to end by itself, then kills it."""
+    """Waits so many seconds for a process to end by itself, then kills it; at Ctrl-C, at once."""
     try:
         process.wait(patience)
-    except subprocess.TimeoutExpired:
+    except BaseException as error:
         process.kill()
         process.wait()
+        if not isinstance(error, subprocess.TimeoutExpired):
+            raise
 
 
 def describe_end(returncode: int) -> str:

@@ -49,7 +49,9 @@ def test_what_is_unknown_is_one_line_with_what_was_meant(words, meant, capsys):
     assert "--help`" in said
 
 
-@pytest.mark.parametrize("words", [["tracks"], ["tracks", "--json"], ["race", "--help"]])
+@pytest.mark.parametrize(
+    "words", [["tracks", "olivermath"], ["karts", "--json"], ["race", "--help"]]
+)
 def test_a_reader_that_is_gone_is_no_traceback(words):
     program = subprocess.Popen(
         [sys.executable, "-c", "import sys, stkzoo.cli; sys.exit(stkzoo.cli.main())", *words],

@@ -32,7 +32,13 @@ for page, line, code in json.load(open(sys.argv[1])):
 """
 
 #: Commands that are run as they stand, in a few steps, with options that make them short.
-SHORT = {"race": ["--max-steps", "10"], "replay": [], "tracks": [], "karts": [], "keys": []}
+SHORT = {
+    "race": ["--max-steps", "10"],
+    "replay": [],
+    "tracks": ["lighthouse"],
+    "karts": [],
+    "keys": [],
+}
 #: Those that are only parsed here, and where they are run.
 PARSED = {
     "assets": "it is here already: tests/engine/test_assets.py",
@@ -43,6 +49,7 @@ PARSED = {
     "play": "opens a window: tests/play/test_play.py",
     "race-client": "needs a server: tests/cli/test_remote.py",
     "race-server": "serves until it is stopped: tests/cli/test_remote.py",
+    "tracks": "starts a race on each track: tests/cli/test_tables.py",
     "tournament": "many races: tests/evaluation/test_tournament.py",
     "--web": "in real time, for viewers: tests/race/web/test_browser.py",
     "--demo": "in a terminal: tests/cli/test_race.py",

@@ -37,15 +37,14 @@ def load(source):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("track", ["lighthouse", "snowmountain", "sandtrack"])
-def test_agents_of_all_forms_race_to_the_finish(track, tmp_path, monkeypatch):
+def test_agents_of_all_forms_race_to_the_finish(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(AGENTS / "module_home")
     drivers = [str(AGENTS / name) for name in FORMS]
     drivers += [
         zip_of(AGENTS / "weights", tmp_path / "zipped.zip") + "@:Zipped",
         "bare_module_agent@:Module",
     ]
-    result = run_race(drivers, track=track, seed=1)
+    result = run_race(drivers, track="lighthouse", seed=1)
     assert [row.errors for row in result.agents if row.errors] == []
     assert result.is_finished
     assert names_of(result) == {name.title() for name in FORMS} | {"Zipped", "Module"}

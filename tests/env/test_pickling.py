@@ -1,6 +1,7 @@
 """Copies and specs of every id and wrapper stack play the same race."""
 
 import copy
+import functools
 import pickle
 
 import cloudpickle
@@ -101,6 +102,11 @@ def without_times(info):
     return {key: value for key, value in info.items() if key != "episode"}
 
 
+@functools.cache
+def race_of(name):
+    return race(ALL[name]())
+
+
 @pytest.mark.parametrize("moment", ["before", "amid"])
 @pytest.mark.parametrize(
     ("name", "library"),
@@ -113,7 +119,7 @@ def test_a_copy_plays_the_same_race(name, library, moment):
             env.step(env.action_space.sample())
         again = COPIES[library](env)
         assert [type(layer) for layer in layers(again)] == [type(layer) for layer in layers(env)]
-        assert race(again) == race(env)
+        assert race(again) == (race_of(name) if moment == "before" else race(env))
 
 
 @pytest.mark.parametrize("name", NOT_PICKLED)
@@ -124,7 +130,7 @@ def test_it_is_gymnasiums_wrapper_that_plain_pickle_cannot_take(name):
 
 @pytest.mark.parametrize("name", ALL)
 def test_a_spec_rebuilds_the_whole_stack(name):
-    expected = race(ALL[name]())
+    expected = race_of(name)
     with ALL[name]() as env:
         for spec in (env.spec, EnvSpec.from_json(env.spec.to_json()), copy.deepcopy(env.spec)):
             again = gym.make(spec)

@@ -49,6 +49,8 @@ from stkzoo.wrappers.racing.wrapper import racing_view_of
 pytestmark = pytest.mark.skipif(not IS_COMPILED, reason="nothing was compiled here to compare")
 
 TRACKS = ["lighthouse", "cocoa_temple", "olivermath"]
+#: The ground in numpy is slow, and slowest where the track has many triangles.
+TRACK_OF_GROUND = "olivermath"
 
 
 def masked(env):
@@ -159,7 +161,10 @@ def test_a_twin_takes_what_the_stub_says(name):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("view", "track"),
-    list(zip(CHAINS, itertools.cycle(TRACKS), strict=False)),
+    [
+        (view, TRACK_OF_GROUND if view == "ground" else track)
+        for view, track in zip(CHAINS, itertools.cycle(TRACKS), strict=False)
+    ],
     ids=lambda view: getattr(view, "__name__", view),
 )
 def test_a_race_is_the_same_with_and_without_the_kernel(view, track, numpy_only):
