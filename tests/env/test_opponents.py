@@ -95,6 +95,7 @@ def test_without_agents_given_the_other_karts_are_agents():
         assert env.possible_agents == ["kart_0", "kart_1", "kart_2"]
 
 
+@pytest.mark.slow
 def test_a_pool_draws_for_each_race_from_the_environments_stream():
     pool = OpponentPool(["random", "ai:0", "heuristic"])
 
@@ -153,6 +154,7 @@ def test_opponents_finish_while_the_agents_still_race():
         assert infos["kart_0"]["position"] == 2
 
 
+@pytest.mark.slow
 def test_a_saved_state_has_what_opponents_remember():
     opponents = [
         "pretrained:ace",

@@ -41,6 +41,7 @@ def test_parallel_api(view):
         parallel_api_test(env, num_cycles=200)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("view", BUILT_IN_VIEWS)
 def test_parallel_seeds(view):
     parallel_seed_test(functools.partial(make, view=view, max_cycles=60), num_cycles=100)

@@ -107,6 +107,7 @@ def race_of(name):
     return race(ALL[name]())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", ["before", "amid"])
 @pytest.mark.parametrize(
     ("name", "library"),
@@ -128,6 +129,7 @@ def test_it_is_gymnasiums_wrapper_that_plain_pickle_cannot_take(name):
         pickle.dumps(env)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ALL)
 def test_a_spec_rebuilds_the_whole_stack(name):
     expected = race_of(name)

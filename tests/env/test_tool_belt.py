@@ -140,6 +140,7 @@ def test_every_wrapper_of_gymnasium_is_tried():
     assert {name for name in wrappers.__all__ if name not in known} == set()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("wrap", "view"), PAIRS)
 @pytest.mark.filterwarnings("ignore:.*The obs returned by the .* method:UserWarning")
 def test_a_stock_wrapper_goes_around_the_id(wrap, view):
