@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from stkzoo._lazy import lazy_names
 from stkzoo.config import AgentSpec, RandomStart, Start
-from stkzoo.env.ids import register_ids, register_view
+from stkzoo.env.ids import register_ids, register_view, unregister_view
 from stkzoo.errors import (
     ActionError,
     AgentError,
@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from stkzoo.env.vec.env import RaceVectorEnv
     from stkzoo.env.vector import make_stkrace_vec
     from stkzoo.mdp.rewards import Reward
+    from stkzoo.views import views  # the package itself, which can be called
 
 __version__ = "0.1.0"
 
@@ -101,6 +102,8 @@ __all__ = [
     "StkzooError",
     "make_stkrace_vec",
     "register_view",
+    "unregister_view",
+    "views",
 ]
 
 _HOMES = {

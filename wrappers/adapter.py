@@ -29,27 +29,31 @@ class MonoAgentWrapperAdapter:
 
     Args:
         env: the environment of many agents.
+        wrapper_factories: for an agent, named by id, number or number as a string, its view: a
+            name (``stkzoo.views()``), a function that wraps its environment, or a pair of one of
+            these and options, such as ``("simple", {"state_items": 3})``. Agents that are left
+            out, or ``None``, have no wrappers.
         keep_original: also hand out what each agent would see without its wrappers, as
             copies. The Gymnasium form adds ``original/<agent>`` to the observations; in
             the ``ParallelEnv`` form each observation becomes ``{"observation": wrapped,
             "original": unwrapped}``, in the spaces too.
-        wrapper_factories: for an agent, named by id, number or number as a string, what
-            wraps its environment. Agents that are left out, or ``None``, have no wrappers.
 
     Raises:
-        ConfigError: ``env`` is of neither kind, or a name is no agent's.
-        AgentException: a factory or (later) a wrapper failed; ``key`` names the agent.
+        ConfigError: ``env`` is of neither kind, a name is no agent's, or a view is unknown or
+            refuses its environment or options.
+        AgentException: a function or (later) a wrapper failed; ``key`` names the agent.
     """
 
-    def __new__(cls, env: Any = None, **arguments: Any) -> MonoAgentWrapperAdapter:
+    def __new__(
+        cls, env: Any = None, wrapper_factories: Any = None, **_: Any
+    ) -> MonoAgentWrapperAdapter:
         """Chooses the form that fits the environment."""
         if cls is not MonoAgentWrapperAdapter:
             return super().__new__(cls)
-        factories = arguments.get("wrapper_factories", {})
-        if not isinstance(factories, Mapping):
+        if not isinstance(wrapper_factories, Mapping):
             raise ConfigError(
-                'wrapper_factories has to be a mapping from agents to functions, such as {"0": '
-                f"lambda env: env}}, but is {factories!r:.200}"
+                'wrapper_factories has to be a mapping from agents to views, such as {"0": '
+                f'"simple"}}, but is {wrapper_factories!r:.200}'
             )
         if isinstance(env, ParallelEnv):
             return super().__new__(ParallelAgentAdapter)
@@ -60,7 +64,7 @@ class MonoAgentWrapperAdapter:
         )
 
     def __init__(
-        self, env: Any, *, keep_original: bool = False, wrapper_factories: Factories
+        self, env: Any, wrapper_factories: Factories, *, keep_original: bool = False
     ) -> None: ...
 
 
@@ -79,9 +83,9 @@ class GymAgentAdapter(
     def __init__(
         self,
         env: gym.Env[Any, Any],
+        wrapper_factories: Factories,
         *,
         keep_original: bool = False,
-        wrapper_factories: Factories,
     ) -> None:
         gym.utils.RecordConstructorArgs.__init__(
             self, keep_original=bool(keep_original), wrapper_factories=dict(wrapper_factories)
@@ -160,9 +164,9 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
     def __init__(
         self,
         env: ParallelEnv[str, Any, Any],
+        wrapper_factories: Factories,
         *,
         keep_original: bool = False,
-        wrapper_factories: Factories,
     ) -> None:
         BaseParallelWrapper.__init__(self, env)
         self.keep_original = bool(keep_original)

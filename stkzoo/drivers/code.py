@@ -20,7 +20,7 @@ from gymnasium.envs.registration import load_env_creator
 
 from stkzoo.drivers.files import AgentPlace
 from stkzoo.errors import ConfigError, unknown_name
-from stkzoo.views import VIEWS, ViewFactory, sees_ground
+from stkzoo.views import VIEWS, View, ViewFactory, find_view, sees_ground
 
 #: Picks an action for an observation.
 Actor = Callable[[Any], Any]
@@ -145,9 +145,14 @@ def _wrap(wrappers: list[ViewFactory], env: gym.Env[Any, Any]) -> gym.Env[Any, A
 
 
 def _view_of(env_name: object) -> ViewFactory:
-    """The view of an environment's id: one of stkzoo's, or the wrappers of a registered one."""
+    """The view of an environment's id, or of a pair of that and options of the view."""
+    if isinstance(env_name, (tuple, list)) and len(env_name) == 2:
+        return find_view((_view_of(env_name[0]), env_name[1]))
     if not isinstance(env_name, str):
-        raise ConfigError(f"env_name is {env_name!r}, expected text such as {_DEFAULT_ENV!r}")
+        raise ConfigError(
+            f"env_name is {env_name!r}, expected text such as {_DEFAULT_ENV!r}, or that and "
+            "options of the view, such as ('supertuxkart/simple-v0', {'state_items': 3})"
+        )
     name = _view_name(env_name)
     if name in VIEWS:
         return VIEWS[name]
@@ -159,7 +164,7 @@ def _view_of(env_name: object) -> ViewFactory:
         partial(load_env_creator(wrapper.entry_point), **(wrapper.kwargs or {}))
         for wrapper in spec.additional_wrappers
     ]
-    return partial(_wrap, [VIEWS["full"], *wrappers])
+    return View(name, f"The wrappers of {env_name}.", tuple(wrappers))
 
 
 def env_sees_ground(env_name: str) -> bool:

@@ -28,7 +28,7 @@ from stkzoo.drivers.instances import DriverStart
 from stkzoo.drivers.isolated import IsolatedInstance
 from stkzoo.drivers.policy import PolicyActor, act_together, plain_policy
 from stkzoo.errors import ConfigError, unknown_name
-from stkzoo.views import VIEWS
+from stkzoo.views import find_view, sees_ground
 
 _AGENTS = "stkzoo.agents"
 #: Packages there that are not drivers.
@@ -72,37 +72,41 @@ class Driver:
         return self.start is None
 
     @classmethod
-    def of_actor(cls, name: str, make_actor: ActorMaker, view: str = "full") -> Driver:
+    def of_actor(cls, name: str, make_actor: ActorMaker, view: object = "full") -> Driver:
         """A driver that is a Python function.
 
         Args:
             name: name to show.
             make_actor: makes its actor for one race from its observation space, its
                 action space and a seed.
-            view: name of the view that it observes and acts in.
+            view: what it observes and acts in, as :func:`~stkzoo.views.find_view` takes it.
+
+        Raises:
+            ConfigError: there is no such view.
         """
         load = partial(_code_of_actor, make_actor, view)
-        return cls._here(name, load, name, env_sees_ground(view))
+        return cls._here(name, load, name, sees_ground(find_view(view)))
 
     @classmethod
-    def of_policy(cls, policy: object, view: str | None = None, name: str = "") -> Driver:
+    def of_policy(cls, policy: object, view: object = None, name: str = "") -> Driver:
         """A driver that is a policy without a memory.
 
         Args:
             policy: a function from an observation to an action; or an object with
                 Stable-Baselines3's ``predict``, which is asked for all karts at once and picks
                 the likeliest actions. What it learns later changes the driver.
-            view: name of the view that it observes and acts in; ``None`` for that of the agents
-                that it races against (in :func:`~stkzoo.race.run_race`, ``full``).
+            view: what it observes and acts in, as :func:`~stkzoo.views.find_view` takes it;
+                ``None`` for the view of the agents that it races against (in
+                :func:`~stkzoo.race.run_race`, ``full``).
             name: name to show; by default that of the function or class.
 
         Raises:
-            ConfigError: it is neither.
+            ConfigError: it is neither, or there is no such view.
         """
         policy = plain_policy(policy)
         name = name or getattr(policy, "__name__", type(policy).__name__)
         load = partial(_code_of_policy, policy, view)
-        return cls._here(name, load, name, view is not None and env_sees_ground(view))
+        return cls._here(name, load, name, view is not None and sees_ground(find_view(view)))
 
     @classmethod
     def _here(cls, name: str, load: CodeLoader, source: str, sees_ground: bool) -> Driver:
@@ -170,12 +174,10 @@ def _find(source: str, inline: bool, adapter: str | None) -> Driver:
     files = find_files(source)
     if files is None:
         raise _unknown(source)
-    sees_ground = env_sees_ground(declared_env(files))
+    ground = env_sees_ground(declared_env(files))
     if inline:
-        return Driver._here("", partial(_load_files, files, adapter), source, sees_ground)
-    return Driver(
-        "", partial(IsolatedInstance, files=files, adapter=adapter), sees_ground=sees_ground
-    )
+        return Driver._here("", partial(_load_files, files, adapter), source, ground)
+    return Driver("", partial(IsolatedInstance, files=files, adapter=adapter), sees_ground=ground)
 
 
 def _unknown(source: str) -> ConfigError:
@@ -196,17 +198,13 @@ def _load_files(files: AgentFiles, adapter: str | None, resources: ExitStack) ->
     return load_agent(files.place(resources), adapter)
 
 
-def _code_of_actor(make_actor: ActorMaker, view: str, _: ExitStack) -> AgentCode:
-    if view not in VIEWS:
-        raise unknown_name("view", view, VIEWS)
-    return AgentCode(VIEWS[view], make_actor)
+def _code_of_actor(make_actor: ActorMaker, view: object, _: ExitStack) -> AgentCode:
+    return AgentCode(find_view(view), make_actor)
 
 
-def _code_of_policy(policy: Any, view: str | None, _: ExitStack) -> AgentCode:
-    if view is not None and view not in VIEWS:
-        raise unknown_name("view", view, VIEWS)
+def _code_of_policy(policy: Any, view: object, _: ExitStack) -> AgentCode:
     together = act_together if hasattr(policy, "predict") else None
-    wrap = None if view is None else VIEWS[view]
+    wrap = None if view is None else find_view(view)
     return AgentCode(wrap, partial(PolicyActor, policy), act_together=together)
 
 

@@ -20,7 +20,9 @@ from stkzoo.errors import ConfigError
 ACTOR_MODULE = "pystk_actor"
 _PACKAGE = "stk_actor"
 #: How a module names its environment as a literal.
-_ENV_NAME = re.compile(r"""^env_name\s*(?::\s*\w+\s*)?=\s*["']([^"'\n]+)["']""", re.MULTILINE)
+_ENV_NAME = re.compile(
+    r"""^env_name\s*(?::[^=\n]+)?=\s*[(\[]?\s*["']([^"'\n]+)["']""", re.MULTILINE
+)
 #: Only the first characters of a module are searched.
 _MAX_CHARACTERS = 1 << 20
 
@@ -84,7 +86,8 @@ class AgentFiles:
 def declared_env(files: AgentFiles) -> str:
     """The environment's id that an agent's module names; empty if it names none as a literal.
 
-    The module does not run: a line of it must begin with ``env_name = "..."``.
+    The module does not run: a line of it must begin with ``env_name = "..."`` or
+    ``env_name = ("...",``.
     """
     try:
         with ExitStack() as resources:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import inspect
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -21,8 +22,8 @@ from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.env.rendering import RENDER_MODES
 from stkzoo.env.state import RaceState
 from stkzoo.env.world import WorldView
-from stkzoo.errors import ActionError, ApiOrderError
-from stkzoo.views import views_of_agents
+from stkzoo.errors import ActionError, ApiOrderError, unknown_name
+from stkzoo.views import find_view, options_of, views_of_agents
 from stkzoo.views.walker import StepParts
 from stkzoo.wrappers.camera import Camera
 
@@ -167,16 +168,26 @@ class STKRaceEnv(GymnasiumRaceEnv):
 
     Args:
         agent: your kart's :class:`~stkzoo.config.AgentSpec`, or a mapping of its fields.
-        options: the keywords of :class:`~stkzoo.env.parallel.RaceParallelEnv`, except
-            ``agents``; ``max_cycles`` is unlimited by default.
+        view: as for :class:`~stkzoo.env.parallel.RaceParallelEnv`.
+        options: its other keywords, except ``agents``; ``max_cycles`` is unlimited by default.
+            And options of the view, such as ``state_items``.
+
+    Raises:
+        ConfigError: an argument is invalid.
+        AssetError: the game's data is missing.
     """
 
     def __init__(
-        self, *, agent: AgentSpec | Mapping[str, object] | None = None, **options: Any
+        self,
+        *,
+        agent: AgentSpec | Mapping[str, object] | None = None,
+        view: Any = "full",
+        **options: Any,
     ) -> None:
-        EzPickle.__init__(self, agent=agent, **options)
+        EzPickle.__init__(self, agent=agent, view=view, **options)
         self.agent = AgentSpec() if agent is None else AgentSpec.of(agent)
-        super().__init__([self.agent], **options)
+        self._view, race = split_keywords(view, options, ("agent",))
+        super().__init__([self.agent], view=self._view, **race)
         (self._name,) = self.core.possible_agents
         self.observation_space = self.core.observation_space(self._name)
         self.action_space = self.core.action_space(self._name)
@@ -200,8 +211,8 @@ class STKRaceEnv(GymnasiumRaceEnv):
         Raises:
             ConfigError: for a view of your own that cannot say what a key means in it.
         """
-        view = self._ezpickle_kwargs.get("view", "full")
-        return keys_to_action(views_of_agents(view, [self._name])[self._name], repr(view))
+        view = views_of_agents(self._view, [self._name])[self._name]
+        return keys_to_action(view, repr(self._ezpickle_kwargs["view"]))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -215,6 +226,35 @@ class STKRaceEnv(GymnasiumRaceEnv):
         name = self._name
         observations, rewards, terminations, truncations, infos = self._step_core({name: action})
         return observations[name], rewards[name], terminations[name], truncations[name], infos[name]
+
+
+def split_keywords(
+    view: object, keywords: Mapping[str, Any], others: Collection[str]
+) -> tuple[object, dict[str, Any]]:
+    """Divides the keywords of an id among its view and the race.
+
+    Args:
+        view: the view.
+        keywords: options of the view, and arguments of
+            :class:`~stkzoo.env.parallel.RaceParallelEnv`; what both have goes to both, but for
+            ``None``, which goes to the race.
+        others: further arguments, which stay with those of the race.
+
+    Returns:
+        The view with its options, and the rest.
+
+    Raises:
+        ConfigError: nobody knows a keyword.
+    """
+    (own,) = views_of_agents(view, ["kart_0"]).values()
+    names = options_of(own)
+    race = {*inspect.signature(RaceParallelEnv).parameters, *others} - {"agents"}
+    for name in keywords:
+        if name not in race.union(names):
+            raise unknown_name("argument", name, race.union(names))
+    options = {name: keywords[name] for name in names if keywords.get(name) is not None}
+    rest = {name: value for name, value in keywords.items() if name in race}
+    return (find_view((own, options)) if options else view), rest
 
 
 class STKRaceMultiEnv(GymnasiumRaceEnv):

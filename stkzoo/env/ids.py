@@ -7,12 +7,12 @@ import warnings
 import gymnasium
 import pettingzoo
 
-from stkzoo.errors import ConfigError
-from stkzoo.views import CAMERA_VIEWS, VIEWS, ViewFactory
+from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.views import SHIPPED, VIEWS, ViewFactory, find_view, views
 
 MAX_EPISODE_STEPS = 1500
 _NAMESPACE = "supertuxkart"
-_SHIPPED = frozenset({*VIEWS, *CAMERA_VIEWS})
+_SHIPPED = frozenset(view.name for view in SHIPPED)
 
 
 def register_ids() -> None:
@@ -25,7 +25,7 @@ def register_ids() -> None:
 
 def register_gymnasium_ids() -> None:
     """Registers Gymnasium's ids; a warning says once whose ids they were before."""
-    names = (*VIEWS, *CAMERA_VIEWS, "multi-full")
+    names = (*views(), "multi-full")
     found = [gymnasium.registry.pop(f"{_NAMESPACE}/{name}-v0", None) for name in names]
     owners = {str(spec.entry_point).partition(".")[0] for spec in found if spec} - {"stkzoo"}
     for owner in sorted(owners):
@@ -35,7 +35,7 @@ def register_gymnasium_ids() -> None:
             f"names too, write `import stkzoo.compat` above the first import of {owner}.",
             stacklevel=2,
         )
-    for name in (*VIEWS, *CAMERA_VIEWS):
+    for name in views():
         _register_view_id(name)
     gymnasium.register(
         id=f"{_NAMESPACE}/multi-full-v0",
@@ -44,7 +44,7 @@ def register_gymnasium_ids() -> None:
     )
 
 
-def register_view(name: str, view: ViewFactory, *, replace: bool = False) -> None:
+def register_view(name: str, view: object, *, replace: bool = False) -> None:
     """Adds a view, for ``view="<name>"`` and ``gym.make("supertuxkart/<name>-v0")``.
 
     The same view may be registered again, also after its definition has run again, as in a
@@ -53,26 +53,43 @@ def register_view(name: str, view: ViewFactory, *, replace: bool = False) -> Non
     Args:
         name: a new name.
         view: function that wraps a Gymnasium environment; :class:`gymnasium.Wrapper`
-            classes are such functions.
+            classes are such functions. Its parameters beside the environment are the view's
+            options. Or a known view with options: ``("simple", {"state_items": 3})``.
         replace: whether another view of yours may have the name already.
 
     Raises:
-        ConfigError: the name is taken or no word, or ``view`` is no function.
+        ConfigError: the name is taken or no word, or ``view`` is no view.
     """
     if not isinstance(name, str) or not name.isidentifier():
         raise ConfigError(f"view name is {name!r}, expected letters, digits and underscores")
-    if name in _SHIPPED:
-        raise ConfigError(f"view {name!r} is stkzoo's own; choose another name")
-    if not callable(view):
-        raise ConfigError(f"view {name!r} is {view!r}, expected a function that wraps a gym.Env")
-    if name in VIEWS and not (replace or _is_same(view, VIEWS[name])):
+    _refuse_shipped(name, "choose another name")
+    own = find_view(view)
+    if name in VIEWS and not (replace or _is_same(own, VIEWS[name])):
         raise ConfigError(
             f"view {name!r} exists already and is {VIEWS[name]!r}; choose another name, or pass "
             "replace=True"
         )
     if name not in VIEWS:
         _register_view_id(name)
-    VIEWS[name] = view
+    VIEWS[name] = own
+
+
+def unregister_view(name: str) -> None:
+    """Removes a view that :func:`register_view` added, and its id.
+
+    Raises:
+        ConfigError: there is none of this name, or it is stkzoo's own.
+    """
+    _refuse_shipped(name, "it stays")
+    if name not in VIEWS:
+        raise unknown_name("view of yours", name, VIEWS.keys() - _SHIPPED)
+    del VIEWS[name]
+    gymnasium.registry.pop(f"{_NAMESPACE}/{name}-v0", None)
+
+
+def _refuse_shipped(name: str, remedy: str) -> None:
+    if name in _SHIPPED:
+        raise ConfigError(f"view {name!r} is stkzoo's own; {remedy}")
 
 
 def _is_same(view: ViewFactory, other: ViewFactory) -> bool:

@@ -10,6 +10,7 @@ import gymnasium as gym
 from gymnasium.vector import AsyncVectorEnv
 
 from stkzoo.config import AgentSpec
+from stkzoo.env.gymnasium_api import split_keywords
 from stkzoo.env.vec.env import RaceVectorEnv, is_of_fixed_size
 from stkzoo.errors import check_whole
 
@@ -34,18 +35,19 @@ def single_kart_races(
         agent: every race's agent.
         max_episode_steps: truncates, as the id's ``TimeLimit`` does.
         max_cycles: truncates as well; the smaller one counts.
-        **options: keywords of the id, and ``prefetch``.
+        **options: keywords of the id, options of its view, and ``prefetch``.
 
     Raises:
         ConfigError: an argument is invalid, or the view's values differ in size.
     """
+    view, race = split_keywords(view, options, ("agent", "prefetch"))
     limits = [limit for limit in (max_episode_steps, max_cycles) if limit not in (None, -1)]
     return RaceVectorEnv(
         num_envs,
         view=view,
         agents=[AgentSpec() if agent is None else AgentSpec.of(agent)],
         max_cycles=min(limits) if limits else None,
-        **options,
+        **race,
     )
 
 

@@ -4,26 +4,47 @@
 (:mod:`stkzoo.wrappers`); :class:`AgentChains` runs the chains of all agents of a race.
 """
 
+import sys
+from types import ModuleType
+
 from stkzoo.views.agent_chain import AgentChain
 from stkzoo.views.chains import AgentChains
 from stkzoo.views.plan import ViewPlan
-from stkzoo.views.shipped import (
+from stkzoo.views.registry import (
     CAMERA_VIEWS,
     VIEWS,
     View,
     ViewFactory,
+    find_view,
+    options_of,
     sees_ground,
+    views,
     views_of_agents,
 )
+from stkzoo.views.shipped import SHIPPED
 
 __all__ = [
     "CAMERA_VIEWS",
+    "SHIPPED",
     "VIEWS",
     "AgentChain",
     "AgentChains",
     "View",
     "ViewFactory",
     "ViewPlan",
+    "find_view",
+    "options_of",
     "sees_ground",
+    "views",
     "views_of_agents",
 ]
+
+
+class _CallablePackage(ModuleType):
+    """``stkzoo.views`` is this package, and has to be the function of that name too."""
+
+    def __call__(self) -> dict[str, ViewFactory]:
+        return views()
+
+
+sys.modules[__name__].__class__ = _CallablePackage

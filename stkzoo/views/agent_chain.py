@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import gymnasium as gym
 from gymnasium import spaces
 
-from stkzoo.errors import ActionError, AgentError, AgentException
+from stkzoo.errors import ActionError, AgentError, AgentException, ConfigError
 from stkzoo.views.actions import clip_numbers, read_action
 from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
 from stkzoo.views.plan import ViewPlan
@@ -27,11 +27,15 @@ _PLAIN_STEPS = (*_ACTING, *_OBSERVING, gym.RewardWrapper.step, gym.Wrapper.step)
 
 
 @contextmanager
-def agent_failures(agent: str, doing: str) -> Iterator[None]:
-    """Turns any exception of an agent's wrappers into an ``AgentException``."""
+def agent_failures(
+    agent: str, doing: str, refusals: tuple[type[Exception], ...] = ()
+) -> Iterator[None]:
+    """Turns any exception of an agent's wrappers, but refusals, into an ``AgentException``."""
     try:
         yield
     except (AgentError, ActionError):
+        raise
+    except refusals:
         raise
     except Exception as error:
         raise AgentException(
@@ -113,6 +117,7 @@ class AgentChain:
 
     Raises:
         AgentException: the factory raised, or returned no wrapper of what it was given.
+        ConfigError: a wrapper refuses its arguments or what it is put around.
     """
 
     def __init__(
@@ -128,7 +133,7 @@ class AgentChain:
         self.base_action_space = action_space
         self._mono = MonoAgentEnv(observation_space, action_space)
         self._split_step: SplitStep | None = None
-        with agent_failures(agent, "wrap its environment"):
+        with agent_failures(agent, "wrap its environment", (ConfigError,)):
             self.env = self._mono if factory is None else factory(self._mono)
             self._set_wrappers(_wrappers_between(self.env, self._mono))
             self.observation_space = self.env.observation_space

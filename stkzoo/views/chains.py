@@ -92,16 +92,15 @@ class AgentChains:
     Args:
         observation_spaces: each agent's space in the ``full`` view.
         action_spaces: each agent's base action space, the same ``Dict`` for all.
-        factories: wraps an agent's environment; agents that are left out, or ``None``,
-            have no wrappers.
+        factories: the agents' views; those that are left out, or ``None``, have no wrappers.
         ignored: agents that the game's AI drives. They may leave out their action; it is
             not looked at, and their base action is all zeros.
         columns: the keys of the base actions in the order in which :meth:`decode` gives
             them.
 
     Raises:
-        AgentException: a factory raised, or returned no wrapper of what it was given.
-        ConfigError: a factory is for no agent or cannot be called.
+        AgentException: a function raised, or returned no wrapper of what it was given.
+        ConfigError: a view is for no agent, unknown, or refuses its environment or options.
     """
 
     def __init__(

@@ -11,7 +11,8 @@ from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo.agent_names import by_agent
 from stkzoo.errors import ConfigError
-from stkzoo.views.agent_chain import AgentChain, WrapperFactory
+from stkzoo.views.agent_chain import AgentChain
+from stkzoo.views.registry import find_view
 from stkzoo.views.split_step import AgentStep
 
 #: Observations, rewards, terminations, truncations and infos, each by agent.
@@ -24,8 +25,9 @@ StepParts: TypeAlias = tuple[
 ]
 
 
-#: Wrapper factories by agent: id, number or number as a string.
-Factories: TypeAlias = Mapping[Any, WrapperFactory]
+#: Views by agent (id, number or number as a string), as :func:`~stkzoo.views.find_view` takes them;
+#: ``None`` is no wrappers.
+Factories: TypeAlias = Mapping[Any, object]
 
 _Dicts: TypeAlias = tuple[dict[str, Any], ...]
 
@@ -41,13 +43,12 @@ class ChainWalker:
     Args:
         observation_spaces: the agents' base observation spaces.
         action_spaces: the agents' base action spaces.
-        factories: wraps an agent's environment; agents that are left out, or ``None``,
-            have no wrappers.
+        factories: the agents' views; those that are left out, or ``None``, have no wrappers.
 
     Raises:
-        ConfigError: a factory is for no agent or cannot be called, or the spaces are not
-            for the same agents.
-        AgentException: a factory raised, or returned no wrapper of what it was given.
+        ConfigError: a view is for no agent, unknown, or refuses its environment or options; or
+            the spaces are not for the same agents.
+        AgentException: a function raised, or returned no wrapper of what it was given.
     """
 
     def __init__(
@@ -62,14 +63,9 @@ class ChainWalker:
                 f"{', '.join(action_spaces)}; expected the same agents."
             )
         found = by_agent(factories, observation_spaces)
-        for agent, factory in found.items():
-            if factory is not None and not callable(factory):
-                raise ConfigError(
-                    f"the wrapper factory of agent {agent!r} is {factory!r}; expected a callable "
-                    "that takes an environment and returns it wrapped, or None."
-                )
+        views = {agent: find_view(view) for agent, view in found.items() if view is not None}
         self.chains = {
-            agent: AgentChain(agent, space, action_spaces[agent], found.get(agent))
+            agent: AgentChain(agent, space, action_spaces[agent], views.get(agent))
             for agent, space in observation_spaces.items()
         }
         self.observation_spaces = {a: chain.observation_space for a, chain in self.chains.items()}

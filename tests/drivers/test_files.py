@@ -174,6 +174,10 @@ def test_what_is_no_agent_is_refused_before_the_race(source, message, tmp_path):
             "Did you mean 'supertuxkart/full-v0'",
         ),
         ("env_name = 3\ndef get_actor(*_): ...", "expected text such as"),
+        (
+            "env_name = ('simple', {'state_itmes': 3})\ndef get_actor(*_): ...",
+            "Did you mean 'state_items'",
+        ),
         ("import no_such_package", "No module named 'no_such_package'"),
         ("def get_actor(*_): return None", "expected a function"),
     ],
@@ -182,6 +186,19 @@ def test_what_an_agent_lacks_is_said(code, message, tmp_path):
     (tmp_path / "pystk_actor.py").write_text(code)
     result = run_race([str(tmp_path)], track="lighthouse", max_steps=2, inline=True)
     assert message in result.agents[0].errors[0].message
+
+
+@pytest.mark.parametrize("inline", [True, False])
+def test_an_agent_names_its_environment_with_options(inline, tmp_path):
+    (tmp_path / "pystk_actor.py").write_text(
+        "env_name = ['supertuxkart/flattened_discrete-v0', {'state_items': 1, 'steer_steps': 3}]\n"
+        "def get_actor(module_dir, observation_space, action_space):\n"
+        "    assert observation_space['continuous'].shape == (80,), observation_space\n"
+        "    assert action_space.n == 480, action_space\n"
+        "    return lambda state, observation: 0 * len(observation['continuous'][79:]) + 4\n"
+    )
+    result = run_race([str(tmp_path)], track="lighthouse", max_steps=5, inline=inline, seed=1)
+    assert result.agents[0].errors == ()
 
 
 @pytest.mark.parametrize("inline", [True, False])

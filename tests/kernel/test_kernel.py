@@ -38,7 +38,7 @@ from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.names import AttachmentType, ItemType, PowerupType
 from stkzoo.tracks import SPLITS
 from stkzoo.views import VIEWS as ALL_VIEWS
-from stkzoo.views import AgentChain
+from stkzoo.views import AgentChain, find_view
 from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarObservations
 from stkzoo.wrappers.control import CarAction
 from stkzoo.wrappers.racing import SIZE, BatchedRacingView, RoadTable, racing_features
@@ -235,14 +235,19 @@ def test_a_controller_checks_what_it_is_given():
         controller.drive(rows, one, snapshot.data, two, states, one)
 
 
-@pytest.mark.parametrize("view", VIEWS)
+SIZES = {"state_items": 3, "state_karts": 1, "state_paths": 7, "add_mask": True}
+
+
+@pytest.mark.parametrize(
+    "view", [*VIEWS, ("flattened", SIZES), ("box_discrete", SIZES | {"steer_steps": 3})]
+)
 def test_a_compiled_view_shows_what_its_wrappers_make(view):
     """The same race, seen by the kernel and by the wrappers one by one."""
     settings = {"num_kart": 3, "track": "lighthouse", "max_cycles": 40}
     base = "ground" if view == "ground" else "full"
     with race_v0.parallel_env(view={0: view, 1: base, 2: base}, **settings) as env:
         spaces_of_kart = kart_observation_space(sees_ground=base == "ground"), kart_action_space()
-        chain = AgentChain("kart_0", *spaces_of_kart, ALL_VIEWS[view])
+        chain = AgentChain("kart_0", *spaces_of_kart, find_view(view))
         observations, _ = env.reset(seed=3)
         for agent, space in env.action_spaces.items():
             space.seed(int(agent[-1]))

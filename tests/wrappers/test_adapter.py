@@ -14,7 +14,11 @@ from pettingzoo.test import parallel_api_test
 from stkzoo import race_v0
 from stkzoo.errors import ActionError, AgentException, ConfigError
 from stkzoo.mdp.spaces import kart_action_space
-from stkzoo.wrappers import MonoAgentWrapperAdapter
+from stkzoo.wrappers import (
+    ConstantSizedObservations,
+    MonoAgentWrapperAdapter,
+    PolarObservations,
+)
 from tests.support.generic_env import (
     Counter,
     MultiEnv,
@@ -44,6 +48,10 @@ def simple(env):
 
 def discrete(env):
     return wrap(env, "flattened_discrete")
+
+
+def two_items(env):
+    return PolarObservations(ConstantSizedObservations(env, state_items=2))
 
 
 class TenTimes(gym.RewardWrapper):
@@ -145,14 +153,36 @@ def test_an_agent_that_is_named_twice_is_refused(form):
         MonoAgentWrapperAdapter(make(), wrapper_factories={agents[0]: simple, 0: discrete})
 
 
-def test_a_factory_that_cannot_be_called_is_refused(form):
-    with pytest.raises(ConfigError, match="expected a callable"):
-        MonoAgentWrapperAdapter(form[0](), wrapper_factories={0: "simple"})
+@pytest.mark.parametrize(
+    ("view", "message"),
+    [
+        (3, "view is 3, expected one of full"),
+        ("simpel", "Did you mean 'simple'"),
+        (("simple", {"state_itmes": 3}), "Did you mean 'state_items'"),
+        (("simple", {"state_items": 0}), "state_items is 0, expected a whole number"),
+    ],
+)
+def test_what_is_no_view_is_refused(form, view, message):
+    with pytest.raises(ConfigError, match=message):
+        MonoAgentWrapperAdapter(form[0](), {0: view})
+
+
+@pytest.mark.parametrize("name", [1, "1", "id"])
+def test_views_go_by_name_and_options(form, name):
+    make, agents = form
+    name = agents[1] if name == "id" else name
+    env = MonoAgentWrapperAdapter(make(), {name: ("simple", {"state_items": 2}), 0: "flattened"})
+    same = MonoAgentWrapperAdapter(make(), {name: two_items, 0: lambda env: wrap(env, "flattened")})
+    observations, expected = (each.reset(seed=1)[0] for each in (env, same))
+    assert_same(observations, expected)
+    assert observations[agents[1]]["items_position"].shape == (2, 3)
+    for agent in agents:
+        assert space_of(env, agent) == space_of(same, agent)
 
 
 @pytest.mark.parametrize("factories", [[simple], simple, None])
 def test_factories_that_are_no_mapping_are_refused(form, factories):
-    with pytest.raises(ConfigError, match="has to be a mapping from agents to functions"):
+    with pytest.raises(ConfigError, match="has to be a mapping from agents to views"):
         MonoAgentWrapperAdapter(form[0](), wrapper_factories=factories)
 
 

@@ -224,6 +224,8 @@ def test_agents_on_servers_are_shown_it_too(mole):
     [
         ('env_name = "supertuxkart/ground-v0"', "supertuxkart/ground-v0"),
         ("env_name: str = 'supertuxkart/simple-v0'  # mine", "supertuxkart/simple-v0"),
+        ("env_name = ('ground', {'size': 3})", "ground"),
+        ("env_name: tuple[str, dict] = ['ground', {}]", "ground"),
         ("from elsewhere import env_name", ""),
         ('    env_name = "supertuxkart/ground-v0"', ""),
     ],

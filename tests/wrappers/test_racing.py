@@ -8,7 +8,7 @@ import pytest
 from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo import AgentSpec, race_v0
-from stkzoo.errors import AgentException
+from stkzoo.errors import ConfigError
 from stkzoo.mdp.geometry import rotation_matrices
 from stkzoo.names import ItemType
 from stkzoo.views import VIEWS
@@ -283,9 +283,9 @@ def test_what_the_ai_does_comes_as_choices():
 
 
 def test_other_views_are_refused():
-    with pytest.raises(AgentException, match="needs the full view"):
+    with pytest.raises(ConfigError, match="needs the full view"):
         race(view=lambda env: RacingObservations(VIEWS["simple"](env)))
-    with pytest.raises(AgentException, match="game's own actions"):
+    with pytest.raises(ConfigError, match="game's own actions"):
         race(view=lambda env: RacingActions(VIEWS["control"](env)))
 
 

@@ -1,0 +1,163 @@
+"""The views by name: what a view is, which ones are known, and how a user chooses one."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, TypeAlias
+
+import gymnasium as gym
+
+from stkzoo.agent_names import by_agent
+from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.mdp.spaces import shows_ground
+
+#: Wraps the environment of one kart. :class:`View` values, wrapper classes and functions do.
+ViewFactory: TypeAlias = Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]]
+
+#: The known views, from which the Gymnasium ids are made; ``stkzoo.register_view`` adds to them.
+VIEWS: dict[str, ViewFactory] = {}
+
+#: Views that need an environment which can draw: those of this package, but no agent's alone.
+CAMERA_VIEWS: dict[str, ViewFactory] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What an agent observes and how it acts.
+
+    Attributes:
+        name: of the view, and of its Gymnasium id.
+        description: one line about it.
+        wrappers: around the ``full`` view, the innermost first.
+        needs: what the race has to offer beside that: ``"ground"``, what is beside the road, or
+            ``"camera"``.
+        options: arguments of the wrappers by name (:func:`options_of`); each wrapper gets those
+            that it has.
+    """
+
+    name: str
+    description: str
+    wrappers: tuple[ViewFactory, ...] = ()
+    needs: frozenset[str] = frozenset()
+    options: Mapping[str, Any] = field(default_factory=dict, hash=False)
+
+    def __call__(self, env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+        """The environment, wrapped.
+
+        Raises:
+            ConfigError: it does not offer what the view needs, or an option's value is invalid.
+        """
+        if self.sees_ground and not shows_ground(env.observation_space):
+            raise ConfigError(
+                f"the {self.name} view goes around an environment that shows the ground. Choose "
+                f"view={self.name!r}, and write in an agent's module env_name = "
+                f"'supertuxkart/{self.name}-v0' as it stands here. Found "
+                f"{env.observation_space!r:.200}"
+            )
+        wrappers: Sequence[Callable[..., gym.Env[Any, Any]]] = self.wrappers
+        for wrapper in wrappers:
+            names = self.options.keys() & options_of(wrapper)
+            env = wrapper(env, **{name: self.options[name] for name in names})
+        return env
+
+    @property
+    def sees_ground(self) -> bool:
+        """Whether the view is around observations that tell of the ground."""
+        return "ground" in self.needs
+
+
+def views() -> dict[str, ViewFactory]:
+    """All views by name: those that come with stkzoo, and those that were registered."""
+    return {**VIEWS, **CAMERA_VIEWS}
+
+
+def options_of(view: ViewFactory) -> tuple[str, ...]:
+    """The names of a view's options: what its wrappers take beside the environment.
+
+    They are read from the signatures; of a :class:`View`, all that its wrappers have.
+    """
+    if isinstance(view, View):
+        return tuple(dict.fromkeys(name for own in view.wrappers for name in options_of(own)))
+    if isinstance(view, partial):
+        return options_of(view.func)
+    is_class = isinstance(view, type)
+    try:
+        signature = inspect.signature(view.__init__ if is_class else view)
+    except (TypeError, ValueError):  # of a function in C
+        return ()
+    named = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
+    own = list(signature.parameters.values())[2 if is_class else 1 :]
+    return tuple(parameter.name for parameter in own if parameter.kind in named)
+
+
+def sees_ground(view: ViewFactory) -> bool:
+    """Whether a view is around observations that tell of the ground.
+
+    It says so by an attribute ``sees_ground`` that is true.
+    """
+    return bool(getattr(view, "sees_ground", False))
+
+
+def find_view(choice: object) -> ViewFactory:
+    """The view that is meant.
+
+    Args:
+        choice: a view's name, a function that wraps a Gymnasium environment, or a pair of one of
+            these and a mapping of its options, such as ``("simple", {"state_items": 3})``.
+
+    Raises:
+        ConfigError: it is none of these, or the view has no such name or option.
+    """
+    if isinstance(choice, (tuple, list)) and len(choice) == 2:
+        return _with_options(find_view(choice[0]), choice[1])
+    if isinstance(choice, str):
+        known = views()
+        if choice not in known:
+            raise unknown_name("view", choice, known)
+        return known[choice]
+    if callable(choice):
+        return choice
+    raise ConfigError(
+        f"view is {choice!r:.200}, expected one of {', '.join(VIEWS)}, a function that wraps a "
+        "gym.Env, a pair such as ('simple', {'state_items': 3}), or a mapping from agents to these"
+    )
+
+
+def views_of_agents(choice: object, agents: Sequence[str]) -> dict[str, ViewFactory]:
+    """The view of every agent.
+
+    Args:
+        choice: what :func:`find_view` takes, or a mapping from agents to such; agents that the
+            mapping leaves out get ``full``.
+        agents: all agents' ids.
+
+    Raises:
+        ConfigError: no such view or agent.
+    """
+    if not isinstance(choice, Mapping):
+        return dict.fromkeys(agents, find_view(choice))
+    chosen = {agent: find_view(view) for agent, view in by_agent(choice, agents).items()}
+    return {**dict.fromkeys(agents, VIEWS["full"]), **chosen}
+
+
+def _with_options(view: ViewFactory, options: object) -> ViewFactory:
+    """The view with other values of some options."""
+    if not isinstance(view, View):
+        name = getattr(view, "__name__", type(view).__name__)
+        needs = frozenset({"ground"} if sees_ground(view) else ())
+        view = View(name, "A function with options.", (view,), needs)
+    if not isinstance(options, Mapping):
+        raise ConfigError(
+            f"the options of the {view.name} view are {options!r:.200}, expected a mapping such as "
+            "{'state_items': 3}"
+        )
+    known = options_of(view)
+    for name in options:
+        if not known:
+            raise ConfigError(f"the {view.name} view has no options; {name!r} came")
+        if name not in known:
+            raise unknown_name(f"option of the {view.name} view", name, known)
+    return replace(view, options={**view.options, **options})

@@ -1,0 +1,142 @@
+"""Options of views, wherever a view can be chosen."""
+
+from __future__ import annotations
+
+import json
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+
+import stkzoo
+from stkzoo import ConfigError, MonoAgentWrapperAdapter, make_stkrace_vec, race_v0
+from stkzoo.drivers import Driver
+from stkzoo.sb3 import RaceVecEnv
+
+RACE = {"num_kart": 2, "track": "lighthouse"}
+OPTIONS = {"state_items": 2, "steer_steps": 3}
+VIEW = ("flattened_discrete", OPTIONS)
+ID = "supertuxkart/flattened_discrete-v0"
+
+
+def first(env):
+    """What the first agent sees first, and how many actions it has."""
+    with env:
+        observation, _ = env.reset(seed=3)
+        observation = observation.get("kart_0", observation)
+        space = env.action_space("kart_0") if callable(env.action_space) else env.action_space
+        return observation["continuous"], space.n
+
+
+@pytest.fixture(scope="module")
+def expected():
+    return first(race_v0.parallel_env(**RACE, agents=1, view=VIEW))
+
+
+def same(ours, expected, tolerance=0.0):
+    assert ours[1] == expected[1] == 480
+    assert ours[0].shape == (83,)
+    np.testing.assert_allclose(ours[0], expected[0], rtol=tolerance, atol=10 * tolerance)
+
+
+def test_an_id_takes_the_options_of_its_view_as_keywords(expected):
+    with gym.make(ID, **RACE, **OPTIONS) as env:
+        copies = pickle.loads(pickle.dumps(env)), gym.make(EnvSpec.from_json(env.spec.to_json()))
+        assert env.unwrapped.get_keys_to_action()[""] in env.action_space
+        for each in (env, *copies):
+            same(first(each), expected)
+
+
+def test_a_configuration_of_text_takes_them(expected):
+    config = json.loads(json.dumps({**RACE, "agents": [{}], "view": {"kart_0": VIEW}}))
+    same(first(race_v0.parallel_env(**config)), expected)
+
+
+def test_the_adapter_takes_them(expected):
+    env = race_v0.parallel_env(**RACE, agents=1)
+    env = MonoAgentWrapperAdapter(env, {"0": VIEW})
+    observations, _ = env.reset(seed=3)
+    ours = observations["kart_0"]["continuous"], env.action_space("kart_0").n
+    same(ours, expected, tolerance=2e-6)  # made by numpy, not by the kernel
+    env.close()
+
+
+def test_the_adapter_with_names_comes_back_from_json():
+    base = gym.make("supertuxkart/multi-full-v0", **RACE)
+    env = MonoAgentWrapperAdapter(base, {"0": VIEW, "1": "simple"})
+    with env, gym.make(EnvSpec.from_json(env.spec.to_json())) as again:
+        assert again.observation_space == env.observation_space
+        assert again.action_space["0"].n == 480
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: stkzoo.RaceVectorEnv(1, **RACE, agents=1, view=VIEW),
+        lambda: gym.make_vec(
+            ID, num_envs=1, vectorization_mode="vector_entry_point", **RACE, **OPTIONS
+        ),
+    ],
+)
+def test_many_races_take_them(make, expected):
+    envs = make()
+    observations, _ = envs.reset(seed=3)
+    same((observations["continuous"][0], envs.single_action_space.n), expected)
+    envs.close()
+
+
+def test_stable_baselines_takes_them(expected):
+    envs = RaceVecEnv(1, **RACE, agents=1, view=VIEW)
+    envs.seed(3)
+    same((envs.reset()["continuous"][0], envs.action_space.n), expected)
+    envs.close()
+
+
+@pytest.mark.slow
+def test_races_in_workers_take_them(expected):
+    envs = make_stkrace_vec(1, ID, {**RACE, **OPTIONS})
+    observations, _ = envs.reset(seed=3)
+    same((observations["continuous"][0], envs.single_action_space.n), expected)
+    envs.close()
+
+
+def test_an_opponents_policy_sees_by_them():
+    seen = []
+
+    def policy(observation):
+        seen.append(observation["continuous"].shape)
+        return 0
+
+    driver = Driver.of_policy(policy, VIEW)
+    with race_v0.parallel_env(**RACE, agents=1, opponents=[driver], view="simple") as env:
+        env.reset(seed=3)
+        env.step({"kart_0": env.action_space("kart_0").sample()})
+    assert seen == [(83,)]
+
+
+def test_the_race_and_its_view_hear_of_a_keyword_of_both():
+    with gym.make("supertuxkart/control-v0", **RACE, step_size=0.05) as env:
+        chain = env.unwrapped.core._chains
+        assert chain._plans["kart_0"].car.step_size == 0.05
+        assert env.unwrapped.core.options.step_size == 0.05
+
+
+@pytest.mark.parametrize("make", [gym.make, lambda *id, **own: gym.make_vec(*id, **own)])
+@pytest.mark.parametrize(
+    ("env_id", "keywords", "message"),
+    [
+        ("simple-v0", {"state_itmes": 3}, "unknown argument 'state_itmes'.*'state_items'"),
+        ("simple-v0", {"steer_steps": 3}, "unknown argument 'steer_steps'"),
+        ("simple-v0", {"numkart": 3}, "unknown argument 'numkart'. Did you mean 'num_kart'"),
+        ("simple-v0", {"agents": 2}, "unknown argument 'agents'. Did you mean 'agent'"),
+        ("simple-v0", {"state_items": "5"}, "state_items is '5', expected a whole number"),
+        ("full-v0", {"state_items": 5}, "unknown argument 'state_items'"),
+        ("multi-full-v0", {"state_items": 5}, "unknown argument 'state_items'"),
+    ],
+)
+def test_a_wrong_option_of_an_id_names_the_right_one(make, env_id, keywords, message):
+    with pytest.raises(ConfigError, match=message) as caught:
+        make(f"supertuxkart/{env_id}", **keywords)
+    assert "\n" not in str(caught.value)

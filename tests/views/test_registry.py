@@ -1,0 +1,201 @@
+"""Views by name, with options, as users choose them."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import re
+from functools import partial
+
+import gymnasium as gym
+import pytest
+from gymnasium.wrappers import FilterObservation
+
+import stkzoo
+from stkzoo.engine.snapshot import CONTROLS
+from stkzoo.errors import ConfigError
+from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.views import SHIPPED, VIEWS, find_view, options_of, sees_ground
+from stkzoo.views.agent_chain import AgentChain
+from stkzoo.wrappers import ConstantSizedObservations
+from stkzoo.wrappers.control import CarParameters
+from stkzoo.wrappers.marl import PartialObservations
+from tests.support.paths import ROOT
+
+#: Another value than the default of every option that a shipped view has.
+OTHERS = {
+    "state_items": 3,
+    "state_karts": 2,
+    "state_paths": 7,
+    "add_mask": True,
+    "acceleration_steps": 3,
+    "steer_steps": 5,
+    "flatten_observations": False,
+    "control_input": ["accl", "steering_speed"],
+    "normalize_act": True,
+    "buttons": ["nitro"],
+    "parameters": CarParameters(v_max=20.0),
+    "step_size": 0.05,
+}
+COMPILED = [view for view in SHIPPED if "camera" not in view.needs]
+CASES = [
+    (view.name, option)
+    for view in COMPILED
+    for option in options_of(view)
+    # What is around the flattener needs flat observations.
+    if option != "flatten_observations" or view.wrappers[-1].__name__.startswith("Flatten")
+]
+
+
+def chain_of(choice):
+    view = find_view(choice)
+    seen = kart_observation_space(sees_ground=sees_ground(view))
+    return AgentChain("kart_0", seen, kart_action_space(), view)
+
+
+def near(env, *, radius=30.0):
+    """A view of a user, with an option."""
+    return ConstantSizedObservations(PartialObservations(env, radius=radius))
+
+
+@pytest.fixture
+def near_view():
+    stkzoo.register_view("near", near)
+    yield "near"
+    stkzoo.unregister_view("near")
+
+
+@pytest.mark.parametrize(("name", "option"), CASES)
+def test_an_option_reaches_its_wrapper_and_the_view_stays_compiled(name, option):
+    usual, other = chain_of(name), chain_of((name, {option: OTHERS[option]}))
+    plans = [chain.compile(CONTROLS).identity() for chain in (usual, other)]
+    if option == "normalize_act" and name == "flattened_control":
+        assert plans[0] == plans[1]  # its own default
+    else:
+        assert plans[0] != plans[1]
+    assert other.is_empty
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [
+        ("simpel", "unknown view 'simpel'. Did you mean 'simple'?"),
+        (("simpel", {}), "unknown view 'simpel'. Did you mean 'simple'?"),
+        (
+            ("simple", {"state_itmes": 3}),
+            "unknown option of the simple view 'state_itmes'. Did you mean 'state_items'? "
+            "Known: add_mask, state_items, state_karts, state_paths.",
+        ),
+        (("full", {"radius": 3}), "the full view has no options; 'radius' came"),
+        (("simple", 3), "the options of the simple view are 3, expected a mapping"),
+        (("simple", {"state_items": 0}), "state_items is 0, expected a whole number of 1 or more"),
+        (("control", {"buttons": "fire"}), "buttons is 'fire', expected some of drift, fire"),
+        (("control", {"control_input": "sped"}), "control_input has 'sped', expected one of"),
+        (7, "view is 7, expected one of full, ground, simple"),
+    ],
+)
+def test_a_wrong_choice_is_one_line_that_says_what_is_right(choice, message):
+    with pytest.raises(ConfigError) as caught:
+        chain_of(choice)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_views_with_options_are_equal_values():
+    choice = ("control", {"control_input": ["accl", "steering_speed"]})
+    view = find_view(choice)
+    assert view == find_view(list(choice)) == pickle.loads(pickle.dumps(view))
+    assert hash(view) == hash(copy.deepcopy(view))
+    assert view != find_view("control")
+
+
+def test_options_may_be_given_in_turn():
+    view = find_view((("simple", {"state_items": 3}), {"state_karts": 1}))
+    assert view == find_view(("simple", {"state_items": 3, "state_karts": 1}))
+
+
+@pytest.mark.usefixtures("near_view")
+@pytest.mark.parametrize("choice", ["near", near, partial(near, radius=5.0)])
+def test_the_parameters_of_a_function_are_its_options(choice):
+    wrapped = chain_of((choice, {"radius": 12.0})).env.env
+    assert wrapped.radius == 12.0
+    with pytest.raises(ConfigError, match=r"option of the \w+ view 'angle'.*Known: radius"):
+        chain_of((choice, {"angle": 1.0}))
+
+
+def test_the_parameters_of_a_class_are_its_options():
+    keys = {"filter_keys": ["velocity"]}
+    assert list(chain_of((FilterObservation, keys)).observation_space) == ["velocity"]
+
+
+def test_a_function_that_sees_the_ground_does_so_with_options_too():
+    def own(env, size=3):
+        return ConstantSizedObservations(env, state_items=size)
+
+    own.sees_ground = True
+    assert sees_ground(find_view((own, {"size": 2})))
+    assert "ground_kind" in chain_of((own, {"size": 2})).observation_space.spaces
+
+
+def test_a_function_of_c_has_no_options():
+    with pytest.raises(ConfigError, match="has no options; 'size' came"):
+        find_view((max, {"size": 1}))
+
+
+def test_a_known_view_with_options_can_be_registered():
+    stkzoo.register_view("three", ("simple", {"state_items": 3}))
+    try:
+        stkzoo.register_view("three", ("simple", {"state_items": 3}))  # a cell runs twice
+        assert chain_of("three").observation_space["items_position"].shape == (3, 3)
+        four = chain_of(("three", {"state_karts": 4})).observation_space
+        assert four["items_position"].shape == (3, 3)
+        assert four["karts_position"].shape == (4, 3)
+    finally:
+        stkzoo.unregister_view("three")
+
+
+@pytest.mark.usefixtures("near_view")
+def test_the_views_are_told_by_name():
+    known = stkzoo.views()
+    assert [*known] == [*VIEWS, "camera"]
+    assert known["simple"].description
+    known.clear()  # a copy
+    assert "simple" in stkzoo.views()
+
+
+def test_a_view_that_is_unregistered_is_gone_with_its_id():
+    stkzoo.register_view("near", near)
+    stkzoo.unregister_view("near")
+    assert "near" not in stkzoo.views()
+    assert "supertuxkart/near-v0" not in gym.registry
+
+
+@pytest.mark.usefixtures("near_view")
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("simple", "view 'simple' is stkzoo's own; it stays"),
+        ("camera", "view 'camera' is stkzoo's own; it stays"),
+        ("neer", r"unknown view of yours 'neer'. Did you mean 'near'\? Known: near\."),
+    ],
+)
+def test_only_a_registered_view_can_be_unregistered(name, message):
+    with pytest.raises(ConfigError, match=message):
+        stkzoo.unregister_view(name)
+
+
+def test_the_options_of_the_reference_are_there():
+    """What its derived ids' wrappers take."""
+    own = ("state_items", "state_karts", "state_paths", "add_mask")
+    assert options_of(VIEWS["simple"]) == own
+    steps = ("acceleration_steps", "steer_steps")
+    flattened = (*own, *steps, "flatten_observations")
+    assert options_of(VIEWS["flattened_multidiscrete"]) == flattened
+    assert set(options_of(VIEWS["control"])) >= {"control_input", "normalize_act", *own}
+
+
+def test_the_page_of_views_lists_every_option():
+    page = (ROOT / "docs/views.md").read_text()
+    rows = page.partition("| wrapper |")[2].partition("\n\n")[0].splitlines()[2:]
+    told = {name for row in rows for name in re.findall(r"`(\w+)`", row.split("|")[2])}
+    assert told - {"False", "True"} == {name for view in SHIPPED for name in options_of(view)}
