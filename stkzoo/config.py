@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import Any
 
 from stkzoo.errors import ConfigError, check_arguments, check_number, unknown_name
 from stkzoo.names import CameraMode
 
-__all__ = ["AgentSpec", "RandomStart", "Start"]
+__all__ = ["AgentSpec", "RandomStart", "Start", "start_of"]
 
 #: Top speed of karts without nitro and bonuses [m/s].
 _MAX_START_SPEED = 25.0
@@ -133,3 +134,22 @@ class RandomStart:
             low, high = (Start(**{"share": 0.0, field.name: bound}) for bound in bounds)
             if getattr(low, field.name) > getattr(high, field.name):
                 raise ConfigError(f"{field.name} is {bounds!r}, expected (lowest, highest)")
+
+
+def start_of(values: Mapping[str, object]) -> Start | RandomStart:
+    """The start of a mapping of its fields, as JSON and YAML have them.
+
+    Args:
+        values: fields of a :class:`Start`; with pairs, those of a :class:`RandomStart`.
+
+    Raises:
+        ConfigError: a field is unknown or its value invalid.
+    """
+    pairs = {name: tuple(pair) for name, pair in values.items() if isinstance(pair, (tuple, list))}
+    kind: Any = RandomStart if pairs else Start
+    known = [field.name for field in fields(kind)]
+    for name in values:
+        if name not in known:
+            raise unknown_name("field of a start", name, known)
+    start: Start | RandomStart = kind(**{**values, **pairs})
+    return start

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.utils import seeding
 
 from stkzoo.config import AgentSpec
-from stkzoo.env.starts import check_start
+from stkzoo.env.starts import read_start
 from stkzoo.errors import ConfigError, check_number, check_whole, unknown_name
 from stkzoo.names import CameraMode
 from stkzoo.tracks import SPLITS
@@ -51,8 +51,8 @@ class RaceOptions:
         step_size: game time of one step [s].
         max_cycles: steps after which the race is cut short; ``None`` is never.
         start: where the karts start: ``None`` on the grid, a distance [m], a
-            :class:`~stkzoo.config.Start`, a :class:`~stkzoo.config.RandomStart` or ``"random"``,
-            or a mapping from agents to these.
+            :class:`~stkzoo.config.Start`, a :class:`~stkzoo.config.RandomStart` or a mapping of
+            the fields of one, ``"random"``, or a mapping from agents to these.
         events: whether infos count contacts, hits, overtakes and so on
             (:data:`stkzoo.mdp.events.EVENTS`).
         end_when_stuck: terminates an agent whose kart stays within 3 m for so long [s]; ``None``
@@ -79,7 +79,7 @@ class RaceOptions:
     end_when_first_finishes: int | None = None
 
     def __post_init__(self) -> None:
-        check_start(self.start)
+        object.__setattr__(self, "start", read_start(self.start))
         for name, (low, high) in _WHOLE.items():
             value = getattr(self, name)
             if value is not None or name not in _OPTIONAL:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from stkzoo.agent_names import by_agent
-from stkzoo.config import RandomStart, Start
+from stkzoo.config import RandomStart, Start, start_of
 from stkzoo.errors import ConfigError, check_whole
 
 #: How often a random start is drawn because some kart cannot stand there. For eight karts in rows
@@ -26,32 +26,38 @@ _EXPECTED = (
     "from agents to these"
 )
 
+#: Where karts start: one start for all, or some agents' own; ``None`` is the grid.
+StartChoice: TypeAlias = Start | RandomStart | Mapping[object, Start | RandomStart] | None
 
-def check_start(start: object) -> None:
-    """Checks what was asked for as ``start``.
+
+def read_start(start: object) -> StartChoice:
+    """What was asked for as ``start``.
+
+    Args:
+        start: ``None`` for the grid, a distance [m], a start, ``"random"``, a mapping from agents
+            to these, or the fields of a start as a mapping (:func:`stkzoo.config.start_of`).
 
     Raises:
         ConfigError: it is invalid.
     """
+    if start is None:
+        return None
     if isinstance(start, Mapping):
         if not start:
             raise ConfigError(f"start is an empty mapping, {_EXPECTED}")
-        for choice in start.values():
-            if isinstance(choice, Mapping):
-                raise ConfigError(f"start has {choice!r} for an agent, {_EXPECTED}")
-            _read(choice)
-    elif start is not None:
-        _read(start)
+        if all(_names_agent(key) for key in start):
+            return {agent: _read(choice) for agent, choice in start.items()}
+    return _read(start)
 
 
-def is_random(start: object) -> bool:
+def is_random(start: StartChoice) -> bool:
     """Whether another draw may give another place."""
     choices = start.values() if isinstance(start, Mapping) else [start]
-    return any(isinstance(_read(choice), RandomStart) for choice in choices if choice is not None)
+    return any(isinstance(choice, RandomStart) for choice in choices)
 
 
 def draw_starts(
-    start: object,
+    start: StartChoice,
     agents: Sequence[str],
     kart_indices: Sequence[int],
     num_kart: int,
@@ -63,7 +69,7 @@ def draw_starts(
     mapping, karts that it leaves out stand behind the first agent that it names.
 
     Args:
-        start: what was asked for.
+        start: what was asked for, read.
         agents: the agents' ids.
         kart_indices: the agents' karts, in grid order.
         num_kart: the number of karts.
@@ -84,9 +90,16 @@ def draw_starts(
     return tuple((own | behind)[kart] for kart in range(num_kart))
 
 
+def _names_agent(key: object) -> bool:
+    """Whether a key of a mapping is an agent, by id or number, and not a field of a start."""
+    return not isinstance(key, str) or key[-1:].isdecimal()
+
+
 def _read(choice: object) -> Start | RandomStart:
     if isinstance(choice, (Start, RandomStart)):
         return choice
+    if isinstance(choice, Mapping) and choice:
+        return start_of(choice)
     if isinstance(choice, str) and choice == "random":
         return RandomStart()
     if isinstance(choice, (int, float, np.integer, np.floating)) and not isinstance(choice, bool):
@@ -94,8 +107,7 @@ def _read(choice: object) -> Start | RandomStart:
     raise ConfigError(f"start is {choice!r}, {_EXPECTED}")
 
 
-def _drawn(choice: object, random: np.random.Generator) -> Start:
-    start = _read(choice)
+def _drawn(start: Start | RandomStart, random: np.random.Generator) -> Start:
     if isinstance(start, Start):
         return start
     bounds = {field.name: getattr(start, field.name) for field in fields(start)}
@@ -131,7 +143,7 @@ class StartCurriculum:
         stages: in how many steps the starts move back; the last one is the whole lap.
         window: how many of the latest episodes count.
         promote_at: the share of them that must succeed before the starts move on.
-        start: everything about the starts but where they are.
+        start: everything about the starts but where they are; or a mapping of its fields.
 
     Raises:
         ConfigError: a number is invalid.
@@ -143,7 +155,7 @@ class StartCurriculum:
         *,
         window: int = 20,
         promote_at: float = 0.8,
-        start: RandomStart | None = None,
+        start: RandomStart | Mapping[str, object] | None = None,
     ) -> None:
         for name, value in (("stages", stages), ("window", window)):
             check_whole(name, value, 1)
@@ -152,7 +164,10 @@ class StartCurriculum:
         self.stages, self.stage = stages, 1
         self._promote_at = promote_at
         self._latest: deque[bool] = deque(maxlen=window)
-        self._start = RandomStart() if start is None else start
+        own = RandomStart() if start is None else _read(start)
+        if not isinstance(own, RandomStart):
+            raise ConfigError(f"start is {start!r}, expected a RandomStart or its fields")
+        self._start = own
 
     def start(self) -> RandomStart:
         """Where the next episode starts: for ``reset(options={"start": ...})``."""

@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 
 import stkzoo
 from benchmarks.starts import summary, track_starts
@@ -229,7 +230,7 @@ def test_many_races_start_anywhere():
         ("grid?", "start is 'grid\\?', expected None for the grid"),
         (True, "start is True"),
         ({}, "empty mapping"),
-        ({"kart_0": {"kart_1": 3.0}}, "for an agent"),
+        ({"kart_0": {"kart_1": 3.0}}, "unknown field of a start 'kart_1'"),
         (float("nan"), "distance of a start is nan"),
         ([3.0], "start is \\[3.0\\]"),
     ],
@@ -274,6 +275,54 @@ def test_wrong_bounds_are_refused(arguments, message):
         RandomStart(**arguments)
 
 
+@pytest.mark.parametrize(
+    "start",
+    [
+        300.0,
+        "random",
+        Start(share=0.5, speed=12.0, heading=-0.2),
+        RandomStart(share=(0.2, 0.4), speed=(5.0, 6.0)),
+        {"kart_0": Start(distance=50.0), "1": RandomStart()},
+        {"share": 0.5, "speed": 12.0},
+        {0: {"distance": 50.0}, 1: {"share": [0.1, 0.2]}},
+    ],
+)
+def test_a_start_comes_back_from_json(start):
+    make = {"num_kart": 2, "track": "lighthouse", "start": start, "agents": 2}
+    with gym.make("supertuxkart/multi-full-v0", **make) as env:
+        again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+        options = [each.unwrapped.core.options for each in (env, again)]
+        states = []
+        for each in (env, again):
+            each.reset(seed=1)
+            states.append(each.unwrapped.core.state())
+        again.close()
+    assert {str(key): at for key, at in dict_of(options[0].start).items()} == dict_of(
+        options[1].start
+    )
+    np.testing.assert_array_equal(*states)
+
+
+def dict_of(start):
+    return start if isinstance(start, dict) else {"": start}
+
+
+@pytest.mark.parametrize(
+    ("start", "message"),
+    [
+        ({"distanc": 3.0}, "unknown field of a start 'distanc'. Did you mean 'distance'"),
+        ({"kart_0": {"sped": 3.0}}, "unknown field of a start 'sped'. Did you mean 'speed'"),
+        ({"kart_0": {}}, "start is {}, expected None for the grid"),
+        ({"speed": 3.0}, "needs either a distance"),
+        ({"share": [0.5, 0.2]}, r"expected \(lowest, highest\)"),
+        ({"distance": [1.0, 2.0]}, "unknown field of a start 'distance'"),
+    ],
+)
+def test_wrong_fields_of_a_start_are_refused(start, message):
+    with pytest.raises(ConfigError, match=message):
+        race(start=start)
+
+
 def test_random_starts_stay_within_their_bounds():
     wish = RandomStart(share=(0.2, 0.4), speed=(5.0, 6.0), offset=(-1.0, 1.0))
     random = np.random.default_rng(1)
@@ -293,6 +342,13 @@ def test_a_curriculum_moves_back_with_success():
         StartCurriculum(0)
     with pytest.raises(ConfigError, match="promote_at is 2"):
         StartCurriculum(promote_at=2)
+
+
+def test_a_curriculum_takes_the_fields_of_its_start():
+    curriculum = StartCurriculum(start={"speed": [3.0, 5.0]})
+    assert curriculum.start() == RandomStart(share=(0.9, 1.0), speed=(3.0, 5.0))
+    with pytest.raises(ConfigError, match="expected a RandomStart or its fields"):
+        StartCurriculum(start={"share": 0.5})
 
 
 # ------------------------------------------------------------------ scenarios
