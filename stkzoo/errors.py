@@ -29,7 +29,7 @@ import inspect
 import math
 import numbers
 import operator
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from typing import Any, TypeVar
 
 __all__ = [
@@ -47,6 +47,7 @@ __all__ = [
     "RemoteError",
     "StkzooError",
     "check_arguments",
+    "check_flag",
     "check_whole",
     "import_extra",
     "unknown_name",
@@ -195,6 +196,17 @@ def check_number(
         what = f"a number of {unit}" if unit else "a number"
         raise ConfigError(f"{name} is {value!r}, expected {what} {bounds}")
     return number
+
+
+def check_flag(name: str, value: object) -> bool:
+    """Checks that a value is true or false, and returns it as Python's own.
+
+    Raises:
+        ConfigError: it is neither.
+    """
+    if not isinstance(value, Hashable) or value not in (True, False):
+        raise ConfigError(f"{name} is {value!r}, expected True or False")
+    return bool(value)
 
 
 def import_extra(module: str, needs: str, extra: str, alternative: str = "") -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, check_flag
 from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space
 
@@ -118,7 +118,7 @@ class FlattenerWrapper(ActionFormWrapper, CompiledWrapper):
 
     def __init__(self, env: gym.Env[Any, Any], flatten_observations: bool = True) -> None:
         super().__init__(env)
-        self.flatten_observations = bool(flatten_observations)
+        self.flatten_observations = check_flag("flatten_observations", flatten_observations)
         self.action_flattener = SpaceFlattener(
             dict_space(env.action_space, "actions", "FlattenerWrapper")
         )

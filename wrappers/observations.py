@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo.errors import ConfigError, check_flag, check_whole
 from stkzoo.mdp.geometry import to_polar
+from stkzoo.mdp.spaces import shows_motion
 from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import dict_space
 
@@ -23,6 +24,8 @@ _LISTS = {
     "items": ("items_position", "items_type"),
     "karts": ("karts_position",),
 }
+#: How the other karts move; only where the environment tells of it.
+MOTION = ("karts_velocity", "karts_heading")
 _POSITIONS = ("center_path", "items_position", "karts_position", "paths_end", "paths_start")
 
 
@@ -33,6 +36,9 @@ class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledW
     ``paths_start`` and ``paths_end`` ``(state_paths, 3)``, ``items_position``
     ``(state_items, 3)`` and ``karts_position`` ``(state_karts, 3)``, all float32 with the
     units and frames of the ``full`` view; ``items_type`` becomes ``(state_items,)`` int64.
+    With ``karts_motion``, ``karts_velocity`` ``(state_karts, 3)`` [m/s] is how fast these karts are
+    over the ground, in the observing kart's frame, and ``karts_heading`` ``(state_karts, 1)`` where
+    they point, to the right of where the observing kart points [rad].
 
     Args:
         env: an environment in the ``full`` view.
@@ -41,6 +47,7 @@ class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledW
         state_paths: number of track segments.
         add_mask: add ``paths_mask``, ``items_mask`` and ``karts_mask``: int8, 1 where an
             entry is real and 0 where it is padding.
+        karts_motion: keep how the other karts move, which the environment has to tell.
 
     Raises:
         ConfigError: a number below 1, or an environment without these lists.
@@ -54,12 +61,16 @@ class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledW
         state_karts: int = 5,
         state_paths: int = 5,
         add_mask: bool = False,
+        karts_motion: bool = False,
     ) -> None:
         self.state_items = check_whole("state_items", state_items, 1)
         self.state_karts = check_whole("state_karts", state_karts, 1)
         self.state_paths = check_whole("state_paths", state_paths, 1)
-        self.add_mask = bool(add_mask)
+        self.add_mask = check_flag("add_mask", add_mask)
+        self.karts_motion = check_flag("karts_motion", karts_motion)
         super().__init__(env)
+        motion = MOTION if self.karts_motion else ()
+        self._lists = {**_LISTS, "karts": (*_LISTS["karts"], *motion)}
         self._sizes = {
             "paths": self.state_paths,
             "items": self.state_items,
@@ -80,8 +91,16 @@ class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledW
 
     def _constant_space(self, space: spaces.Dict) -> spaces.Dict:
         entries = copy.deepcopy(space.spaces)
+        if not self.karts_motion:
+            entries = {key: entry for key, entry in entries.items() if key not in MOTION}
+        elif not shows_motion(space):
+            raise ConfigError(
+                "karts_motion needs an environment that tells how the other karts move. Choose a "
+                "view with the option, such as view=('simple', {'karts_motion': True}), or give "
+                "the function that is your view an attribute sees_motion that is true"
+            )
         for group, size in self._sizes.items():
-            for key in _LISTS[group]:
+            for key in self._lists[group]:
                 entries[key] = _repeated(key, entries.get(key), size)
             if self.add_mask:
                 entries[f"{group}_mask"] = spaces.Box(0, 1, shape=(size,), dtype=np.int8)
@@ -89,8 +108,8 @@ class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledW
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
         """The observation with arrays of one size for tuples and ``(..., M, n)`` arrays."""
-        changed = dict(observation)
-        for group, keys in _LISTS.items():
+        changed = {key: observation[key] for key in observation if key not in MOTION}
+        for group, keys in self._lists.items():
             for key in keys:
                 changed[key], length = _resized(observation[key], self._space[key])
             if self.add_mask:

@@ -17,8 +17,8 @@ from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo.env.cameras import with_camera
 from stkzoo.errors import ConfigError
-from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
-from stkzoo.views import ViewFactory, sees_ground
+from stkzoo.mdp.spaces import kart_action_space
+from stkzoo.views import ViewFactory, base_space
 from stkzoo.views.agent_chain import AgentChain
 from stkzoo.wrappers.camera import CameraKind, Shot
 from stkzoo.wrappers.control import ControlWrapper
@@ -88,7 +88,7 @@ def keys_to_action(view: ViewFactory, name: str) -> dict[Any, Any]:
     Raises:
         ConfigError: the view's wrappers do not say how an action of the game looks there.
     """
-    seen = kart_observation_space(use_ai=True, sees_ground=sees_ground(view))
+    seen = base_space(view, use_ai=True)
     chain = AgentChain("kart_0", seen, kart_action_space(), with_camera(view, _NoCamera()))
     blank: dict[str, Any] = create_zero_array(chain.base_observation_space)
     wrapper: Any = chain.env

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
 
 from stkzoo.config import AgentSpec
 from stkzoo.drivers import (
@@ -33,7 +32,7 @@ from stkzoo.env.episode import Episode
 from stkzoo.errors import ActionError, AgentError, AgentException, ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.names import CameraMode
-from stkzoo.views import VIEWS, AgentChains, ViewFactory, sees_ground
+from stkzoo.views import VIEWS, AgentChains, ViewFactory, base_space
 from stkzoo.views.chains import ChainsMemory
 
 logger = logging.getLogger(__name__)
@@ -270,7 +269,12 @@ class RaceOpponents:
         self.close()
         seed = episode.race.seed
         requests = [
-            DriverRequest(agent, *_kart_spaces(driver.sees_ground), seed + number)
+            DriverRequest(
+                agent,
+                kart_observation_space(sees_ground=driver.sees_ground),
+                kart_action_space(),
+                seed + number,
+            )
             for number, (agent, driver) in enumerate(zip(self._ids, drivers, strict=True))
         ]
         for request, driver in zip(requests, drivers, strict=True):
@@ -340,10 +344,9 @@ class RaceOpponents:
         views = {own.agent: own.view for own in self._opponents.values()}
         key = tuple(views.items())
         if key not in self._known_chains:
-            spaces = {agent: _kart_spaces(sees_ground(view)) for agent, view in views.items()}
             self._known_chains[key] = AgentChains(
-                {agent: own[0] for agent, own in spaces.items()},
-                {agent: own[1] for agent, own in spaces.items()},
+                {agent: base_space(view) for agent, view in views.items()},
+                {agent: kart_action_space() for agent in views},
                 views,
                 ignored=(),
                 columns=CONTROLS,
@@ -467,7 +470,3 @@ def _picked(
     if len(actions) == len(seen):
         return actions, None
     return (), AgentError(f"it gave {len(actions)} actions for {len(seen)} karts")
-
-
-def _kart_spaces(ground: bool) -> tuple[spaces.Dict, spaces.Dict]:
-    return kart_observation_space(sees_ground=ground), kart_action_space()

@@ -30,9 +30,9 @@ from stkzoo.env.options import MAX_CAMERAS, RaceOptions, check_agents, random_st
 from stkzoo.env.rendering import RENDER_MODES, Rendering, available_modes, frame_rate
 from stkzoo.env.starts import MAX_START_DRAWS, is_random
 from stkzoo.errors import ApiOrderError, ConfigError, check_arguments, check_number, check_whole
-from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.mdp.spaces import kart_action_space
 from stkzoo.mdp.state import state_space
-from stkzoo.views import sees_ground, views_of_agents
+from stkzoo.views import base_space, views_of_agents
 from stkzoo.views.chains import AgentChains
 from stkzoo.views.walker import StepParts
 
@@ -153,10 +153,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         self.cameras = RaceCameras(self.possible_agents, lambda: getattr(this(), "_episode", None))
         views = views_of_agents(view, self.possible_agents)
         self._chains = AgentChains(
-            {
-                agent: kart_observation_space(agent in self._ai_agents, sees_ground(own))
-                for agent, own in views.items()
-            },
+            {agent: base_space(own, agent in self._ai_agents) for agent, own in views.items()},
             {agent: kart_action_space() for agent in self.possible_agents},
             self.cameras.connected(views),
             ignored=self._ai_agents,

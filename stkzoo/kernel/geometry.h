@@ -23,15 +23,20 @@ static inline void rotation_matrix(const Kart *kart, float m[9])
     m[8] = w * w - x * x - y * y + z * z;
 }
 
-/* A point of the world as a kart with this matrix sees it. */
+/* A direction of the world as a kart with this matrix sees it. */
+static inline void rotate(const float m[9], float x, float y, float z, float *out)
+{
+    out[0] = x * m[0] + y * m[1] + z * m[2];
+    out[1] = x * m[3] + y * m[4] + z * m[5];
+    out[2] = x * m[6] + y * m[7] + z * m[8];
+}
+
+/* A point of the world, likewise. */
 static inline void to_kart_frame(const Kart *kart, const float m[9], const float *point,
                                  float *out)
 {
     const float *o = kart->location;
-    const float x = point[0] - o[0], y = point[1] - o[1], z = point[2] - o[2];
-    out[0] = x * m[0] + y * m[1] + z * m[2];
-    out[1] = x * m[3] + y * m[4] + z * m[5];
-    out[2] = x * m[6] + y * m[7] + z * m[8];
+    rotate(m, point[0] - o[0], point[1] - o[1], point[2] - o[2], out);
 }
 
 static inline float dot(const float *v, const float *w)

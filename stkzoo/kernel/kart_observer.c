@@ -26,7 +26,7 @@ typedef struct {
 
 enum { ITEMS, KARTS, PATHS, OWN }; /* what the rows of an entry are */
 enum { NUMBER, CHOICE, MASK, NAME, CONTROL };
-enum { HEADER, KART, SCENE, NODES, WIDTHS, DISTANCES, NEAREST }; /* where its numbers are */
+enum { HEADER, KART, SCENE, NODES, WIDTHS, DISTANCES, NEAREST, MOTION }; /* where its numbers are */
 enum { IS_POINT = 1, IS_PLACE = 2 }; /* in the world's frame; an angle and more in a polar view */
 
 /* An entry of an observation. */
@@ -59,6 +59,8 @@ static const Key KEYS[] = {
     {"items_position", NUMBER, ITEMS, 3, NEAREST, 0, IS_PLACE},
     {"items_type", CHOICE, ITEMS, 1},
     {"karts_position", NUMBER, KARTS, 3, NEAREST, 0, IS_PLACE},
+    {"karts_velocity", NUMBER, KARTS, 3, MOTION},
+    {"karts_heading", NUMBER, KARTS, 1, MOTION},
     {"paths_distance", NUMBER, PATHS, 2, DISTANCES},
     {"paths_width", NUMBER, PATHS, 1, WIDTHS},
     {"paths_start", NUMBER, PATHS, 3, NODES, 0, IS_POINT | IS_PLACE},
@@ -189,6 +191,20 @@ static void write_choices(const Scene *scene, const Key *key, npy_int64 *out)
     }
 }
 
+/* How fast another kart is, or where it points. */
+static void write_motion(const Scene *scene, const Key *key, const Kart *other, float *out)
+{
+    if (key->width == 3) {
+        const float *v = other->velocity;
+        rotate(scene->matrix, v[0], v[1], v[2], out);
+    } else {
+        float m[9], forward[3];
+        rotation_matrix(other, m);
+        rotate(scene->matrix, m[6], m[7], m[8], forward);
+        *out = atan2f(forward[0], forward[2]);
+    }
+}
+
 static void write_numbers(const Scene *scene, const Key *key, float *out)
 {
     const TrackGraph *track = scene->track;
@@ -200,6 +216,13 @@ static void write_numbers(const Scene *scene, const Key *key, float *out)
     for (npy_intp i = real * width; i < rows * width; i++) out[i] = 0;
     if (key->kind == MASK) {
         for (npy_intp i = 0; i < real; i++) out[i] = 1;
+        return;
+    }
+    if (key->source == MOTION) {
+        const Near *near = scene->nearest[KARTS];
+        for (npy_intp i = 0; i < real; i++, near++) {
+            write_motion(scene, key, scene->moment.karts + near->which, out + width * i);
+        }
         return;
     }
     switch (key->source) {

@@ -8,7 +8,7 @@ kart's own frame: x right, y up, z forward [m].
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,7 @@ from stkzoo.mdp.spaces import POWERUP_COUNT_LIMIT
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 Batch = dict[str, Any]
+_Kind = TypeVar("_Kind", bound=np.generic)
 
 
 class TrackLines(Protocol):
@@ -68,6 +69,39 @@ def observe_karts(
     }
 
 
+def karts_motion(snapshot: Snapshot, karts: IntArray) -> Batch:
+    """How the other karts move, in the order of ``karts_position``.
+
+    Args:
+        snapshot: the moment.
+        karts: ``(A,)`` indices of the observing karts.
+
+    Returns:
+        ``karts_velocity`` ``(A, K - 1, 3)`` float32: over the ground, in the observing kart's frame
+        [m/s]; and ``karts_heading`` ``(A, K - 1, 1)`` float32: where they point, to the right of
+        where the observing kart points, seen from above it [rad].
+    """
+    records, others = snapshot.karts[karts], _others(snapshot, karts)
+    own = rotation_matrices(records["rotation"])
+    order = _nearest_first(
+        to_kart_frame(snapshot.karts["location"][others], records["location"], own)
+    )
+    seen, origin = snapshot.karts[_in_order(others, order)], np.zeros((len(karts), 3), np.float32)
+    forwards = rotation_matrices(seen["rotation"])[..., 2, :]
+    forward = to_kart_frame(forwards, origin, own)
+    return {
+        "karts_velocity": to_kart_frame(seen["velocity"], origin, own),
+        "karts_heading": np.arctan2(forward[..., :1], forward[..., 2:]),
+    }
+
+
+def _others(snapshot: Snapshot, karts: IntArray) -> IntArray:
+    """``(A, K - 1)`` indices of the karts beside each."""
+    others = np.arange(len(snapshot.karts) - 1)[None] + np.zeros((len(karts), 1), np.intp)
+    others += others >= karts[:, None]
+    return others
+
+
 def _seen(
     track: TrackLines, snapshot: Snapshot, records: Any, karts: IntArray, ahead: IntArray
 ) -> list[FloatArray]:
@@ -79,13 +113,11 @@ def _seen(
         turn.
     """
     nodes, count = track.path_nodes, len(records)
-    others = np.arange(len(snapshot.karts) - 1)[None] + np.zeros((count, 1), np.intp)
-    others += others >= karts[:, None]
     groups = (
         records["front"][:, None],
         nodes[records["node"]],
         np.broadcast_to(snapshot.items["location"], (count, len(snapshot.items), 3)),
-        snapshot.karts["location"][others],
+        snapshot.karts["location"][_others(snapshot, karts)],
         nodes[ahead].reshape(count, -1, 3),
     )
     points = np.concatenate(groups, axis=1)
@@ -160,8 +192,8 @@ def _items(snapshot: Snapshot, positions: FloatArray) -> Batch:
     }
 
 
-def _in_order(positions: FloatArray, order: IntArray) -> FloatArray:
-    return positions[np.arange(len(order))[:, None], order]
+def _in_order(values: npt.NDArray[_Kind], order: IntArray) -> npt.NDArray[_Kind]:
+    return values[np.arange(len(order))[:, None], order]
 
 
 def _nearest_first(positions: FloatArray) -> IntArray:

@@ -40,7 +40,9 @@ def kart_action_space() -> spaces.Dict:
     )
 
 
-def kart_observation_space(use_ai: bool = False, sees_ground: bool = False) -> spaces.Dict:
+def kart_observation_space(
+    use_ai: bool = False, sees_ground: bool = False, sees_motion: bool = False
+) -> spaces.Dict:
     """A fresh observation space of one kart in the ``full`` view.
 
     Args:
@@ -48,6 +50,7 @@ def kart_observation_space(use_ai: bool = False, sees_ground: bool = False) -> s
             :func:`kart_action_space`.
         sees_ground: add ``ground_kind`` and ``ground_speed``, what is beside the road ahead at
             :data:`GROUND_MARKS` and :data:`GROUND_LANES`.
+        sees_motion: add ``karts_velocity`` and ``karts_heading``, how the other karts move.
     """
     inf = float("inf")
 
@@ -86,6 +89,10 @@ def kart_observation_space(use_ai: bool = False, sees_ground: bool = False) -> s
         cells = len(GROUND_MARKS), len(GROUND_LANES)
         space["ground_kind"] = spaces.Box(0, max(GroundKind), cells, np.uint8)
         space["ground_speed"] = spaces.Box(0.0, 1.0, cells, np.float32)
+    if sees_motion:
+        space["karts_velocity"] = spaces.Sequence(box(3))
+        heading = spaces.Box(-np.pi, np.pi, shape=(1,), dtype=np.float32)
+        space["karts_heading"] = spaces.Sequence(heading)
     if use_ai:
         space["action"] = kart_action_space()
     return space
@@ -94,6 +101,11 @@ def kart_observation_space(use_ai: bool = False, sees_ground: bool = False) -> s
 def shows_ground(space: spaces.Space[Any]) -> bool:
     """Whether a space is of observations that tell of the ground beside the road."""
     return isinstance(space, spaces.Dict) and "ground_kind" in space.spaces
+
+
+def shows_motion(space: spaces.Space[Any]) -> bool:
+    """Whether a space is of observations that tell how the other karts move."""
+    return isinstance(space, spaces.Dict) and "karts_velocity" in space.spaces
 
 
 def columns_of(

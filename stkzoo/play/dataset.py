@@ -11,9 +11,9 @@ import numpy as np
 import stkzoo
 from stkzoo._os import check_writable, write_whole
 from stkzoo.errors import ConfigError
-from stkzoo.mdp.spaces import columns_of, kart_action_space, kart_observation_space
+from stkzoo.mdp.spaces import columns_of, kart_action_space
 from stkzoo.race import RaceListener, RaceProgress, RaceResult
-from stkzoo.views import VIEWS, sees_ground
+from stkzoo.views import VIEWS, base_space
 from stkzoo.views.agent_chain import AgentChain
 
 _AGENT = "kart_0"
@@ -41,7 +41,7 @@ class DatasetWriter(RaceListener):
             raise ConfigError(f"the dataset is {path!r}, expected a path that ends in .npz")
         check_writable(path, "the dataset")
         self._view = view
-        seen = kart_observation_space(sees_ground=sees_ground(VIEWS[view]))
+        seen = base_space(VIEWS[view])
         self._chain = AgentChain(_AGENT, seen, kart_action_space(), VIEWS[view])
         if not self._chain.is_pure or not self._chain.observation_space.is_np_flattenable:
             raise ConfigError(

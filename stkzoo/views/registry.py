@@ -9,10 +9,11 @@ from functools import partial
 from typing import Any, TypeAlias
 
 import gymnasium as gym
+from gymnasium import spaces
 
 from stkzoo.agent_names import by_agent
 from stkzoo.errors import ConfigError, unknown_name
-from stkzoo.mdp.spaces import shows_ground
+from stkzoo.mdp.spaces import kart_observation_space, shows_ground, shows_motion
 
 #: Wraps the environment of one kart. :class:`View` values, wrapper classes and functions do.
 ViewFactory: TypeAlias = Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]]
@@ -32,8 +33,8 @@ class View:
         name: of the view, and of its Gymnasium id.
         description: one line about it.
         wrappers: around the ``full`` view, the innermost first.
-        needs: what the race has to offer beside that: ``"ground"``, what is beside the road, or
-            ``"camera"``.
+        needs: what the race has to offer beside that: ``"ground"``, what is beside the road;
+            ``"motion"``, how the other karts move; or ``"camera"``.
         options: arguments of the wrappers by name (:func:`options_of`); each wrapper gets those
             that it has.
     """
@@ -57,6 +58,12 @@ class View:
                 f"'supertuxkart/{self.name}-v0' as it stands here. Found "
                 f"{env.observation_space!r:.200}"
             )
+        if self.sees_motion and not shows_motion(env.observation_space):
+            raise ConfigError(
+                f"the {self.name} view goes around an environment that tells how the other karts "
+                "move. Choose it by view= when the environment is made; agents from files and the "
+                f"adapter go around full. Found {env.observation_space!r:.200}"
+            )
         wrappers: Sequence[Callable[..., gym.Env[Any, Any]]] = self.wrappers
         for wrapper in wrappers:
             names = self.options.keys() & options_of(wrapper)
@@ -67,6 +74,11 @@ class View:
     def sees_ground(self) -> bool:
         """Whether the view is around observations that tell of the ground."""
         return "ground" in self.needs
+
+    @property
+    def sees_motion(self) -> bool:
+        """Whether the view is around observations that tell how the other karts move."""
+        return "motion" in self.needs or bool(self.options.get("karts_motion"))
 
 
 def views() -> dict[str, ViewFactory]:
@@ -99,6 +111,17 @@ def sees_ground(view: ViewFactory) -> bool:
     It says so by an attribute ``sees_ground`` that is true.
     """
     return bool(getattr(view, "sees_ground", False))
+
+
+def base_space(view: ViewFactory, use_ai: bool = False) -> spaces.Dict:
+    """A fresh space of the observations that a view goes around: ``full``, and what it needs.
+
+    Args:
+        view: the view. It says what it needs by attributes ``sees_ground`` and ``sees_motion``.
+        use_ai: whether the game's AI drives, and its ``action`` is observed.
+    """
+    sees_motion = bool(getattr(view, "sees_motion", False))
+    return kart_observation_space(use_ai, sees_ground(view), sees_motion)
 
 
 def find_view(choice: object) -> ViewFactory:
@@ -147,7 +170,8 @@ def _with_options(view: ViewFactory, options: object) -> ViewFactory:
     """The view with other values of some options."""
     if not isinstance(view, View):
         name = getattr(view, "__name__", type(view).__name__)
-        needs = frozenset({"ground"} if sees_ground(view) else ())
+        offers = "ground", "motion"
+        needs = frozenset(name for name in offers if getattr(view, f"sees_{name}", False))
         view = View(name, "A function with options.", (view,), needs)
     if not isinstance(options, Mapping):
         raise ConfigError(

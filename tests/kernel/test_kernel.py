@@ -34,11 +34,16 @@ from stkzoo.kernel import (
 )
 from stkzoo.kernel.reference import action_reader, car_controller, game_stepper, rows, track_graph
 from stkzoo.kernel.reference.kart_observer import KartObserver as KartObserverTwin
-from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.mdp.spaces import (
+    kart_action_space,
+    kart_observation_space,
+    shows_ground,
+    shows_motion,
+)
 from stkzoo.names import AttachmentType, ItemType, PowerupType
 from stkzoo.tracks import SPLITS
 from stkzoo.views import VIEWS as ALL_VIEWS
-from stkzoo.views import AgentChain, find_view
+from stkzoo.views import AgentChain, View, base_space, find_view
 from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarObservations
 from stkzoo.wrappers.control import CarAction
 from stkzoo.wrappers.racing import SIZE, BatchedRacingView, RoadTable, racing_features
@@ -72,7 +77,12 @@ def flat_actions_only(env):
 
 VIEWS = list(ALL_VIEWS)
 
-CHAINS = [*VIEWS, masked, masked_dict, polar_lists, flat_actions_only]
+MOVING = [
+    View("moving", "``full``, and how the other karts move.", needs=frozenset({"motion"})),
+    ("flattened", {"karts_motion": True, "state_karts": 2}),
+]
+
+CHAINS = [*VIEWS, masked, masked_dict, polar_lists, flat_actions_only, *MOVING]
 
 
 def assert_close(ours, theirs, path=""):
@@ -239,15 +249,16 @@ SIZES = {"state_items": 3, "state_karts": 1, "state_paths": 7, "add_mask": True}
 
 
 @pytest.mark.parametrize(
-    "view", [*VIEWS, ("flattened", SIZES), ("box_discrete", SIZES | {"steer_steps": 3})]
+    "view", [*VIEWS, ("flattened", SIZES), ("box_discrete", SIZES | {"steer_steps": 3}), *MOVING]
 )
 def test_a_compiled_view_shows_what_its_wrappers_make(view):
     """The same race, seen by the kernel and by the wrappers one by one."""
     settings = {"num_kart": 3, "track": "lighthouse", "max_cycles": 40}
-    base = "ground" if view == "ground" else "full"
+    seen = base_space(find_view(view))
+    offers = {"ground": shows_ground(seen), "motion": shows_motion(seen)}
+    base = View("base", "", needs=frozenset(name for name in offers if offers[name]))
     with race_v0.parallel_env(view={0: view, 1: base, 2: base}, **settings) as env:
-        spaces_of_kart = kart_observation_space(sees_ground=base == "ground"), kart_action_space()
-        chain = AgentChain("kart_0", *spaces_of_kart, find_view(view))
+        chain = AgentChain("kart_0", seen, kart_action_space(), find_view(view))
         observations, _ = env.reset(seed=3)
         for agent, space in env.action_spaces.items():
             space.seed(int(agent[-1]))

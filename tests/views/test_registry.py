@@ -14,8 +14,8 @@ from gymnasium.wrappers import FilterObservation
 import stkzoo
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
-from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
-from stkzoo.views import SHIPPED, VIEWS, find_view, options_of, sees_ground
+from stkzoo.mdp.spaces import kart_action_space
+from stkzoo.views import SHIPPED, VIEWS, base_space, find_view, options_of, sees_ground
 from stkzoo.views.agent_chain import AgentChain
 from stkzoo.wrappers import ConstantSizedObservations
 from stkzoo.wrappers.control import CarParameters
@@ -28,6 +28,7 @@ OTHERS = {
     "state_karts": 2,
     "state_paths": 7,
     "add_mask": True,
+    "karts_motion": True,
     "acceleration_steps": 3,
     "steer_steps": 5,
     "flatten_observations": False,
@@ -49,8 +50,7 @@ CASES = [
 
 def chain_of(choice):
     view = find_view(choice)
-    seen = kart_observation_space(sees_ground=sees_ground(view))
-    return AgentChain("kart_0", seen, kart_action_space(), view)
+    return AgentChain("kart_0", base_space(view), kart_action_space(), view)
 
 
 def near(env, *, radius=30.0):
@@ -84,7 +84,7 @@ def test_an_option_reaches_its_wrapper_and_the_view_stays_compiled(name, option)
         (
             ("simple", {"state_itmes": 3}),
             "unknown option of the simple view 'state_itmes'. Did you mean 'state_items'? "
-            "Known: add_mask, state_items, state_karts, state_paths.",
+            "Known: add_mask, karts_motion, state_items, state_karts, state_paths.",
         ),
         (("full", {"radius": 3}), "the full view has no options; 'radius' came"),
         (("simple", 3), "the options of the simple view are 3, expected a mapping"),
@@ -185,8 +185,8 @@ def test_only_a_registered_view_can_be_unregistered(name, message):
 
 
 def test_the_options_of_the_reference_are_there():
-    """What its derived ids' wrappers take."""
-    own = ("state_items", "state_karts", "state_paths", "add_mask")
+    """What its derived ids' wrappers take, and ``karts_motion``."""
+    own = ("state_items", "state_karts", "state_paths", "add_mask", "karts_motion")
     assert options_of(VIEWS["simple"]) == own
     steps = ("acceleration_steps", "steer_steps")
     flattened = (*own, *steps, "flatten_observations")

@@ -10,14 +10,17 @@ import numpy.typing as npt
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.kernel.reference.track_graph import TrackGraph
 from stkzoo.mdp.geometry import to_polar
-from stkzoo.mdp.observations import ai_actions, observe_karts
+from stkzoo.mdp.observations import ai_actions, karts_motion, observe_karts
 from stkzoo.mdp.spaces import kart_observation_space
 
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
 Batch = dict[str, Any]
 
-_KNOWN = {*kart_observation_space(use_ai=True), "items_mask", "karts_mask", "paths_mask"}
+_KNOWN = {
+    *kart_observation_space(use_ai=True, sees_motion=True),
+    *("items_mask", "karts_mask", "paths_mask"),
+}
 _POLAR = ("center_path", "items_position", "karts_position", "paths_start", "paths_end")
 
 
@@ -87,6 +90,8 @@ class KartObserver:
             if not 0 <= kart < len(snapshot.karts):
                 raise IndexError(f"kart {kart} of {len(snapshot.karts)}")
         batch = observe_karts(track, kart_types, snapshot, who, num_paths)
+        if {"karts_velocity", "karts_heading"} & set(self._names):
+            batch |= karts_motion(snapshot, who)
         if "action" in self._names:
             batch["action"] = dict(sorted(ai_actions(snapshot, who).items()))
         for group, size in self._sizes.items():

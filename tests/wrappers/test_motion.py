@@ -1,0 +1,196 @@
+"""How the other karts move, against where they are."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import stkzoo
+from stkzoo import AgentSpec, ConfigError, MonoAgentWrapperAdapter, race_v0
+from stkzoo.drivers import Driver
+from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame, to_polar
+from stkzoo.mdp.spaces import kart_observation_space
+from stkzoo.views import View
+from stkzoo.wrappers import ConstantSizedObservations, PolarObservations
+from stkzoo.wrappers.marl import PartialObservations
+
+MOVING = View("moving", "How the other karts move, in lists.", needs=frozenset({"motion"}))
+WITH_MOTION = ("simple", {"karts_motion": True, "state_karts": 4})
+STAY = {"acceleration": 0.0, "steer": 0.0} | dict.fromkeys(
+    ("brake", "drift", "fire", "nitro", "rescue"), 0
+)
+
+
+def course(step_size=1 / 60, steps=300, seed=5):
+    """What a kart that stays behind at the start sees of another, and the game's own records."""
+    agents = [AgentSpec(rank_start=1), AgentSpec(rank_start=0, use_ai=True)]
+    options = {"num_kart": 2, "agents": agents, "track": "lighthouse", "step_size": step_size}
+    with race_v0.parallel_env(**options, view={0: MOVING}) as env:
+        seen, records = [env.reset(seed=seed)[0]["kart_0"]], [env._episode.snapshot.karts]
+        for _ in range(steps):
+            seen.append(env.step({"kart_0": STAY})[0]["kart_0"])
+            records.append(env._episode.snapshot.karts)
+        mine, other = env._episode.race.kart_indices
+    rows = {
+        key: np.array([one[key][0] for one in seen], np.float64)
+        for key in ("karts_position", "karts_velocity", "karts_heading")
+    }
+    return rows, np.array(records)[:, [mine, other]]
+
+
+@pytest.fixture(scope="module")
+def a_course():
+    return course()
+
+
+def test_the_velocity_is_how_fast_the_place_changes(a_course):
+    rows, records = a_course
+    assert np.ptp(records["location"][100:, 0], axis=0).max() < 0.05  # the frame stays
+    there = rows["karts_position"][100:]
+    from_places = (there[2:] - there[:-2]) * 30
+    speed = np.linalg.norm(from_places, axis=1)
+    assert speed.max() > 15
+    error = np.linalg.norm(rows["karts_velocity"][101:-1] - from_places, axis=1)
+    # The game's velocities are a tick ahead of its places: 0.1 m/s at full throttle.
+    assert np.median(error) < 0.2
+    assert np.quantile(error, 0.95) < 0.3
+
+
+def test_the_heading_is_where_the_nose_points(a_course):
+    rows, records = a_course
+    nose = (records["front"] - records["location"]).astype(np.float64)[..., [0, 2]]
+    x, z = nose[:, 1].T
+    forward_x, forward_z = nose[:, 0].T
+    right = np.arctan2(x * forward_z - z * forward_x, x * forward_x + z * forward_z)
+    np.testing.assert_allclose(rows["karts_heading"][:, 0], right, atol=0.03)
+    assert np.ptp(right) > 0.3  # it drove a bend
+
+
+def test_karts_move_in_the_order_of_their_places():
+    with race_v0.parallel_env(num_kart=4, track="lighthouse", view=WITH_MOTION) as env:
+        env.reset(seed=2)
+        for space in env.action_spaces.values():
+            space.seed(1)
+        for _ in range(40):
+            actions = {a: env.action_space(a).sample() | {"rescue": 0} for a in env.agents}
+            observations = env.step(actions)[0]
+        karts = env._episode.snapshot.karts
+        indices = dict(zip(env.possible_agents, env._episode.race.kart_indices, strict=True))
+    for agent, seen in observations.items():
+        assert not seen["karts_velocity"][3:].any()  # padding
+        assert not seen["karts_heading"][3:].any()
+        own = karts[[indices[agent]]]
+        turn = rotation_matrices(own["rotation"])
+        places = to_polar(to_kart_frame(karts["location"][None], own["location"], turn)[0])
+        order = [np.abs(places - at).sum(axis=1).argmin() for at in seen["karts_position"][:3]]
+        assert len({*order, indices[agent]}) == 4
+        speeds = np.linalg.norm(karts["velocity"][order], axis=1)
+        ours = np.linalg.norm(seen["karts_velocity"][:3], axis=1)
+        np.testing.assert_allclose(ours, speeds, rtol=1e-5, atol=1e-5)
+
+
+def test_a_kart_that_races_beside_sees_what_that_one_says_of_itself():
+    """Two karts that point the same way: the velocity of the other is what it observes."""
+    with race_v0.parallel_env(num_kart=2, track="lighthouse", view=WITH_MOTION) as env:
+        env.reset(seed=2)
+        for _ in range(40):
+            observations = env.step({a: STAY | {"acceleration": 1.0} for a in env.agents})[0]
+    first, second = (observations[f"kart_{n}"] for n in range(2))
+    heading = float(first["karts_heading"][0, 0])
+    assert heading == pytest.approx(-float(second["karts_heading"][0, 0]), abs=1e-3)
+    turned = second["velocity"] @ [
+        [np.cos(heading), 0, -np.sin(heading)],
+        [0, 1, 0],
+        [np.sin(heading), 0, np.cos(heading)],
+    ]
+    np.testing.assert_allclose(first["karts_velocity"][0], turned, atol=0.2)  # of a tick before
+    assert np.linalg.norm(turned) > 5
+
+
+@pytest.mark.parametrize("view", ["flattened", "box_discrete", "masked_discrete", "control"])
+def test_views_of_fixed_size_take_the_option_and_stay_compiled(view):
+    size = {}
+    for options in ({}, {"karts_motion": True}):
+        env = gym.make(f"supertuxkart/{view}-v0", num_kart=2, track="lighthouse", **options)
+        with env:
+            observation, _ = env.reset(seed=1)
+            assert env.observation_space.contains(observation)
+            assert env.unwrapped.core._chains._chains["kart_0"].is_empty
+            size[len(size)] = gym.spaces.flatdim(env.observation_space)
+    assert size[1] - size[0] == 5 * (3 + 1)
+
+
+def test_the_full_view_stays_as_it_is():
+    with race_v0.parallel_env(num_kart=2, track="lighthouse", view={0: WITH_MOTION}) as env:
+        observations, _ = env.reset(seed=1)
+    assert [*observations["kart_1"]] == [*kart_observation_space()]
+    assert not {"karts_velocity", "karts_heading"} & {*observations["kart_1"]}
+
+
+def test_what_is_hidden_does_not_move():
+    def near(env, radius=3.0):
+        return PartialObservations(env, radius=radius)
+
+    near.sees_motion = True
+    with race_v0.parallel_env(num_kart=5, track="lighthouse", view=near) as env:
+        observations, _ = env.reset(seed=1)
+    counts = set()
+    for seen in observations.values():
+        lengths = {len(seen[f"karts_{key}"]) for key in ("position", "velocity", "heading")}
+        assert len(lengths) == 1
+        counts |= lengths
+    assert counts - {4}
+
+
+def test_wrappers_that_do_not_ask_for_it_leave_it_out():
+    def plain(env):
+        return PolarObservations(ConstantSizedObservations(env))
+
+    plain.sees_motion = True
+    with race_v0.parallel_env(num_kart=2, track="lighthouse", view=plain) as env:
+        observations, _ = env.reset(seed=1)
+    assert "karts_velocity" not in observations["kart_0"]
+
+
+def test_opponents_see_it_like_agents():
+    seen = []
+
+    def policy(observation):
+        seen.append(observation["karts_velocity"].shape)
+        return STAY
+
+    options = {"num_kart": 2, "agents": 1, "track": "lighthouse"}
+    with race_v0.parallel_env(**options, opponents=[Driver.of_policy(policy, WITH_MOTION)]) as env:
+        env.reset(seed=1)
+        env.step({"kart_0": STAY})
+    assert seen == [(4, 3)]
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (
+            lambda: MonoAgentWrapperAdapter(race_v0.parallel_env(num_kart=1), {0: WITH_MOTION}),
+            "the simple view goes around an environment that tells how the other karts move",
+        ),
+        (
+            lambda: ConstantSizedObservations(gym.make("supertuxkart/full-v0"), karts_motion=True),
+            "karts_motion needs an environment that tells how the other karts move",
+        ),
+        (
+            lambda: gym.make("supertuxkart/simple-v0", karts_motion="yes"),
+            "karts_motion is 'yes', expected True or False",
+        ),
+    ],
+)
+def test_where_nobody_tells_of_it_is_said(make, message):
+    with pytest.raises(ConfigError, match=message):
+        make()
+
+
+def test_the_adapter_goes_around_races_that_tell_of_it():
+    env = race_v0.parallel_env(num_kart=2, track="lighthouse", view=MOVING)
+    with env:
+        adapted = MonoAgentWrapperAdapter(env, {0: WITH_MOTION})
+        observations, _ = adapted.reset(seed=1)
+    assert observations["kart_0"]["karts_heading"].shape == (4, 1)
+    assert stkzoo.views()["full"](adapted) is adapted
