@@ -25,7 +25,7 @@ typedef struct {
     OBJECT_HEAD
     const Pedals *pedals;
     int is_speed, is_angle, is_normalized; /* what is asked for, and in which units */
-    double steer_low, steer_high, low, high, v_min, v_max, sv_max, speed_gain;
+    double steer_low, steer_high, low, high, v_min, v_max, sv_max, speed_gain, steer_lag;
     int columns[3], num_columns; /* of the controls: throttle, steering, brake */
 } CarController;
 
@@ -93,7 +93,8 @@ static double physical(const CarController *self, double value, double low, doub
 
 static double steer(const CarController *self, double asked, double angle, double most, double step)
 {
-    const double rate = self->is_angle ? (asked - angle) / step : asked;
+    const double share = self->steer_lag > 0 ? 1.0 - exp(-step / self->steer_lag) : 1.0;
+    const double rate = self->is_angle ? (asked - angle) / step * share : asked;
     return clipped(angle + clipped(rate, -self->sv_max, self->sv_max) * step, -most, most);
 }
 
@@ -170,10 +171,10 @@ static int controller_set_up(CarController *self, PyObject *args, PyObject *Py_U
     PyObject *act;
     Doubles model;
     int *columns = self->columns;
-    if (!PyArg_ParseTuple(args, "O(ppp)(dddddddd)O&(iii)i", &act, &self->is_speed, &self->is_angle,
+    if (!PyArg_ParseTuple(args, "O(ppp)(ddddddddd)O&(iii)i", &act, &self->is_speed, &self->is_angle,
                           &self->is_normalized, &self->steer_low, &self->steer_high, &self->low,
                           &self->high, &self->v_min, &self->v_max, &self->sv_max,
-                          &self->speed_gain, as_doubles, &model, columns, columns + 1, columns + 2,
+                          &self->speed_gain, &self->steer_lag, as_doubles, &model, columns, columns + 1, columns + 2,
                           &self->num_columns)) {
         return -1;
     }

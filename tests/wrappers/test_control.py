@@ -20,15 +20,17 @@ from stkzoo.wrappers import (
     PolarObservations,
 )
 from stkzoo.wrappers.control import (
+    AcclAction,
     CarAction,
     CarParameters,
     ControlView,
     ControlWrapper,
-    LongitudinalAction,
     LongitudinalActionEnum,
     Pedals,
-    SteerAction,
+    SpeedAction,
     SteerActionEnum,
+    SteeringAngleAction,
+    SteeringSpeedAction,
     from_single_to_multi_action_space,
 )
 from tests.support.generic_env import kart_env, number_env
@@ -47,7 +49,7 @@ STRAIGHT = {"track": "candela_city", "start": 190.0}
 @pytest.mark.parametrize("kinds", KINDS)
 def test_the_order_of_the_names_does_not_matter(kinds):
     one, other = CarAction(kinds), CarAction(kinds[::-1])
-    assert one.type == other.type == kinds
+    assert one.type == other.type == kinds[::-1]
     assert one.space == other.space
     angle, pace = one.act(np.array([0.1, 4.0]), 3.0, 0.3, one.memory())
     same_angle, same_pace = other.act(np.array([0.1, 4.0]), 3.0, 0.3, other.memory())
@@ -62,8 +64,8 @@ def test_the_first_number_steers_and_the_second_drives():
 
 
 def test_one_name_alone_goes_with_the_usual_other():
-    assert CarAction("accl").type == ("accl", "steering_angle")
-    assert CarAction(["steering_speed"]).type == ("speed", "steering_speed")
+    assert CarAction("accl").type == ("steering_angle", "accl")
+    assert CarAction(["steering_speed"]).type == ("steering_speed", "speed")
 
 
 @pytest.mark.parametrize(
@@ -84,14 +86,64 @@ def test_wrong_names_are_refused(names, message):
 
 
 def test_parts_are_found_by_name():
-    assert LongitudinalActionEnum.from_string("speed") is LongitudinalActionEnum.SPEED
-    assert SteerActionEnum.from_string("steering_speed") is SteerActionEnum.STEERING_SPEED
-    assert LongitudinalAction.from_string("accl").high == CarParameters().a_max
-    assert SteerAction.from_string("steering_angle").high == CarParameters().s_max
+    assert LongitudinalActionEnum.from_string("speed") is SpeedAction
+    assert SteerActionEnum.from_string("steering_speed") is SteeringSpeedAction
+    assert LongitudinalActionEnum.is_valid("accl")
+    assert not SteerActionEnum.is_valid("accl")
+    assert LongitudinalActionEnum.Speed is LongitudinalActionEnum("speed")
+    assert SteerActionEnum.Steering_Angle is SteerActionEnum.STEERING_ANGLE
     with pytest.raises(ConfigError, match="Did you mean 'speed'"):
         LongitudinalActionEnum.from_string("sped")
     with pytest.raises(ConfigError, match="Known: steering_angle, steering_speed"):
         SteerActionEnum.from_string("speed")
+
+
+@pytest.mark.parametrize(
+    ("kind", "low", "high"),
+    [
+        (AcclAction, -17.5, 17.5),
+        (SpeedAction, -5.0, 25.0),
+        (SteeringAngleAction, -0.425, 0.425),
+        (SteeringSpeedAction, -1.9, 1.9),
+    ],
+)
+def test_each_number_has_limits_and_a_space(kind, low, high):
+    plain, normal = kind(), kind(normalize=True)
+    assert (plain.lower_limit, plain.upper_limit) == (low, high)
+    assert (normal.lower_limit, normal.upper_limit) == (-1.0, 1.0)
+    assert (normal.low, normal.high) == (low, high)
+    assert plain.space == spaces.Box(low, high, (), np.float32)
+    assert normal.normalize
+    with pytest.raises(ConfigError, match="normalize is 3"):
+        kind(normalize=3)
+
+
+def test_bounds_are_in_the_order_of_the_space():
+    action = CarAction(["accl", "steering_speed"], {"a_max": 5.0, "sv_max": 1.0})
+    assert (action.steer_bounds, action.throttle_bounds) == ((-1.0, 1.0), (-5.0, 5.0))
+    assert action.space.high.tolist() == [1.0, 5.0]
+    assert CarAction(normalize_act=True).throttle_bounds == (-1.0, 1.0)
+
+
+def test_parameters_may_be_a_mapping():
+    assert CarAction(parameters={"T_steer": 0.2}).parameters == CarParameters(T_steer=0.2)
+    with pytest.raises(ConfigError, match="sv_maxx"):
+        CarAction(parameters={"sv_maxx": 1.0})
+    with pytest.raises(ConfigError, match="expected CarParameters or a mapping"):
+        CarAction(parameters=[1.0])
+    with pytest.raises(ConfigError, match="T_steer is -1"):
+        CarParameters(T_steer=-1)
+
+
+def test_wheels_with_a_lag_cover_63_percent_of_the_way_in_its_time():
+    action = CarAction(parameters={"T_steer": 0.4, "sv_max": 100.0})
+    memory = action.memory()
+    for _ in range(4):
+        controls, memory = action.act(np.array([0.2, 5.0]), 5.0, 0.425, memory)
+    assert memory[0] == pytest.approx(0.2 * (1 - np.exp(-1)), rel=1e-6)
+    assert controls[1] == pytest.approx(memory[0] / 0.425)
+    asked = action.read(controls, 5.0, 0.425, memory[0] / (1 - np.exp(-1)) * (1 - np.exp(-0.75)))
+    assert asked[0] == pytest.approx(0.2, abs=1e-6)
 
 
 def test_spaces_are_in_physical_units_or_normalised():

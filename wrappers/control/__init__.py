@@ -9,14 +9,19 @@ puts them around one agent, and :class:`ControlView` makes a view of that.
 from stkzoo.wrappers.control.car_action import CarAction, from_single_to_multi_action_space
 from stkzoo.wrappers.control.kart import CarParameters, Pedals
 from stkzoo.wrappers.control.kinds import (
+    AcclAction,
     LongitudinalAction,
     LongitudinalActionEnum,
+    SpeedAction,
     SteerAction,
     SteerActionEnum,
+    SteeringAngleAction,
+    SteeringSpeedAction,
 )
 from stkzoo.wrappers.control.wrapper import ControlView, ControlWrapper
 
 __all__ = [
+    "AcclAction",
     "CarAction",
     "CarParameters",
     "ControlView",
@@ -24,7 +29,10 @@ __all__ = [
     "LongitudinalAction",
     "LongitudinalActionEnum",
     "Pedals",
+    "SpeedAction",
     "SteerAction",
     "SteerActionEnum",
+    "SteeringAngleAction",
+    "SteeringSpeedAction",
     "from_single_to_multi_action_space",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,16 +16,13 @@ from stkzoo.wrappers.control.kart import PEDALS, CarParameters, Pedals
 from stkzoo.wrappers.control.kinds import (
     LongitudinalAction,
     LongitudinalActionEnum,
+    SpeedAction,
     SteerAction,
     SteerActionEnum,
     SteeringAngleAction,
 )
 
 FloatArray = npt.NDArray[np.floating[Any]]
-
-_KINDS: dict[str, LongitudinalActionEnum | SteerActionEnum] = {
-    kind.value: kind for kinds in (LongitudinalActionEnum, SteerActionEnum) for kind in kinds
-}
 
 
 class CarAction:
@@ -35,6 +32,7 @@ class CarAction:
     All methods are pure functions over arrays with any leading axes: one kart or many.
 
     Attributes:
+        type: the names of both, in the order of the numbers.
         longitudinal: what the second number means.
         steering: what the first number means.
         space: ``(2,)`` float32, in physical units or in [-1, 1].
@@ -46,7 +44,8 @@ class CarAction:
             with ``"speed"`` or ``"steering_angle"``.
         normalize_act: both numbers from -1 to 1 for the whole of their range, so that 0 is
             its middle, which is not standing still for ``"speed"``.
-        parameters: the kart's limits; by default those of the game's default kart.
+        parameters: the kart's limits, or a mapping of some of them; by default those of the
+            game's default kart.
 
     Raises:
         ConfigError: an unknown name, or two of one kind.
@@ -55,28 +54,32 @@ class CarAction:
     def __init__(
         self,
         control_input: str | Sequence[str] = ("speed", "steering_angle"),
-        *,
+        parameters: CarParameters | Mapping[str, float] | None = None,
         normalize_act: bool = False,
-        parameters: CarParameters | None = None,
     ) -> None:
-        self.parameters = CarParameters() if parameters is None else parameters
-        if not isinstance(self.parameters, CarParameters):
-            raise ConfigError(f"parameters is {parameters!r}, expected CarParameters")
+        self.parameters = CarParameters.of(parameters)
         if not isinstance(normalize_act, bool):
             raise ConfigError(f"normalize_act is {normalize_act!r}, expected True or False")
         longitudinal, steering = _kinds(control_input)
-        self.type = longitudinal.value, steering.value
-        self.longitudinal: LongitudinalAction = longitudinal.action(self.parameters)
-        self.steering: SteerAction = steering.action(self.parameters)
+        self.longitudinal: LongitudinalAction = longitudinal(self.parameters, normalize_act)
+        self.steering: SteerAction = steering(self.parameters, normalize_act)
+        self.type = self.steering.type, self.longitudinal.type
         self.normalize_act = normalize_act
         self._low = np.array([self.steering.low, self.longitudinal.low], np.float32)
         self._high = np.array([self.steering.high, self.longitudinal.high], np.float32)
-        self.space = (
-            spaces.Box(-1.0, 1.0, (2,), np.float32)
-            if normalize_act
-            else spaces.Box(self._low, self._high, dtype=np.float32)
-        )
+        low, high = zip(self.steer_bounds, self.throttle_bounds, strict=True)
+        self.space = spaces.Box(np.array(low, np.float32), np.array(high, np.float32))
         self._pedals = Pedals()
+
+    @property
+    def steer_bounds(self) -> tuple[float, float]:
+        """Lowest and highest first number of ``space``."""
+        return self.steering.lower_limit, self.steering.upper_limit
+
+    @property
+    def throttle_bounds(self) -> tuple[float, float]:
+        """Lowest and highest second number of ``space``."""
+        return self.longitudinal.lower_limit, self.longitudinal.upper_limit
 
     def new_controller(self, columns: Sequence[str]) -> CarController:
         """What does the same for many karts at once, in the kernel.
@@ -89,12 +92,12 @@ class CarAction:
             self.act,
             (
                 self.longitudinal.is_fed_back,
-                isinstance(self.steering, SteeringAngleAction),
+                self.steering.type == "steering_angle",
                 self.normalize_act,
             ),
             (
                 *(float(limit[number]) for number in (0, 1) for limit in limits),
-                *(own.v_min, own.v_max, own.sv_max, own.speed_gain),
+                *(own.v_min, own.v_max, own.sv_max, own.speed_gain, own.T_steer),
             ),
             PEDALS,
             (columns.index("acceleration"), columns.index("steer"), columns.index("brake")),
@@ -214,22 +217,23 @@ def from_single_to_multi_action_space(
     return batch_space(single_action_space, check_whole("num_agents", num_agents, 1))
 
 
-def _kinds(control_input: object) -> tuple[LongitudinalActionEnum, SteerActionEnum]:
+def _kinds(control_input: object) -> tuple[type[LongitudinalAction], type[SteerAction]]:
+    """The classes of both numbers."""
     names = [control_input] if isinstance(control_input, str) else control_input
     is_list = isinstance(names, Sequence) and all(isinstance(name, str) for name in names)
     if not is_list or not 1 <= len(names) <= 2:  # type: ignore[arg-type]
         raise ConfigError(f"control_input is {control_input!r}, {_EXPECTED}")
     found: dict[type, Any] = {}
     for name in names:  # type: ignore[attr-defined]
-        if name not in _KINDS:
+        kind = LongitudinalActionEnum if LongitudinalActionEnum.is_valid(name) else SteerActionEnum
+        if not kind.is_valid(name):
             raise ConfigError(f"control_input has {name!r}, {_EXPECTED}")
-        kind = _KINDS[name]
-        if type(kind) in found:
+        if kind in found:
             raise ConfigError(f"control_input is {control_input!r}, two of one kind; {_EXPECTED}")
-        found[type(kind)] = kind
+        found[kind] = kind.from_string(name)
     return (
-        found.get(LongitudinalActionEnum, LongitudinalActionEnum.SPEED),
-        found.get(SteerActionEnum, SteerActionEnum.STEERING_ANGLE),
+        found.get(LongitudinalActionEnum, SpeedAction),
+        found.get(SteerActionEnum, SteeringAngleAction),
     )
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.errors import ConfigError, check_number, unknown_name
+from stkzoo.errors import ConfigError, check_arguments, check_number, unknown_name
 
 FloatArray = npt.NDArray[np.floating[Any]]
 BoolArray = npt.NDArray[np.bool_]
@@ -59,6 +60,9 @@ _STOP_SPEED = 3.5
 _ROLLING = 0.005
 
 
+#: The longest time constant of the wheels [s].
+_MAX_LAG = 10.0
+
 #: The same numbers as the kernel takes them.
 PEDALS = np.array(
     [
@@ -68,6 +72,7 @@ PEDALS = np.array(
 )
 
 
+@check_arguments
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CarParameters:
     """Limits of the actions, and the model that the controllers go by.
@@ -87,6 +92,9 @@ class CarParameters:
         wheel_base: [m]; a steering angle ``s`` drives a circle of radius
             ``wheel_base / tan(s)``.
         speed_gain: acceleration for each m/s that lacks [1/s].
+        T_steer: time constant of the wheels [s]: they turn to a ``steering_angle`` like a
+            first-order lag, and within this time cover 63 % of the way. 0 is as fast as ``sv_max``
+            allows.
     """
 
     v_min: float = -5.0
@@ -96,15 +104,32 @@ class CarParameters:
     sv_max: float = 1.9
     wheel_base: float = 1.008
     speed_gain: float = 8.0
+    T_steer: float = 0.0
 
     def __post_init__(self) -> None:
         for field in fields(self):
             low = -math.inf if field.name == "v_min" else 0.0
-            check_number(field.name, getattr(self, field.name), low)
+            high = _MAX_LAG if field.name == "T_steer" else None
+            check_number(field.name, getattr(self, field.name), low, high)
         if self.v_min >= self.v_max:
             raise ConfigError(f"v_min is {self.v_min!r}, expected less than v_max={self.v_max!r}")
         if self.s_max >= math.pi / 2:
             raise ConfigError(f"s_max is {self.s_max!r}, expected radians below pi / 2")
+
+    @classmethod
+    def of(cls, value: CarParameters | Mapping[str, float] | None) -> CarParameters:
+        """The parameters that are meant: a mapping has some of the fields, ``None`` none.
+
+        Raises:
+            ConfigError: it is something else, or a field is unknown or invalid.
+        """
+        if isinstance(value, CarParameters):
+            return value
+        if value is not None and not isinstance(value, Mapping):
+            raise ConfigError(
+                f"parameters is {value!r}, expected CarParameters or a mapping of its fields"
+            )
+        return cls(**(value or {}))
 
     @classmethod
     def of_kart(cls, kart: str) -> CarParameters:

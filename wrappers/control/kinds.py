@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from enum import Enum
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 
-from stkzoo.errors import unknown_name
+from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.wrappers.control.kart import CarParameters
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
 
 FloatArray = npt.NDArray[np.floating[Any]]
 
@@ -22,64 +22,86 @@ class _ActionEnum(Enum):
     """The base of both kinds' names."""
 
     @classmethod
-    def from_string(cls, name: str) -> Self:
-        """The member of a name.
+    def is_valid(cls, name: object) -> bool:
+        """Whether there is a member of that name."""
+        return name in [kind.value for kind in cls]
+
+    @classmethod
+    def from_string(cls, name: str) -> type[Any]:
+        """The class of a name, such as :class:`SpeedAction` for ``"speed"``.
 
         Raises:
             ConfigError: there is none.
         """
-        try:
-            return cls(name)
-        except ValueError:
-            raise unknown_name("action", name, [kind.value for kind in cls]) from None
-
-    def action(self, parameters: CarParameters) -> Any:
-        """The part of a :class:`~stkzoo.wrappers.control.CarAction` that does it."""
-        return _CLASSES[self](parameters)
+        if not cls.is_valid(name):
+            raise unknown_name("action", name, [kind.value for kind in cls])
+        return _CLASSES[name]
 
 
 class LongitudinalActionEnum(_ActionEnum):
-    """The ways to ask for speed."""
+    """The ways to ask for speed; the second spelling of each is F1TENTH gymkhana's."""
 
-    ACCL = "accl"
-    SPEED = "speed"
+    ACCL = Accl = "accl"
+    SPEED = Speed = "speed"
 
 
 class SteerActionEnum(_ActionEnum):
-    """The ways to ask for a turn."""
+    """The ways to ask for a turn; the second spelling of each is F1TENTH gymkhana's."""
 
-    STEERING_ANGLE = "steering_angle"
-    STEERING_SPEED = "steering_speed"
+    STEERING_ANGLE = Steering_Angle = "steering_angle"
+    STEERING_SPEED = Steering_Speed = "steering_speed"
 
 
 class NumberAction(ABC):
     """One number of an action.
 
     Attributes:
-        names: of the actions of this kind.
-        low: the smallest value of the number.
-        high: the largest value.
+        type: what the number means, such as ``"speed"``.
+        low: its smallest value, in physical units.
+        high: its largest value.
+        normalize: whether it is given from -1 to 1 instead, for the whole of that range.
+        parameters: the kart's limits.
+
+    Args:
+        parameters: the kart's limits, or a mapping of some of them; by default those of the
+            game's default kart.
+        normalize: whether the number is from -1 to 1.
+
+    Raises:
+        ConfigError: an argument is invalid.
     """
 
-    names: ClassVar[type[_ActionEnum]]
+    type: ClassVar[str]
 
-    def __init__(self, parameters: CarParameters) -> None:
-        self.parameters = parameters
+    def __init__(
+        self,
+        parameters: CarParameters | Mapping[str, float] | None = None,
+        normalize: bool = False,
+    ) -> None:
+        if not isinstance(normalize, bool):
+            raise ConfigError(f"normalize is {normalize!r}, expected True or False")
+        self.parameters = CarParameters.of(parameters)
+        self.normalize = normalize
         self.low, self.high = self.bounds()
 
-    @classmethod
-    def from_string(cls, name: str, parameters: CarParameters | None = None) -> Self:
-        """The action of a name.
+    @property
+    def lower_limit(self) -> float:
+        """The smallest value that is given: ``low``, or -1 if normalized."""
+        return -1.0 if self.normalize else self.low
 
-        Raises:
-            ConfigError: there is none of that name.
-        """
-        action: Self = cls.names.from_string(name).action(parameters or CarParameters())
-        return action
+    @property
+    def upper_limit(self) -> float:
+        """The largest value that is given: ``high``, or 1 if normalized."""
+        return 1.0 if self.normalize else self.high
+
+    @property
+    def space(self) -> spaces.Box:
+        """The values that are given, ``()`` float32."""
+        return spaces.Box(self.lower_limit, self.upper_limit, (), np.float32)
 
     @abstractmethod
     def bounds(self) -> tuple[float, float]:
-        """The smallest and the largest value of the number."""
+        """The smallest and the largest value in physical units."""
 
 
 class LongitudinalAction(NumberAction):
@@ -89,7 +111,6 @@ class LongitudinalAction(NumberAction):
         is_fed_back: whether what the kart does corrects what is asked for next.
     """
 
-    names = LongitudinalActionEnum
     is_fed_back: bool
 
     @abstractmethod
@@ -110,6 +131,7 @@ class LongitudinalAction(NumberAction):
 class SpeedAction(LongitudinalAction):
     """A speed to reach and hold [m/s], by a proportional controller."""
 
+    type = "speed"
     is_fed_back = True
 
     def bounds(self) -> tuple[float, float]:
@@ -132,6 +154,7 @@ class SpeedAction(LongitudinalAction):
 class AcclAction(LongitudinalAction):
     """An acceleration [m/s^2], between the lowest and the highest speed."""
 
+    type = "accl"
     is_fed_back = False
 
     def bounds(self) -> tuple[float, float]:
@@ -155,8 +178,6 @@ class SteerAction(NumberAction):
 
     Angles are positive to the right.
     """
-
-    names = SteerActionEnum
 
     @abstractmethod
     def rate(self, value: FloatArray, angle: FloatArray, step_size: float) -> FloatArray:
@@ -189,7 +210,9 @@ class SteerAction(NumberAction):
 
 
 class SteeringAngleAction(SteerAction):
-    """An angle of the wheels [rad], to which they turn as fast as they can."""
+    """An angle of the wheels [rad], reached as fast as ``sv_max`` and ``T_steer`` allow."""
+
+    type = "steering_angle"
 
     def bounds(self) -> tuple[float, float]:
         """See :meth:`NumberAction.bounds`."""
@@ -197,16 +220,24 @@ class SteeringAngleAction(SteerAction):
 
     def rate(self, value: FloatArray, angle: FloatArray, step_size: float) -> FloatArray:
         """See :meth:`SteerAction.rate`."""
-        return (value - angle) / step_size
+        return (value - angle) / step_size * self._share(step_size)
 
     def read(self, angle: FloatArray, before: FloatArray, step_size: float) -> FloatArray:
         """See :meth:`SteerAction.read`."""
-        del before, step_size
+        if self.parameters.T_steer > 0:
+            angle = before + (angle - before) / self._share(step_size)
         return np.clip(angle, self.low, self.high)
+
+    def _share(self, step_size: float) -> float:
+        """The share of the way that the wheels cover in a step."""
+        lag = self.parameters.T_steer
+        return 1.0 - math.exp(-step_size / lag) if lag > 0 else 1.0
 
 
 class SteeringSpeedAction(SteerAction):
     """How fast the wheels turn [rad/s]; with 0 they stay where they are."""
+
+    type = "steering_speed"
 
     def bounds(self) -> tuple[float, float]:
         """See :meth:`NumberAction.bounds`."""
@@ -222,9 +253,6 @@ class SteeringSpeedAction(SteerAction):
         return np.clip((angle - before) / step_size, self.low, self.high)
 
 
-_CLASSES: dict[_ActionEnum, type[NumberAction]] = {
-    LongitudinalActionEnum.ACCL: AcclAction,
-    LongitudinalActionEnum.SPEED: SpeedAction,
-    SteerActionEnum.STEERING_ANGLE: SteeringAngleAction,
-    SteerActionEnum.STEERING_SPEED: SteeringSpeedAction,
+_CLASSES: dict[str, type[NumberAction]] = {
+    kind.type: kind for kind in (AcclAction, SpeedAction, SteeringAngleAction, SteeringSpeedAction)
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -61,7 +61,7 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
         control_input: str | Sequence[str] = ("speed", "steering_angle"),
         normalize_act: bool = False,
         buttons: Sequence[str] = (),
-        parameters: CarParameters | None = None,
+        parameters: CarParameters | Mapping[str, float] | None = None,
         step_size: float = 0.1,
     ) -> None:
         self.car_action = CarAction(
