@@ -12,7 +12,7 @@ from gymnasium import spaces
 
 from stkzoo.errors import ConfigError, check_flag, check_whole
 from stkzoo.mdp.geometry import to_polar
-from stkzoo.mdp.spaces import shows_motion
+from stkzoo.mdp.spaces import extras_of
 from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import dict_space
 
@@ -93,7 +93,7 @@ class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledW
         entries = copy.deepcopy(space.spaces)
         if not self.karts_motion:
             entries = {key: entry for key, entry in entries.items() if key not in MOTION}
-        elif not shows_motion(space):
+        elif "motion" not in extras_of(space):
             raise ConfigError(
                 "karts_motion needs an environment that tells how the other karts move. Choose a "
                 "view with the option, such as view=('simple', {'karts_motion': True}), or give "

@@ -18,9 +18,9 @@ import gymnasium as gym
 from gymnasium import spaces
 from gymnasium.envs.registration import load_env_creator
 
-from stkzoo.drivers.files import AgentPlace
+from stkzoo.drivers.files import AgentFiles, AgentPlace, declared_env
 from stkzoo.errors import ConfigError, unknown_name
-from stkzoo.views import VIEWS, View, ViewFactory, find_view, sees_ground
+from stkzoo.views import VIEWS, View, ViewFactory, extras_for, find_view
 
 #: Picks an action for an observation.
 Actor = Callable[[Any], Any]
@@ -122,7 +122,7 @@ def read_module(
     view = _view_of(getattr(module, "env_name", _DEFAULT_ENV))
     wrappers = list(getattr(module, "get_wrappers", list)() or [])
     name = str(getattr(module, "player_name", ""))
-    wrap = partial(_wrap, [view, *wrappers])
+    wrap = View("own", "An agent's own.", (view, *wrappers))
     together = None
     if create_actor is None and hasattr(module, "get_batch_actor"):
         together = partial(_act_together, functools.cache(partial(module.get_batch_actor, folder)))
@@ -136,12 +136,6 @@ def _act_together(
 ) -> Sequence[Any]:
     """The actions of actors that :func:`read_module` made."""
     return batch_actor()([actor.args[0] for actor in actors], observations)  # type: ignore[attr-defined]
-
-
-def _wrap(wrappers: list[ViewFactory], env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    for wrapper in wrappers:
-        env = wrapper(env)
-    return env
 
 
 def _view_of(env_name: object) -> ViewFactory:
@@ -167,10 +161,15 @@ def _view_of(env_name: object) -> ViewFactory:
     return View(name, f"The wrappers of {env_name}.", tuple(wrappers))
 
 
-def env_sees_ground(env_name: str) -> bool:
-    """Whether an environment's id has a view with the ground beside the road."""
-    view = VIEWS.get(_view_name(env_name))
-    return view is not None and sees_ground(view)
+def env_extras(files: AgentFiles) -> frozenset[str]:
+    """What the view that an agent's module names needs to be told; the module does not run."""
+    name, options = declared_env(files), {}
+    if isinstance(name, (tuple, list)) and len(name) == 2:
+        name, options = name
+    try:
+        return extras_for(find_view((_view_name(str(name)), options)))
+    except ConfigError:
+        return frozenset()  # reported when the agent is loaded
 
 
 def _view_name(env_name: str) -> str:

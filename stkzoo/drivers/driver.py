@@ -18,17 +18,17 @@ from stkzoo.drivers.code import (
     Actor,
     ActorMaker,
     AgentCode,
-    env_sees_ground,
+    env_extras,
     load_agent,
     read_module,
 )
-from stkzoo.drivers.files import AgentFiles, declared_env, find_files
+from stkzoo.drivers.files import AgentFiles, find_files
 from stkzoo.drivers.inline import InlineInstance
 from stkzoo.drivers.instances import DriverStart
 from stkzoo.drivers.isolated import IsolatedInstance
 from stkzoo.drivers.policy import PolicyActor, act_together, plain_policy
 from stkzoo.errors import ConfigError, unknown_name
-from stkzoo.views import find_view, sees_ground
+from stkzoo.views import extras_for, find_view
 
 _AGENTS = "stkzoo.agents"
 #: Packages there that are not drivers.
@@ -54,7 +54,7 @@ class Driver:
         source: where it comes from, as the user wrote it.
         difficulty: the race's difficulty, if the driver asks for one: the game's AI has one level
             per race.
-        sees_ground: whether its observations include the ground beside the road.
+        extras: what it is told beside the ``full`` view (:data:`stkzoo.mdp.spaces.EXTRAS`).
         load: loads its code into this program; ``None`` for the game's AI and for drivers that run
             elsewhere.
     """
@@ -63,7 +63,7 @@ class Driver:
     start: DriverStart | None
     source: str = ""
     difficulty: int | None = None
-    sees_ground: bool = False
+    extras: frozenset[str] = frozenset()
     load: CodeLoader | None = None
 
     @property
@@ -85,7 +85,7 @@ class Driver:
             ConfigError: there is no such view.
         """
         load = partial(_code_of_actor, make_actor, view)
-        return cls._here(name, load, name, sees_ground(find_view(view)))
+        return cls._here(name, load, name, extras_for(find_view(view)))
 
     @classmethod
     def of_policy(cls, policy: object, view: object = None, name: str = "") -> Driver:
@@ -106,13 +106,14 @@ class Driver:
         policy = plain_policy(policy)
         name = name or getattr(policy, "__name__", type(policy).__name__)
         load = partial(_code_of_policy, policy, view)
-        return cls._here(name, load, name, view is not None and sees_ground(find_view(view)))
+        extras = frozenset[str]() if view is None else extras_for(find_view(view))
+        return cls._here(name, load, name, extras)
 
     @classmethod
-    def _here(cls, name: str, load: CodeLoader, source: str, sees_ground: bool) -> Driver:
+    def _here(cls, name: str, load: CodeLoader, source: str, extras: frozenset[str]) -> Driver:
         """A driver whose code runs in this program."""
         start = partial(InlineInstance, load=load)
-        return cls(name, start, source, sees_ground=sees_ground, load=load)
+        return cls(name, start, source, extras=extras, load=load)
 
 
 def driver_names() -> list[str]:
@@ -166,18 +167,17 @@ def _find(source: str, inline: bool, adapter: str | None) -> Driver:
         return Driver.of_actor(source, _random_actor)
     if source in driver_names():
         module = f"{_AGENTS}.{source.replace(':', '.')}"
-        env_name = declared_env(AgentFiles(module, None))
         load = partial(_load_shipped, module)
-        return Driver._here(source, load, source, env_sees_ground(env_name))
+        return Driver._here(source, load, source, env_extras(AgentFiles(module, None)))
     if source.startswith(f"{_PRETRAINED}:"):
         raise unknown_name("driver", source, driver_names())
     files = find_files(source)
     if files is None:
         raise _unknown(source)
-    ground = env_sees_ground(declared_env(files))
+    extras = env_extras(files)
     if inline:
-        return Driver._here("", partial(_load_files, files, adapter), source, ground)
-    return Driver("", partial(IsolatedInstance, files=files, adapter=adapter), sees_ground=ground)
+        return Driver._here("", partial(_load_files, files, adapter), source, extras)
+    return Driver("", partial(IsolatedInstance, files=files, adapter=adapter), extras=extras)
 
 
 def _unknown(source: str) -> ConfigError:

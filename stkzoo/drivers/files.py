@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import re
 import shutil
 import stat
 import zipfile
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib.machinery import ModuleSpec
 from pathlib import Path, PurePosixPath
@@ -19,10 +20,9 @@ from stkzoo.errors import ConfigError
 #: Name of an agent's module.
 ACTOR_MODULE = "pystk_actor"
 _PACKAGE = "stk_actor"
-#: How a module names its environment as a literal.
-_ENV_NAME = re.compile(
-    r"""^env_name\s*(?::[^=\n]+)?=\s*[(\[]?\s*["']([^"'\n]+)["']""", re.MULTILINE
-)
+#: How a module names its environment; what follows is a literal of a few lines.
+_ENV_NAME = re.compile(r"^env_name\s*(?::[^=\n]+)?=", re.MULTILINE)
+_MAX_LINES, _MAX_LITERAL = 20, 2000
 #: Only the first characters of a module are searched.
 _MAX_CHARACTERS = 1 << 20
 
@@ -83,20 +83,30 @@ class AgentFiles:
         return _place_in(_only_folder(home), self.source)
 
 
-def declared_env(files: AgentFiles) -> str:
-    """The environment's id that an agent's module names; empty if it names none as a literal.
+def declared_env(files: AgentFiles) -> object:
+    """What an agent's module says as ``env_name``; empty if it says nothing as a literal.
 
-    The module does not run: a line of it must begin with ``env_name = "..."`` or
-    ``env_name = ("...",``.
+    The module does not run: a line of it must begin with ``env_name = `` and text, or a pair of
+    text and options.
     """
     try:
         with ExitStack() as resources:
             module = _module_file(files.place(resources))
             stream = resources.enter_context(module.open(errors="replace"))
-            found = _ENV_NAME.search(stream.read(_MAX_CHARACTERS))
+            text = stream.read(_MAX_CHARACTERS)
     except (ConfigError, OSError):
         return ""  # reported when the agent is loaded
-    return found[1] if found else ""
+    found = _ENV_NAME.search(text)
+    return _literal(text[found.end() :][:_MAX_LITERAL]) if found else ""
+
+
+def _literal(text: str) -> object:
+    """The literal that a text begins with; empty if there is none."""
+    lines = text.splitlines()[:_MAX_LINES]
+    for count in range(1, len(lines) + 1):
+        with suppress(ValueError, SyntaxError, MemoryError, RecursionError, TypeError):
+            return ast.literal_eval("\n".join(lines[:count]).strip())
+    return ""
 
 
 def _module_file(place: AgentPlace) -> Path:

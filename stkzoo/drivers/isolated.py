@@ -25,7 +25,7 @@ from stkzoo.drivers.instances import Decision, DriverRequest, without_unused_pat
 from stkzoo.drivers.process import Channel
 from stkzoo.engine.process import ONE_THREAD, describe_end
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError
-from stkzoo.mdp.spaces import shows_ground
+from stkzoo.mdp.spaces import extras_of
 
 _CODE = """\
 import json, sys
@@ -79,7 +79,7 @@ class IsolatedInstance:
             "place": dataclasses.asdict(place),
             "adapter": adapter,
             "seed": request.seed,
-            "sees_ground": shows_ground(request.observation_space),
+            "extras": sorted(extras_of(request.observation_space)),
         }
         try:
             self._send(order, "start", self._limits.start_timeout)

@@ -121,7 +121,7 @@ def _start(channel: Channel, order: dict[str, Any]) -> InlineInstance | None:
         code.scope.__enter__()  # for good: no other agent's modules are here
         return code
 
-    spaces = kart_observation_space(sees_ground=order["sees_ground"]), kart_action_space()
+    spaces = kart_observation_space(extras=order["extras"]), kart_action_space()
     no_limits = DriverLimits(action_timeout=None, start_timeout=math.inf)  # the race has them
     seed: int = order["seed"]
     instance = InlineInstance(DriverRequest(order["agent"], *spaces, seed, no_limits), load)

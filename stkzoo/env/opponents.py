@@ -32,7 +32,7 @@ from stkzoo.env.episode import Episode
 from stkzoo.errors import ActionError, AgentError, AgentException, ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.names import CameraMode
-from stkzoo.views import VIEWS, AgentChains, ViewFactory, base_space
+from stkzoo.views import AgentChains, ViewFactory, base_space, full_with
 from stkzoo.views.chains import ChainsMemory
 
 logger = logging.getLogger(__name__)
@@ -271,7 +271,7 @@ class RaceOpponents:
         requests = [
             DriverRequest(
                 agent,
-                kart_observation_space(sees_ground=driver.sees_ground),
+                kart_observation_space(extras=driver.extras),
                 kart_action_space(),
                 seed + number,
             )
@@ -279,8 +279,8 @@ class RaceOpponents:
         ]
         for request, driver in zip(requests, drivers, strict=True):
             if not driver.is_game_ai:
-                view = VIEWS["ground" if driver.sees_ground else "full"]
-                opponent = self._opponents[request.agent] = Opponent(request.agent, driver, view)
+                opponent = Opponent(request.agent, driver, full_with(driver.extras))
+                self._opponents[request.agent] = opponent
                 self.attempt(opponent, partial(self._start, opponent, request))
         self._chains = self._chains_here()
         for request in requests:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import string
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -40,17 +40,19 @@ def kart_action_space() -> spaces.Dict:
     )
 
 
-def kart_observation_space(
-    use_ai: bool = False, sees_ground: bool = False, sees_motion: bool = False
-) -> spaces.Dict:
+#: What an observation can tell beside the ``full`` view, and an entry that it then has.
+EXTRAS = {"ground": "ground_kind", "motion": "karts_velocity"}
+
+
+def kart_observation_space(use_ai: bool = False, extras: Collection[str] = ()) -> spaces.Dict:
     """A fresh observation space of one kart in the ``full`` view.
 
     Args:
         use_ai: add ``action``, the game AI's own choice, in the space of
             :func:`kart_action_space`.
-        sees_ground: add ``ground_kind`` and ``ground_speed``, what is beside the road ahead at
-            :data:`GROUND_MARKS` and :data:`GROUND_LANES`.
-        sees_motion: add ``karts_velocity`` and ``karts_heading``, how the other karts move.
+        extras: some of :data:`EXTRAS`. ``"ground"`` adds ``ground_kind`` and ``ground_speed``, what
+            is beside the road ahead at :data:`GROUND_MARKS` and :data:`GROUND_LANES`;
+            ``"motion"`` adds ``karts_velocity`` and ``karts_heading``, how the other karts move.
     """
     inf = float("inf")
 
@@ -85,11 +87,11 @@ def kart_observation_space(
             "paths_end": spaces.Sequence(box(3)),
         }
     )
-    if sees_ground:
+    if "ground" in extras:
         cells = len(GROUND_MARKS), len(GROUND_LANES)
         space["ground_kind"] = spaces.Box(0, max(GroundKind), cells, np.uint8)
         space["ground_speed"] = spaces.Box(0.0, 1.0, cells, np.float32)
-    if sees_motion:
+    if "motion" in extras:
         space["karts_velocity"] = spaces.Sequence(box(3))
         heading = spaces.Box(-np.pi, np.pi, shape=(1,), dtype=np.float32)
         space["karts_heading"] = spaces.Sequence(heading)
@@ -98,14 +100,10 @@ def kart_observation_space(
     return space
 
 
-def shows_ground(space: spaces.Space[Any]) -> bool:
-    """Whether a space is of observations that tell of the ground beside the road."""
-    return isinstance(space, spaces.Dict) and "ground_kind" in space.spaces
-
-
-def shows_motion(space: spaces.Space[Any]) -> bool:
-    """Whether a space is of observations that tell how the other karts move."""
-    return isinstance(space, spaces.Dict) and "karts_velocity" in space.spaces
+def extras_of(space: spaces.Space[Any]) -> frozenset[str]:
+    """Which of :data:`EXTRAS` the observations of a space tell."""
+    entries = space.spaces if isinstance(space, spaces.Dict) else {}
+    return frozenset(extra for extra, entry in EXTRAS.items() if entry in entries)
 
 
 def columns_of(

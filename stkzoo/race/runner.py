@@ -22,6 +22,7 @@ from stkzoo.race.racing_driver import RacingDriver
 from stkzoo.race.rescues import RescueCounter
 from stkzoo.race.result import ActionTime, AgentResult, RaceResult
 from stkzoo.race.settings import RaceSettings
+from stkzoo.views import full_with
 
 #: Without ``max_steps``, a race ends after the time that this average speed needs ...
 _SLOWEST = 4.0  # [m/s]
@@ -165,7 +166,7 @@ def _env(
         reverse=settings.reverse,
         max_paths=settings.max_paths,
         max_cycles=None,
-        view={f"kart_{n}": "ground" for n, driver in enumerate(drivers) if driver.sees_ground},
+        view={f"kart_{n}": full_with(driver.extras) for n, driver in enumerate(drivers)},
         **options,
     )
 

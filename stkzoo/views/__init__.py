@@ -16,9 +16,10 @@ from stkzoo.views.registry import (
     View,
     ViewFactory,
     base_space,
+    extras_for,
     find_view,
+    full_with,
     options_of,
-    sees_ground,
     views,
     views_of_agents,
 )
@@ -34,9 +35,10 @@ __all__ = [
     "ViewFactory",
     "ViewPlan",
     "base_space",
+    "extras_for",
     "find_view",
+    "full_with",
     "options_of",
-    "sees_ground",
     "views",
     "views_of_agents",
 ]

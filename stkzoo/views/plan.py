@@ -16,7 +16,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo.kernel import ActionReader, CarController, KartObserver
-from stkzoo.mdp.spaces import shows_ground
+from stkzoo.mdp.spaces import extras_of
 
 if TYPE_CHECKING:
     from stkzoo.wrappers.control import ControlWrapper
@@ -103,7 +103,7 @@ class ViewPlan:
         }
         self.car: ControlWrapper | None = None
         self.has_action = "action" in observation_space.spaces
-        self.sees_ground = shows_ground(observation_space)
+        self.sees_ground = "ground" in extras_of(observation_space)
 
     @property
     def is_full(self) -> bool:

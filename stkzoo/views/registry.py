@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, TypeAlias
@@ -13,7 +13,7 @@ from gymnasium import spaces
 
 from stkzoo.agent_names import by_agent
 from stkzoo.errors import ConfigError, unknown_name
-from stkzoo.mdp.spaces import kart_observation_space, shows_ground, shows_motion
+from stkzoo.mdp.spaces import EXTRAS, extras_of, kart_observation_space
 
 #: Wraps the environment of one kart. :class:`View` values, wrapper classes and functions do.
 ViewFactory: TypeAlias = Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]]
@@ -23,6 +23,8 @@ VIEWS: dict[str, ViewFactory] = {}
 
 #: Views that need an environment which can draw: those of this package, but no agent's alone.
 CAMERA_VIEWS: dict[str, ViewFactory] = {}
+
+_TELLS = {"ground": "shows the ground", "motion": "tells how the other karts move"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,34 +53,35 @@ class View:
         Raises:
             ConfigError: it does not offer what the view needs, or an option's value is invalid.
         """
-        if self.sees_ground and not shows_ground(env.observation_space):
+        for extra in sorted(self._own_extras() - extras_of(env.observation_space)):
+            env_id = f"supertuxkart/{self.name}-v0"
             raise ConfigError(
-                f"the {self.name} view goes around an environment that shows the ground. Choose "
-                f"view={self.name!r}, and write in an agent's module env_name = "
-                f"'supertuxkart/{self.name}-v0' as it stands here. Found "
+                f"the {self.name} view goes around an environment that {_TELLS[extra]}. Choose "
+                f"view={self._with_its_options(self.name)!r}, and write in an agent's module "
+                f"env_name = {self._with_its_options(env_id)!r} as it stands here. Found "
                 f"{env.observation_space!r:.200}"
             )
-        if self.sees_motion and not shows_motion(env.observation_space):
-            raise ConfigError(
-                f"the {self.name} view goes around an environment that tells how the other karts "
-                "move. Choose it by view= when the environment is made; agents from files and the "
-                f"adapter go around full. Found {env.observation_space!r:.200}"
-            )
-        wrappers: Sequence[Callable[..., gym.Env[Any, Any]]] = self.wrappers
-        for wrapper in wrappers:
+        for wrapper in self.wrappers:
             names = self.options.keys() & options_of(wrapper)
-            env = wrapper(env, **{name: self.options[name] for name in names})
+            own = {name: self.options[name] for name in names}
+            if isinstance(wrapper, View):
+                env = _with_options(wrapper, own)(env)
+            else:
+                make: Callable[..., gym.Env[Any, Any]] = wrapper
+                env = make(env, **own)
         return env
 
     @property
-    def sees_ground(self) -> bool:
-        """Whether the view is around observations that tell of the ground."""
-        return "ground" in self.needs
+    def extras(self) -> frozenset[str]:
+        """What the observations that the view is around tell beside ``full``."""
+        return self._own_extras().union(*map(extras_for, self.wrappers))
 
-    @property
-    def sees_motion(self) -> bool:
-        """Whether the view is around observations that tell how the other karts move."""
-        return "motion" in self.needs or bool(self.options.get("karts_motion"))
+    def _own_extras(self) -> frozenset[str]:
+        motion = ["motion"] if self.options.get("karts_motion") else []
+        return self.needs.intersection(EXTRAS).union(motion)
+
+    def _with_its_options(self, name: str) -> object:
+        return (name, dict(self.options)) if self.options else name
 
 
 def views() -> dict[str, ViewFactory]:
@@ -105,23 +108,29 @@ def options_of(view: ViewFactory) -> tuple[str, ...]:
     return tuple(parameter.name for parameter in own if parameter.kind in named)
 
 
-def sees_ground(view: ViewFactory) -> bool:
-    """Whether a view is around observations that tell of the ground.
+def extras_for(view: ViewFactory) -> frozenset[str]:
+    """What a view needs to be told beside ``full``: some of :data:`stkzoo.mdp.spaces.EXTRAS`.
 
-    It says so by an attribute ``sees_ground`` that is true.
+    A function says so by an attribute ``sees_ground`` or ``sees_motion`` that is true.
     """
-    return bool(getattr(view, "sees_ground", False))
+    if isinstance(view, View):
+        return view.extras
+    return frozenset(extra for extra in EXTRAS if getattr(view, f"sees_{extra}", False))
 
 
 def base_space(view: ViewFactory, use_ai: bool = False) -> spaces.Dict:
     """A fresh space of the observations that a view goes around: ``full``, and what it needs.
 
     Args:
-        view: the view. It says what it needs by attributes ``sees_ground`` and ``sees_motion``.
+        view: the view.
         use_ai: whether the game's AI drives, and its ``action`` is observed.
     """
-    sees_motion = bool(getattr(view, "sees_motion", False))
-    return kart_observation_space(use_ai, sees_ground(view), sees_motion)
+    return kart_observation_space(use_ai, extras_for(view))
+
+
+def full_with(extras: Collection[str]) -> View:
+    """The ``full`` view and what it tells beside: some of :data:`stkzoo.mdp.spaces.EXTRAS`."""
+    return View("full", "``full``, and more.", needs=frozenset(extras))
 
 
 def find_view(choice: object) -> ViewFactory:
@@ -170,9 +179,7 @@ def _with_options(view: ViewFactory, options: object) -> ViewFactory:
     """The view with other values of some options."""
     if not isinstance(view, View):
         name = getattr(view, "__name__", type(view).__name__)
-        offers = "ground", "motion"
-        needs = frozenset(name for name in offers if getattr(view, f"sees_{name}", False))
-        view = View(name, "A function with options.", (view,), needs)
+        view = View(name, "A function with options.", (view,))
     if not isinstance(options, Mapping):
         raise ConfigError(
             f"the options of the {view.name} view are {options!r:.200}, expected a mapping such as "

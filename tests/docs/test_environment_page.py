@@ -34,7 +34,7 @@ def keys(text):
 
 def test_all_observations_are_told_with_their_shapes():
     text = section("Observation space")
-    space = kart_observation_space(use_ai=True, sees_ground=True)
+    space = kart_observation_space(use_ai=True, extras=["ground"])
     table = {row[0].strip("`"): row for row in rows(text.split("(flattened-order)")[0])}
     assert set(space.spaces) <= set(table)
     for key, part in space.spaces.items():

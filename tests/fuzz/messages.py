@@ -23,7 +23,7 @@ def open_fields() -> dict[str, object]:
         "seat": 0,
         "driver": 0,
         "agent": "kart_0",
-        "sees_ground": False,
+        "extras": [],
         "seed": 1,
         "action_timeout": 1.0,
         "start_timeout": 5.0,

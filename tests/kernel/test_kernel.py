@@ -34,16 +34,11 @@ from stkzoo.kernel import (
 )
 from stkzoo.kernel.reference import action_reader, car_controller, game_stepper, rows, track_graph
 from stkzoo.kernel.reference.kart_observer import KartObserver as KartObserverTwin
-from stkzoo.mdp.spaces import (
-    kart_action_space,
-    kart_observation_space,
-    shows_ground,
-    shows_motion,
-)
+from stkzoo.mdp.spaces import extras_of, kart_action_space, kart_observation_space
 from stkzoo.names import AttachmentType, ItemType, PowerupType
 from stkzoo.tracks import SPLITS
 from stkzoo.views import VIEWS as ALL_VIEWS
-from stkzoo.views import AgentChain, View, base_space, find_view
+from stkzoo.views import AgentChain, base_space, find_view, full_with
 from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarObservations
 from stkzoo.wrappers.control import CarAction
 from stkzoo.wrappers.racing import SIZE, BatchedRacingView, RoadTable, racing_features
@@ -78,7 +73,7 @@ def flat_actions_only(env):
 VIEWS = list(ALL_VIEWS)
 
 MOVING = [
-    View("moving", "``full``, and how the other karts move.", needs=frozenset({"motion"})),
+    full_with(["motion"]),
     ("flattened", {"karts_motion": True, "state_karts": 2}),
 ]
 
@@ -256,8 +251,7 @@ def test_a_compiled_view_shows_what_its_wrappers_make(view):
     """The same race, seen by the kernel and by the wrappers one by one."""
     settings = {"num_kart": 3, "track": "lighthouse", "max_cycles": 40}
     seen = base_space(find_view(view))
-    offers = {"ground": shows_ground(seen), "motion": shows_motion(seen)}
-    base = View("base", "", needs=frozenset(name for name in offers if offers[name]))
+    base = full_with(extras_of(seen))
     with race_v0.parallel_env(view={0: view, 1: base, 2: base}, **settings) as env:
         chain = AgentChain("kart_0", seen, kart_action_space(), find_view(view))
         observations, _ = env.reset(seed=3)
@@ -457,7 +451,7 @@ def test_an_action_is_read_as_its_wrappers_turn_it(view):
 
 
 def bare_spaces(view):
-    return kart_observation_space(sees_ground=view == "ground"), kart_action_space()
+    return kart_observation_space(extras=[view] if view == "ground" else []), kart_action_space()
 
 
 def track_of(successors, length=20.0, count=None):

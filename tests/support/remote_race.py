@@ -104,7 +104,7 @@ class LyingServer:
                 continue
             identity, kind, *body = self._socket.recv_multipart()
             if kind == b"H":
-                fields = {"protocol": VERSION, "stkzoo": "0", "agents": [["liar", "lies", False]]}
+                fields = {"protocol": VERSION, "stkzoo": "0", "agents": [["liar", "lies", []]]}
                 frames = [b"W", pack(**fields, action_timeout=2.0)]
             elif kind in (b"C", b"B"):
                 continue

@@ -15,9 +15,9 @@ import stkzoo
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import kart_action_space
-from stkzoo.views import SHIPPED, VIEWS, base_space, find_view, options_of, sees_ground
+from stkzoo.views import SHIPPED, VIEWS, View, base_space, extras_for, find_view, options_of
 from stkzoo.views.agent_chain import AgentChain
-from stkzoo.wrappers import ConstantSizedObservations
+from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper
 from stkzoo.wrappers.control import CarParameters
 from stkzoo.wrappers.marl import PartialObservations
 from tests.support.paths import ROOT
@@ -133,8 +133,16 @@ def test_a_function_that_sees_the_ground_does_so_with_options_too():
         return ConstantSizedObservations(env, state_items=size)
 
     own.sees_ground = True
-    assert sees_ground(find_view((own, {"size": 2})))
+    assert extras_for(find_view((own, {"size": 2}))) == {"ground"}
     assert "ground_kind" in chain_of((own, {"size": 2})).observation_space.spaces
+
+
+def test_a_view_may_be_made_of_a_view():
+    inner = find_view(("simple", {"karts_motion": True}))
+    outer = View("outer", "A view around another.", (inner, FlattenerWrapper))
+    assert extras_for(outer) == {"motion"}
+    chain = chain_of((outer, {"state_karts": 1, "flatten_observations": False}))
+    assert chain.observation_space["karts_velocity"].shape == (1, 3)
 
 
 def test_a_function_of_c_has_no_options():

@@ -204,7 +204,7 @@ def test_agents_are_shown_it_by_their_env_name(mole, inline):
         error_handling="raise",
     )
     assert [row.num_errors for row in result.agents] == [0] * 5
-    assert [find_driver(source).sees_ground for source in sources] == [True] * 3
+    assert [find_driver(source).extras for source in sources] == [{"ground"}] * 3
 
 
 def test_agents_on_servers_are_shown_it_too(mole):
@@ -212,7 +212,7 @@ def test_agents_on_servers_are_shown_it_too(mole):
         server_thread([find_driver(str(mole))]) as server,
         RemoteDriverGroup([server.address]) as group,
     ):
-        assert [driver.sees_ground for driver in group.drivers] == [True]
+        assert [driver.extras for driver in group.drivers] == [{"ground"}]
         result = run_race(
             [*group.drivers, "ai"], track="lighthouse", seed=1, max_steps=10, error_handling="raise"
         )
@@ -224,8 +224,10 @@ def test_agents_on_servers_are_shown_it_too(mole):
     [
         ('env_name = "supertuxkart/ground-v0"', "supertuxkart/ground-v0"),
         ("env_name: str = 'supertuxkart/simple-v0'  # mine", "supertuxkart/simple-v0"),
-        ("env_name = ('ground', {'size': 3})", "ground"),
-        ("env_name: tuple[str, dict] = ['ground', {}]", "ground"),
+        ("env_name = (\n    'ground',  # that\n    {'size': 3},\n)\n", ("ground", {"size": 3})),
+        ("env_name: tuple[str, dict] = ['ground', {}]", ["ground", {}]),
+        ("env_name = 'ground' if ME else 'full'", ""),
+        ("env_name = " + "(" * 3000, ""),
         ("from elsewhere import env_name", ""),
         ('    env_name = "supertuxkart/ground-v0"', ""),
     ],
@@ -247,7 +249,7 @@ def test_shipped_drivers_say_it_wherever_the_program_is_started(tmp_path, monkey
 def test_a_package_may_have_a_folder_with_dots(mole):
     (mole / "__init__.py").touch()
     folder = mole.rename(mole.parent / "mole-1.0")
-    assert find_driver(str(folder)).sees_ground
+    assert find_driver(str(folder)).extras == {"ground"}
 
 
 def test_who_does_not_say_so_plainly_is_told(mole):

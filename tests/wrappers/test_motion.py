@@ -9,11 +9,14 @@ from stkzoo import AgentSpec, ConfigError, MonoAgentWrapperAdapter, race_v0
 from stkzoo.drivers import Driver
 from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame, to_polar
 from stkzoo.mdp.spaces import kart_observation_space
-from stkzoo.views import View
+from stkzoo.race import find_driver, run_race
+from stkzoo.race.remote import RemoteDriverGroup
+from stkzoo.views import full_with
 from stkzoo.wrappers import ConstantSizedObservations, PolarObservations
 from stkzoo.wrappers.marl import PartialObservations
+from tests.support.remote_race import server_thread
 
-MOVING = View("moving", "How the other karts move, in lists.", needs=frozenset({"motion"}))
+MOVING = full_with(["motion"])
 WITH_MOTION = ("simple", {"karts_motion": True, "state_karts": 4})
 STAY = {"acceleration": 0.0, "steer": 0.0} | dict.fromkeys(
     ("brake", "drift", "fire", "nitro", "rescue"), 0
@@ -163,6 +166,52 @@ def test_opponents_see_it_like_agents():
         env.reset(seed=1)
         env.step({"kart_0": STAY})
     assert seen == [(4, 3)]
+
+
+MODULE = """
+env_name = (
+    "supertuxkart/simple-v0",
+    {"karts_motion": True, "state_karts": 2},
+)
+
+
+def get_actor(module_dir, observation_space, action_space):
+    def act(state, observation):
+        assert observation["karts_velocity"].shape == (2, 3)
+        return action_space.sample()
+
+    return act
+"""
+
+
+@pytest.fixture
+def agent(tmp_path):
+    (tmp_path / "pystk_actor.py").write_text(MODULE)
+    return str(tmp_path)
+
+
+@pytest.mark.parametrize("inline", [True, False])
+def test_agents_from_files_are_told_of_it(agent, inline):
+    result = run_race([agent, "ai"], track="lighthouse", seed=1, max_steps=5, inline=inline)
+    assert result.agents[0].errors == ()
+
+
+def test_opponents_from_files_are_told_of_it(agent, caplog):
+    driver = find_driver(agent, inline=True)
+    options = {"num_kart": 2, "agents": 1, "track": "lighthouse"}
+    with race_v0.parallel_env(**options, opponents=[driver]) as env:
+        env.reset(seed=1)
+        env.step({"kart_0": STAY})
+    assert not caplog.records
+
+
+def test_agents_on_servers_are_told_of_it(agent):
+    with (
+        server_thread([find_driver(agent)]) as server,
+        RemoteDriverGroup([server.address]) as group,
+    ):
+        result = run_race([*group.drivers, "ai"], track="lighthouse", seed=1, max_steps=5)
+    assert result.agents[0].errors == ()
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 
 from stkzoo.errors import ConfigError, check_number, unknown_name
-from stkzoo.mdp.spaces import shows_motion
+from stkzoo.mdp.spaces import extras_of
 from stkzoo.views.bases import RecordedWrapper
 from stkzoo.wrappers.arguments import dict_space
 from stkzoo.wrappers.observations import MOTION
@@ -50,7 +50,7 @@ class PartialObservations(gym.ObservationWrapper[Any, Any, Any], RecordedWrapper
         for name in of:
             if name not in _SEEN:
                 raise unknown_name("thing to see", name, _SEEN)
-        motion = MOTION if shows_motion(space) else ()
+        motion = MOTION if "motion" in extras_of(space) else ()
         self._groups = [(*_SEEN[name], *(motion if name == "karts" else ())) for name in of]
         for key in (key for group in self._groups for key in group):
             if not isinstance(space.spaces.get(key), gym.spaces.Sequence):

@@ -21,7 +21,7 @@ from stkzoo.mdp.spaces import columns_of, kart_action_space, kart_observation_sp
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.replay import action_of, controls_of
 from stkzoo.race.result import RaceResult
-from stkzoo.views import VIEWS, sees_ground
+from stkzoo.views import VIEWS, extras_for
 from stkzoo.views.agent_chain import AgentChain
 
 #: Time from one observation to the next [s].
@@ -47,7 +47,7 @@ class DemoView:
     def __init__(self, name: str) -> None:
         if name not in VIEWS:
             raise unknown_name("view", name, VIEWS)
-        if sees_ground(VIEWS[name]):
+        if extras_for(VIEWS[name]):
             raise ConfigError(
                 f"view {name!r} shows the ground, which recordings do not have; record in racing, "
                 "simple, or a flattened view"

@@ -11,14 +11,14 @@ from stkzoo.engine.snapshot import Snapshot
 from stkzoo.kernel.reference.track_graph import TrackGraph
 from stkzoo.mdp.geometry import to_polar
 from stkzoo.mdp.observations import ai_actions, karts_motion, observe_karts
-from stkzoo.mdp.spaces import kart_observation_space
+from stkzoo.mdp.spaces import EXTRAS, kart_observation_space
 
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
 Batch = dict[str, Any]
 
 _KNOWN = {
-    *kart_observation_space(use_ai=True, sees_motion=True),
+    *kart_observation_space(use_ai=True, extras=EXTRAS),
     *("items_mask", "karts_mask", "paths_mask"),
 }
 _POLAR = ("center_path", "items_position", "karts_position", "paths_start", "paths_end")

@@ -248,11 +248,12 @@ class Connection:
     def _handle_welcome(self, fields: dict[str, Any]) -> None:
         protocol.check_version(fields)
         for agent in protocol.field(fields, "agents", list):
-            if type(agent) is not list or [*map(type, agent)] != [str, str, bool]:
+            if type(agent) is not list or [*map(type, agent)] != [str, str, list]:
                 raise ProtocolError(
-                    f"an agent {agent!r:.100}, expected its name, its source and whether it sees "
-                    "the ground"
+                    f"an agent {agent!r:.100}, expected its name, its source and a list of what it "
+                    "is told beside the full view"
                 )
+            protocol.check_extras(agent[2])
         if not fields["agents"]:
             raise ProtocolError("no agents")
         self.welcome = fields

@@ -13,7 +13,7 @@ from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.failures import printable
 from stkzoo.drivers.instances import Decision, DriverRequest, without_unused_paths
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError, RemoteError
-from stkzoo.mdp.spaces import shows_ground
+from stkzoo.mdp.spaces import extras_of
 from stkzoo.race.remote.connection import Connection, Failure, Server
 from stkzoo.race.remote.keys import KeyPair, new_keys
 from stkzoo.race.remote.sockets import full_address, zmq_module
@@ -125,12 +125,12 @@ class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
             connection = self.connection(server)
             welcome = connection.wait_welcome(deadline)
             for number, agent in enumerate(welcome["agents"]):
-                name, source, sees_ground = agent
+                name, source, extras = agent
                 start = partial(
                     RemoteInstance, group=self, server=server, number=number, agent=agent
                 )
                 where = f"{server.address} {printable(source, 100)}".strip()
-                drivers.append(Driver(printable(name, 100), start, where, sees_ground=sees_ground))
+                drivers.append(Driver(printable(name, 100), start, where, extras=frozenset(extras)))
             connection.close()
         return drivers
 
@@ -144,7 +144,7 @@ class RemoteInstance:
         server: the agent's server.
         number: index of the agent on the server.
         agent: the server's description of the agent before the race: its name (may be empty), its
-            source, and whether it sees the ground.
+            source, and what it is told beside the ``full`` view.
 
     Raises:
         AgentError: the server cannot be reached.
@@ -169,7 +169,7 @@ class RemoteInstance:
             self._seat = self._connection.open(
                 driver=number,
                 agent=request.agent,
-                sees_ground=shows_ground(request.observation_space),
+                extras=sorted(extras_of(request.observation_space)),
                 seed=request.seed,
                 action_timeout=request.limits.action_timeout,
                 start_timeout=request.limits.start_timeout,

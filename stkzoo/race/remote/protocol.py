@@ -10,9 +10,10 @@ from typing import Any, TypeVar
 
 from stkzoo.drivers.codec import Limits, decode, encode
 from stkzoo.errors import ProtocolError
+from stkzoo.mdp.spaces import EXTRAS
 
 #: Both ends must have the same.
-VERSION = 2
+VERSION = 3
 
 # From client to server.
 HELLO, OPEN, ACT, CLOSE, BYE = b"H", b"O", b"A", b"C", b"B"
@@ -59,6 +60,17 @@ def field(fields: dict[str, Any], name: str, kind: type[Field]) -> Field:
     if type(value) is not kind:
         raise ProtocolError(f"{name} is {value!r:.100}, expected {kind.__name__}")
     return value
+
+
+def check_extras(extras: list[Any]) -> list[str]:
+    """Checks what an agent is told beside the ``full`` view.
+
+    Raises:
+        ProtocolError: it is more than this end knows.
+    """
+    if not all(isinstance(extra, str) and extra in EXTRAS for extra in extras):
+        raise ProtocolError(f"extras is {extras!r:.100}, expected some of {', '.join(EXTRAS)}")
+    return extras
 
 
 def check_version(fields: dict[str, Any]) -> None:

@@ -171,7 +171,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         except ProtocolError as error:
             self._refuse(identity, str(error))
             return
-        agents = [[own.name, own.source, own.sees_ground] for own in self._drivers]
+        agents = [[own.name, own.source, sorted(own.extras)] for own in self._drivers]
         limit = self._limits.action_timeout
         facts = {"protocol": protocol.VERSION, "stkzoo": version("stkzoo")}
         body = protocol.pack(**facts, agents=agents, action_timeout=limit)

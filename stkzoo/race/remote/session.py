@@ -150,10 +150,10 @@ class ClientSession(threading.Thread):
             self._send(protocol.OPENED, seat=seat, error=error_report(error))
 
     def _request(self, fields: dict[str, Any]) -> DriverRequest:
-        sees_ground = protocol.field(fields, "sees_ground", bool)
+        extras = protocol.check_extras(protocol.field(fields, "extras", list))
         return DriverRequest(
             agent=printable(protocol.field(fields, "agent", str), 100),
-            observation_space=kart_observation_space(sees_ground=sees_ground),
+            observation_space=kart_observation_space(extras=extras),
             action_space=kart_action_space(),
             seed=protocol.field(fields, "seed", int),
             limits=dataclasses.replace(

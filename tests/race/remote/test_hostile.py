@@ -53,7 +53,7 @@ def test_a_message_that_is_too_large_ends_the_connection_only():
         ([b"H"], "1 frames came"),
         ([b"H", b"a", b"b", b"c"], "3 frames came"),
         ([b"H", b"\x01"], "a int came, expected a dict"),
-        ([b"H", pack(protocol=99)], "speaks protocol 99, this one 2"),
+        ([b"H", pack(protocol=99)], f"speaks protocol 99, this one {VERSION}"),
         ([b"H", pack(protocol=np.zeros(3))], "protocol is array"),
         ([b"H", pack(protocol=VERSION, more=b"a" * 5000)], "expected at most 4096"),
         ([b"A", pack(step=1, observations=[])], "expected one of H, O first"),
@@ -63,8 +63,12 @@ def test_a_message_that_is_too_large_ends_the_connection_only():
         ([b"O", pack(protocol=VERSION, seat=True, driver=0)], "seat is True"),
         ([b"O", pack(protocol=VERSION, seat=0, driver=7)], "driver 7, expected 0 to 0"),
         ([b"O", pack(protocol=VERSION, seat=0, driver=-1)], "driver -1"),
-        ([b"O", pack(protocol=VERSION, seat=0, driver=0, sees_ground=False)], "agent is None"),
-        ([b"O", pack(protocol=VERSION, seat=0, driver=0, agent="a")], "sees_ground is None"),
+        ([b"O", pack(protocol=VERSION, seat=0, driver=0, extras=[])], "agent is None"),
+        ([b"O", pack(protocol=VERSION, seat=0, driver=0, agent="a")], "extras is None"),
+        (
+            [b"O", pack(protocol=VERSION, seat=0, driver=0, agent="a", extras=["x"])],
+            "some of ground",
+        ),
     ],
     ids=lambda value: str(value)[:30],
 )
@@ -174,8 +178,9 @@ def test_a_lying_server_costs_its_own_kart_only(name):
         pack(protocol=99),
         pack(protocol=VERSION, agents=[]),
         pack(protocol=VERSION, agents=[[1, 2]]),
+        pack(protocol=VERSION, agents=[["a", "b", ["x"]]]),
     ],
-    ids=["garbage", "another protocol", "nobody", "no names"],
+    ids=["garbage", "another protocol", "nobody", "no names", "unknown needs"],
 )
 def test_what_is_no_server_of_ours_is_told_before_the_race(welcome):
     class Odd(LyingServer):
