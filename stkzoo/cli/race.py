@@ -28,6 +28,7 @@ exit codes:
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import random
 import sys
@@ -126,9 +127,12 @@ def run_races(arguments: argparse.Namespace, remote: Sequence[Driver] = ()) -> i
     results: list[RaceResult] = []
     failure: AgentError | None = None
     code = 0
+    # What agents print stays out of the JSON.
+    place = sys.stderr if arguments.output == "-" else sys.stdout
     try:
-        for drivers, settings in _plan(arguments, remote):
-            results.append(_race(drivers, settings, arguments))
+        with contextlib.redirect_stdout(place):
+            for drivers, settings in _plan(arguments, remote):
+                results.append(_race(drivers, settings, arguments))
     except AgentError as error:
         print(f"stkzoo: {error}\n{error.trace}".rstrip(), file=sys.stderr)
         code, failure = _AGENT_FAILED, error
