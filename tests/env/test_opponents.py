@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import pickle
+from contextlib import ExitStack, closing
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium as gym
@@ -13,8 +15,11 @@ from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test
 
 from stkzoo import OpponentPool, RaceVectorEnv, race_v0
+from stkzoo.agents.pretrained.weights import save_weights
+from stkzoo.agents.training.export import export_policy
 from stkzoo.drivers import Driver, find_driver
 from stkzoo.errors import AgentException, ConfigError
+from tests.support.networks import small_network
 
 AGENTS = Path(__file__).parents[1] / "data" / "agents"
 RACE = {"agents": 1, "track": "lighthouse", "view": "flattened_continuous_actions"}
@@ -221,6 +226,29 @@ def test_the_karts_of_one_driver_in_many_races_are_driven_together():
             env.reset(seed=7 + number)
             assert (drive(env, 30) == race.snapshot.karts["location"]).all()
     envs.close()
+
+
+@pytest.mark.parametrize("name", ["heuristic", "pretrained:ace", "pretrained:scout", "network"])
+def test_a_shipped_driver_drives_its_karts_together_as_one_by_one(name, tmp_path):
+    """To the bit, on tracks with other numbers of segments and items."""
+    if name == "network":
+        save_weights(tmp_path / "policy-000000001.safetensors", small_network())
+        (tmp_path / "arguments.json").write_text('{"seed": 7, "tracks": ["lighthouse"]}')
+        policy = tmp_path / "policy-000000001.safetensors"
+        name = str(export_policy(policy, "quick", tmp_path / "quick"))
+    driver, ends = find_driver(name, inline=True), []
+    assert driver.load(ExitStack()).act_together is not None
+    alone = replace(driver, load=lambda stack: replace(driver.load(stack), act_together=None))
+    for opponent in (driver, alone):
+        options = {**RACE, "num_kart": 4, "opponents": [opponent, "ai", opponent]}
+        tracks = ["minigolf", "lighthouse"]
+        with closing(RaceVectorEnv(2, **options | {"track": tracks})) as envs:
+            envs.reset(seed=1)
+            assert [race.race.track for race in envs.races] == tracks
+            for _ in range(80):
+                envs.step(np.tile(FORWARD, (2, 1)))
+            ends.append([race.snapshot.karts.tobytes() for race in envs.races])
+    assert ends[0] == ends[1]
 
 
 def test_races_started_ahead_have_the_same_opponents():
