@@ -146,6 +146,47 @@ def test_an_opponent_that_fails_is_out_and_the_race_goes_on(caplog):
         assert len(env._opponents.ask(env._episode)) == 3
 
 
+@pytest.mark.parametrize(
+    ("wrapper", "why"),
+    [
+        ("lambda env: 1 / 0", "division by zero"),
+        ("ConstantSizedObservations, ConstantSizedObservations", "ConstantSizedObservations needs"),
+    ],
+)
+def test_an_opponent_whose_wrapper_fails_is_out(wrapper, why, tmp_path, caplog):
+    (tmp_path / "bad.py").write_text(
+        "from stkzoo import ConstantSizedObservations\n"
+        f"def get_wrappers(): return [{wrapper}]\n"
+        "def get_actor(*_): return lambda state, observation: {}\n"
+    )
+    with against([find_driver(str(tmp_path / "bad.py"), inline=True), "heuristic"]) as env:
+        with caplog.at_level(logging.WARNING, "stkzoo.env.opponents"):
+            env.reset(seed=1)
+        assert [own.agent for own, _ in env._opponents.ask(env._episode)] == ["kart_2"]
+        assert "bad of kart_1 is out" in caplog.text
+        assert why in caplog.text
+
+
+def test_policies_have_no_pictures():
+    with (
+        against([forward], view="camera") as env,
+        pytest.raises(ConfigError, match=r"'forward' cannot have the agents' view .*no camera"),
+    ):
+        env.reset(seed=1)
+    with against([Driver.of_policy(forward, view=RACE["view"])], view="camera") as env:
+        env.reset(seed=1)
+        assert len(env._opponents.ask(env._episode)) == 1
+
+
+def test_a_mapping_is_a_pool_of_drivers_by_weight():
+    with against([{"ai:1": 1, "heuristic": 3}, "random"]) as env:
+        env.reset(seed=1)
+        assert env.race.opponents[0] in ("ai:1", "heuristic")
+    with against({"random": 1}) as env:
+        env.reset(seed=1)
+        assert env.race.opponents == ("random",)
+
+
 def test_opponents_finish_while_the_agents_still_race():
     stand = np.zeros(2, np.float32)
     with against(["heuristic"], track="olivermath", max_cycles=800) as env:
@@ -292,7 +333,7 @@ def test_without_opponents_nothing_is_loaded():
         ({"opponents": "ai"}, r"opponents is 'ai', expected a list such as"),
         ({"opponents": ["aj"]}, "unknown driver 'aj'. Known: ai"),
         ({"opponents": [3]}, "an opponent is 3, expected a driver's name"),
-        ({"opponents": ["ai", "ai"]}, "1 agents and 2 opponents for 2 karts; raise num_kart"),
+        ({"opponents": ["ai", "ai"]}, "an agent and 2 opponents for 2 karts; raise num_kart"),
         ({"opponents": ["ai"] * 2, "agents": None}, "an agent and 2 opponents for 2 karts"),
         ({"opponents": OpponentPool(), "agents": None}, "say how many agents there are"),
         ({"opponents": ["ai:1", "ai:3"], "num_kart": 3}, r"the difficulties \[1, 3\]"),
