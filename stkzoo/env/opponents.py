@@ -66,8 +66,9 @@ class OpponentChoice:
             )
         self._pool = choice if isinstance(choice, OpponentPool) else None
         members = [] if isinstance(choice, OpponentPool) else list(choice)
-        found = {id(member): _driver_or_pool(member) for member in members}
-        self._members = [found[id(member)] for member in members]  # equal ones drive together
+        keys = [member if isinstance(member, str) else id(member) for member in members]
+        found = {key: _driver_or_pool(m) for key, m in zip(keys, members, strict=True)}
+        self._members = [found[key] for key in keys]  # equal ones drive together
         self._codes: dict[Driver, AgentCode | AgentError] = {}
         self._level(m for m in self._members if isinstance(m, Driver))
         self._resources = ExitStack()

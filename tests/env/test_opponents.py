@@ -292,6 +292,13 @@ def test_a_shipped_driver_drives_its_karts_together_as_one_by_one(name, tmp_path
     assert ends[0] == ends[1]
 
 
+def test_equal_names_are_one_driver():
+    names = ["heuristic", "".join(["heuri", "stic"])]  # as from a file: equal, but not the same
+    with against(names) as env:
+        env.reset(seed=1)
+        assert len({own.group for own, _ in env._opponents.ask(env._episode)}) == 1
+
+
 def test_races_started_ahead_have_the_same_opponents():
     ends = []
     for prefetch in (True, False):
