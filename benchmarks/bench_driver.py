@@ -50,6 +50,7 @@ class Spec:
         subprocess: whether the game runs in a process of its own.
         cores: cores that the contender may use; any if empty.
         kernel: whether the contender may use stkzoo's compiled kernel.
+        events: whether the contender, with the api ``parallel``, counts events.
     """
 
     kind: str
@@ -60,6 +61,7 @@ class Spec:
     subprocess: bool = False
     cores: tuple[int, ...] = ()
     kernel: bool = True
+    events: bool = False
 
 
 class Contender:

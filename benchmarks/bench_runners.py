@@ -206,6 +206,7 @@ class _StkzooParallel(_StkzooGym):
             laps=_LAPS,
             max_cycles=None,
             use_subprocess=self.spec["subprocess"],
+            events=self.spec["events"],
         )
 
     @property

@@ -8,10 +8,10 @@ noisy machine is equally noisy to all; the results say whether the karts ended a
 places, bit for bit. A step's ratio is its time over the time that the same step spent inside
 ``pystk2.Race.step``. Compiling and the first steps are not counted.
 
-Three groups: ``parallel`` is stkzoo's ParallelEnv in each view, all karts agents, with and
-without the compiled kernel; ``multi`` the id multi-full-v0, all karts agents, in stkzoo and the
-reference; ``single`` the ids of one kart in each view that the reference has, the others driven
-by the game, in both.
+Three groups: ``parallel`` is stkzoo's ParallelEnv in each view, all karts agents, also counting
+events and without the compiled kernel; ``multi`` the id multi-full-v0, all karts agents, in stkzoo
+and the reference; ``single`` the ids of one kart in each view that the reference has, the others
+driven by the game, in both.
 
 The views ``control`` and ``flattened_control`` act by speed and steering angle. Their controls
 depend on the kart's state to the last bit, so they have no contender ``engine`` and their races
@@ -79,9 +79,11 @@ def matches(options: argparse.Namespace) -> Iterator[Lineup]:
 
 
 def _specs(group: str, view: str, num_kart: int, pinned: tuple[int, ...]) -> dict[str, Spec]:
-    def spec(kind: str, subprocess: bool = False, kernel: bool = True) -> Spec:
+    def spec(
+        kind: str, subprocess: bool = False, kernel: bool = True, events: bool = False
+    ) -> Spec:
         num_agents = 1 if group == "single" else num_kart
-        return Spec(kind, group, view, num_kart, num_agents, subprocess, pinned, kernel)
+        return Spec(kind, group, view, num_kart, num_agents, subprocess, pinned, kernel, events)
 
     specs = {} if driving_style(view) == PHYSICAL else {"engine": spec("bare")}
     specs |= {
@@ -89,6 +91,7 @@ def _specs(group: str, view: str, num_kart: int, pinned: tuple[int, ...]) -> dic
         "stkzoo, worker": spec("stkzoo", subprocess=True),
     }
     if group == "parallel":
+        specs["stkzoo, events"] = spec("stkzoo", events=True)
         specs["stkzoo, no kernel"] = spec("stkzoo", kernel=False)
     # The reference's fixed-size views fail in a race without other karts.
     if group == "multi" or (group == "single" and (num_kart > 1 or view == "full")):

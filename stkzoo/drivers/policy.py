@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import copy
-import pickle
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -38,10 +36,8 @@ def frozen_policy(policy: object) -> Any:
         ConfigError: it is no policy, or cannot be copied.
     """
     policy = plain_policy(policy)
-    with suppress(Exception):  # that of PPO has a graph in it once it has learned
-        return copy.deepcopy(policy)
     try:
-        return pickle.loads(pickle.dumps(policy))  # noqa: S301 - just made
+        return copy.deepcopy(policy)
     except Exception as error:
         raise ConfigError(
             f"the policy {policy!r:.200} cannot be copied ({error}); give a function from an "

@@ -193,10 +193,8 @@ class Episode:
         endings, events = endings_of(options), None
         if options.events or endings is not None:
             events = RaceEvents(self.track_map, self.setup.step_size, len(self.setup.karts))
-        kinds = EVENTS if options.events else ()
-        self._record = EpisodeRecord(
-            rewards, self.race.kart_indices, race_length, kinds, events, endings
-        )
+        parts = events, endings, options.events
+        self._record = EpisodeRecord(rewards, self.race.kart_indices, race_length, *parts)
         self._num_steps = 0
         self._max_cycles = options.max_cycles
         num_nodes = self.track_map.num_nodes
@@ -229,9 +227,9 @@ class EpisodeRecord:
         rewards: every agent's reward, in agent order.
         kart_indices: every agent's kart, in agent order.
         race_length: laps times the lap's length [m].
-        kinds: the events that stand in infos: all or none.
         events: what counts them, if they or ``endings`` are asked for.
         endings: ends by choice.
+        shows_events: whether events are in infos and for rewards.
     """
 
     def __init__(
@@ -239,17 +237,18 @@ class EpisodeRecord:
         rewards: Mapping[str, Reward],
         kart_indices: Sequence[int],
         race_length: float,
-        kinds: Sequence[str] = (),
         events: RaceEvents | None = None,
         endings: Endings | None = None,
+        shows_events: bool = False,
     ) -> None:
         self._karts = np.array(kart_indices, np.intp)
         self._rows = {agent: row for row, agent in enumerate(rewards)}
         names = sorted({name for reward in rewards.values() for name in reward.terms})
         self._groups = _groups(rewards, self._karts, {name: c for c, name in enumerate(names)})
-        self._race_length, self._num_terms = race_length, len(names)
+        self._race_length, self._shows_events = race_length, shows_events
         self._events, self._endings = events, endings
-        columns = [*(f"reward/{name}" for name in names), *(f"event/{kind}" for kind in kinds)]
+        shown = EVENTS if shows_events else ()
+        columns = [*(f"reward/{name}" for name in names), *(f"event/{name}" for name in shown)]
         self._last = np.zeros((len(rewards), len(columns)))
         self._sums = np.zeros_like(self._last)
         self._keys = (
@@ -274,13 +273,12 @@ class EpisodeRecord:
         Returns:
             Their rewards, terminations and truncations.
         """
-        own = [group for group in self._groups if group.reward.kernel_terms is None]
-        if own:
-            self._score_in_python(own, Transition(before, after, self._race_length))
         if self._events is not None:
             self._events.count(before, after)
-            if self._last.shape[1] > self._num_terms:
-                self._last[:, self._num_terms :] = self._events.counts[self._karts]
+        own = [group for group in self._groups if group.reward.kernel_terms is None]
+        if own:
+            step = Transition(before, after, self._race_length, self._shown_events)
+            self._score_in_python(own, step)
         ends = self._scorer_of(agents).score(before.data, after.data, is_over)
         if self._endings is not None and self._events is not None:
             karts = self._karts[[self._rows[agent] for agent in agents]]
@@ -306,6 +304,10 @@ class EpisodeRecord:
                 infos[agent]["ended_by"] = reason
         return infos
 
+    @property
+    def _shown_events(self) -> FloatArray | None:
+        return self._events.counts if self._events is not None and self._shows_events else None
+
     def _score_in_python(self, groups: Sequence[_RewardGroup], step: Transition) -> None:
         """Writes the terms of rewards that have others than the kernel's."""
         for group in groups:
@@ -329,8 +331,10 @@ class EpisodeRecord:
             if terms is not None:
                 rewards.append((*terms, group.columns, np.array(racing, np.intp)))
         numbers = self._last, self._sums, self._keys, self._race_length
-        scored = tuple(rewards), self._num_terms
-        return StepScorer(agents, self._karts[rows], rows, *numbers, *scored)
+        events = self._shown_events
+        if events is None:
+            events = np.zeros((int(self._karts.max()) + 1, 0))
+        return StepScorer(agents, self._karts[rows], rows, *numbers, tuple(rewards), events)
 
     def __getstate__(self) -> dict[str, Any]:
         # A copy has arrays of its own, and so a scorer of its own.

@@ -118,7 +118,7 @@ class StepScorer:
         keys: tuple[str, ...],
         race_length: float,
         rewards: tuple[Any, ...],
-        num_terms: int,
+        events: npt.NDArray[np.float64],
     ) -> StepScorer: ...
     def score(
         self, before: bytes, after: bytes, is_over: bool

@@ -19,7 +19,7 @@ enum {
 };
 
 #define APART 0.5     /* contacts that are less apart are one [s] */
-#define TOUCH 0.05    /* boxes so near touch [m] */
+#define TOUCH 0.1     /* boxes so near touch [m] */
 #define NEAR 0.25     /* what happens so near to a kart is its doing [m] */
 #define STUCK 3.0     /* who gets no further than this is stuck [m] */
 #define BACKWARDS 1.0 /* against the road's direction [m/s] */
@@ -27,11 +27,10 @@ enum {
 #define CANNON 15.0   /* cannons are faster, rescues and explosions slower [m/s] */
 #define TUMBLE 1.7    /* karts tumble in explosions; rescues hold them still [rad/s] */
 #define GUM_REACH 3.0 /* from bubble gum to the kart that has driven over it [m] */
-#define FORWARDS 2.0  /* of slower karts, and those that reverse, bumps are not told from brakes [m/s] */
-/* More than brakes, wheels and ground do to a kart [m/s^2]. */
-#define BOUNCE 30.0   /* if it is thrown back */
-#define LOSS 42.0     /* if it is slowed */
-#define TURN 46.0     /* if it is thrown aside */
+#define FORWARDS 2.0  /* slower karts, and those that reverse, brake as hard as walls do [m/s] */
+#define LOSS 4.5      /* more than a step of 0.1 s takes from a kart that hits nothing [m/s] */
+#define BRAKES 40.0   /* nor do longer steps take more than this [m/s^2] */
+#define DRAG 2.0      /* but a parachute takes up to so many times as much */
 
 enum { ATTACHED_PARACHUTE, ATTACHED_ANVIL, ATTACHED_BOMB, ATTACHED_SHIELD = 6 };
 enum { NO_POWERUP = 0, BUBBLE_GUM = 4 };
@@ -47,7 +46,7 @@ typedef struct {
 /* A kart as a box. */
 typedef struct {
     double place[3], velocity[3], axes[3][3], reach[3]; /* right, up, forward; half its size */
-    int is_carried;
+    int is_carried, is_dragged;
 } Box;
 
 static double *memory_of(const EventCounter *self, npy_intp kart)
@@ -82,7 +81,8 @@ static void time_kart(const EventCounter *self, const Kart *kart, double *memory
                             (double)begin[5] - begin[2]};
     const double along = road[0] * v[0] + road[1] * v[1] + road[2] * v[2];
     const int is_off = kart->is_on_road == 0;
-    const int is_back = along < -BACKWARDS * sqrt(inner(road, road));
+    /* A kart that is carried keeps its velocity, and has no speed. */
+    const int is_back = kart->speed != 0 && along < -BACKWARDS * sqrt(inner(road, road));
     const double way[3] = {kart->location[0] - memory[PLACE], kart->location[1] - memory[PLACE + 1],
                            kart->location[2] - memory[PLACE + 2]};
     const int has_moved = inner(way, way) > STUCK * STUCK;
@@ -121,16 +121,14 @@ static void count_ride(const Kart *then, const Kart *now, double dt, double *mem
     memory[IS_CARRIED] = is_carried;
 }
 
-/* Whether a kart loses speed, or is turned aside, as no brake, wheel or ground does it. */
+/* Whether a kart loses speed as no brake and no ground takes it; landings throw it up. */
 static int is_jolted(const Box *then, const Box *now, double dt)
 {
     const double *v = then->velocity, *w = now->velocity;
     const double x = w[0] - v[0], up = w[1] - v[1], z = w[2] - v[2];
-    const double speed = hypot(v[0], v[2]) + 1e-9;
-    const double loss = -(x * v[0] + z * v[2]) / speed, aside = fabs(x * v[2] - z * v[0]) / speed;
-    const double limit = inner(now->axes[2], w) < 0 ? BOUNCE : LOSS;
-    return inner(then->axes[2], v) > FORWARDS && (loss > limit * dt || aside > TURN * dt) &&
-           up <= fmax(loss, aside);
+    const double loss = -(x * v[0] + z * v[2]) / (hypot(v[0], v[2]) + 1e-9);
+    const double limit = fmax(LOSS, BRAKES * dt) * (now->is_dragged ? DRAG : 1);
+    return inner(then->axes[2], v) > FORWARDS && loss > limit && up <= loss;
 }
 
 /* ---------------------------------------------------------------- several karts */
@@ -186,6 +184,7 @@ static void set_box(const Kart *kart, Box *box)
         for (int j = 0; j < 3; j++) box->axes[i][j] = matrix[3 * i + j];
     }
     const float *v = kart->velocity;
+    box->is_dragged = kart->attachment_type == ATTACHED_PARACHUTE;
     box->is_carried = kart->speed == 0 && fabsf(v[0]) + fabsf(v[1]) + fabsf(v[2]) > 0.3f;
 }
 
@@ -263,10 +262,12 @@ static int count_contacts(const EventCounter *self, const Kart *before, const Ka
     }
     for (npy_intp i = 0; i < count; i++) {
         double *free_for = memory_of(self, i) + WALL_FOR, *counts = counts_of(self, i);
-        const int is_bumped = !is_near[i] && counts[HIT] == 0 && !then[i].is_carried &&
-                              !now[i].is_carried && is_jolted(then + i, now + i, self->step_size);
+        const int is_carried = then[i].is_carried || now[i].is_carried ||
+                               memory_of(self, i)[IS_CARRIED]; /* and set down fast */
+        const int is_bumped = !is_near[i] && counts[HIT] == 0 && !is_carried &&
+                              is_jolted(then + i, now + i, self->step_size);
         counts[WALL_CONTACT] = is_bumped && *free_for <= 0;
-        *free_for = is_bumped ? APART : *free_for - self->step_size;
+        *free_for = is_bumped || is_carried ? APART : *free_for - self->step_size;
     }
     PyMem_Free(then);
     return 0;

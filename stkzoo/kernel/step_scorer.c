@@ -22,7 +22,8 @@ typedef struct {
     PyObject *blank_info;    /* with all keys */
     Indices karts, rows;     /* each agent's kart, and its row of the arrays below */
     Doubles last, sums;      /* (R, C): a step's terms, then events, and the episode's, of all agents */
-    npy_intp num_columns, num_terms;
+    Doubles events;          /* (K, E): of the step, of all karts */
+    npy_intp num_columns, num_terms, num_events;
     double race_length;
     Reward *rewards;
     Py_ssize_t num_rewards;
@@ -166,6 +167,11 @@ static PyObject *scorer_score(PyObject *object, PyObject *args)
     for (Py_ssize_t i = 0; i < self->num_rewards; i++) {
         score(self, self->rewards + i, &before, &after);
     }
+    for (npy_intp agent = 0; agent < self->karts.size; agent++) {
+        memcpy(row_of(self, self->last, agent) + self->num_terms,
+               self->events.data + self->karts.data[agent] * self->num_events,
+               (size_t)self->num_events * sizeof(double));
+    }
     add_up(self);
     return ends_and_rewards(self, &after, is_over);
 }
@@ -206,17 +212,21 @@ static int set_reward(const StepScorer *self, Reward *reward, PyObject *spec)
     return fits ? 0 : refuse("the parts of a reward do not fit together");
 }
 
-/* From `sums`, which is one table with `last`. */
-static int set_rows(StepScorer *self, PyArrayObject *sums)
+/* From `sums`, which is one table with `last`, and `events`. */
+static int set_rows(StepScorer *self, PyArrayObject *sums, PyArrayObject *events)
 {
-    if (PyArray_NDIM(sums) != 2) return refuse("sums must be rows of numbers");
+    if (PyArray_NDIM(sums) != 2 || PyArray_NDIM(events) != 2) {
+        return refuse("sums and events must be rows of numbers");
+    }
     const npy_intp num_rows = PyArray_DIM(sums, 0), count = PyTuple_GET_SIZE(self->agents);
     self->num_columns = PyArray_DIM(sums, 1);
+    self->num_events = PyArray_DIM(events, 1);
+    self->num_terms = self->num_columns - self->num_events;
     if (self->karts.size != count || self->rows.size != count ||
-        self->last.size != self->sums.size || !are_below(self->karts, NPY_MAX_INT32) ||
+        self->last.size != self->sums.size ||
         !are_below(self->rows, num_rows) ||
         PyTuple_GET_SIZE(self->keys) != 6 + 2 * self->num_columns || self->num_terms < 0 ||
-        self->num_terms > self->num_columns) {
+        !are_below(self->karts, PyArray_DIM(events, 0))) {
         return refuse("the arrays do not fit together");
     }
     if (!(self->is_racing = room_for(self, num_rows, sizeof *self->is_racing))) return -1;
@@ -224,16 +234,18 @@ static int set_rows(StepScorer *self, PyArrayObject *sums)
     return 0;
 }
 
-/* StepScorer(agents, karts, rows, last, sums, keys, race_length, rewards, num_terms): rewards is a
+/* StepScorer(agents, karts, rows, last, sums, keys, race_length, rewards, events): rewards is a
    tuple of what set_reward takes. */
 static int scorer_set_up(StepScorer *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
     PyObject *rewards;
-    if (!PyArg_ParseTuple(args, "O!O&O&O&O&O!dO!n", &PyTuple_Type, &self->agents, as_indices,
+    if (!PyArg_ParseTuple(args, "O!O&O&O&O&O!dO!O&", &PyTuple_Type, &self->agents, as_indices,
                           &self->karts, as_indices, &self->rows, as_written_doubles, &self->last,
                           as_written_doubles, &self->sums, &PyTuple_Type, &self->keys,
-                          &self->race_length, &PyTuple_Type, &rewards, &self->num_terms) ||
-        set_rows(self, (PyArrayObject *)PyTuple_GET_ITEM(args, 4)) < 0 ||
+                          &self->race_length, &PyTuple_Type, &rewards, as_written_doubles,
+                          &self->events) ||
+        set_rows(self, (PyArrayObject *)PyTuple_GET_ITEM(args, 4),
+                 (PyArrayObject *)PyTuple_GET_ITEM(args, 8)) < 0 ||
         !(self->blank_info = keep(self, PyDict_New()))) {
         return -1;
     }

@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
+from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.mdp.events import EVENTS
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -29,11 +31,14 @@ class Transition:
         before: the moment before the step.
         after: the moment after it.
         race_length: laps times the lap's length [m].
+        event_counts: ``(K, E)`` the step's :data:`~stkzoo.mdp.events.EVENTS`; ``None`` in an
+            environment without ``events=True``.
     """
 
     before: Snapshot
     after: Snapshot
     race_length: float
+    event_counts: FloatArray | None = None
 
     @property
     def num_kart(self) -> int:
@@ -55,6 +60,21 @@ class Transition:
         """``(K,)`` ranks after the step; 1 is first."""
         ranks: npt.NDArray[np.int32] = self.after.karts["position"]
         return ranks
+
+    def event(self, name: str) -> FloatArray:
+        """``(K,)``: how often an event happened to each kart in the step, or for how long [s].
+
+        Args:
+            name: one of :data:`~stkzoo.mdp.events.EVENTS`.
+
+        Raises:
+            ConfigError: there is none of this name, or the environment counts none.
+        """
+        if name not in EVENTS:
+            raise unknown_name("event", name, EVENTS)
+        if self.event_counts is None:
+            raise ConfigError("events are not counted; make the environment with events=True")
+        return np.array(self.event_counts[:, EVENTS.index(name)])
 
     @cached_property
     def finishes(self) -> npt.NDArray[np.bool_]:

@@ -475,8 +475,8 @@ ALONE = (
 )
 
 
-def scorer_of(*, alone=ALONE, rewards=()):
-    return StepScorer(*alone, rewards, 1)
+def scorer_of(*, alone=ALONE, rewards=(), events=np.zeros((1, 0))):  # noqa: B008 - never written
+    return StepScorer(*alone, rewards, events)
 
 
 def test_the_kernel_checks_what_it_is_given():
@@ -552,6 +552,8 @@ def test_a_counter_checks_what_it_is_given():
         {"rewards": ((one_off * 6, np.ones(1), np.zeros(1, np.intp), np.zeros(1, np.intp)),)},
         {"rewards": ((one_off, np.ones(1), one_off, np.zeros(1, np.intp)),)},
         {"rewards": ((one_off, np.ones(1), np.zeros(1, np.intp), one_off),)},
+        {"events": np.zeros((1, 2))},
+        {"events": np.zeros((0, 0))},
     ],
 )
 def test_a_scorer_checks_what_it_is_given(wrong):

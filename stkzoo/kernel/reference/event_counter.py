@@ -23,9 +23,9 @@ _OFF_ROAD_FOR, _WRONG_WAY_FOR, _STUCK_FOR, _PLACE, _IS_CARRIED, _WALL_FOR, _NUM_
     *(6, 7, 8),
 )
 #: What event_counter.c explains.
-_APART, _TOUCH, _NEAR, _STUCK, _BACKWARDS, _NITRO = 0.5, 0.05, 0.25, 3.0, 1.0, 0.4
+_APART, _TOUCH, _NEAR, _STUCK, _BACKWARDS, _NITRO = 0.5, 0.1, 0.25, 3.0, 1.0, 0.4
 _CANNON, _TUMBLE, _GUM_REACH = 15.0, 1.7, 3.0
-_FORWARDS, _BOUNCE, _LOSS, _TURN = 2.0, 30.0, 42.0, 46.0
+_FORWARDS, _LOSS, _BRAKES, _DRAG = 2.0, 4.5, 40.0, 2.0
 #: When the boxes of two karts are compared: shares of a step after one moment, before the next.
 _WHEN = (0.0, 0.25, 0.5)
 
@@ -83,7 +83,7 @@ class EventCounter:
         karts, memory, dt = now.karts, self._memory, self._dt
         road = self._road[karts["node"]]
         along = (road * karts["velocity"]).sum(1)
-        is_back = along < -_BACKWARDS * np.sqrt((road * road).sum(1))
+        is_back = (along < -_BACKWARDS * np.sqrt((road * road).sum(1))) & (karts["speed"] != 0)
         is_off = karts["is_on_road"] == 0
         self._counts[:, _OFF_ROAD], self._counts[:, _WRONG_WAY] = dt * is_off, dt * is_back
         place = memory[:, _PLACE : _PLACE + 3]
@@ -141,21 +141,22 @@ class EventCounter:
         self._counts[:, _KART_CONTACT] = (is_touched & (since <= 0)).sum(1)
         since[:] = np.where(is_touched, _APART, since - dt)
         np.fill_diagonal(since, 0.0)
+        is_flying |= memory[:, _IS_CARRIED] > 0
         is_bumped = (gaps <= _NEAR).any(1) | (self._counts[:, _HIT] > 0) | is_flying
         bumps = self._bumps(then, now) & ~is_bumped
         self._counts[:, _WALL_CONTACT] = bumps & (memory[:, _WALL_FOR] <= 0)
-        memory[:, _WALL_FOR] = np.where(bumps, _APART, memory[:, _WALL_FOR] - dt)
+        memory[:, _WALL_FOR] = np.where(bumps | is_flying, _APART, memory[:, _WALL_FOR] - dt)
 
     def _bumps(self, then: Any, now: Any) -> BoolArray:
-        """Whether karts lose speed, or turn aside, as no brake, wheel or ground makes them."""
+        """Whether karts lose speed as no brake and no ground takes it; landings throw them up."""
         old, new = then["velocity"].astype(np.float64), now["velocity"].astype(np.float64)
-        was, is_now = (_forwards(karts) for karts in (then, now))
-        change, speed = new - old, np.hypot(old[:, 0], old[:, 2]) + 1e-9
+        axes = rotation_matrices(then["rotation"].astype(np.float64))
+        forwards, change = (axes[:, 2] * old).sum(1), new - old
+        speed = np.hypot(old[:, 0], old[:, 2]) + 1e-9
         loss = -(change[:, 0] * old[:, 0] + change[:, 2] * old[:, 2]) / speed
-        aside = np.abs(change[:, 0] * old[:, 2] - change[:, 2] * old[:, 0]) / speed
-        limit = np.where(is_now < 0, _BOUNCE, _LOSS)
-        is_jolt = (loss > limit * self._dt) | (aside > _TURN * self._dt)
-        bumps: BoolArray = (was > _FORWARDS) & is_jolt & (change[:, 1] <= np.maximum(loss, aside))
+        is_dragged = now["attachment_type"] == AttachmentType.PARACHUTE
+        limit = max(_LOSS, _BRAKES * self._dt) * np.where(is_dragged, _DRAG, 1.0)
+        bumps: BoolArray = (forwards > _FORWARDS) & (loss > limit) & (change[:, 1] <= loss)
         return bumps
 
     def _gaps(self, karts: Any, ahead: float) -> FloatArray:
@@ -186,9 +187,3 @@ def _is_carried(karts: Any) -> BoolArray:
     """Whether a rescue, an explosion or a cannon moves karts: the game then drives none."""
     is_carried: BoolArray = (karts["speed"] == 0) & (np.abs(karts["velocity"]).sum(1) > 0.3)
     return is_carried
-
-
-def _forwards(karts: Any) -> FloatArray:
-    axes = rotation_matrices(karts["rotation"].astype(np.float64))
-    speeds: FloatArray = (axes[:, 2] * karts["velocity"]).sum(1)
-    return speeds

@@ -24,13 +24,14 @@ class StepScorer:
         agents: their ids.
         karts: their karts.
         rows: their rows of ``last`` and ``sums``.
-        last: ``(R, C)`` the latest step's reward terms, which :meth:`score` writes, and events.
+        last: ``(R, C)`` the latest step's reward terms and events, which :meth:`score` writes.
         sums: ``(R, C)`` the episode's, to which it adds them.
         keys: of an info, in order.
         race_length: laps times the lap's length [m].
         rewards: for agents that share a reward: numbers of terms in
             :data:`stkzoo.mdp.rewards.KERNEL_TERMS`, their weights, their columns, and the
             agents' places among ``agents``. Other terms are in ``last`` already.
+        events: ``(K, E)`` the step's, of all karts: the last columns of ``last``.
     """
 
     def __init__(
@@ -43,15 +44,18 @@ class StepScorer:
         keys: tuple[str, ...],
         race_length: float,
         rewards: tuple[tuple[IntArray, FloatArray, IntArray, IntArray], ...],
-        num_terms: int,
+        events: FloatArray,
     ) -> None:
         if not len(agents) == len(karts) == len(rows) or last.shape != sums.shape:
             raise ValueError("the arrays do not fit together")
-        if len(keys) != 6 + 2 * last.shape[1] or not 0 <= num_terms <= last.shape[1]:
+        num_terms = last.shape[1] - events.shape[1]
+        is_out = num_terms < 0 or bool((karts >= len(events)).any())
+        if is_out or len(keys) != 6 + 2 * last.shape[1]:
             raise ValueError("the arrays do not fit together")
         self._agents, self._karts, self._rows = agents, karts, rows
         self._last, self._sums, self._keys = last, sums, keys
-        self._race_length, self._rewards, self._num_terms = race_length, rewards, num_terms
+        self._race_length, self._rewards = race_length, rewards
+        self._events, self._num_terms = events, num_terms
         self._absent = np.ones(len(last), np.bool_)
         self._absent[rows] = False
 
@@ -71,6 +75,7 @@ class StepScorer:
             for term, weight, column in zip(terms, weights, columns, strict=True):
                 values = np.asarray(KERNEL_TERMS[term](step), np.float64)
                 self._last[rows, column] = weight * values[karts]
+        self._last[self._rows, self._num_terms :] = self._events[self._karts]
         self._last[self._absent] = 0.0
         self._sums += self._last
         totals = self._last[:, : self._num_terms].sum(axis=1)[self._rows].tolist()

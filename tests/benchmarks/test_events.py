@@ -1,0 +1,60 @@
+"""Events counted in steps of 0.1 s against trajectories at 120 Hz, in two short races."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from benchmarks.events import SCRIPTS, compare
+from benchmarks.events_races import TICKS, record
+from stkzoo.kernel.reference.event_counter import EventCounter
+from stkzoo.mdp.events import EVENTS, RaceEvents
+
+
+@pytest.fixture(scope="module")
+def race():
+    return record("olivermath", 104, SCRIPTS, bots=3, seconds=30.0)
+
+
+@pytest.mark.slow
+def test_scripted_karts_are_counted_as_their_trajectories_say(race):
+    found = compare(race)
+    assert found["rammer"]["kart_contact"][0] > 2
+    assert found["cutter"]["off_road"][0] > 4.0
+    assert found["ghost"]["wrong_way"][0] > 3.0
+    for name in EVENTS:
+        counted, true = np.sum([own[name] for own in found.values()], axis=0)
+        assert counted == pytest.approx(true, abs=1.0, rel=0.1), name
+
+
+@pytest.mark.slow
+def test_the_counter_and_its_twin_agree_over_a_race(race):
+    ours = RaceEvents(race.track, 0.1, 6)
+    memory, counts = np.zeros_like(ours._memory), np.zeros_like(ours.counts)
+    twin = EventCounter(race.track.path_nodes, 0.1, memory, counts)
+    total = np.zeros(len(EVENTS))
+    steps = race.moments[::TICKS]
+    for before, after in pairwise(steps):
+        ours.count(before, after)
+        twin.count(before.data, after.data)
+        assert np.array_equal(ours.counts, counts)
+        total += counts.sum(0)
+    assert np.allclose(ours._memory, memory)
+    assert (total[[0, 1, 3, 5, 6, 8, 9]] > 0).all()
+
+
+@pytest.mark.slow
+def test_a_solo_race_on_the_line_counts_what_happens_and_nothing_else():
+    found = compare(record("lighthouse", 103, ("expert",), seconds=30.0))["expert"]
+    nothing = (
+        "kart_contact",
+        "wall_contact",
+        "hit",
+        "overtake",
+        "overtaken",
+        "rescue",
+        "wrong_way",
+    )
+    assert {name: found[name] for name in nothing} == {name: [0.0, 0.0] for name in nothing}
+    assert found["item_taken"][0] == found["item_taken"][1] > 0
+    assert found["off_road"][0] == pytest.approx(found["off_road"][1], abs=1.0)
