@@ -13,7 +13,14 @@ from typing import Any
 from stkzoo.agents.planning.driver import PlanDriver
 from stkzoo.agents.planning.parameters import DriverParameters
 
-__all__ = ["PARAMETERS", "create_state", "env_name", "get_actor", "player_name"]
+__all__ = [
+    "PARAMETERS",
+    "create_state",
+    "env_name",
+    "get_actor",
+    "get_batch_actor",
+    "player_name",
+]
 
 #: The environment that the driver was made for.
 env_name = "supertuxkart/full-v0"
@@ -46,3 +53,13 @@ def get_actor(
     """
     del module_dir, observation_space, action_space
     return PlanDriver.drive
+
+
+def get_batch_actor(module_dir: object) -> Callable[..., list[dict[str, Any]]]:
+    """The driver of several karts at once.
+
+    Args:
+        module_dir: folder of the driver's module.
+    """
+    del module_dir
+    return PlanDriver.drive_together

@@ -8,7 +8,7 @@ choose. What is learned is added to them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -158,14 +158,42 @@ class PlanDriver:
         Returns:
             An action of the ``full`` view.
         """
-        if observation["phase"] < Phase.GO_PHASE:
-            return _action(np.eye(1, 7, dtype=np.float32)[0])  # full throttle
-        if choose is None:
-            choices = likeliest(self.plan(*surroundings_of(observation, LINE_MARKS)))
-        else:
-            choices = choose(self.look(*surroundings_of(observation, ALL_LOOKS)))
-        controls, _ = self.act(choices)
-        return _action(controls[0])
+        return self.drive_together([self], [observation], choose)[0]
+
+    @staticmethod
+    def drive_together(
+        drivers: Sequence[PlanDriver],
+        observations: Sequence[Mapping[str, Any]],
+        choose: Callable[[PolicyInput], IntArray] | None = None,
+    ) -> list[dict[str, Any]]:
+        """The actions that :meth:`drive` gives each, to the bit, in less time.
+
+        Args:
+            drivers: of one kart each, with equal rules.
+            observations: theirs, of any races.
+            choose: a policy's choices ``(A, 4)``, none of which depends on the other karts.
+        """
+        controls = np.eye(1, 7, dtype=np.float32).repeat(len(drivers), 0)  # full throttle
+        racing = [n for n, own in enumerate(observations) if own["phase"] >= Phase.GO_PHASE]
+        if racing:
+            own = [drivers[number] for number in racing]
+            driver = own[0] if len(own) == 1 else PlanDriver._joined(own)
+            looks = LINE_MARKS if choose is None else ALL_LOOKS
+            seen = surroundings_of([observations[number] for number in racing], looks)
+            chosen = likeliest(driver.plan(*seen)) if choose is None else choose(driver.look(*seen))
+            controls[racing], _ = driver.act(chosen)
+            if len(own) > 1:
+                for row, one in enumerate(own):
+                    one.memory.take(driver.memory, slice(row, row + 1))
+                    one._tracker.take(driver._tracker, slice(row, row + 1))
+        return list(map(_action, controls))
+
+    @classmethod
+    def _joined(cls, drivers: Sequence[PlanDriver]) -> PlanDriver:
+        joined = cls(0, drivers[0]._rules)
+        joined.memory = DriverMemory.joined([driver.memory for driver in drivers])
+        joined._tracker = RivalTracker.joined([driver._tracker for driver in drivers])
+        return joined
 
     def look(self, own: Mapping[str, Any], around: Surroundings) -> PolicyInput:
         """A step has passed: what the policy sees now.

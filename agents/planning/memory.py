@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -122,6 +124,18 @@ class DriverMemory:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         self._of = _Fields(*self._all)  # a copy's rows are those of its own array
+
+    @classmethod
+    def joined(cls, memories: Sequence[DriverMemory]) -> DriverMemory:
+        """The memory of all karts of some, which have equal rules."""
+        joined = copy.copy(memories[0])
+        joined._all = np.concatenate([memory._all for memory in memories], axis=1)
+        joined._of = _Fields(*joined._all)
+        return joined
+
+    def take(self, joined: DriverMemory, rows: slice) -> None:
+        """Remembers what some karts of :meth:`joined` do."""
+        self._all[:] = joined._all[:, rows]
 
     def look(self, speed: FloatArray, skeed_factor: FloatArray) -> None:
         """A step has passed.

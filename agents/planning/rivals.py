@@ -7,6 +7,7 @@ kart moves little in a step, so each is taken to be the one that was nearest to 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -93,6 +94,15 @@ class _Moment:
             np.zeros((count, MARK_COUNT), np.float32),
         )
 
+    @classmethod
+    def joined(cls, moments: Sequence[_Moment]) -> _Moment:
+        return cls(
+            *(np.concatenate([getattr(m, entry.name) for m in moments]) for entry in fields(cls))
+        )
+
+    def of(self, rows: slice) -> _Moment:
+        return _Moment(*(getattr(self, entry.name)[rows] for entry in fields(self)))
+
     def put(self, rows: IntArray, other: _Moment) -> None:
         for entry in fields(self):
             getattr(self, entry.name)[rows] = getattr(other, entry.name)
@@ -108,6 +118,17 @@ class RivalTracker:
     def __init__(self, count: int) -> None:
         self._now = _Moment.unknown(count)
         self._before = _Moment.unknown(count)
+
+    @classmethod
+    def joined(cls, trackers: Sequence[RivalTracker]) -> RivalTracker:
+        """What watches for all karts of some, for one step."""
+        joined = cls(0)
+        joined._now = _Moment.joined([tracker._now for tracker in trackers])
+        return joined
+
+    def take(self, joined: RivalTracker, rows: slice) -> None:
+        """Goes on from what some karts of :meth:`joined` saw in the step."""
+        self._before, self._now = joined._before.of(rows), joined._now.of(rows)
 
     def look(self) -> None:
         """A step has passed."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -67,8 +67,35 @@ class ActionFilter:
             observation: of the view ``racing``, ``(165,)``.
             choose: a policy's choices ``(1, 5)``.
         """
-        choices: IntArray = self.apply(choose(self.look(observation[None])))[0]
-        return choices
+        return self.drive_together([self], [observation], choose)[0]
+
+    @staticmethod
+    def drive_together(
+        filters: Sequence[ActionFilter],
+        observations: Sequence[FloatArray],
+        choose: Callable[[FloatArray], IntArray],
+    ) -> list[IntArray]:
+        """The choices that :meth:`drive` gives each, to the bit, in less time.
+
+        Args:
+            filters: of one kart each, which hold drifts equally long.
+            observations: theirs.
+            choose: a policy's choices ``(A, 5)``, none of which depends on the other karts.
+        """
+        joined = filters[0] if len(filters) == 1 else ActionFilter._joined(filters)
+        done = joined.apply(choose(joined.look(np.stack(observations))))
+        if len(filters) > 1:
+            for row, own in enumerate(filters):
+                own._memory.take(joined._memory, slice(row, row + 1))
+                own._has_moved = joined._has_moved[row : row + 1]
+        return list(done)
+
+    @classmethod
+    def _joined(cls, filters: Sequence[ActionFilter]) -> ActionFilter:
+        memory = DriverMemory.joined([own._memory for own in filters])
+        joined = cls(0, filters[0]._hold, memory)
+        joined._has_moved = np.concatenate([own._has_moved for own in filters])
+        return joined
 
     def look(self, views: FloatArray) -> FloatArray:
         """A step has passed.

@@ -82,7 +82,7 @@ class EnsemblePolicy:
 
     def _log_probabilities(self, seen: FloatArray) -> list[FloatArray]:
         """The networks' mean logarithms of probabilities, an array for each choice."""
-        logits = np.array([network.logits(seen) for network in self.networks])
+        logits = np.array([network.logits(seen[:, None])[:, 0] for network in self.networks])
         parts = (logits[..., part] for part in _PARTS)
         return [(part - log_sum(part)).mean(axis=0) for part in parts]
 

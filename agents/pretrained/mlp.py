@@ -69,8 +69,11 @@ class MlpDriver:
             )
 
     def logits(self, observations: FloatArray) -> FloatArray:
-        """Those of all choices, ``(A, 31)``, of what karts see, ``(A, 177)``."""
-        x = np.asarray(observations[:, : self.inputs], np.float32)
+        """Those of all choices, ``(..., 31)``, of what karts see, ``(..., 177)``.
+
+        A kart's depend in their last bits on how many rows there are.
+        """
+        x = np.asarray(observations[..., : self.inputs], np.float32)
         *hidden, (matrix, bias) = self._layers
         for weights, offset in hidden:
             x = np.tanh(x @ weights.T + offset)
@@ -78,8 +81,8 @@ class MlpDriver:
         return logits
 
     def best(self, observations: FloatArray) -> IntArray:
-        """The likeliest choices, ``(A, 5)``."""
-        parts = np.split(self.logits(observations), SPLITS, axis=1)
+        """The likeliest choices, ``(A, 5)``; none depends on the other karts, to the bit."""
+        parts = np.split(self.logits(observations[:, None])[:, 0], SPLITS, axis=1)
         return np.stack([part.argmax(axis=1) for part in parts], axis=1)
 
     def seat(self) -> NoReturn:

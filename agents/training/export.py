@@ -50,9 +50,10 @@ from functools import partial
 from pathlib import Path
 
 from stkzoo.agents.pretrained.driver import make_actor as get_actor
+from stkzoo.agents.pretrained.driver import make_batch_actor as get_batch_actor
 from stkzoo.agents.pretrained.driver import new_state
 
-__all__ = ["create_state", "env_name", "get_actor", "player_name"]
+__all__ = ["create_state", "env_name", "get_actor", "get_batch_actor", "player_name"]
 
 #: The environment that the driver was made for.
 env_name = "supertuxkart/{view}-v0"
@@ -65,9 +66,9 @@ create_state = partial(new_state, Path(__file__).parent)
 
 _PACKAGE = '''"""The learned driver {name}; see ``CARD.md``."""
 
-from .pystk_actor import create_state, env_name, get_actor, player_name
+from .pystk_actor import create_state, env_name, get_actor, get_batch_actor, player_name
 
-__all__ = ["create_state", "env_name", "get_actor", "player_name"]
+__all__ = ["create_state", "env_name", "get_actor", "get_batch_actor", "player_name"]
 '''
 
 _CARD = """\

@@ -72,7 +72,7 @@ def add_actions(parser: CommandParser, *actions: Run) -> list[CommandParser]:
     subparsers = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     children = []
     for action in actions:
-        child = add_command(subparsers, action.__name__.strip("_"), action)
+        child = add_command(subparsers, action.__name__.strip("_").replace("_", "-"), action)
         child.set_defaults(run=action)
         children.append(child)
     return children

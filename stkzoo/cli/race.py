@@ -28,6 +28,7 @@ exit codes:
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import random
 import sys
@@ -102,6 +103,7 @@ def add_race_options(parser: argparse.ArgumentParser) -> None:
     add_options(parser.add_argument_group("the race"), RaceSettings, without=_DECIDED)
     _race_options.add_replay_options(parser)
     _race_options.add_viewing_options(parser, "--record")
+    parser.set_defaults(document=_document)
 
 
 @usage_errors
@@ -123,18 +125,22 @@ def run_races(arguments: argparse.Namespace, remote: Sequence[Driver] = ()) -> i
     from stkzoo.race import RaceInterrupted
 
     results: list[RaceResult] = []
+    failure: AgentError | None = None
     code = 0
+    # What agents print stays out of the JSON.
+    place = sys.stderr if arguments.output == "-" else sys.stdout
     try:
-        for drivers, settings in _plan(arguments, remote):
-            results.append(_race(drivers, settings, arguments))
+        with contextlib.redirect_stdout(place):
+            for drivers, settings in _plan(arguments, remote):
+                results.append(_race(drivers, settings, arguments))
     except AgentError as error:
         print(f"stkzoo: {error}\n{error.trace}".rstrip(), file=sys.stderr)
-        code = _AGENT_FAILED
+        code, failure = _AGENT_FAILED, error
     except RaceInterrupted as interrupt:
         results.append(interrupt.result)
         print("stkzoo: interrupted; the last race is incomplete", file=sys.stderr)
         code = _INTERRUPTED
-    reported = _report(results, arguments)
+    reported = _report(results, failure, arguments)
     return code or reported
 
 
@@ -175,33 +181,43 @@ def _race(
         return run_race(drivers, listeners=listeners, **settings)
 
 
-def _report(results: Sequence[RaceResult], arguments: argparse.Namespace) -> int:
+def _report(
+    results: Sequence[RaceResult], failure: AgentError | None, arguments: argparse.Namespace
+) -> int:
     """Shows and writes the results."""
-    from stkzoo.cli._race_report import show_race, show_series
-
-    if not results:
-        return 0
     code = _AGENT_FAILED if any(result.has_errors for result in results) else 0
-    text = _as_json(results, is_series=arguments.races > 1)
+    text = arguments.document(results, failure, arguments)
     if arguments.output == "-":
-        print(text)
+        print(text, end="\n" if text else "")
         return code
-    if arguments.races > 1:
-        show_series(results)
-    else:
-        show_race(results[0])
-    if arguments.demo or (sys.stdout.isatty() and not code):
-        print(f"\n{_NEXT_STEPS}", end="")
-    if arguments.output:
+    if results:
+        _show(results, arguments, is_clean=not code)
+    if arguments.output and text:
         with write_whole(arguments.output, "the result", StkzooError) as part:
             part.write_text(text + "\n", encoding="utf-8")
     return code
 
 
-def _as_json(results: Sequence[RaceResult], *, is_series: bool) -> str:
+def _show(results: Sequence[RaceResult], arguments: argparse.Namespace, *, is_clean: bool) -> None:
+    from stkzoo.cli._race_report import show_race, show_series
+
+    if arguments.races > 1:
+        show_series(results)
+    else:
+        show_race(results[0])
+    if arguments.demo or (sys.stdout.isatty() and is_clean):
+        print(f"\n{_NEXT_STEPS}", end="")
+
+
+def _document(
+    results: Sequence[RaceResult], _: AgentError | None, arguments: argparse.Namespace
+) -> str:
+    """What ``--output`` writes; nothing if no race ended."""
     from stkzoo.race import SCHEMA_VERSION
 
-    if not is_series:
+    if not results:
+        return ""
+    if arguments.races == 1:
         return results[0].to_json()
     races = [json.loads(result.to_json()) for result in results]
     values = {"type": "race-series", "schema_version": SCHEMA_VERSION, "races": races}

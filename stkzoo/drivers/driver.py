@@ -28,7 +28,7 @@ from stkzoo.drivers.instances import DriverStart
 from stkzoo.drivers.isolated import IsolatedInstance
 from stkzoo.drivers.policy import PolicyActor, act_together, plain_policy
 from stkzoo.errors import ConfigError, unknown_name
-from stkzoo.views import extras_for, find_view
+from stkzoo.views import CAMERA_VIEWS, ViewFactory, extras_for, find_view
 
 _AGENTS = "stkzoo.agents"
 #: Packages there that are not drivers.
@@ -85,7 +85,7 @@ class Driver:
             ConfigError: there is no such view.
         """
         load = partial(_code_of_actor, make_actor, view)
-        return cls._here(name, load, name, extras_for(find_view(view)))
+        return cls._here(name, load, name, extras_for(_find_view(view)))
 
     @classmethod
     def of_policy(cls, policy: object, view: object = None, name: str = "") -> Driver:
@@ -106,7 +106,7 @@ class Driver:
         policy = plain_policy(policy)
         name = name or getattr(policy, "__name__", type(policy).__name__)
         load = partial(_code_of_policy, policy, view)
-        extras = frozenset[str]() if view is None else extras_for(find_view(view))
+        extras = frozenset[str]() if view is None else extras_for(_find_view(view))
         return cls._here(name, load, name, extras)
 
     @classmethod
@@ -199,13 +199,21 @@ def _load_files(files: AgentFiles, adapter: str | None, resources: ExitStack) ->
 
 
 def _code_of_actor(make_actor: ActorMaker, view: object, _: ExitStack) -> AgentCode:
-    return AgentCode(find_view(view), make_actor)
+    return AgentCode(_find_view(view), make_actor)
 
 
 def _code_of_policy(policy: Any, view: object, _: ExitStack) -> AgentCode:
     together = act_together if hasattr(policy, "predict") else None
-    wrap = None if view is None else find_view(view)
+    wrap = None if view is None else _find_view(view)
     return AgentCode(wrap, partial(PolicyActor, policy), act_together=together)
+
+
+def _find_view(choice: object) -> ViewFactory:
+    if isinstance(choice, str) and choice in CAMERA_VIEWS:
+        raise ConfigError(
+            f"the view {choice!r} has pictures, which drivers do not get; use another"
+        )
+    return find_view(choice)
 
 
 def _random_actor(_: spaces.Space[Any], action_space: spaces.Space[Any], seed: int) -> Actor:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import pickle
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -36,8 +38,10 @@ def frozen_policy(policy: object) -> Any:
         ConfigError: it is no policy, or cannot be copied.
     """
     policy = plain_policy(policy)
-    try:
+    with suppress(Exception):  # that of PPO has a graph in it once it has learned
         return copy.deepcopy(policy)
+    try:
+        return pickle.loads(pickle.dumps(policy))  # noqa: S301 - just made
     except Exception as error:
         raise ConfigError(
             f"the policy {policy!r:.200} cannot be copied ({error}); give a function from an "

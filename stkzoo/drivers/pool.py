@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -42,9 +42,13 @@ class OpponentPool:
 
     It may grow while races run. Every race that starts later draws from what is in it then.
 
+    Attributes:
+        weights: how often each is drawn, by name; may be changed, 0 is never.
+
     Args:
-        opponents: the first opponents, as for :meth:`add`.
-        weights: theirs; 1 each by default.
+        opponents: the first opponents, as for :meth:`add`; or a mapping from names of drivers to
+            their weights.
+        weights: theirs, if they are no mapping; 1 each by default.
 
     Raises:
         ConfigError: as :meth:`add`.
@@ -52,16 +56,24 @@ class OpponentPool:
     Example:
         >>> from stkzoo import OpponentPool
         >>> pool = OpponentPool(["pretrained:ace", "ai:3"], weights=[1, 3])
-        >>> pool.add("heuristic", weight=2)
+        >>> driver = pool.add("heuristic", weight=2)
         >>> pool.weights
         {'pretrained:ace': 1.0, 'ai:3': 3.0, 'heuristic': 2.0}
     """
 
     def __init__(
-        self, opponents: Iterable[Any] = (), weights: Sequence[float] | None = None
+        self,
+        opponents: Iterable[Any] | Mapping[str, float] = (),
+        weights: Sequence[float] | None = None,
     ) -> None:
         self._drivers: dict[str, Driver] = {}
         self.weights: dict[str, float] = {}
+        if isinstance(opponents, str):
+            raise ConfigError(
+                f"opponents is {opponents!r}, expected a list such as [{opponents!r}]"
+            )
+        if isinstance(opponents, Mapping) and weights is None:
+            weights = list(opponents.values())
         given = list(opponents)
         chosen = [1.0] * len(given) if weights is None else list(weights)
         if len(chosen) != len(given):
@@ -73,7 +85,7 @@ class OpponentPool:
 
     def add(
         self, opponent: Any, *, weight: float = 1.0, view: str | None = None, name: str = ""
-    ) -> None:
+    ) -> Driver:
         """Adds an opponent.
 
         Args:
@@ -83,6 +95,9 @@ class OpponentPool:
             weight: how often it is drawn, beside the weights of the others.
             view: the view that a policy observes and acts in; by default that of the agents.
             name: name to show; a number is added to one that is taken.
+
+        Returns:
+            The opponent as a driver, which :func:`~stkzoo.race.run_race` takes too.
 
         Raises:
             ConfigError: it is no opponent, or the weight is not above 0.
@@ -98,6 +113,7 @@ class OpponentPool:
         name = next(free for free in itertools.chain([name], numbered) if free not in self.weights)
         self._drivers[name] = replace(driver, name=name)
         self.weights[name] = weight
+        return self._drivers[name]
 
     def __len__(self) -> int:
         return len(self._drivers)
@@ -112,13 +128,13 @@ class OpponentPool:
         Raises:
             ConfigError: there is nobody to draw.
         """
-        names = [
-            name
+        weights = {
+            name: check_number(f"weight of opponent {name!r}", self.weights[name], 0, 1e12)
             for name, driver in self._drivers.items()
             if difficulty is None or driver.difficulty in (None, difficulty)
-        ]
-        if not names:
-            which = f" at difficulty {difficulty}" if len(self) else ""
+        }
+        if not sum(weights.values()):
+            which = "" if difficulty is None else f" at difficulty {difficulty}"
             raise ConfigError(f"the pool has no opponents{which}; add() one before the race")
-        weights = np.array([self.weights[name] for name in names])
-        return self._drivers[names[int(random.choice(len(names), p=weights / weights.sum()))]]
+        shares = np.array(list(weights.values())) / sum(weights.values())
+        return self._drivers[list(weights)[int(random.choice(len(shares), p=shares))]]

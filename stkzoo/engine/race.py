@@ -22,6 +22,8 @@ from stkzoo.names import AttachmentType, CameraMode, ItemType, Phase, PowerupTyp
 #: More steps than any race needs before the engine shows READY (31 at 0.1 s).
 _MAX_WARMUP_STEPS = 100_000
 
+#: More letters of a kart's name would cover the picture.
+_LONGEST_NAME = 20
 _is_initialised = False
 
 
@@ -189,7 +191,7 @@ def race_config(setup: RaceSetup, *, has_cameras: bool = False) -> Any:
     for kart in setup.karts:
         player = kinds(
             kart=kart.kart,
-            name=kart.name,
+            name=_shown_name(kart.name),
             controller=kinds.Controller.AI_CONTROL
             if kart.is_bot
             else kinds.Controller.PLAYER_CONTROL,
@@ -198,3 +200,8 @@ def race_config(setup: RaceSetup, *, has_cameras: bool = False) -> Any:
         )
         config.players.append(player)
     return config
+
+
+def _shown_name(name: str) -> str:
+    """What the game can write above a kart: one short line."""
+    return "".join(letter for letter in name if letter.isprintable())[:_LONGEST_NAME]

@@ -48,7 +48,7 @@ class MirroredRace:
         self._coast = [pystk2.Action()] * len(setup.karts)
         mirrored = RaceSetup(
             setup.track,
-            tuple(replace(kart, is_bot=False, name="") for kart in setup.karts),
+            tuple(replace(kart, is_bot=False) for kart in setup.karts),
             laps=_MANY_LAPS,
             reverse=setup.reverse,
             seed=setup.seed,

@@ -127,10 +127,12 @@ class _Drawing:
 
 
 def _with_cameras(scene: Scene, agents: set[int]) -> Scene:
-    """The scene with cameras for these agents and nobody else."""
+    """The scene with cameras for these agents alone, and no names above karts."""
     karts = {scene.kart_indices[agent] for agent in agents}
     setups = tuple(
-        replace(kart, camera_mode=int(CameraMode.ON if number in karts else CameraMode.OFF))
+        replace(
+            kart, name="", camera_mode=int(CameraMode.ON if number in karts else CameraMode.OFF)
+        )
         for number, kart in enumerate(scene.setup.karts)
     )
     return replace(scene, setup=replace(scene.setup, karts=setups, num_cameras=len(karts)))

@@ -51,12 +51,14 @@ class OpponentChoice:
     Args:
         choice: a pool, from which every kart that is no agent's draws; or a list with one
             entry for each opponent: a pool, or what :func:`~stkzoo.drivers.pool.as_driver` takes.
+            A mapping is a pool of the drivers that it names, by their weights.
 
     Raises:
         ConfigError: it is neither, or opponents ask for different difficulties.
     """
 
     def __init__(self, choice: object) -> None:
+        choice = OpponentPool(choice) if isinstance(choice, Mapping) else choice
         if isinstance(choice, str) or not isinstance(choice, (Sequence, OpponentPool)):
             raise ConfigError(
                 f"opponents is {choice!r:.200}, expected a list such as ['pretrained:ace', "
@@ -64,8 +66,9 @@ class OpponentChoice:
             )
         self._pool = choice if isinstance(choice, OpponentPool) else None
         members = [] if isinstance(choice, OpponentPool) else list(choice)
-        found = {id(m): m if isinstance(m, OpponentPool) else as_driver(m) for m in members}
-        self._members = [found[id(member)] for member in members]  # equal ones drive together
+        keys = [member if isinstance(member, str) else id(member) for member in members]
+        found = {key: _driver_or_pool(m) for key, m in zip(keys, members, strict=True)}
+        self._members = [found[key] for key in keys]  # equal ones drive together
         self._codes: dict[Driver, AgentCode | AgentError] = {}
         self._level(m for m in self._members if isinstance(m, Driver))
         self._resources = ExitStack()
@@ -96,7 +99,7 @@ class OpponentChoice:
         else:
             count = num_kart - num_agents
         if (1 if num_agents is None else num_agents) + count > num_kart:
-            agents = "an agent" if num_agents is None else f"{num_agents} agents"
+            agents = "an agent" if num_agents in (None, 1) else f"{num_agents} agents"
             raise ConfigError(
                 f"{agents} and {count} opponents for {num_kart} karts; raise num_kart or leave "
                 "some out"
@@ -152,6 +155,12 @@ class OpponentChoice:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self._members if self._pool is None else self._pool,)
+
+
+def _driver_or_pool(member: object) -> Driver | OpponentPool:
+    if isinstance(member, Mapping):
+        return OpponentPool(member)
+    return member if isinstance(member, OpponentPool) else as_driver(member)
 
 
 def name_of(driver: Driver) -> str:
@@ -234,7 +243,7 @@ class RaceOpponents:
         choice: what was asked for.
         num_agents: the number of agents.
         count: the number of opponents.
-        view: the view of the agents.
+        view: the view of the first agent, which is that of policies that name none.
     """
 
     def __init__(
@@ -268,20 +277,16 @@ class RaceOpponents:
         """
         self.close()
         seed = episode.race.seed
-        requests = [
-            DriverRequest(
-                agent,
-                kart_observation_space(extras=driver.extras),
-                kart_action_space(),
-                seed + number,
-            )
-            for number, (agent, driver) in enumerate(zip(self._ids, drivers, strict=True))
-        ]
-        for request, driver in zip(requests, drivers, strict=True):
-            if not driver.is_game_ai:
-                opponent = Opponent(request.agent, driver, full_with(driver.extras))
-                self._opponents[request.agent] = opponent
-                self.attempt(opponent, partial(self._start, opponent, request))
+        requests: list[DriverRequest] = []
+        for number, (agent, driver) in enumerate(zip(self._ids, drivers, strict=True)):
+            if driver.is_game_ai:
+                continue
+            seen = kart_observation_space(extras=driver.extras)
+            request = DriverRequest(agent, seen, kart_action_space(), seed + number)
+            opponent = Opponent(agent, driver, full_with(driver.extras))
+            self._opponents[agent] = opponent
+            requests.append(request)
+            self.attempt(opponent, partial(self._start, opponent, request))
         self._chains = self._chains_here()
         for request in requests:
             if (started := self._opponents.get(request.agent)) is not None:
@@ -289,6 +294,11 @@ class RaceOpponents:
         self._present = tuple(self._opponents)
         infos: dict[str, dict[str, Any]] = {agent: {} for agent in self._present}
         self._observations, _ = self._chains.reset(self._present, episode, infos, seed=seed)
+
+    @property
+    def is_driving(self) -> bool:
+        """Whether there is a kart to drive, which the game does not."""
+        return bool(self._present)
 
     def moment(self, episode: Episode) -> OpponentsMoment:
         """The opponents now, as a value.
@@ -340,8 +350,31 @@ class RaceOpponents:
                 opponent.actor = code.make_actor(seen, acted, request.seed)
 
     def _chains_here(self) -> AgentChains:
-        """The opponents' views."""
-        views = {own.agent: own.view for own in self._opponents.values()}
+        """The opponents' views; those whose own wrappers fail are out.
+
+        Raises:
+            ConfigError: opponents cannot have the agents' view.
+        """
+        try:
+            return self._chains_of(self._opponents.values())
+        except (AgentException, ConfigError):
+            for opponent in list(self._opponents.values()):
+                self._try_view(opponent)
+        return self._chains_of(self._opponents.values())
+
+    def _try_view(self, opponent: Opponent) -> None:
+        try:
+            self._chains_of([opponent])
+        except (AgentException, ConfigError) as error:
+            if opponent.view is self._view:
+                raise ConfigError(
+                    f"the opponent {name_of(opponent.driver)!r} cannot have the agents' view "
+                    f"({error}); give it another, such as Driver.of_policy(policy, view='racing')"
+                ) from error
+            self.retire(opponent, error)
+
+    def _chains_of(self, opponents: Iterable[Opponent]) -> AgentChains:
+        views = {own.agent: own.view for own in opponents}
         key = tuple(views.items())
         if key not in self._known_chains:
             self._known_chains[key] = AgentChains(

@@ -79,7 +79,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             each is a process of about a megabyte and two open files.
         opponents: drivers of further karts, which are no agents: a list of names
             (:func:`stkzoo.race.find_driver`), policies, drivers and pools, one for each; or a
-            :class:`~stkzoo.OpponentPool`, which drives all karts that are no agents.
+            :class:`~stkzoo.OpponentPool`, which drives all karts that are no agents. A mapping
+            from names to weights is a pool.
 
     Raises:
         ConfigError: an argument is invalid.
@@ -229,10 +230,10 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
     def step(self, actions: Mapping[str, Any]) -> StepParts:
         """Advances the race by one step.
 
-        Its phases: :meth:`decode` makes controls of the actions, opponents add theirs, :meth:`send`
-        steps the game,
-        and :meth:`step_wait` reads the moment after it, scores rewards and ends, observes and
-        gathers infos. Wrappers that the kernel does not do run last.
+        Its phases: :meth:`decode` makes controls of the actions, opponents add theirs,
+        :meth:`send` steps the game, and :meth:`step_wait` reads the moment after it, scores
+        rewards and ends, observes and gathers infos. Wrappers that the kernel does not do run
+        last.
 
         Args:
             actions: an action for each agent still in the race; entries of agents that
@@ -471,16 +472,15 @@ def drive_opponents(
         races: races that are about to be stepped, the karts of one driver together.
         controls: of each race.
     """
-    if any(race._opponents is not None for race in races):
+    driven = [
+        (race._opponents, race._running("step"), own)
+        for race, own in zip(races, controls, strict=True)
+        if race._opponents is not None and race._opponents.is_driving and race.agents
+    ]
+    if driven:
         from stkzoo.env.opponents import drive_together
 
-        drive_together(
-            [
-                (race._opponents, race._running("step"), own)
-                for race, own in zip(races, controls, strict=True)
-                if race._opponents is not None and race.agents
-            ]
-        )
+        drive_together(driven)
 
 
 def _opponents(

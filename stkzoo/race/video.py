@@ -221,7 +221,7 @@ class RaceVideo(RaceFilm, RaceListener):
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
         if self.num_frames:
             how = {"finished": "", "interrupted": ", interrupted"}.get(result.status, ", cut short")
-            subtitle = f"results after {clock(result.race_time)}{how}"
+            subtitle = f"results after {clock(float(self._last.header['time']))}{how}"
             self.finish(self.results(result.agents), subtitle)
 
     def closed(self) -> None:

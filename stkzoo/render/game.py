@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -10,7 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.engine.assets import find_assets
+from stkzoo._os import LockedTemporaryDirectory
+from stkzoo.engine.assets import find_assets, link_without_dial
 from stkzoo.engine.render_session import TICK, Footage, RenderSession, check_graphics_libraries
 from stkzoo.engine.setup import KartSetup, RaceSetup
 from stkzoo.engine.snapshot import Snapshot
@@ -64,7 +66,12 @@ class GameView:
         self._assets = find_assets(graphics=True)
         self._karts, self._size = sorted(karts), size
         screen = size if has_window else _screen_for(size, len(karts))
-        self._session = RenderSession(self._assets.root, screen, preset, has_window=has_window)
+        root = self._assets.root
+        self._data = LockedTemporaryDirectory("window") if has_window else None
+        if self._data is not None and os.name == "posix":
+            link_without_dial(root, self._data.path)
+            root = self._data.path
+        self._session = RenderSession(root, screen, preset, has_window=has_window)
         self._last: Snapshot | None = None
         self._pace = TICK  # seconds that a window takes for a pose
 
@@ -123,6 +130,8 @@ class GameView:
     def close(self) -> None:
         """Ends the render process."""
         self._session.close()
+        if self._data is not None:
+            self._data.close()
 
     def _go(self, snapshot: Snapshot, *, images: bool, depths: bool = False) -> Footage:
         poses, seconds = self._way_to(snapshot)
@@ -178,6 +187,7 @@ def _drawn_setup(scene: Scene, cameras: Sequence[int], models: Sequence[str]) ->
             is_bot=False,
             kart=worn[kart],
             color=setup.color,
+            name=setup.name,
             camera_mode=int(CameraMode.ON if kart in cameras else CameraMode.OFF),
         )
         for kart, setup in enumerate(scene.setup.karts)

@@ -53,10 +53,11 @@ class View:
         Raises:
             ConfigError: it does not offer what the view needs, or an option's value is invalid.
         """
-        for extra in sorted(self._own_extras() - extras_of(env.observation_space)):
-            env_id = f"supertuxkart/{self.name}-v0"
+        missing = sorted(self._own_extras() - extras_of(env.observation_space))
+        if missing:
+            tells, env_id = _TELLS[missing[0]], f"supertuxkart/{self.name}-v0"
             raise ConfigError(
-                f"the {self.name} view goes around an environment that {_TELLS[extra]}. Choose "
+                f"the {self.name} view goes around an environment that {tells}. Choose "
                 f"view={self._with_its_options(self.name)!r}, and write in an agent's module "
                 f"env_name = {self._with_its_options(env_id)!r} as it stands here. Found "
                 f"{env.observation_space!r:.200}"

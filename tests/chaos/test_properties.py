@@ -355,6 +355,12 @@ def test_each_field_of_an_agent_takes_or_refuses_each_oddity(name):
     assert tally.num_refused > 0
 
 
+def test_karts_with_any_name_race():
+    agents = [AgentSpec(name="\ud800\n\0" + "x" * 5000)]
+    with race_v0.parallel_env(agents=agents, num_kart=1, track=TRACKS[0]) as env:
+        env.reset(seed=1)
+
+
 @pytest.mark.parametrize("kind", [RaceSettings, stkzoo.Start])
 def test_each_field_of_settings_takes_or_refuses_each_oddity(kind):
     tally = Tally()

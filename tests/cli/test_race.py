@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -111,6 +112,18 @@ def test_command_writes_only_json_to_stdout_on_request(capsys):
 
 
 @pytest.mark.slow
+def test_what_an_agent_prints_stays_out_of_the_json(capsys, tmp_path):
+    agent = tmp_path / "loud"
+    shutil.copytree(AGENTS / "plain", agent)
+    with (agent / "pystk_actor.py").open("a") as module:
+        module.write("print('at load')\n")
+    words = ["--inline", "--track", "olivermath", "--max-steps", "2", "--output", "-"]
+    assert main(["race", str(agent), *words]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["steps"] == 2
+    assert "at load" in printed.err
+
+
 def test_command_fills_the_race_up(capsys):
     words = ["race", "heuristic", "--num-karts", "3", "--track", "olivermath", "--output", "-"]
     assert main(words) == 0

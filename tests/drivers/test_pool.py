@@ -100,6 +100,34 @@ def test_weights_are_checked():
         OpponentPool(["ai", "random"], weights=[1])
 
 
+def test_a_mapping_gives_weights_by_name():
+    pool = OpponentPool({"ai:3": 3, "heuristic": 1})
+    assert pool.weights == {"ai:3": 3.0, "heuristic": 1.0}
+    with pytest.raises(ConfigError, match="opponents is 'ai', expected a list"):
+        OpponentPool("ai")
+
+
+def test_weights_may_be_changed_and_are_checked():
+    pool = OpponentPool(["ai", "random"])
+    pool.weights["ai"] = 0
+    assert {*draws(pool, 50)} == {"random"}
+    pool.weights["random"] = -1
+    with pytest.raises(ConfigError, match="weight of opponent 'random' is -1, expected a number"):
+        draws(pool, 1)
+
+
+def test_what_is_added_is_given_back_as_a_driver():
+    pool = OpponentPool()
+    driver = pool.add(straight, view="racing", name="fast")
+    assert driver is pool.draw(np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(("view", "why"), [("racin", "mean 'racing'"), ("camera", "has pictures")])
+def test_views_that_drivers_do_not_have_are_refused(view, why):
+    with pytest.raises(ConfigError, match=why):
+        OpponentPool().add(straight, view=view)
+
+
 def test_drivers_names_and_policies_are_opponents():
     driver = Driver.of_policy(straight, view="racing", name="fast")
     assert as_driver(driver) is driver

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import pickle
+from contextlib import ExitStack, closing
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium as gym
@@ -13,8 +15,11 @@ from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test
 
 from stkzoo import OpponentPool, RaceVectorEnv, race_v0
+from stkzoo.agents.pretrained.weights import save_weights
+from stkzoo.agents.training.export import export_policy
 from stkzoo.drivers import Driver, find_driver
 from stkzoo.errors import AgentException, ConfigError
+from tests.support.networks import small_network
 
 AGENTS = Path(__file__).parents[1] / "data" / "agents"
 RACE = {"agents": 1, "track": "lighthouse", "view": "flattened_continuous_actions"}
@@ -141,6 +146,47 @@ def test_an_opponent_that_fails_is_out_and_the_race_goes_on(caplog):
         assert len(env._opponents.ask(env._episode)) == 3
 
 
+@pytest.mark.parametrize(
+    ("wrapper", "why"),
+    [
+        ("lambda env: 1 / 0", "division by zero"),
+        ("ConstantSizedObservations, ConstantSizedObservations", "ConstantSizedObservations needs"),
+    ],
+)
+def test_an_opponent_whose_wrapper_fails_is_out(wrapper, why, tmp_path, caplog):
+    (tmp_path / "bad.py").write_text(
+        "from stkzoo import ConstantSizedObservations\n"
+        f"def get_wrappers(): return [{wrapper}]\n"
+        "def get_actor(*_): return lambda state, observation: {}\n"
+    )
+    with against([find_driver(str(tmp_path / "bad.py"), inline=True), "heuristic"]) as env:
+        with caplog.at_level(logging.WARNING, "stkzoo.env.opponents"):
+            env.reset(seed=1)
+        assert [own.agent for own, _ in env._opponents.ask(env._episode)] == ["kart_2"]
+        assert "bad of kart_1 is out" in caplog.text
+        assert why in caplog.text
+
+
+def test_policies_have_no_pictures():
+    with (
+        against([forward], view="camera") as env,
+        pytest.raises(ConfigError, match=r"'forward' cannot have the agents' view .*no camera"),
+    ):
+        env.reset(seed=1)
+    with against([Driver.of_policy(forward, view=RACE["view"])], view="camera") as env:
+        env.reset(seed=1)
+        assert len(env._opponents.ask(env._episode)) == 1
+
+
+def test_a_mapping_is_a_pool_of_drivers_by_weight():
+    with against([{"ai:1": 1, "heuristic": 3}, "random"]) as env:
+        env.reset(seed=1)
+        assert env.race.opponents[0] in ("ai:1", "heuristic")
+    with against({"random": 1}) as env:
+        env.reset(seed=1)
+        assert env.race.opponents == ("random",)
+
+
 def test_opponents_finish_while_the_agents_still_race():
     stand = np.zeros(2, np.float32)
     with against(["heuristic"], track="olivermath", max_cycles=800) as env:
@@ -223,6 +269,36 @@ def test_the_karts_of_one_driver_in_many_races_are_driven_together():
     envs.close()
 
 
+@pytest.mark.parametrize("name", ["heuristic", "pretrained:ace", "pretrained:scout", "network"])
+def test_a_shipped_driver_drives_its_karts_together_as_one_by_one(name, tmp_path):
+    """To the bit, on tracks with other numbers of segments and items."""
+    if name == "network":
+        save_weights(tmp_path / "policy-000000001.safetensors", small_network())
+        (tmp_path / "arguments.json").write_text('{"seed": 7, "tracks": ["lighthouse"]}')
+        policy = tmp_path / "policy-000000001.safetensors"
+        name = str(export_policy(policy, "quick", tmp_path / "quick"))
+    driver, ends = find_driver(name, inline=True), []
+    assert driver.load(ExitStack()).act_together is not None
+    alone = replace(driver, load=lambda stack: replace(driver.load(stack), act_together=None))
+    for opponent in (driver, alone):
+        options = {**RACE, "num_kart": 4, "opponents": [opponent, "ai", opponent]}
+        tracks = ["minigolf", "lighthouse"]
+        with closing(RaceVectorEnv(2, **options | {"track": tracks})) as envs:
+            envs.reset(seed=1)
+            assert [race.race.track for race in envs.races] == tracks
+            for _ in range(80):
+                envs.step(np.tile(FORWARD, (2, 1)))
+            ends.append([race.snapshot.karts.tobytes() for race in envs.races])
+    assert ends[0] == ends[1]
+
+
+def test_equal_names_are_one_driver():
+    names = ["heuristic", "".join(["heuri", "stic"])]  # as from a file: equal, but not the same
+    with against(names) as env:
+        env.reset(seed=1)
+        assert len({own.group for own, _ in env._opponents.ask(env._episode)}) == 1
+
+
 def test_races_started_ahead_have_the_same_opponents():
     ends = []
     for prefetch in (True, False):
@@ -264,7 +340,7 @@ def test_without_opponents_nothing_is_loaded():
         ({"opponents": "ai"}, r"opponents is 'ai', expected a list such as"),
         ({"opponents": ["aj"]}, "unknown driver 'aj'. Known: ai"),
         ({"opponents": [3]}, "an opponent is 3, expected a driver's name"),
-        ({"opponents": ["ai", "ai"]}, "1 agents and 2 opponents for 2 karts; raise num_kart"),
+        ({"opponents": ["ai", "ai"]}, "an agent and 2 opponents for 2 karts; raise num_kart"),
         ({"opponents": ["ai"] * 2, "agents": None}, "an agent and 2 opponents for 2 karts"),
         ({"opponents": OpponentPool(), "agents": None}, "say how many agents there are"),
         ({"opponents": ["ai:1", "ai:3"], "num_kart": 3}, r"the difficulties \[1, 3\]"),

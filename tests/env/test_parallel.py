@@ -9,6 +9,7 @@ import pytest
 import stkzoo
 from stkzoo import race_v0
 from stkzoo.engine.session import WorkerSession
+from stkzoo.env import parallel
 from stkzoo.env.episode import Episode
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import ActionError, ConfigError
@@ -16,6 +17,7 @@ from stkzoo.views import AgentChains
 
 PHASES = [
     (AgentChains, "decode"),
+    (parallel, "drive_opponents"),
     (WorkerSession, "step_async"),
     (WorkerSession, "step_wait"),
     (Episode, "advance"),

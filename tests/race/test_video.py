@@ -19,6 +19,7 @@ from stkzoo.render.cards import end_card
 from stkzoo.render.encoder import FORMATS, VideoError, VideoWriter
 from stkzoo.render.motion import game_time, poses_between, snapshots_between
 from stkzoo.render.pictures import grid_of, tiled
+from stkzoo.render.scene import clock
 from tests.support.rendering import drive, small_race, who_draws
 
 FFMPEG = imageio_ffmpeg.get_ffmpeg_exe()
@@ -209,6 +210,24 @@ def test_tiles_fill_a_grid(number, grid):
     whole = tiled([colour(10 * (i + 1)) for i in range(number)], (120, 96))
     assert set(np.unique(whole)) <= {0, *(10 * (i + 1) for i in range(number))}
     assert whole.shape == (96, 120, 3)
+
+
+class ListenedVideo(RaceVideo):
+    """Keeps the clock of the last picture and the line below the results' title."""
+
+    def add(self, snapshot):
+        self.clock = clock(float(snapshot.header["time"]))
+        super().add(snapshot)
+
+    def finish(self, rows, subtitle):
+        self.subtitle = subtitle
+        super().finish(rows, subtitle)
+
+
+def test_the_results_have_the_clock_of_the_pictures(tmp_path):
+    video = ListenedVideo(tmp_path / "race.mp4", backend="map", size=(160, 120), card_seconds=0.1)
+    run_race(["ai", "ai"], track="olivermath", max_steps=45, listeners=[video])
+    assert video.subtitle == f"results after {video.clock}, cut short"
 
 
 @pytest.mark.parametrize("size", [(160, 120), (854, 480), (1920, 1080)])

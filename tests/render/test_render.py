@@ -15,11 +15,12 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.save_video import save_video
-from PIL import ImageGrab
+from PIL import Image, ImageGrab
 
 import stkzoo  # noqa: F401 - registers the ids
 from stkzoo import AgentSpec, race_v0
 from stkzoo.engine import render_session
+from stkzoo.engine.assets import DATADIR_VARIABLE, find_assets, link_without_dial
 from stkzoo.errors import AssetError, ConfigError, EngineCrashed
 from stkzoo.names import CameraMode
 from tests.support.rendering import drive, history, small_race, who_draws
@@ -197,10 +198,40 @@ def test_the_window_follows_the_race(display):
             if len(moments) in (15, 26):
                 display.shoot()
         assert env.render() is None
+        process = env._rendering._renderer._game._session.pid
+        variables = Path(f"/proc/{process}/environ").read_text().split("\0")
+    (data,) = (Path(v.partition("=")[2]) for v in variables if v.startswith(DATADIR_VARIABLE))
+    assert (data.name.startswith("stkzoo-run-window-"), data.exists()) == (True, False)
     first, last = display.pictures
     assert len(np.unique(first.reshape(-1, 3), axis=0)) > 300
     assert (first != last).any(axis=2).mean() > 0.02
     assert moments == history(25)
+
+
+def test_a_window_has_no_dials_of_the_drawn_karts(tmp_path):
+    if who_draws() == "map":
+        pytest.skip("needs the game's full data")
+    link_without_dial(find_assets(graphics=True).root, tmp_path)
+    icons = tmp_path / "data/gui/icons"
+    for name in ("speed.png", "speedback.png", "speedfore.png", "gauge_empty.png"):
+        assert np.asarray(Image.open(icons / name).convert("RGBA"))[..., 3].max() == 0
+    assert np.asarray(Image.open(icons / "lap_flag.png").convert("RGBA"))[..., 3].max() == 255
+
+
+@pytest.mark.slow
+def test_the_name_of_a_kart_is_above_it():
+    if who_draws() == "map":
+        pytest.skip("the map has names in its panel only")
+    pictures = []
+    for name in ("", "Ada Lovelace\n\ud800" * 500):
+        agents = [AgentSpec(name=name), AgentSpec(), AgentSpec()]
+        options = {"render_backend": "engine", "render_size": (160, 120)}
+        with small_race(agents=agents, render_mode="rgb_array", **options) as env:
+            env.reset(seed=1)
+            pictures.append(env.render())
+    is_changed = (pictures[0] != pictures[1]).any(axis=2)
+    assert is_changed[20:40].mean() > 0.05
+    assert is_changed[60:].mean() < 0.01
 
 
 # ------------------------------------------------------------------ cameras

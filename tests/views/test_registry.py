@@ -18,7 +18,6 @@ from stkzoo.mdp.spaces import kart_action_space
 from stkzoo.views import SHIPPED, VIEWS, View, base_space, extras_for, find_view, options_of
 from stkzoo.views.agent_chain import AgentChain
 from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper
-from stkzoo.wrappers.control import CarParameters
 from stkzoo.wrappers.marl import PartialObservations
 from tests.support.paths import ROOT
 
@@ -35,7 +34,8 @@ OTHERS = {
     "control_input": ["accl", "steering_speed"],
     "normalize_act": True,
     "buttons": ["nitro"],
-    "parameters": CarParameters(v_max=20.0),
+    "parameters": {"v_max": 20.0},
+    "kart": "gnu",
     "step_size": 0.05,
 }
 COMPILED = [view for view in SHIPPED if "camera" not in view.needs]

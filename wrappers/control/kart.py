@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -117,11 +117,17 @@ class CarParameters:
             raise ConfigError(f"s_max is {self.s_max!r}, expected radians below pi / 2")
 
     @classmethod
-    def of(cls, value: CarParameters | Mapping[str, float] | None) -> CarParameters:
+    def of(cls, value: CarParameters | Mapping[str, float] | None, kart: str = "") -> CarParameters:
         """The parameters that are meant: a mapping has some of the fields, ``None`` none.
 
+        Args:
+            value: the parameters.
+            kart: the kart model whose other fields to take, such as ``"gnu"``; empty for the
+                game's default.
+
         Raises:
-            ConfigError: it is something else, or a field is unknown or invalid.
+            ConfigError: it is something else, a field is unknown or invalid, or nobody has
+                measured a kart of that name.
         """
         if isinstance(value, CarParameters):
             return value
@@ -129,7 +135,11 @@ class CarParameters:
             raise ConfigError(
                 f"parameters is {value!r}, expected CarParameters or a mapping of its fields"
             )
-        return cls(**(value or {}))
+        kart = kart or "tux"
+        if kart not in KARTS:
+            raise unknown_name("kart", kart, KARTS)
+        wheel_base, s_max = KARTS[kart]
+        return cls(**{"wheel_base": wheel_base, "s_max": s_max, **(value or {})})
 
     @classmethod
     def of_kart(cls, kart: str) -> CarParameters:
@@ -141,11 +151,7 @@ class CarParameters:
         Raises:
             ConfigError: nobody has measured a kart of that name.
         """
-        kart = kart or "tux"
-        if kart not in KARTS:
-            raise unknown_name("kart", kart, KARTS)
-        wheel_base, s_max = KARTS[kart]
-        return replace(cls(), wheel_base=wheel_base, s_max=s_max)
+        return cls.of(None, kart)
 
     def steering_angle(self, radius: float) -> float:
         """The steering angle [rad] that drives a circle of a radius [m], positive to the right."""

@@ -43,6 +43,7 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
             and ``max_steer_angle``; so this goes inside the wrappers that flatten.
         control_input: see :class:`CarAction`, as for ``normalize_act`` and ``parameters``.
         buttons: some of ``drift``, ``fire``, ``nitro`` and ``rescue``.
+        kart: whose limits to take, as in ``AgentSpec.kart``, but for those that ``parameters`` has.
         step_size: game time of one step [s], that of the race; ``reset`` options that
             change it for an episode are heeded.
 
@@ -62,11 +63,11 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
         normalize_act: bool = False,
         buttons: Sequence[str] = (),
         parameters: CarParameters | Mapping[str, float] | None = None,
+        kart: str = "",
         step_size: float = 0.1,
     ) -> None:
-        self.car_action = CarAction(
-            control_input, normalize_act=normalize_act, parameters=parameters
-        )
+        limits = CarParameters.of(parameters, kart)
+        self.car_action = CarAction(control_input, limits, normalize_act)
         self.buttons = _checked_buttons(buttons)
         self.step_size = check_number("step_size", step_size, unit="seconds")
         super().__init__(env)
@@ -182,7 +183,7 @@ class ControlView:
             control_input=self.control_input,
             normalize_act=self.normalize_act,
             buttons=self.buttons,
-            parameters=CarParameters.of_kart(self.kart),
+            kart=self.kart,
             step_size=self.step_size,
         )
         return FlattenerWrapper(wrapped) if self.observe == "flattened" else wrapped

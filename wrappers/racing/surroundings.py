@@ -48,44 +48,64 @@ class Surroundings:
 Known: TypeAlias = tuple[dict[str, npt.NDArray[Any]], Surroundings]
 
 
-def surroundings_of(observation: Mapping[str, Any], looks: FloatArray = LOOKS) -> Known:
+def surroundings_of(
+    observation: Mapping[str, Any] | Sequence[Mapping[str, Any]], looks: FloatArray = LOOKS
+) -> Known:
     """What karts know of themselves and what is around them, from the ``full`` view.
 
     Args:
-        observation: of one kart, or in batch form.
+        observation: of one kart, in batch form, or a list of those of some karts of any races.
         looks: where the road is looked at [m].
     """
-    lead = np.shape(observation["velocity"])[:-1]
-    batch = observation if lead else {key: [value] for key, value in observation.items()}
-    paths = {
-        key: _rows(batch[key], width, MAX_SEGMENTS)
-        for key, width in (("paths_start", 3), ("paths_end", 3), ("paths_width", 1))
-    }
-    items = _rows(batch["items_position"], 3)
-    types = np.asarray(batch["items_type"], np.int64).reshape(items.shape[:2])
-    around = Surroundings(_road(paths, looks), _rows(batch["karts_position"], 3), items, types)
+    if isinstance(observation, Mapping):
+        is_batch = np.ndim(observation["velocity"]) > 1
+        batch = observation if is_batch else {key: [value] for key, value in observation.items()}
+    else:
+        batch = {key: [one[key] for one in observation] for key in observation[0]}
+    types = [np.asarray(kinds, np.int64).reshape(-1) for kinds in batch["items_type"]]
+    around = Surroundings(
+        road=_road(batch, looks),
+        karts=_stacked(_rows(batch["karts_position"], 3), np.inf),
+        items=_stacked(_rows(batch["items_position"], 3), 0),
+        item_types=_stacked(types, ABSENT),
+    )
     own = {key: np.asarray(batch[key]) for key in OWN_KEYS}
     return own, around
 
 
-def _rows(lists: Any, width: int, limit: int | None = None) -> FloatArray:
-    """Lists of vectors, one list an agent, as ``(A, n, width)``."""
-    if isinstance(lists, np.ndarray):
-        return lists[:, :limit]
-    parts = [np.concatenate(rows[:limit]) if len(rows) else () for rows in lists]
-    return np.array(parts, np.float32).reshape(len(lists), -1, width)
+def _rows(lists: Any, width: int, limit: int | None = None) -> Sequence[FloatArray]:
+    """Lists of vectors, one list an agent, as arrays ``(n, width)``."""
+    blank = np.zeros((0, width), np.float32)
+    return [
+        (rows[:limit] if isinstance(rows, np.ndarray) else np.concatenate(rows[:limit])).reshape(
+            -1, width
+        )
+        if len(rows)
+        else blank
+        for rows in lists
+    ]
 
 
-def _road(paths: dict[str, FloatArray], looks: FloatArray) -> FloatArray:
-    if paths["paths_start"].shape[1] == 0:  # such as the space's own blank observation
-        paths = {
-            key: np.zeros((len(rows), 1, rows.shape[2]), np.float32) for key, rows in paths.items()
-        }
-    starts, ends, widths = paths["paths_start"], paths["paths_end"], paths["paths_width"][..., 0]
-    lines = np.stack(list(map(road_line, starts, ends, widths)))
-    return points_ahead(
-        lines, np.arange(len(lines)), starts[:, 0], ends[:, 0] - starts[:, 0], looks
+def _stacked(parts: Sequence[npt.NDArray[Any]], blank: float) -> npt.NDArray[Any]:
+    """Rows of every agent, filled up where some have fewer."""
+    return np.stack(parts) if len({*map(len, parts)}) == 1 else _padded(parts, blank)
+
+
+def _road(batch: Mapping[str, Any], looks: FloatArray) -> FloatArray:
+    starts, ends, widths = (
+        _rows(batch[key], width, MAX_SEGMENTS)
+        for key, width in (("paths_start", 3), ("paths_end", 3), ("paths_width", 1))
     )
+    if not len(starts[0]):  # such as the space's own blank observation
+        starts, ends, widths = (
+            [np.zeros((1, rows.shape[1]), np.float32) for rows in paths]
+            for paths in (starts, ends, widths)
+        )
+    lines = np.stack(
+        [road_line(a, b, c[:, 0]) for a, b, c in zip(starts, ends, widths, strict=True)]
+    )
+    first, end = (np.stack([rows[0] for rows in paths]) for paths in (starts, ends))
+    return points_ahead(lines, np.arange(len(lines)), first, end - first, looks)
 
 
 def surroundings_in(

@@ -6,9 +6,10 @@ from functools import partial
 from pathlib import Path
 
 from stkzoo.agents.pretrained.driver import make_actor as get_actor
+from stkzoo.agents.pretrained.driver import make_batch_actor as get_batch_actor
 from stkzoo.agents.pretrained.driver import new_state
 
-__all__ = ["create_state", "env_name", "get_actor", "player_name"]
+__all__ = ["create_state", "env_name", "get_actor", "get_batch_actor", "player_name"]
 
 #: The environment that the driver was made for.
 env_name = "supertuxkart/full-v0"

@@ -23,6 +23,9 @@ SYSTEM_FOLDERS = (
 #: Versions of the data whose races are those of the engine.
 _KNOWN_VERSIONS = ("1.4", ENGINE_DATA_VERSION)
 
+#: How the names of the dials' pictures begin.
+_DIAL = ("speed", "gauge_")
+
 _SUBSTITUTE_FONTS = ("wqy-microhei.ttf", "SigmarOne.otf")
 
 
@@ -97,6 +100,25 @@ def system_overlay(data: Path, target: Path) -> Path:
         if not _is_current(target, origin):
             raise AssetError(f"links to {data} cannot be made in {target}: {error}.") from error
     return target
+
+
+def link_without_dial(root: Path, target: Path) -> None:
+    """Links a game's data, but with transparent dials.
+
+    In a window the game shows the speed and the nitro of the drawn karts. These are put in place
+    and hardly move by themselves, so the dials would stand near zero.
+
+    Args:
+        root: the game's full data, as for ``SUPERTUXKART_DATADIR``.
+        target: an existing folder to make the links in.
+    """
+    nothing = root / "data/textures/transparence.png"
+    for folder in ("data", "data/gui", "data/gui/icons"):
+        (target / folder).unlink(missing_ok=True)
+        (target / folder).mkdir()
+        for entry in os.scandir(root / folder):
+            is_dial = entry.name.startswith(_DIAL)
+            (target / folder / entry.name).symlink_to(nothing if is_dial else entry.path)
 
 
 def _is_current(target: Path, origin: str) -> bool:

@@ -1,0 +1,164 @@
+"""Run the commands of pystk2-gymnasium.
+
+For scripts that call `pystk2`: its commands, options, defaults and form of results. The race is
+that of `stkzoo race`, whose other options work too: a reward is the sum over the race, and the exit
+code is 3 if an agent failed. One line on stderr says what else differs.
+
+Examples:
+  stkzoo pystk2 race my_agent.zip --track lighthouse --hide --output result.json
+  stkzoo pystk2 install      write the command `pystk2`, unless there is one
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import os
+import shlex
+import sys
+import sysconfig
+from collections.abc import Sequence
+from dataclasses import fields
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from stkzoo._arguments import CommandParser
+from stkzoo._os import has_display
+from stkzoo.cli import race, race_client, race_server
+from stkzoo.cli._arguments import add_actions
+from stkzoo.cli._race_options import LivePageArguments, VideoArguments
+from stkzoo.errors import AgentError, ConfigError
+
+if TYPE_CHECKING:
+    from stkzoo.race import RaceResult
+
+#: What pystk2-gymnasium does without an option, where `stkzoo race` does something else.
+_DEFAULTS = {
+    "num_karts": 3,
+    "error_handling": "raise",
+    "action_timeout": 0.0,
+    "screen_width": 1280,
+    "screen_height": 720,
+    "render_sub_steps": 1,
+    "web_port": 8050,
+}
+
+
+def add_arguments(parser: CommandParser) -> None:
+    """Declares the arguments."""
+    parser.add_argument("-v", "--verbose", action="store_true", help="log what happens")
+    local, server, client, _ = add_actions(parser, _race, _race_server, _race_client, _install)
+    race.add_arguments(local)
+    race_client.add_arguments(client)
+    race_server.add_arguments(server)
+    for child in (local, client):
+        child.set_defaults(**_DEFAULTS, document=_document)
+    client.set_defaults(timeout=60.0)
+    server.set_defaults(action_timeout=0.0)
+
+
+def _race(arguments: argparse.Namespace) -> int:
+    """Run a race of agents."""
+    _translate(arguments)
+    return race.run(arguments)
+
+
+def _race_client(arguments: argparse.Namespace) -> int:
+    """Run a race with agents that are served elsewhere."""
+    _translate(arguments)
+    return race_client.run(arguments)
+
+
+def _race_server(arguments: argparse.Namespace) -> int:
+    """Serve agents to races that run elsewhere."""
+    return race_server.run(arguments)
+
+
+def _install(_: argparse.Namespace) -> int:
+    """Write the command `pystk2`, unless there is one."""
+    stkzoo = Path(sysconfig.get_path("scripts"), "stkzoo")
+    script, text = (
+        stkzoo.with_name("pystk2"),
+        f'#!/bin/sh\nexec {shlex.quote(str(stkzoo))} pystk2 "$@"\n',
+    )
+    if os.name == "nt":
+        script, text = script.with_suffix(".cmd"), f'@"{stkzoo}" pystk2 %*\n'
+    remedy = "`stkzoo pystk2 race ...` works without it"
+    for entry in entry_points(group="console_scripts", name="pystk2"):
+        raise ConfigError(
+            f"`pystk2` is the command of the package {entry.module.partition('.')[0]}, which is "
+            f"installed here; {remedy}"
+        )
+    try:
+        with script.open("x", encoding="utf-8") as file:
+            file.write(text)
+        script.chmod(0o755)
+    except OSError as error:
+        raise ConfigError(f"{script} cannot be written ({error.strerror}); {remedy}") from error
+    print(f"{script}: calls `stkzoo pystk2`; delete it to remove the command")
+    return 0
+
+
+def _translate(arguments: argparse.Namespace) -> None:
+    """Changes options into those of ``stkzoo race``, and says what pystk2 does otherwise."""
+    if arguments.verbose:
+        logging.basicConfig(level=logging.DEBUG)
+    notes = []
+    for kind, needed, is_used in (
+        (VideoArguments, "--record", arguments.video is not None),
+        (LivePageArguments, "--web", arguments.web),
+    ):
+        for entry in () if is_used else fields(kind):
+            if getattr(arguments, entry.name) not in (entry.default, _DEFAULTS.get(entry.name)):
+                option = "--" + entry.name.replace("_", "-")
+                notes.append(f"{option} does nothing without {needed}")
+            setattr(arguments, entry.name, entry.default)
+    arguments.window = arguments.window or (not arguments.hide and has_display())
+    if not (arguments.hide or arguments.window):
+        notes.append("no window opens, because there is no display")
+    if notes:
+        print(f"stkzoo pystk2: {'; '.join(notes)}", file=sys.stderr)
+
+
+def _document(results: Sequence[RaceResult], failure: AgentError | None, _: object) -> str:
+    """The last race's result, or the failure that ended it, in the form of pystk2-gymnasium."""
+    return json.dumps(_failed(failure) if failure else _finished(results[-1]), indent=2)
+
+
+def _failed(failure: AgentError) -> dict[str, Any]:
+    return {
+        "type": "error",
+        "key": _key(failure.key),
+        "name": failure.key,
+        "when": "in the race",
+        "message": str(failure),
+        "traceback": failure.trace.splitlines(keepends=True),
+    }
+
+
+def _finished(result: RaceResult) -> dict[str, Any]:
+    rows = [row for row in result.agents if row.source != "ai"]
+    return {
+        "type": "results",
+        "track": result.track,
+        "steps": result.steps,
+        "elapsed_seconds": round(result.wall_time, 2),
+        "results": [
+            {
+                "key": _key(row.agent),
+                "name": row.driver,
+                "reward": row.reward,
+                "position": row.rank,
+                "avg_action_time": row.action_time.mean if row.action_time else 0.0,
+            }
+            for row in sorted(rows, key=lambda row: _key(row.agent))
+        ],
+    }
+
+
+def _key(agent: str) -> int:
+    """The reference's number of ``kart_0``; -1 if the agent is unknown."""
+    number = agent.rpartition("_")[2]
+    return int(number) if number.isdecimal() else -1

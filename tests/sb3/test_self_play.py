@@ -1,0 +1,61 @@
+"""Self-play against past selves: the program of docs/opponents.md, and real models in a pool."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from stable_baselines3 import A2C, PPO
+
+from stkzoo import OpponentPool
+from stkzoo.sb3 import ActiveRolloutBuffer, RaceVecEnv
+from tests.support.paths import ROOT
+
+PROGRAM = ROOT / "examples" / "self_play.py"
+
+
+def test_the_program_is_short_and_shown_as_it_stands():
+    assert len(PROGRAM.read_text().splitlines()) <= 40
+    page = (ROOT / "docs" / "opponents.md").read_text("utf-8")
+    assert "```{literalinclude} ../examples/self_play.py\n" in page
+
+
+@pytest.mark.slow
+def test_what_learned_for_a_moment_beats_its_first_self():
+    done = subprocess.run(
+        [sys.executable, PROGRAM, "1", "16384", "6"],
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    won, duels = map(int, re.search(r"won (\d+) of (\d+) duels", done.stdout).groups())
+    assert 2 * won > duels
+
+
+@pytest.mark.parametrize("algorithm", [PPO, A2C])
+def test_a_pool_keeps_a_model_as_it_was_while_it_goes_on_learning(algorithm):
+    pool = OpponentPool(["random"])
+    envs = RaceVecEnv(
+        2, agents=1, num_kart=2, track="lighthouse", view="racing", max_cycles=8, opponents=pool
+    )
+    model = algorithm(
+        "MlpPolicy", envs, n_steps=32, rollout_buffer_class=ActiveRolloutBuffer, device="cpu"
+    )
+    model.learn(64)
+    seen = np.random.default_rng(0).normal(size=(64, *envs.observation_space.shape))
+    kept = pool.add(model, name="kept").load(None).make_actor(envs.observation_space, None, 0)
+    before, _ = model.predict(seen.astype(np.float32), deterministic=True)
+    pool.weights["random"] = 0
+    model.learn(64)
+    assert {race.race.opponents for race in envs.races.races} == {("kept",)}
+    assert (kept.policy.predict(seen.astype(np.float32), deterministic=True)[0] == before).all()
+    weights = model.policy.action_net.weight.detach().numpy()
+    assert (kept.policy.action_net.weight.detach().numpy() != weights).any()
+    envs.close()
