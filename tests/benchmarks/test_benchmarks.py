@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import bench_steps, bench_tables
+from benchmarks import bench_steps, bench_tables, opponents
 from benchmarks.bench_all import BENCHMARKS
 from benchmarks.bench_common import VIEWS, Table, figures, quantiles
 from benchmarks.bench_controls import (
@@ -342,3 +342,9 @@ def test_each_part_of_a_learned_drivers_decision_is_timed(name):
     parts = cost(name, karts=2, track="lighthouse", steps=3)
     assert tuple(parts) == PARTS
     assert all(time > 0 for time in parts.values())
+
+
+def test_the_forms_of_opponents_are_timed():
+    times = opponents.cost(races=1, steps=20, track="lighthouse")
+    assert [*times] == ["bots", "ai:3", "one by one", "together"]
+    assert all(time > 0 for time in times.values())
