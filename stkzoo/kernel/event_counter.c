@@ -73,7 +73,8 @@ static double apart(const float *here, const float *there)
 
 /* ---------------------------------------------------------------- one kart */
 
-static void time_kart(const EventCounter *self, const Kart *kart, double *memory, double *counts)
+static void time_kart(const EventCounter *self, const Kart *then, const Kart *kart, double *memory,
+                      double *counts)
 {
     const float *begin = self->nodes.data + 6 * kart->node, *v = kart->velocity;
     const double dt = self->step_size;
@@ -83,6 +84,9 @@ static void time_kart(const EventCounter *self, const Kart *kart, double *memory
     const int is_off = kart->is_on_road == 0;
     /* A kart that is carried keeps its velocity, and has no speed. */
     const int is_back = kart->speed != 0 && along < -BACKWARDS * sqrt(inner(road, road));
+    for (int i = 0; i < 3; i++) {
+        if (isinf(memory[PLACE + i])) memory[PLACE + i] = then->location[i]; /* the first step */
+    }
     const double way[3] = {kart->location[0] - memory[PLACE], kart->location[1] - memory[PLACE + 1],
                            kart->location[2] - memory[PLACE + 2]};
     const int has_moved = inner(way, way) > STUCK * STUCK;
@@ -302,7 +306,7 @@ static PyObject *counter_count(PyObject *object, PyObject *args)
     if (now.header->time <= then.header->time) Py_RETURN_NONE; /* nobody may drive yet */
     for (npy_intp i = 0; i < self->num_karts; i++) {
         double *memory = memory_of(self, i), *counts = counts_of(self, i);
-        time_kart(self, now.karts + i, memory, counts);
+        time_kart(self, then.karts + i, now.karts + i, memory, counts);
         count_items(then.karts + i, now.karts + i, counts);
         count_ride(then.karts + i, now.karts + i, self->step_size, memory, counts);
     }

@@ -34,6 +34,7 @@ EVENTS = (
 STREAKS = ("off_road", "wrong_way", "stuck")
 #: Of the kernel's memory, beside a column for each kart.
 _NUM_OWN = 8
+_PLACE = slice(3, 6)
 
 
 class RaceEvents:
@@ -52,6 +53,7 @@ class RaceEvents:
         self.counts = np.zeros((num_kart, len(EVENTS)))
         self._track, self._step_size = track, step_size
         self._memory = np.zeros((num_kart, _NUM_OWN + num_kart))
+        self._memory[:, _PLACE] = np.inf  # not known yet
         self._counter = EventCounter(track.path_nodes, step_size, self._memory, self.counts)
 
     @property

@@ -123,3 +123,27 @@ def test_nothing_stands_in_infos_that_was_not_asked_for():
 def test_a_wrong_value_is_refused_by_name(name, value):
     with pytest.raises(ConfigError, match=f"{name} is {value!r}, expected"):
         RaceOptions(**{name: value})
+
+
+def test_a_saved_state_keeps_for_how_long_a_kart_is_stuck():
+    with race_v0.parallel_env(num_kart=2, track="lighthouse", end_when_stuck=2.0) as env:
+        actions = {"kart_0": drive(0.0), "kart_1": drive(0.6)}
+
+        def steps_to_the_end():
+            number = 0
+            while "kart_0" in env.agents:
+                number += 1
+                env.step({agent: actions[agent] for agent in env.agents})
+            return number
+
+        env.reset(seed=1)
+        for _ in range(30):
+            env.step(actions)
+        with env.save_state() as state:
+            left = steps_to_the_end()
+            env.restore_state(state)
+            assert steps_to_the_end() == left < 12
+            env.reset(options={"state": state})
+            assert steps_to_the_end() == 20
+            env.reset(options={"state": state, "end_when_stuck": 1.0})
+            assert steps_to_the_end() == 10

@@ -36,9 +36,10 @@ class EventCounter:
     Args:
         nodes: ``(N, 2, 3)`` float32: start and end of the track's segments [m].
         step_size: game time of a step [s].
-        memory: ``(K, 8 + K)``: what karts have been through, zeros at first; :meth:`count` writes
-            it. The columns 0 to 2 are for how long each has been off the road, driving the wrong
-            way and within 3 m [s].
+        memory: ``(K, 8 + K)``: what karts have been through, zeros at first, but infinity in the
+            columns 3 to 5, where karts were when they last moved on; :meth:`count` writes it. The
+            columns 0 to 2 are for how long each has been off the road, driving the wrong way and
+            within 3 m [s].
         counts: ``(K, 10)``: the step's events (:data:`stkzoo.mdp.events.EVENTS`), which
             :meth:`count` writes.
 
@@ -73,13 +74,13 @@ class EventCounter:
             raise ValueError(f"a snapshot of another race, of {len(now.karts)} karts")
         self._counts[:] = 0.0
         if now.header["time"] > then.header["time"]:
-            self._time_karts(now)
+            self._time_karts(then, now)
             self._count_ranks(then.karts, now.karts)
             self._count_items(then, now)
             self._count_rides(then.karts, now.karts)
             self._count_contacts(then.karts, now.karts)
 
-    def _time_karts(self, now: Snapshot) -> None:
+    def _time_karts(self, then: Snapshot, now: Snapshot) -> None:
         karts, memory, dt = now.karts, self._memory, self._dt
         road = self._road[karts["node"]]
         along = (road * karts["velocity"]).sum(1)
@@ -87,6 +88,7 @@ class EventCounter:
         is_off = karts["is_on_road"] == 0
         self._counts[:, _OFF_ROAD], self._counts[:, _WRONG_WAY] = dt * is_off, dt * is_back
         place = memory[:, _PLACE : _PLACE + 3]
+        np.copyto(place, then.karts["location"], where=np.isinf(place))  # the first step
         has_moved = ((karts["location"] - place) ** 2).sum(1) > _STUCK**2
         place[has_moved] = karts["location"][has_moved]
         for column, goes_on in ((0, is_off), (1, is_back), (2, ~has_moved)):
