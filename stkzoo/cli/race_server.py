@@ -83,6 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _server(arguments: argparse.Namespace) -> RaceServer:
+    from stkzoo.drivers.driver import check_adapter
     from stkzoo.race import find_driver
     from stkzoo.race.remote import RaceServer, ServerKeys, read_publics, read_secret
 
@@ -91,6 +92,7 @@ def _server(arguments: argparse.Namespace) -> RaceServer:
         find_driver(agent, inline=settings.inline, adapter=settings.adapter)
         for agent in arguments.agents
     ]
+    check_adapter(drivers, settings.adapter)
     keys = ServerKeys(
         own=None if arguments.secret is None else read_secret(arguments.secret),
         allowed=None if arguments.allow is None else read_publics(arguments.allow),

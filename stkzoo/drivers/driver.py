@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import importlib
 import pkgutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -57,6 +57,7 @@ class Driver:
         extras: what it is told beside the ``full`` view (:data:`stkzoo.mdp.spaces.EXTRAS`).
         load: loads its code into this program; ``None`` for the game's AI and for drivers that run
             elsewhere.
+        is_from_files: whether its code is the user's files, which an adapter can change.
     """
 
     name: str
@@ -65,6 +66,7 @@ class Driver:
     difficulty: int | None = None
     extras: frozenset[str] = frozenset()
     load: CodeLoader | None = None
+    is_from_files: bool = False
 
     @property
     def is_game_ai(self) -> bool:
@@ -127,6 +129,19 @@ def _packages(parent: str) -> list[str]:
     return [module.name for module in pkgutil.iter_modules(folder) if module.ispkg]
 
 
+def check_adapter(drivers: Iterable[Driver], adapter: object) -> None:
+    """Refuses an adapter that would do nothing.
+
+    Raises:
+        ConfigError: there is an adapter, but no driver from files.
+    """
+    if adapter is not None and not any(driver.is_from_files for driver in drivers):
+        raise ConfigError(
+            "an adapter does nothing without an agent from files; name one, or leave out the "
+            "adapter"
+        )
+
+
 def find_driver(text: str, *, inline: bool = False, adapter: str | None = None) -> Driver:
     """The driver that a text names.
 
@@ -176,8 +191,10 @@ def _find(source: str, inline: bool, adapter: str | None) -> Driver:
         raise _unknown(source)
     extras = env_extras(files)
     if inline:
-        return Driver._here("", partial(_load_files, files, adapter), source, extras)
-    return Driver("", partial(IsolatedInstance, files=files, adapter=adapter), extras=extras)
+        driver = Driver._here("", partial(_load_files, files, adapter), source, extras)
+    else:
+        driver = Driver("", partial(IsolatedInstance, files=files, adapter=adapter), extras=extras)
+    return replace(driver, is_from_files=True)
 
 
 def _unknown(source: str) -> ConfigError:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from stkzoo.config import AgentSpec
-from stkzoo.drivers.driver import Driver, find_driver
+from stkzoo.drivers.driver import Driver, check_adapter, find_driver
 from stkzoo.drivers.instances import DriverRequest
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import ActionError, ConfigError
@@ -86,6 +86,7 @@ def run_race(
     places = _places(start_positions, len(drivers))
     awaited = _awaited(wait_for, len(drivers))
     found = [_driver(driver, chosen) for driver in drivers]
+    check_adapter(found, chosen.adapter)
     chosen = _of_level(chosen, found)
     with ExitStack() as resources:
         for listener in listeners:

@@ -148,6 +148,7 @@ def test_command_fills_the_race_up(capsys):
         ["ai", "--action-timeout", "-1"],
         ["no/such/agent.zip"],
         ["ai", "--adapter", "no.py"],
+        ["ai", "heuristic", "--adapter", __file__],
         ["ai", "--cameras", "2"],
         ["ai", "--cameras", "auto", "--screen-width", "99"],
         ["ai", "--web-port", "8001"],

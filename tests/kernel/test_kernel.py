@@ -202,7 +202,7 @@ def test_a_race_is_the_same_with_and_without_the_kernel(view, track, numpy_only)
 @pytest.mark.parametrize("steering", ["steering_angle", "steering_speed"])
 @pytest.mark.parametrize("longitudinal", ["speed", "accl"])
 def test_a_car_is_driven_as_in_numpy(longitudinal, steering, normalize_act, lag):
-    car = CarAction((longitudinal, steering), {"T_steer": lag}, normalize_act=normalize_act)
+    car = CarAction((longitudinal, steering), {"T_steer": lag}, normalize=normalize_act)
     controller = car.new_controller(CONTROLS)
     twin = car_controller.CarController(car.act, (), (), None, (0, 1, 2), 7)
     random, count = np.random.default_rng(0), 40

@@ -34,7 +34,7 @@ OTHERS = {
     "control_input": ["accl", "steering_speed"],
     "normalize_act": True,
     "buttons": ["nitro"],
-    "parameters": {"v_max": 20.0},
+    "params": {"v_max": 20.0},
     "kart": "gnu",
     "step_size": 0.05,
 }

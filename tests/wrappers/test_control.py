@@ -122,21 +122,26 @@ def test_bounds_are_in_the_order_of_the_space():
     action = CarAction(["accl", "steering_speed"], {"a_max": 5.0, "sv_max": 1.0})
     assert (action.steer_bounds, action.throttle_bounds) == ((-1.0, 1.0), (-5.0, 5.0))
     assert action.space.high.tolist() == [1.0, 5.0]
-    assert CarAction(normalize_act=True).throttle_bounds == (-1.0, 1.0)
+    normal = CarAction(["speed", "steering_angle"], {}, True)
+    assert (normal.normalize, normal.throttle_bounds) == (True, (-1.0, 1.0))
 
 
 def test_parameters_may_be_a_mapping():
-    assert CarAction(parameters={"T_steer": 0.2}).parameters == CarParameters(T_steer=0.2)
+    assert CarAction(params={"T_steer": 0.2}).params == CarParameters(T_steer=0.2)
     with pytest.raises(ConfigError, match="sv_maxx"):
-        CarAction(parameters={"sv_maxx": 1.0})
+        CarAction(params={"sv_maxx": 1.0})
     with pytest.raises(ConfigError, match="expected CarParameters or a mapping"):
-        CarAction(parameters=[1.0])
+        CarAction(params=[1.0])
+    limits = {"s_min": -0.3, "s_max": 0.3, "sv_min": -3.2, "sv_max": 3.2}
+    assert SteeringAngleAction(limits, True).params == CarParameters(s_max=0.3, sv_max=3.2)
+    with pytest.raises(ConfigError, match=r"s_min is -0\.2, expected -0\.3"):
+        CarAction(params={**limits, "s_min": -0.2})
     with pytest.raises(ConfigError, match="T_steer is -1"):
         CarParameters(T_steer=-1)
 
 
 def test_wheels_with_a_lag_cover_63_percent_of_the_way_in_its_time():
-    action = CarAction(parameters={"T_steer": 0.4, "sv_max": 100.0})
+    action = CarAction(params={"T_steer": 0.4, "sv_max": 100.0})
     memory = action.memory()
     for _ in range(4):
         controls, memory = action.act(np.array([0.2, 5.0]), 5.0, 0.425, memory)
@@ -150,7 +155,7 @@ def test_spaces_are_in_physical_units_or_normalised():
     space = CarAction(["accl", "steering_speed"]).space
     assert space.low.tolist() == pytest.approx([-1.9, -17.5])
     assert space.high.tolist() == pytest.approx([1.9, 17.5])
-    normal = CarAction(["speed", "steering_angle"], normalize_act=True)
+    normal = CarAction(["speed", "steering_angle"], normalize=True)
     assert normal.space == spaces.Box(-1.0, 1.0, (2,), np.float32)
     assert normal.physical([0.0, 0.0]) == pytest.approx([0.0, 10.0])
     assert normal.physical([-1.0, 1.0]) == pytest.approx([-0.425, 25.0])
@@ -211,7 +216,7 @@ numbers = st.floats(-1.0, 1.0, width=32)
 def test_controls_are_always_ones_that_the_game_takes(
     kinds, normalize_act, first, second, speed, angle, step_size
 ):
-    action = CarAction(kinds, normalize_act=normalize_act)
+    action = CarAction(kinds, normalize=normalize_act)
     asked = action.space.low + (np.array([first, second]) + 1) / 2 * (
         action.space.high - action.space.low
     )
@@ -304,8 +309,8 @@ def test_buttons_stand_beside_the_numbers():
         ({"buttons": "drift"}, "buttons is 'drift'"),
         ({"step_size": 0}, "step_size is 0"),
         ({"step_size": True}, "step_size is True"),
-        ({"normalize_act": 1}, "normalize_act is 1"),
-        ({"parameters": 3}, "parameters is 3"),
+        ({"normalize_act": 2}, "normalize_act is 2"),
+        ({"params": 3}, "params is 3"),
     ],
 )
 def test_wrong_arguments_are_refused(arguments, message):

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo.errors import ConfigError, check_flag, check_whole
 from stkzoo.kernel import CarController
 from stkzoo.wrappers.control.kart import PEDALS, CarParameters, Pedals
 from stkzoo.wrappers.control.kinds import (
@@ -36,15 +36,15 @@ class CarAction:
         longitudinal: what the second number means.
         steering: what the first number means.
         space: ``(2,)`` float32, in physical units or in [-1, 1].
-        parameters: the kart's limits.
+        params: the kart's limits.
 
     Args:
         control_input: one of ``"speed"`` [m/s] and ``"accl"`` [m/s^2], and one of
             ``"steering_angle"`` [rad] and ``"steering_speed"`` [rad/s]. One name alone goes
             with ``"speed"`` or ``"steering_angle"``.
-        normalize_act: both numbers from -1 to 1 for the whole of their range, so that 0 is
+        normalize: both numbers from -1 to 1 for the whole of their range, so that 0 is
             its middle, which is not standing still for ``"speed"``.
-        parameters: the kart's limits, or a mapping of some of them; by default those of the
+        params: the kart's limits, or a mapping of some of them; by default those of the
             game's default kart.
 
     Raises:
@@ -54,17 +54,15 @@ class CarAction:
     def __init__(
         self,
         control_input: str | Sequence[str] = ("speed", "steering_angle"),
-        parameters: CarParameters | Mapping[str, float] | None = None,
-        normalize_act: bool = False,
+        params: CarParameters | Mapping[str, float] | None = None,
+        normalize: bool = False,
     ) -> None:
-        self.parameters = CarParameters.of(parameters)
-        if not isinstance(normalize_act, bool):
-            raise ConfigError(f"normalize_act is {normalize_act!r}, expected True or False")
+        self.params = CarParameters.of(params)
         longitudinal, steering = _kinds(control_input)
-        self.longitudinal: LongitudinalAction = longitudinal(self.parameters, normalize_act)
-        self.steering: SteerAction = steering(self.parameters, normalize_act)
+        self.longitudinal: LongitudinalAction = longitudinal(self.params, normalize)
+        self.steering: SteerAction = steering(self.params, normalize)
         self.type = self.steering.type, self.longitudinal.type
-        self.normalize_act = normalize_act
+        self.normalize = check_flag("normalize", normalize)
         self._low = np.array([self.steering.low, self.longitudinal.low], np.float32)
         self._high = np.array([self.steering.high, self.longitudinal.high], np.float32)
         low, high = zip(self.steer_bounds, self.throttle_bounds, strict=True)
@@ -87,13 +85,13 @@ class CarAction:
         Args:
             columns: of the game's controls.
         """
-        own, limits = self.parameters, (self._low, self._high)
+        own, limits = self.params, (self._low, self._high)
         return CarController(
             self.act,
             (
                 self.longitudinal.is_fed_back,
                 self.steering.type == "steering_angle",
-                self.normalize_act,
+                self.normalize,
             ),
             (
                 *(float(limit[number]) for number in (0, 1) for limit in limits),
@@ -152,7 +150,7 @@ class CarAction:
         """An action ``(..., 2)`` of ``space`` in physical units, float64."""
         values = np.asarray(action, np.float64)
         low, high = self._low.astype(np.float64), self._high.astype(np.float64)
-        return low + (values + 1.0) / 2.0 * (high - low) if self.normalize_act else values
+        return low + (values + 1.0) / 2.0 * (high - low) if self.normalize else values
 
     def read(
         self,
@@ -200,7 +198,7 @@ class CarAction:
 
     def _in_space(self, action: FloatArray) -> FloatArray:
         """An action ``(..., 2)`` in physical units as one of ``space``, float32."""
-        if self.normalize_act:
+        if self.normalize:
             action = (action - self._low) / (self._high - self._low) * 2.0 - 1.0
         inside: FloatArray = np.clip(action, self.space.low, self.space.high).astype(np.float32)
         return inside

@@ -121,7 +121,8 @@ class CarParameters:
         """The parameters that are meant: a mapping has some of the fields, ``None`` none.
 
         Args:
-            value: the parameters.
+            value: the parameters; ``s_min`` and ``sv_min`` of F1TENTH gymkhana may stand beside
+                ``s_max`` and ``sv_max``, if they mirror them.
             kart: the kart model whose other fields to take, such as ``"gnu"``; empty for the
                 game's default.
 
@@ -133,13 +134,20 @@ class CarParameters:
             return value
         if value is not None and not isinstance(value, Mapping):
             raise ConfigError(
-                f"parameters is {value!r}, expected CarParameters or a mapping of its fields"
+                f"params is {value!r}, expected CarParameters or a mapping of its fields"
             )
         kart = kart or "tux"
         if kart not in KARTS:
             raise unknown_name("kart", kart, KARTS)
         wheel_base, s_max = KARTS[kart]
-        return cls(**{"wheel_base": wheel_base, "s_max": s_max, **(value or {})})
+        given = {"wheel_base": wheel_base, "s_max": s_max, **(value or {})}
+        lowest = {name: given.pop(name) for name in ("s_min", "sv_min") if name in given}
+        found = cls(**given)
+        for name, low in lowest.items():
+            high = getattr(found, name.replace("min", "max"))
+            if low != -high:
+                raise ConfigError(f"{name} is {low!r}, expected {-high!r}: karts are symmetric")
+        return found
 
     @classmethod
     def of_kart(cls, kart: str) -> CarParameters:

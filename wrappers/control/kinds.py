@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.errors import check_flag, unknown_name
 from stkzoo.wrappers.control.kart import CarParameters
 
 FloatArray = npt.NDArray[np.floating[Any]]
@@ -60,10 +60,10 @@ class NumberAction(ABC):
         low: its smallest value, in physical units.
         high: its largest value.
         normalize: whether it is given from -1 to 1 instead, for the whole of that range.
-        parameters: the kart's limits.
+        params: the kart's limits.
 
     Args:
-        parameters: the kart's limits, or a mapping of some of them; by default those of the
+        params: the kart's limits, or a mapping of some of them; by default those of the
             game's default kart.
         normalize: whether the number is from -1 to 1.
 
@@ -75,13 +75,11 @@ class NumberAction(ABC):
 
     def __init__(
         self,
-        parameters: CarParameters | Mapping[str, float] | None = None,
+        params: CarParameters | Mapping[str, float] | None = None,
         normalize: bool = False,
     ) -> None:
-        if not isinstance(normalize, bool):
-            raise ConfigError(f"normalize is {normalize!r}, expected True or False")
-        self.parameters = CarParameters.of(parameters)
-        self.normalize = normalize
+        self.params = CarParameters.of(params)
+        self.normalize = check_flag("normalize", normalize)
         self.low, self.high = self.bounds()
 
     @property
@@ -136,7 +134,7 @@ class SpeedAction(LongitudinalAction):
 
     def bounds(self) -> tuple[float, float]:
         """See :meth:`NumberAction.bounds`."""
-        return self.parameters.v_min, self.parameters.v_max
+        return self.params.v_min, self.params.v_max
 
     def act(self, value: FloatArray, speed: FloatArray, step_size: float) -> FloatArray:
         """See :meth:`LongitudinalAction.act`."""
@@ -148,7 +146,7 @@ class SpeedAction(LongitudinalAction):
 
     def _gain(self, step_size: float) -> float:
         """No step may overshoot, so long steps want less gain [1/s]."""
-        return min(self.parameters.speed_gain, 0.8 / step_size)
+        return min(self.params.speed_gain, 0.8 / step_size)
 
 
 class AcclAction(LongitudinalAction):
@@ -159,12 +157,12 @@ class AcclAction(LongitudinalAction):
 
     def bounds(self) -> tuple[float, float]:
         """See :meth:`NumberAction.bounds`."""
-        return -self.parameters.a_max, self.parameters.a_max
+        return -self.params.a_max, self.params.a_max
 
     def act(self, value: FloatArray, speed: FloatArray, step_size: float) -> FloatArray:
         """See :meth:`LongitudinalAction.act`."""
-        slowest = (self.parameters.v_min - speed) / step_size
-        fastest = (self.parameters.v_max - speed) / step_size
+        slowest = (self.params.v_min - speed) / step_size
+        fastest = (self.params.v_max - speed) / step_size
         return np.clip(value, np.minimum(slowest, 0.0), np.maximum(fastest, 0.0))
 
     def read(self, accl: FloatArray, speed: FloatArray, step_size: float) -> FloatArray:
@@ -200,7 +198,7 @@ class SteerAction(NumberAction):
             max_angle: ``(...)`` the largest angle at the present speed [rad].
             step_size: how long the action lasts [s].
         """
-        fastest = self.parameters.sv_max
+        fastest = self.params.sv_max
         rate = np.clip(self.rate(value, angle, step_size), -fastest, fastest)
         return np.clip(angle + rate * step_size, -max_angle, max_angle)
 
@@ -216,7 +214,7 @@ class SteeringAngleAction(SteerAction):
 
     def bounds(self) -> tuple[float, float]:
         """See :meth:`NumberAction.bounds`."""
-        return -self.parameters.s_max, self.parameters.s_max
+        return -self.params.s_max, self.params.s_max
 
     def rate(self, value: FloatArray, angle: FloatArray, step_size: float) -> FloatArray:
         """See :meth:`SteerAction.rate`."""
@@ -224,13 +222,13 @@ class SteeringAngleAction(SteerAction):
 
     def read(self, angle: FloatArray, before: FloatArray, step_size: float) -> FloatArray:
         """See :meth:`SteerAction.read`."""
-        if self.parameters.T_steer > 0:
+        if self.params.T_steer > 0:
             angle = before + (angle - before) / self._share(step_size)
         return np.clip(angle, self.low, self.high)
 
     def _share(self, step_size: float) -> float:
         """The share of the way that the wheels cover in a step."""
-        lag = self.parameters.T_steer
+        lag = self.params.T_steer
         return 1.0 - math.exp(-step_size / lag) if lag > 0 else 1.0
 
 
@@ -241,7 +239,7 @@ class SteeringSpeedAction(SteerAction):
 
     def bounds(self) -> tuple[float, float]:
         """See :meth:`NumberAction.bounds`."""
-        return -self.parameters.sv_max, self.parameters.sv_max
+        return -self.params.sv_max, self.params.sv_max
 
     def rate(self, value: FloatArray, angle: FloatArray, step_size: float) -> FloatArray:
         """See :meth:`SteerAction.rate`."""

@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from stkzoo.errors import ConfigError, check_number, unknown_name
+from stkzoo.errors import ConfigError, check_flag, check_number, unknown_name
 from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space
 from stkzoo.wrappers.control.car_action import CarAction
@@ -41,9 +41,9 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
     Args:
         env: an environment with the game's own actions, whose observation has ``velocity``
             and ``max_steer_angle``; so this goes inside the wrappers that flatten.
-        control_input: see :class:`CarAction`, as for ``normalize_act`` and ``parameters``.
+        control_input: see :class:`CarAction`, as for ``normalize_act`` and ``params``.
         buttons: some of ``drift``, ``fire``, ``nitro`` and ``rescue``.
-        kart: whose limits to take, as in ``AgentSpec.kart``, but for those that ``parameters`` has.
+        kart: whose limits to take, as in ``AgentSpec.kart``, but for those that ``params`` has.
         step_size: game time of one step [s], that of the race; ``reset`` options that
             change it for an episode are heeded.
 
@@ -62,12 +62,14 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
         control_input: str | Sequence[str] = ("speed", "steering_angle"),
         normalize_act: bool = False,
         buttons: Sequence[str] = (),
-        parameters: CarParameters | Mapping[str, float] | None = None,
+        params: CarParameters | Mapping[str, float] | None = None,
         kart: str = "",
         step_size: float = 0.1,
     ) -> None:
-        limits = CarParameters.of(parameters, kart)
-        self.car_action = CarAction(control_input, limits, normalize_act)
+        limits = CarParameters.of(params, kart)
+        self.car_action = CarAction(
+            control_input, limits, check_flag("normalize_act", normalize_act)
+        )
         self.buttons = _checked_buttons(buttons)
         self.step_size = check_number("step_size", step_size, unit="seconds")
         super().__init__(env)
@@ -95,7 +97,7 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
     def identity(self) -> Hashable:
         """Equal for wrappers that do the same."""
         car = self.car_action
-        return car.type, car.normalize_act, car.parameters, self.step_size
+        return car.type, car.normalize, car.params, self.step_size
 
     def _start(self, step_size: float) -> None:
         self._step_size = step_size
