@@ -10,7 +10,7 @@ import pytest
 
 import stkzoo
 from stkzoo import errors, race_v0
-from stkzoo.race import run_race
+from stkzoo.race import RaceSettings, run_race
 
 ALL = [getattr(errors, name) for name in errors.__all__]
 CLASSES = [entry for entry in ALL if isinstance(entry, type)]
@@ -101,6 +101,9 @@ def test_a_number_within_bounds_is_given_as_a_float():
         (lambda **options: run_race(["ai"], **options), "max_step", "max_steps"),
         (stkzoo.AgentSpec, "rankstart", "rank_start"),
         (stkzoo.Start, "distanc", "distance"),
+        (stkzoo.OpponentPool, "weigths", "weights"),
+        (RaceSettings, "trak", "track"),
+        (stkzoo.MonoAgentWrapperAdapter, "wraper_factories", "wrapper_factories"),
     ],
 )
 def test_an_unknown_keyword_is_one_line_with_what_was_meant(make, wrong, meant):

@@ -13,7 +13,7 @@ from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
 from stkzoo.agent_names import of_agent
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.views.walker import ChainWalker, Factories, StepParts
 
 
@@ -45,11 +45,14 @@ class MonoAgentWrapperAdapter:
     """
 
     def __new__(
-        cls, env: Any = None, wrapper_factories: Any = None, **_: Any
+        cls, env: Any = None, wrapper_factories: Any = None, **options: Any
     ) -> MonoAgentWrapperAdapter:
         """Chooses the form that fits the environment."""
         if cls is not MonoAgentWrapperAdapter:
             return super().__new__(cls)
+        for name in options.keys() - {"keep_original"}:
+            known = ("env", "wrapper_factories", "keep_original")
+            raise unknown_name("argument", name, known)
         if not isinstance(wrapper_factories, Mapping):
             raise ConfigError(
                 'wrapper_factories has to be a mapping from agents to views, such as {"0": '

@@ -57,7 +57,11 @@ class WindowArguments:
 
 
 def _number_of_cameras(text: str) -> int | None:
-    return None if text == "auto" else int(text)
+    if text == "auto":
+        return None
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a number nor auto")
+    return int(text)
 
 
 @dataclass

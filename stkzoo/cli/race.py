@@ -152,6 +152,10 @@ def _plan(
         raise ConfigError("--demo brings its own drivers; leave out --demo or the drivers")
     if arguments.output not in (None, "-"):
         check_writable(arguments.output, "the result")
+    outputs = [arguments.output, arguments.replay, arguments.video]
+    for file in filter(None, outputs):
+        if outputs.count(file) > 1:
+            raise ConfigError(f"{file!r} is named for two outputs; give each a file of its own")
     if arguments.races < 1:
         raise ConfigError(f"--races is {arguments.races}, expected 1 or more")
     drivers = [*remote, *(_DEMO_DRIVERS if arguments.demo else arguments.drivers)]

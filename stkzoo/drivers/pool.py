@@ -11,7 +11,7 @@ import numpy as np
 
 from stkzoo.drivers.driver import Driver, find_driver
 from stkzoo.drivers.policy import frozen_policy
-from stkzoo.errors import ConfigError, check_number
+from stkzoo.errors import ConfigError, check_arguments, check_number
 
 
 def as_driver(opponent: object) -> Driver:
@@ -37,6 +37,7 @@ def as_driver(opponent: object) -> Driver:
     )
 
 
+@check_arguments
 class OpponentPool:
     """Opponents with weights; a race draws one for each kart that the pool is given.
 

@@ -95,7 +95,12 @@ def _refuse_shipped(name: str, remedy: str) -> None:
 def _is_same(view: ViewFactory, other: ViewFactory) -> bool:
     """Whether two views are equal, or one is the other after its definition has run again."""
     names = [(entry.__module__, getattr(entry, "__qualname__", "<>")) for entry in (view, other)]
-    return view == other or (names[0] == names[1] and "<" not in names[0][1])
+    if view == other or "<" not in names[0][1]:
+        return view == other or names[0] == names[1]
+    # a lambda or a local function
+    parts = ("__module__", "__code__", "__closure__", "__defaults__", "__kwdefaults__")
+    ours, theirs = ([getattr(entry, part, entry) for part in parts] for entry in (view, other))
+    return ours == theirs
 
 
 def _register_view_id(name: str) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from stkzoo._arguments import option
 from stkzoo.drivers.instances import DriverLimits
-from stkzoo.errors import ConfigError, check_number, check_whole, unknown_name
+from stkzoo.errors import ConfigError, check_arguments, check_number, check_whole, unknown_name
 
 #: What to do when an agent fails.
 ERROR_HANDLING = {
@@ -20,6 +20,7 @@ ERROR_HANDLING = {
 }
 
 
+@check_arguments
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RaceSettings:
     """The settings of :func:`~stkzoo.race.run_race`, with the help of their options.

@@ -152,6 +152,7 @@ def test_command_fills_the_race_up(capsys):
         ["ai", "--cameras", "2"],
         ["ai", "--cameras", "auto", "--screen-width", "99"],
         ["ai", "--web-port", "8001"],
+        ["ai", "--replay", "race.stkz", "--output", "race.stkz"],
     ],
 )
 def test_bad_usage_exits_with_2(words, capsys):
@@ -159,6 +160,11 @@ def test_bad_usage_exits_with_2(words, capsys):
     said = capsys.readouterr().err
     assert said.startswith("stkzoo race: ")
     assert said.count("\n") == 1
+
+
+def test_a_number_of_cameras_that_is_none_is_named(capsys):
+    assert main(["race", "ai", "--cameras", "x", "--record", "race.mp4"]) == 2
+    assert "--cameras: 'x' is neither a number nor auto" in capsys.readouterr().err
 
 
 def test_command_without_the_games_data_exits_with_1(monkeypatch, tmp_path, capsys):

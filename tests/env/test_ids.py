@@ -37,6 +37,17 @@ def test_a_cell_that_registers_a_view_may_run_twice(name):
         stkzoo.register_view("own", run_cell()[name])
 
 
+def test_a_function_without_a_name_is_known_again_by_its_code():
+    for _ in range(2):
+        stkzoo.register_view("own", own_lambda(3))
+    with pytest.raises(stkzoo.ConfigError, match="'own' exists already"):
+        stkzoo.register_view("own", own_lambda(4))
+
+
+def own_lambda(items):
+    return lambda env: stkzoo.ConstantSizedObservations(env, state_items=items)
+
+
 def test_the_view_of_the_last_run_counts():
     for key in ("velocity", "front"):
         stkzoo.register_view("own", run_cell(key)["own_view"])
