@@ -30,9 +30,10 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import os
 import random
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -127,10 +128,8 @@ def run_races(arguments: argparse.Namespace, remote: Sequence[Driver] = ()) -> i
     results: list[RaceResult] = []
     failure: AgentError | None = None
     code = 0
-    # What agents print stays out of the JSON.
-    place = sys.stderr if arguments.output == "-" else sys.stdout
     try:
-        with contextlib.redirect_stdout(place):
+        with _prints_on_stderr() if arguments.output == "-" else contextlib.nullcontext():
             for drivers, settings in _plan(arguments, remote):
                 results.append(_race(drivers, settings, arguments))
     except AgentError as error:
@@ -142,6 +141,19 @@ def run_races(arguments: argparse.Namespace, remote: Sequence[Driver] = ()) -> i
         code = _INTERRUPTED
     reported = _report(results, failure, arguments)
     return code or reported
+
+
+@contextlib.contextmanager
+def _prints_on_stderr() -> Iterator[None]:
+    """Keeps what agents and their libraries print out of the JSON on stdout."""
+    kept = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
 
 
 def _plan(

@@ -112,16 +112,17 @@ def test_command_writes_only_json_to_stdout_on_request(capsys):
 
 
 @pytest.mark.slow
-def test_what_an_agent_prints_stays_out_of_the_json(capsys, tmp_path):
+def test_what_an_agent_prints_stays_out_of_the_json(capfd, tmp_path):
     agent = tmp_path / "loud"
     shutil.copytree(AGENTS / "plain", agent)
     with (agent / "pystk_actor.py").open("a") as module:
-        module.write("print('at load')\n")
+        module.write("import os\nprint('at load')\nos.write(1, b'by a library')\n")
     words = ["--inline", "--track", "olivermath", "--max-steps", "2", "--output", "-"]
     assert main(["race", str(agent), *words]) == 0
-    printed = capsys.readouterr()
+    printed = capfd.readouterr()
     assert json.loads(printed.out)["steps"] == 2
     assert "at load" in printed.err
+    assert "by a library" in printed.err
 
 
 def test_command_fills_the_race_up(capsys):
