@@ -89,7 +89,7 @@ def totals(rows: list[dict[str, Any]]) -> dict[str, dict[str, float | None]]:
         pairs = np.array([found[name] for found in karts])
         (found, true), error = pairs.sum(0), pairs[:, 0] - pairs[:, 1]
         percent = 100.0 * (found - true) / true if true else None
-        parts = found, true, percent, error.clip(0.0).sum(), (-error).clip(0.0).sum()
+        parts = found, true, percent, error.clip(0.0).sum(), (0.0 - error).clip(0.0).sum()
         keys = "counted", "true", "percent", "too_many", "missed"
         rounded = (None if part is None else round(float(part), 1) for part in parts)
         sums[name] = dict(zip(keys, rounded, strict=True))

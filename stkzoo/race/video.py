@@ -100,6 +100,7 @@ class RaceFilm:
         cameras = wanted if self._cameras is None else self._cameras
         self._scene = replace(scene, setup=replace(scene.setup, num_cameras=cameras))
         self._karts = camera_karts(self._scene)[: max(cameras, 1)]
+        self._scene = _without_names(self._scene, self._karts)
         self._fps = self._sub_steps / scene.setup.step_size
         columns, rows = grid_of(len(self._karts))
         self._tile = self._size[0] // columns, self._size[1] // rows
@@ -200,6 +201,15 @@ class RaceFilm:
     def _put(self, picture: Picture) -> None:
         assert self._writer is not None  # noqa: S101 - since begin
         self._writer.add(picture)
+
+
+def _without_names(scene: Scene, filmed: Sequence[int]) -> Scene:
+    """The scene without the game's names above filmed karts, which the labels name already."""
+    karts = tuple(
+        replace(setup, name="") if kart in filmed else setup
+        for kart, setup in enumerate(scene.setup.karts)
+    )
+    return replace(scene, setup=replace(scene.setup, karts=karts))
 
 
 class RaceVideo(RaceFilm, RaceListener):
