@@ -296,7 +296,8 @@ def test_a_result_of_another_version_is_refused(result):
 def test_thinking_time_is_told(result):
     times = {row.driver: row.action_time for row in result.agents}
     assert times["ai"] is None
-    assert 0 < times["heuristic"].mean <= times["heuristic"].p99 <= times["heuristic"].max
+    for part in (times["heuristic"].mean, times["heuristic"].p99):
+        assert 0 < part <= times["heuristic"].max
 
 
 def test_numbers_outside_a_box_are_clipped_and_counted_but_nan_fails(tmp_path, caplog):
