@@ -119,7 +119,7 @@ def test_a_replay_can_only_be_played_as_what_it_is(tmp_path):
     assert not play_replay(load_replay(file)).is_exact
 
 
-#: Where Python objects are made from bytes: both ends are the conformance suite itself.
+#: Where Python objects are made from bytes; both ends are in the same program or its checks.
 UNPICKLING = {
     "stkzoo/checks/processes.py",
     "stkzoo/checks/determinism.py",

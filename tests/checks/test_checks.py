@@ -579,6 +579,7 @@ def test_the_command_fails_on_another_environment_and_says_why():
     assert re.match(r"agents leave when done \(.*\): FAILED: .*possible_agents", run.stdout)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "why"),
     [

@@ -402,6 +402,7 @@ def test_d10_another_seed_gives_another_race():
 # ------------------------------------------------------------------------------------ D12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env_id", [*SINGLE_IDS, MULTI_ID])
 def test_d12_a_track_given_at_reset_is_taken_for_that_episode(env_id):
     env = gym.make(env_id, num_kart=2, track=SHORT_TRACK)
@@ -561,6 +562,7 @@ def test_d15_many_power_ups_are_in_the_space(held, seen):
     assert kart_observation_space()["powerup_count"].contains(count)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("use_ai", [False, True])
 @pytest.mark.parametrize("env_id", SINGLE_IDS)
 def test_d15_a_kart_may_race_alone(env_id, use_ai):

@@ -2,6 +2,8 @@
 
 import re
 
+import pytest
+
 import stkzoo.cli
 from stkzoo.race import run_race
 from tests.support.paths import ROOT
@@ -16,6 +18,7 @@ def file_of_page(name):
     return code
 
 
+@pytest.mark.slow
 def test_the_view_and_the_reward_term_work():
     code = "\n".join(block for block in BLOCKS if not block.startswith("# "))
     names = {}
@@ -24,6 +27,7 @@ def test_the_view_and_the_reward_term_work():
     assert "reward/air" in names["infos"]["kart_1"]
 
 
+@pytest.mark.slow
 def test_the_driver_finishes_a_race(tmp_path):
     folder = tmp_path / "steady"
     folder.mkdir()

@@ -83,6 +83,7 @@ def test_the_episode_is_cut_at_1500_steps(env_id):
     assert gym.spec(env_id).max_episode_steps == 1500
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env_id", IDS)
 def test_a_spec_goes_through_json_and_makes_the_same_race(env_id):
     with gym.make(env_id, **OPTIONS) as env:
@@ -91,6 +92,7 @@ def test_a_spec_goes_through_json_and_makes_the_same_race(env_id):
             assert race(again) == race(env)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("library", [pickle, cloudpickle])
 @pytest.mark.parametrize("env_id", IDS)
 def test_a_pickled_env_drives_the_same_race(env_id, library):
@@ -100,6 +102,7 @@ def test_a_pickled_env_drives_the_same_race(env_id, library):
             assert race(again) == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env_id", IDS)
 def test_a_deep_copy_drives_the_same_race(env_id):
     with gym.make(env_id, **OPTIONS) as env, copy.deepcopy(env) as again:

@@ -299,6 +299,7 @@ def test_equal_names_are_one_driver():
         assert len({own.group for own, _ in env._opponents.ask(env._episode)}) == 1
 
 
+@pytest.mark.slow
 def test_races_started_ahead_have_the_same_opponents():
     ends = []
     for prefetch in (True, False):
@@ -314,6 +315,7 @@ def test_races_started_ahead_have_the_same_opponents():
     assert ends[0] == ends[1]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*Box observation space")
 def test_environments_with_opponents_pass_the_checkers():
     with against(["heuristic", forward], num_kart=4, agents=2, max_cycles=40) as env:

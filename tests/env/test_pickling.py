@@ -175,6 +175,7 @@ def parallel_race(env, steps=15):
     return prints
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", ["before", "amid"])
 @pytest.mark.parametrize("library", COPIES)
 def test_the_parallel_environment_is_copied(library, moment):
@@ -200,6 +201,7 @@ def test_the_turn_by_turn_form_is_copied(library):
     assert results[0] == results[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("library", COPIES)
 def test_many_races_are_copied(library):
     envs = stkzoo.RaceVectorEnv(2, **RACE, view="flattened_discrete")

@@ -269,6 +269,7 @@ def test_every_vector_wrapper_of_gymnasium_is_tried():
     assert set(vector.__all__) == {*VECTORS, *NEXT_STEP_ONLY, *NOT_HERE}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", VECTORS)
 def test_a_stock_vector_wrapper_goes_around_many_races(name):
     envs = VECTORS[name](make_vec())
@@ -284,6 +285,7 @@ def test_a_stock_vector_wrapper_goes_around_many_races(name):
     envs.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NEXT_STEP_ONLY)
 def test_vector_wrappers_of_observations_go_around_the_sync_form(name):
     envs = NEXT_STEP_ONLY[name](make_vec(mode="sync"))

@@ -339,6 +339,7 @@ def test_the_length_of_an_episode_is_its_agents_own(finishes):
 # ---------------------------------------------------------------------- crashes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("prefetch", [False, True])
 def test_a_killed_game_is_replaced_and_the_others_go_on(prefetch, caplog):
     envs = make(prefetch=prefetch)
@@ -404,6 +405,7 @@ def test_it_is_a_vector_environment():
     envs.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("view", [name for name in VIEWS if name not in ("full", "ground")])
 def test_observations_are_in_the_space_in_every_view(view):
     envs = make(view=view, max_cycles=3)

@@ -244,6 +244,7 @@ def test_a_controller_checks_what_it_is_given():
 SIZES = {"state_items": 3, "state_karts": 1, "state_paths": 7, "add_mask": True}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "view", [*VIEWS, ("flattened", SIZES), ("box_discrete", SIZES | {"steer_steps": 3}), *MOVING]
 )
@@ -318,6 +319,7 @@ def road_of(random):
     return road
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reward", ["default", "placement", {"rank": 0.5, "time": 3}])
 def test_rewards_and_infos_are_the_same_to_the_finish(reward, numpy_only):
     """One lap of the game's AI, in which karts finish and leave."""

@@ -188,6 +188,7 @@ def zipped(folder):
     return target
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inline", [False, True])
 def test_agents_are_shown_it_by_their_env_name(mole, inline):
     sources = [

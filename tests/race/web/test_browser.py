@@ -148,6 +148,7 @@ def test_page_comes_back_for_the_next_race(reader):
         reader.until(lambda: step_of(reader) == 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("width", [360, 768, 1600])
 def test_page_fits_the_screen_and_everything_has_a_name(reader, width, is_dark):
