@@ -135,7 +135,8 @@ def _act_together(
     observations: Sequence[Any],
 ) -> Sequence[Any]:
     """The actions of actors that :func:`read_module` made."""
-    return batch_actor()([actor.args[0] for actor in actors], observations)  # type: ignore[attr-defined]
+    states = [actor.args[0] for actor in actors]  # type: ignore[attr-defined] # partials of states
+    return batch_actor()(states, observations)
 
 
 def _view_of(env_name: object) -> ViewFactory:
@@ -162,7 +163,7 @@ def _view_of(env_name: object) -> ViewFactory:
 
 
 def env_extras(files: AgentFiles) -> frozenset[str]:
-    """What the view that an agent's module names needs to be told; the module does not run."""
+    """What an agent's view observes in addition to ``full``, read without running its module."""
     name, options = declared_env(files), {}
     if isinstance(name, (tuple, list)) and len(name) == 2:
         name, options = name

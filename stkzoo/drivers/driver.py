@@ -54,7 +54,8 @@ class Driver:
         source: where it comes from, as the user wrote it.
         difficulty: the race's difficulty, if the driver asks for one: the game's AI has one level
             per race.
-        extras: what it is told beside the ``full`` view (:data:`stkzoo.mdp.spaces.EXTRAS`).
+        extras: what it observes in addition to the ``full`` view
+            (:data:`stkzoo.mdp.spaces.EXTRAS`).
         load: loads its code into this program; ``None`` for the game's AI and for drivers that run
             elsewhere.
         is_from_files: whether its code is the user's files, which an adapter can change.

@@ -91,8 +91,8 @@ class OpponentPool:
 
         Args:
             opponent: a driver's name, a :class:`~stkzoo.race.Driver`, or a policy
-                (:meth:`~stkzoo.race.Driver.of_policy`), of which the pool keeps a copy that
-                does not learn.
+                (:meth:`~stkzoo.race.Driver.of_policy`). The pool keeps a copy of a policy,
+                which does not learn.
             weight: how often it is drawn, beside the weights of the others.
             view: the view that a policy observes and acts in; by default that of the agents.
             name: name to show; a number is added to one that is taken.

@@ -101,7 +101,7 @@ class Episode:
         """An episode that starts at this moment of this race.
 
         Args:
-            options: of which those :data:`~stkzoo.env.options.OF_AN_EPISODE` count.
+            options: only :data:`~stkzoo.env.options.OF_AN_EPISODE` are used.
             rewards: every agent's reward, in agent order.
         """
         twin = copy.copy(self)

@@ -75,8 +75,8 @@ def draw_race(
     agents get one that the game's AI does not drive; if there are none, the first agent.
 
     Returns:
-        What the engine is told, and the karts of the agents and then of the opponents as
-        indices in grid order.
+        The engine's options, and the karts of the agents and then of the opponents as indices
+        in grid order.
     """
     track = tracks[int(random.integers(len(tracks)))]
     seed = int(random.integers(2**16))

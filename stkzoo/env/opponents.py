@@ -75,9 +75,9 @@ class OpponentChoice:
         weakref.finalize(self, self._resources.close)
 
     @classmethod
-    def of(cls, choice: object) -> OpponentChoice | None:
-        """The choice of an argument; ``None`` for none."""
-        return choice if choice is None or isinstance(choice, cls) else cls(choice)
+    def of(cls, choice: object) -> OpponentChoice:
+        """The choice of an argument, which may be a choice already."""
+        return choice if isinstance(choice, cls) else cls(choice)
 
     def count(self, num_agents: int | None, num_kart: int) -> int:
         """How many opponents there are.

@@ -493,7 +493,6 @@ def _opponents(
 
     choice = OpponentChoice.of(opponents)
     given = len(agents) if isinstance(agents, Sequence) else agents
-    assert choice is not None  # noqa: S101 - opponents are not None
     return choice, choice.count(given, num_kart)
 
 

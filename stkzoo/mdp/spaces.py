@@ -40,7 +40,7 @@ def kart_action_space() -> spaces.Dict:
     )
 
 
-#: What an observation can tell beside the ``full`` view, and an entry that it then has.
+#: What an observation can hold in addition to the ``full`` view, and an entry that it then has.
 EXTRAS = {"ground": "ground_kind", "motion": "karts_velocity"}
 
 

@@ -74,7 +74,7 @@ class View:
 
     @property
     def extras(self) -> frozenset[str]:
-        """What the observations that the view is around tell beside ``full``."""
+        """What the wrapped observations hold in addition to those of ``full``."""
         return self._own_extras().union(*map(extras_for, self.wrappers))
 
     def _own_extras(self) -> frozenset[str]:
@@ -110,7 +110,7 @@ def options_of(view: ViewFactory) -> tuple[str, ...]:
 
 
 def extras_for(view: ViewFactory) -> frozenset[str]:
-    """What a view needs to be told beside ``full``: some of :data:`stkzoo.mdp.spaces.EXTRAS`.
+    """What a view observes in addition to ``full``: some of :data:`stkzoo.mdp.spaces.EXTRAS`.
 
     A function says so by an attribute ``sees_ground`` or ``sees_motion`` that is true.
     """

@@ -7,7 +7,7 @@ import stkzoo
 from stkzoo import ConfigError, Start, race_v0
 from stkzoo.mdp.events import EVENTS
 
-#: The first kart stands in the second one's way.
+#: The first kart blocks the second one.
 RAM = {"kart_0": Start(distance=30.0), "kart_1": Start(distance=22.0, speed=15.0)}
 SETTINGS = {"num_kart": 3, "agents": 2, "track": "lighthouse", "view": "flattened", "events": True}
 

@@ -251,7 +251,7 @@ class Connection:
             if type(agent) is not list or [*map(type, agent)] != [str, str, list]:
                 raise ProtocolError(
                     f"an agent {agent!r:.100}, expected its name, its source and a list of what it "
-                    "is told beside the full view"
+                    "observes in addition to the full view"
                 )
             protocol.check_extras(agent[2])
         if not fields["agents"]:

@@ -144,7 +144,7 @@ class RemoteInstance:
         server: the agent's server.
         number: index of the agent on the server.
         agent: the server's description of the agent before the race: its name (may be empty), its
-            source, and what it is told beside the ``full`` view.
+            source, and what it observes in addition to the ``full`` view.
 
     Raises:
         AgentError: the server cannot be reached.

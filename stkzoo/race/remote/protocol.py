@@ -63,7 +63,7 @@ def field(fields: dict[str, Any], name: str, kind: type[Field]) -> Field:
 
 
 def check_extras(extras: list[Any]) -> list[str]:
-    """Checks what an agent is told beside the ``full`` view.
+    """Checks what an agent observes in addition to the ``full`` view.
 
     Raises:
         ProtocolError: it is more than this end knows.
