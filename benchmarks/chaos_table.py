@@ -1,4 +1,4 @@
-"""The table of ``docs/robustness.md``, made of the results that are kept.
+"""The table of ``docs/explanation/robustness.md``, made of the results that are kept.
 
 python -m benchmarks.chaos_table            # shows it
 python -m benchmarks.chaos_table --write    # puts it into the page
@@ -16,7 +16,7 @@ from typing import Any
 from stkzoo._os import atomic_write
 
 RESULTS = Path(__file__).parent / "results" / "robustness"
-PAGE = Path(__file__).parents[1] / "docs" / "robustness.md"
+PAGE = Path(__file__).parents[1] / "docs" / "explanation" / "robustness.md"
 _BEGIN, _END = "<!-- table: begin -->", "<!-- table: end -->"
 _HEAD = "| what | tried | survived | lost | command |\n| --- | ---: | ---: | ---: | --- |"
 

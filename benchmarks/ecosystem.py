@@ -1,4 +1,4 @@
-"""Every library's example, in an environment that has the library: the table of docs/works-with.md.
+"""Runs each library's example in an environment of its own: the table of docs/how-to/works-with.md.
 
 python -m benchmarks.ecosystem                    all of them: some minutes, 12 GB of disk
 python -m benchmarks.ecosystem --only torchrl     one of them
@@ -21,7 +21,7 @@ from stkzoo._os import write_text
 ROOT = Path(__file__).parent.parent
 EXAMPLES = ROOT / "examples" / "ecosystem"
 RESULTS = ROOT / "benchmarks" / "results" / "ecosystem.json"
-PAGE = ROOT / "docs" / "works-with.md"
+PAGE = ROOT / "docs" / "how-to" / "works-with.md"
 MARK = "<!-- written by python -m benchmarks.ecosystem -->"
 
 TORCH = "torch==2.13.0"
@@ -215,7 +215,7 @@ def _write_table(outcomes: list[dict[str, object]]) -> None:
     ]
     for outcome in outcomes:
         example = by_library[str(outcome["library"])]
-        script = f"[`{example.script}.py`](../examples/ecosystem/{example.script}.py)"
+        script = f"[`{example.script}.py`](../../examples/ecosystem/{example.script}.py)"
         result = f"passed, {outcome['seconds']:.0f} s" if outcome["passed"] else "**failed**"
         lines.append(
             f"| {example.library} | {str(outcome['version']).partition('+')[0]} "

@@ -2,7 +2,7 @@
 
 One kart races two of the game's bots to the finish, driven once by the heuristic driver
 alone and once by the planner, which tries changes of that driver's actions in copies of the
-race (docs/planning.md). Same tracks, same seeds, so the same races at the start.
+race (docs/how-to/planning.md). Same tracks, same seeds, so the same races at the start.
 
     python benchmarks/planning.py
     python benchmarks/planning.py --track olivermath --seeds 5

@@ -1,4 +1,4 @@
-"""Writes ``docs/tracks.md``: every track with its numbers, the AI's times and two maps.
+"""Writes ``docs/reference/tracks.md``: every track with its numbers, the AI's times and two maps.
 
 ``python -m benchmarks.track_atlas`` draws and writes; with ``--measure FOLDER`` it first races the
 game's AI on all tracks (840 races, kept in the folder, gone on with after an interruption) and
@@ -24,7 +24,7 @@ from stkzoo.names import GroundKind
 from stkzoo.tracks import SPLITS, TEST_TRACKS
 
 ROOT = Path(__file__).parent.parent
-PAGE, PICTURES = ROOT / "docs" / "tracks.md", ROOT / "docs" / "images" / "tracks"
+PAGE, PICTURES = ROOT / "docs" / "reference" / "tracks.md", ROOT / "docs" / "images" / "tracks"
 AI_TIMES = Path(str(files("stkzoo.evaluation.benchmark") / "ai_times.json"))
 _SIZE, _COLOURS, _COLUMNS = (300, 220), 32, 3
 _DIFFICULTIES = (0, 1, 2, 3)
@@ -40,7 +40,7 @@ the game's AI finds its way there as well.
 ## Training and test
 
 `track="train"` and `track="test"` draw one of a fixed list
-([`stkzoo/tracks.py`](../stkzoo/tracks.py)). Nothing that learns may be trained or tuned on the
+([`stkzoo/tracks.py`](../../stkzoo/tracks.py)). Nothing that learns may be trained or tuned on the
 six test tracks. They are fixed by name so that "unseen tracks" means the same to everybody, and
 chosen so that they are like the others: short and long ones, with and without forks, with few
 and many items, easy and hard for drivers that just follow the line. *black_forest* is a
@@ -213,7 +213,7 @@ def _maps(tracks: list[str], which: str) -> str:
     blank = "| " + " | ".join([" "] * _COLUMNS) + " |\n| " + " | ".join([":-:"] * _COLUMNS) + " |\n"
     rows = [tracks[first : first + _COLUMNS] for first in range(0, len(tracks), _COLUMNS)]
     cells = [
-        [f"![{track}](images/tracks/{track}{which}.png)<br>{track}" for track in row]
+        [f"![{track}](../images/tracks/{track}{which}.png)<br>{track}" for track in row]
         for row in rows
     ]
     return blank + "".join(f"| {' | '.join(row)} |\n" for row in cells)

@@ -2,7 +2,7 @@
 
 Importing this module makes ``import pystk2_gymnasium``, its submodules and its ids resolve to
 stkzoo's own, also where the real one is installed. Import it before the real one. What differs
-on purpose is listed in ``docs/differences.md``.
+on purpose is listed in ``docs/reference/differences.md``.
 
 >>> import stkzoo.compat
 >>> from pystk2_gymnasium.envs import AgentSpec, STKRaceEnv

@@ -67,7 +67,7 @@ class CameraObservations(gym.ObservationWrapper[Any, Any, Any], RecordedWrapper)
     It goes around a Gymnasium id of one kart, or into a view of the parallel environment;
     there one drawing serves all agents whose cameras are of one size and kind. Use it outside
     of the wrappers that flatten. Pictures come from a process beside the race and never change
-    it (``docs/rendering.md``); each environment has its own.
+    it (``docs/how-to/rendering.md``); each environment has its own.
 
     Args:
         env: the environment of one kart.

@@ -1,7 +1,7 @@
 """Pure pursuit by speed and steering angle: a short driver in physical units.
 
 It aims at a point of the road ahead and drives as fast as the curve allows. It shows how to
-use actions in physical units (``docs/control.md``) and races through any of the four
+use actions in physical units (``docs/reference/control.md``) and races through any of the four
 combinations; the heuristic driver is the faster one.
 """
 

@@ -121,4 +121,4 @@ env.close()
 # The same seed gives the same race again, to the last bit: run the page again and compare.
 #
 # Next: [train a driver](train_a_driver.ipynb), or put your rule into a file and [race
-# it](../agents.md).
+# it](../reference/agents.md).

@@ -150,5 +150,5 @@ state.close()
 env.close()
 
 # %% [markdown]
-# [Planning](../planning.md) has all calls and what they cost; `stkzoo.agents.planner` is a planner that
+# [Planning](../how-to/planning.md) has all calls and what they cost; `stkzoo.agents.planner` is a planner that
 # beats the driver that it is made of by more than two seconds a lap.

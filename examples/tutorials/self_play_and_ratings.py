@@ -161,4 +161,4 @@ plt.show()
 #
 # A policy that meets only itself may forget how to beat what it once beat. Then some of the karts are
 # driven by kept generations: give those agents to your loop as constants, or race the folders above.
-# [Tournaments](../tournaments.md) keep every race as a file and go on where they were interrupted.
+# [Tournaments](../how-to/tournaments.md) keep every race as a file and go on where they were interrupted.

@@ -176,4 +176,4 @@ for row in result.agents:
 # From a shell it is the same: `stkzoo race ten_minutes ai ai ai --track lighthouse --record race.mp4`.
 #
 # More tracks (`track="train"`), more minutes and rivals at `difficulty=3` make it a better driver;
-# `stkzoo benchmark ten_minutes` measures it on [tracks that it has not seen](../benchmark-protocol.md).
+# `stkzoo benchmark ten_minutes` measures it on [tracks that it has not seen](../reference/benchmark-protocol.md).

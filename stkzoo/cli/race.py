@@ -4,9 +4,9 @@ Each driver gets a kart:
 
   ai               the game's own AI, as strong as --difficulty; ai:3 sets that too
   heuristic        a rule-based driver, which comes with stkzoo
-  pretrained:ace   a learned one, the best that comes with stkzoo; docs/learning.md
+  pretrained:ace   a learned one, the best that comes with stkzoo; docs/explanation/learning.md
   random           random actions
-  FOLDER, ZIP      an agent of yours: a pystk_actor.py with get_actor(...); docs/agents.md
+  FOLDER, ZIP      an agent of yours: a pystk_actor.py with get_actor(...); docs/reference/agents.md
   MODULE           the same, by the name that Python imports it by
 
 DRIVER@:Name sets a driver's name. Each agent from files runs in a process of its own: a failure
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 _NEXT_STEPS = """\
 Where to go next:
   another race        stkzoo race pretrained:ace ai:3 ai:3 ai:3 --seed 2 (it does not win all)
-  your own driver     docs/agents.md; then: stkzoo race FOLDER ai ai ai
+  your own driver     docs/reference/agents.md; then: stkzoo race FOLDER ai ai ai
   from Python         from stkzoo import race_v0; env = race_v0.parallel_env(num_kart=4)
   more                README.md, stkzoo race --help, and stkzoo doctor if something fails
 """

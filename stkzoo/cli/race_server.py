@@ -5,7 +5,7 @@ several at once, until Ctrl-C. Each agent of each race runs in a process of its 
 own wrappers; only observations and actions go over the network.
 
 An agent is the path of a folder or zip with pystk_actor.py, or the name of a module or of a
-driver of stkzoo; append @:Name to rename it (docs/agents.md).
+driver of stkzoo; append @:Name to rename it (docs/reference/agents.md).
 
 Examples:
   stkzoo race-server my_agent.zip                  for clients on this machine

@@ -3,7 +3,8 @@
 A message is ``None``, ``bool``, ``int``, ``float``, ``str``, ``bytes``, a numpy array or
 scalar of numbers or booleans, or a ``list``, ``tuple`` or ``dict`` (with ``str`` keys) of these.
 Decoding gives an equal message, with lists and tuples distinct and arrays writable. The format is
-msgpack with five extension types (``docs/protocol.md``). Nothing is pickled. Decoding never runs
+msgpack with five extension types (``docs/reference/protocol.md``). Nothing is pickled. Decoding
+never runs
 code from the message, raises only :class:`~stkzoo.errors.ProtocolError`, and uses little more
 memory than the message.
 """

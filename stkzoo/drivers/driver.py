@@ -150,7 +150,8 @@ def find_driver(text: str, *, inline: bool = False, adapter: str | None = None) 
         text: ``"ai"`` for the game's AI, ``"ai:3"`` for that at difficulty 3, which is then
             the race's, ``"random"`` for random actions, a package under
             ``stkzoo.agents``, ``"pretrained:NAME"`` for a learned one there, or an agent from
-            files (``docs/agents.md``): the path of a folder, zip or Python file, or the name
+            files (``docs/reference/agents.md``): the path of a folder, zip or Python file, or
+            the name
             of a module. ``@:Name`` at the end sets the driver's name.
         inline: run agents from files in this process, which is faster, instead of each in a
             process of its own.

@@ -2,7 +2,7 @@
 
 Messages on the socket are a length and that many bytes of :mod:`stkzoo.drivers.codec`. The first
 message says what to load; each later one has an observation. The agent's own input and output go
-elsewhere (``docs/agents.md``).
+elsewhere (``docs/reference/agents.md``).
 """
 
 from __future__ import annotations

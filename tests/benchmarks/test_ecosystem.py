@@ -1,4 +1,4 @@
-"""The examples of docs/works-with.md: those of the libraries that development brings are run."""
+"""The examples of docs/how-to/works-with.md run, for each library that is installed."""
 
 import os
 import subprocess

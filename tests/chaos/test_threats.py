@@ -1,6 +1,6 @@
 """What strangers' files and machines can and cannot do, as far as no other test shows it.
 
-The whole list: ``docs/threat-model.md``.
+The whole list: ``docs/explanation/threat-model.md``.
 """
 
 import ast
@@ -18,7 +18,7 @@ from stkzoo.race import RaceResult, run_race
 from stkzoo.race.replay import ReplayWriter, load_replay, play_replay
 
 ROOT = Path(stkzoo.__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "threat-model.md"
+PAGE = ROOT / "docs" / "explanation" / "threat-model.md"
 CODES = "\x1b[2Jgone\x1b]0;title\x07\r"
 
 AGENT = """

@@ -32,7 +32,7 @@ argparse.ArgumentParser.parse_args = describe
 cli.main()
 """
 
-#: Options whose defaults stkzoo keeps, or which it works out later; docs/differences.md.
+#: Options whose defaults stkzoo keeps, or which it works out later; docs/reference/differences.md.
 OWN_DEFAULTS = {"-h", "--address", "--threads", "--screen-width", "--screen-height"}
 
 

@@ -938,7 +938,7 @@ def test_d28_x_points_to_the_right():
 
 
 def test_every_test_that_the_page_of_differences_names_exists():
-    page = (ROOT / "docs" / "differences.md").read_text()
+    page = (ROOT / "docs" / "reference" / "differences.md").read_text()
     code = "".join(file.read_text() for file in (ROOT / "tests").rglob("test_*.py"))
     named = set(re.findall(r"`(test_\w+)`", page))
     assert len(named) > 40

@@ -1,4 +1,4 @@
-"""What docs/agents.md shows works as it stands there."""
+"""What docs/reference/agents.md shows works as it stands there."""
 
 import re
 
@@ -7,7 +7,7 @@ import pytest
 from stkzoo.race import ERROR_HANDLING, RaceSettings, run_race
 from tests.support.paths import ROOT
 
-PAGE = (ROOT / "docs" / "agents.md").read_text()
+PAGE = (ROOT / "docs" / "reference" / "agents.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
@@ -33,7 +33,7 @@ def test_the_python_of_the_page_runs(tmp_path, monkeypatch, capsys):
     write("my_agent", tmp_path)
     monkeypatch.chdir(tmp_path)
     (code,) = [block for block in BLOCKS if "class Leader" in block]
-    exec(compile(code, "docs/agents.md", "exec"), {})
+    exec(compile(code, "docs/reference/agents.md", "exec"), {})
     shown = capsys.readouterr().out
     assert "Beginner" in shown
     assert "10.0 s" in shown

@@ -8,7 +8,7 @@ import pytest
 from stkzoo.cli import race, race_client, race_server
 from tests.support.paths import ROOT
 
-PAGE = (ROOT / "docs" / "differences.md").read_text("utf-8")
+PAGE = (ROOT / "docs" / "reference" / "differences.md").read_text("utf-8")
 TABLE = PAGE.split("## Defaults of the commands")[1].split("\n## ")[0]
 
 

@@ -14,7 +14,7 @@ from stkzoo.views import CAMERA_VIEWS, VIEWS
 from stkzoo.views.split_step import MonoAgentEnv
 from tests.support.paths import ROOT
 
-PAGE = (ROOT / "docs" / "environment.md").read_text("utf-8")
+PAGE = (ROOT / "docs" / "reference" / "environment.md").read_text("utf-8")
 
 
 def section(heading, level="##"):
@@ -124,5 +124,5 @@ def test_infos_are_told():
 
 
 def test_all_commands_are_told():
-    page = (ROOT / "docs" / "cli.md").read_text("utf-8")
+    page = (ROOT / "docs" / "reference" / "cli.md").read_text("utf-8")
     assert all(command in page for command in COMMANDS)

@@ -60,7 +60,7 @@ PARSED = {
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """A folder with the agents that the pages speak of."""
-    agent = next(b for b in blocks("docs/quickstart.md", "python") if b.file)
+    agent = next(b for b in blocks("docs/how-to/quickstart.md", "python") if b.file)
     for name in ("my_agent", "agents/one", "agents/swift"):
         (tmp_path / name).mkdir(parents=True)
         (tmp_path / name / "pystk_actor.py").write_text(agent.code)

@@ -47,13 +47,15 @@ def test_links_that_lead_nowhere_are_found(site, link, complaint):
 
 def test_links_out_of_the_site_become_links_within():
     inside = extension("outside_links").inside
-    folder = ROOT / "docs"
-    assert inside("[method](../benchmarks/README.md)", folder) == "[method](benchmarks-method.md)"
-    assert inside("[results](../benchmarks/results)", folder) == "results"
-    assert inside("[tracks](../stkzoo/tracks.py)", folder) == "[tracks](../stkzoo/tracks.py)"
+    folder = ROOT / "docs" / "how-to"
+    method = "../explanation/benchmarks-method.md"
+    assert inside("[method](../../benchmarks/README.md)", folder) == f"[method]({method})"
+    assert inside("[results](../../benchmarks/results)", folder) == "results"
+    assert inside("[tracks](../../stkzoo/tracks.py)", folder) == "[tracks](../../stkzoo/tracks.py)"
+    assert inside("[agents](../reference/agents.md)", folder) == "[agents](../reference/agents.md)"
 
 
 def test_pages_that_stand_for_files_are_there():
     for file, page in extension("outside_links").PAGES.items():
-        assert (ROOT / "docs" / file).exists()
-        assert (ROOT / "docs" / page).exists()
+        assert file.exists()
+        assert page.exists()

@@ -1,4 +1,4 @@
-"""Gymnasium's stock wrappers and utilities on our ids; docs/tool-belt.md has the table."""
+"""Gymnasium's stock wrappers and utilities on our ids; docs/how-to/tool-belt.md has the table."""
 
 import argparse
 import warnings

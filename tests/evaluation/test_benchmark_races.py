@@ -316,7 +316,7 @@ def test_bad_usage_exits_with_2(words, message, capsys):
 
 
 def test_the_atlas_has_every_track_as_it_is():
-    page = (DOCS / "tracks.md").read_text()
+    page = (DOCS / "reference" / "tracks.md").read_text()
     times = load_ai_times()
     for track in SPLITS["all"]:
         (row,) = [line for line in page.splitlines() if line.startswith(f"| {track} |")]
@@ -325,7 +325,7 @@ def test_the_atlas_has_every_track_as_it_is():
             assert " / ".join(f"{median:.1f}" for median in medians) in row
         assert ("**test**" in row) == (track in SPLITS["test"])
     names = [f"{track}{which}" for track in SPLITS["all"] for which in ("", "-ground")]
-    assert all(f"](images/tracks/{name}.png)" in page for name in names)
+    assert all(f"](../images/tracks/{name}.png)" in page for name in names)
     pictures = list((DOCS / "images" / "tracks").glob("*.png"))
     assert sorted(picture.stem for picture in pictures) == sorted(names)
     assert sum(picture.stat().st_size for picture in pictures) < 600_000
@@ -340,4 +340,4 @@ def test_the_atlas_counts_what_is_there():
     finally:
         env.close()
     row = f"| xr591 | **test** | {road.length:.0f} | {road.num_nodes} | {forks} | {items} |"
-    assert row in (DOCS / "tracks.md").read_text()
+    assert row in (DOCS / "reference" / "tracks.md").read_text()

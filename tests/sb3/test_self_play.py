@@ -1,4 +1,4 @@
-"""Self-play against past selves: the program of docs/opponents.md, and real models in a pool."""
+"""Self-play against past selves: the program of docs/how-to/opponents.md, and a pool of models."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PROGRAM = ROOT / "examples" / "self_play.py"
 
 def test_the_program_is_short_and_shown_as_it_stands():
     assert len(PROGRAM.read_text().splitlines()) <= 40
-    page = (ROOT / "docs" / "opponents.md").read_text("utf-8")
+    page = (ROOT / "docs" / "how-to" / "opponents.md").read_text("utf-8")
     assert "```{literalinclude} ../examples/self_play.py\n" in page
 
 

@@ -7,7 +7,11 @@ from dataclasses import dataclass
 from tests.support.paths import ROOT
 
 #: Pages that are written from docstrings, or shown elsewhere.
-WITHOUT_EXAMPLES = {"docs/changelog.md", "docs/contributing.md", "docs/benchmarks-method.md"}
+WITHOUT_EXAMPLES = {
+    "docs/changelog.md",
+    "docs/contributing.md",
+    "docs/explanation/benchmarks-method.md",
+}
 _BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 _FILE = re.compile(r"# ([\w/]+\.py)\n")
 
@@ -31,7 +35,9 @@ class Block:
 def pages():
     found = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
     names = [path.relative_to(ROOT).as_posix() for path in found]
-    return [n for n in names if n not in WITHOUT_EXAMPLES and not n.startswith("docs/api/")]
+    return [
+        n for n in names if n not in WITHOUT_EXAMPLES and not n.startswith("docs/reference/api/")
+    ]
 
 
 def blocks(page, language):
@@ -49,47 +55,55 @@ SHORTER = [
     ("README.md", "learn(1_000_000)", "learn(256)"),
     ("README.md", 'reward="placement"', 'reward={"mine": lambda step: step.distance * 0}'),
     ("README.md", '("MultiInputPolicy", envs', '("MultiInputPolicy", envs, n_steps=32'),
-    ("docs/quickstart.md", "model.learn(1_000_000)", "model.n_steps; model.learn(1)"),
-    ("docs/quickstart.md", "seed=1, device", "n_steps=32, seed=1, device"),
-    ("docs/vector.md", "model.learn(1_000_000)", "model.learn(1)"),
-    ("docs/vector.md", 'PPO("MultiInputPolicy", envs', 'PPO("MultiInputPolicy", envs, n_steps=32'),
-    ("docs/vector.md", "range(1000)", "range(20)"),
-    ("docs/vector.md", "policy(observations)", "envs.action_space.sample()"),
-    ("docs/vector.md", "learn_from(", "print("),
-    ("docs/starts.md", "range(1000)", "range(2)"),
-    ("docs/starts.md", "    ...\n", "    finished = True\n"),
-    ("docs/rendering.md", "cameras=3", "cameras=1, size=(160, 120)"),
-    ("docs/rendering.md", "listeners=[video]", "listeners=[video], max_steps=5"),
-    ("docs/demonstrations.md", "karts=2, seeds=3", "karts=2, max_steps=20"),
-    ("docs/replays.md", 'RaceVideo("race.mp4")', 'RaceVideo("race.mp4", cameras=1)'),
-    ("docs/replays.md", "seed=1, listeners", "seed=1, max_steps=5, listeners"),
-    ("docs/agents.md", 'seed=1, listeners', 'seed=1, max_steps=120, listeners'),
-    ("docs/tournaments.md", "races=30", "races=2"),
-    ("docs/tournaments.md", "max_steps=450", "max_steps=30"),
+    ("docs/how-to/quickstart.md", "model.learn(1_000_000)", "model.n_steps; model.learn(1)"),
+    ("docs/how-to/quickstart.md", "seed=1, device", "n_steps=32, seed=1, device"),
+    ("docs/how-to/vector.md", "model.learn(1_000_000)", "model.learn(1)"),
+    ("docs/how-to/vector.md", 'MultiInputPolicy", envs', 'MultiInputPolicy", envs, n_steps=32'),
+    ("docs/how-to/vector.md", "range(1000)", "range(20)"),
+    ("docs/how-to/vector.md", "policy(observations)", "envs.action_space.sample()"),
+    ("docs/how-to/vector.md", "learn_from(", "print("),
+    ("docs/how-to/starts.md", "range(1000)", "range(2)"),
+    ("docs/how-to/starts.md", "    ...\n", "    finished = True\n"),
+    ("docs/how-to/rendering.md", "cameras=3", "cameras=1, size=(160, 120)"),
+    ("docs/how-to/rendering.md", "listeners=[video]", "listeners=[video], max_steps=5"),
+    ("docs/how-to/demonstrations.md", "karts=2, seeds=3", "karts=2, max_steps=20"),
+    ("docs/reference/replays.md", 'RaceVideo("race.mp4")', 'RaceVideo("race.mp4", cameras=1)'),
+    ("docs/reference/replays.md", "seed=1, listeners", "seed=1, max_steps=5, listeners"),
+    ("docs/reference/agents.md", 'seed=1, listeners', 'seed=1, max_steps=120, listeners'),
+    ("docs/how-to/tournaments.md", "races=30", "races=2"),
+    ("docs/how-to/tournaments.md", "max_steps=450", "max_steps=30"),
 ]  # fmt: skip
 
 #: Blocks that are not run: a page, what is in the block, and why.
 NOT_RUN = [
-    ("docs/quickstart.md", "ray.rllib", "RLlib wants an older Gymnasium: benchmarks/ecosystem.py"),
     (
-        "docs/agents.md",
+        "docs/how-to/quickstart.md",
+        "ray.rllib",
+        "RLlib wants an older Gymnasium: benchmarks/ecosystem.py",
+    ),
+    (
+        "docs/reference/agents.md",
         "import torch",
         "without its weights: tests/drivers/test_files.py",
     ),
-    ("docs/agents.md", "def get_wrappers", "a part of an agent: tests/drivers/test_files.py"),
-    ("docs/play.md", "play_race", "opens a window: tests/play/test_play.py"),
-    ("docs/play.md", "play(env", "opens a window: tests/play/test_play.py"),
     (
-        "docs/networked-races.md",
+        "docs/reference/agents.md",
+        "def get_wrappers",
+        "a part of an agent: tests/drivers/test_files.py",
+    ),
+    ("docs/how-to/play.md", "play_race", "opens a window: tests/play/test_play.py"),
+    ("docs/how-to/play.md", "play(env", "opens a window: tests/play/test_play.py"),
+    (
+        "docs/how-to/networked-races.md",
         "RemoteDriverGroup",
         "asks two servers: tests/race/remote/test_remote.py",
     ),
     (
-        "docs/benchmark-protocol.md",
+        "docs/reference/benchmark-protocol.md",
         "run_benchmark",
         "long: tests/evaluation/test_benchmark.py",
     ),
-    ("docs/planning.md", "planner.act", "a race of minutes: tests/env/test_state.py"),
+    ("docs/how-to/planning.md", "planner.act", "a race of minutes: tests/env/test_state.py"),
 ]
 
 

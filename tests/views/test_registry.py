@@ -203,7 +203,7 @@ def test_the_options_of_the_reference_are_there():
 
 
 def test_the_page_of_views_lists_every_option():
-    page = (ROOT / "docs/views.md").read_text()
+    page = (ROOT / "docs/how-to/views.md").read_text()
     rows = page.partition("| wrapper |")[2].partition("\n\n")[0].splitlines()[2:]
     told = {name for row in rows for name in re.findall(r"`(\w+)`", row.split("|")[2])}
     assert told - {"False", "True"} == {name for view in SHIPPED for name in options_of(view)}

@@ -1,6 +1,6 @@
 """Races with agents on other machines: servers of agents, and drivers that ask them.
 
-The messages are described in ``docs/protocol.md``; nothing in them is pickled. What a
+The messages are described in ``docs/reference/protocol.md``; nothing in them is pickled. What a
 client or a server sends can at worst cost its own part in the race.
 """
 

@@ -1,4 +1,4 @@
-"""The messages between client and server of a networked race (``docs/protocol.md``).
+"""The messages between client and server of a networked race (``docs/reference/protocol.md``).
 
 A message is two ZeroMQ frames: its kind, one byte, and its body, a dict encoded by
 :mod:`stkzoo.drivers.codec`. A *seat* is the number of a driver instance on one connection.

@@ -1,4 +1,4 @@
-"""A replay, and its file: a zip of JSON and two plain arrays (``docs/replays.md``).
+"""A replay, and its file: a zip of JSON and two plain arrays (``docs/reference/replays.md``).
 
 Reading any file raises only :class:`ReplayError`, and takes bounded time and memory.
 """

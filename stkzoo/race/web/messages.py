@@ -1,6 +1,6 @@
 """The messages about a race to its page: plain values for JSON.
 
-``docs/live-page.md`` describes every message.
+``docs/how-to/live-page.md`` describes every message.
 """
 
 from __future__ import annotations
