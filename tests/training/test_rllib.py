@@ -1,7 +1,7 @@
 """The parts of the RLlib script that need no Ray.
 
 Ray wants an older Gymnasium than the rest of the tests, so it is not installed here.
-``python -m benchmarks.rllib_cluster`` runs the whole script; docs/how-to/cluster.md has the results.
+``python -m benchmarks.rllib_cluster`` runs the whole script: docs/how-to/cluster.md.
 """
 
 import importlib.util
