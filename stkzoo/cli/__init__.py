@@ -39,7 +39,9 @@ first steps:
   stkzoo doctor             check this machine and suggest fixes
   stkzoo assets install     get the game's tracks and karts
   stkzoo race --demo        a race: a learned driver against the hardest bots
-  stkzoo race my_agent/ ai  your agent against the game's AI
+  stkzoo new my_agent       create an agent of your own
+  stkzoo race my_agent ai   race it against the game's AI
+  stkzoo check my_agent     see whether a tournament would accept it
 
 `stkzoo COMMAND --help` has examples of each.
 

@@ -17,6 +17,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from typing import Any, NoReturn
 
 from stkzoo.drivers.failures import OutputTail, reported_error
@@ -109,6 +110,15 @@ class IsolatedInstance:
         if reply.get("number") != self._number or not isinstance(seconds, float):
             self._fail(f"its process answered with {reply!r:.200}; expected an action")
         return Decision(reply.get("action"), seconds, reply.get("is_clipped") is True)
+
+    def peak_memory(self) -> float | None:
+        """Peak memory of the process so far [MB]; ``None`` where the system does not report it."""
+        status = Path(f"/proc/{self._process.pid}/status")
+        with suppress(OSError):
+            for line in status.read_text(errors="replace").splitlines():
+                if line.startswith("VmHWM:"):
+                    return int(line.split()[1]) / 1024
+        return None
 
     def close(self) -> None:
         """Ends the process and all that it started, and removes the agent's unpacked files."""

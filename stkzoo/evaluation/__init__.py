@@ -16,6 +16,7 @@ All of these run as batches: races in parallel processes, each stored in the out
 as it is over, so that the same call resumes after an interruption.
 """
 
+from stkzoo.evaluation.agent_check import AgentReport, ThinkingTime, check_agent
 from stkzoo.evaluation.batch.entrants import Entrant
 from stkzoo.evaluation.batch.run import BatchError, BatchProgress, RunOptions
 from stkzoo.evaluation.benchmark.ai_times import AiTime, AiTimes, load_ai_times, measure_ai_times
@@ -71,6 +72,7 @@ __all__ = [
     "FORMS",
     "GREY",
     "INK",
+    "AgentReport",
     "AiTime",
     "AiTimes",
     "BatchError",
@@ -96,8 +98,10 @@ __all__ = [
     "RunOptions",
     "ScheduledRace",
     "Standing",
+    "ThinkingTime",
     "TournamentPlan",
     "TournamentResult",
+    "check_agent",
     "check_demonstrations",
     "compare",
     "load_ai_times",

@@ -1,0 +1,100 @@
+"""Check an agent before you hand it in.
+
+Loads an agent, drives it for a few seconds in a process of its own, and shows its times, its
+memory and its size. The last line is what a tournament would say.
+
+Examples:
+  stkzoo check my_agent          a folder
+  stkzoo check my_agent.zip      the file that you hand in
+  stkzoo check my_agent --json   the same for programs
+
+exit codes:
+  0 the agent passed, 1 the check could not be run, 2 invalid command line, 3 the agent failed,
+  130 interrupted
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+from stkzoo._arguments import add_options, positional, values_of
+from stkzoo.cli._arguments import usage_errors
+from stkzoo.race import RaceSettings
+
+if TYPE_CHECKING:
+    from stkzoo.evaluation import AgentReport
+
+_LIMITS = ("action_timeout", "start_timeout", "agent_memory")
+_AGENT_FAILED = 3
+
+
+@dataclass
+class CheckArguments:
+    """Arguments of ``stkzoo check``.
+
+    Attributes:
+        agent: a folder, a zip, a Python file, or the name of a module
+        track: the track to drive
+        max_steps: number of steps to drive
+        seed: of all random choices
+        json: write JSON instead of text
+    """
+
+    agent: str = positional(metavar="AGENT")
+    track: str = "lighthouse"
+    max_steps: int = 50
+    seed: int = 0
+    json: bool = False
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments."""
+    add_options(parser, CheckArguments)
+    add_options(parser.add_argument_group("limits"), RaceSettings, only=_LIMITS)
+
+
+@usage_errors
+def run(arguments: argparse.Namespace) -> int:
+    """Checks the agent; returns 3 if a tournament would not accept it."""
+    from stkzoo.evaluation import check_agent
+
+    options = values_of(arguments, CheckArguments, only=("track", "max_steps", "seed"))
+    limits = values_of(arguments, RaceSettings, only=_LIMITS)
+    report = check_agent(arguments.agent, **options, **limits)
+    if arguments.json:
+        print(json.dumps(asdict(report), indent=2))
+    else:
+        _show(report, arguments)
+    return 0 if report.passed else _AGENT_FAILED
+
+
+def _show(report: AgentReport, arguments: argparse.Namespace) -> None:
+    from stkzoo.cli._console import say
+
+    say(f"{report.name}: {report.steps} steps, {report.distance:.0f} m on {arguments.track}")
+    if report.load_time is not None:
+        say(f"  loading   {report.load_time:.1f} s (limit {arguments.start_timeout:g} s)")
+    if report.thinking_time is not None:
+        times = report.thinking_time
+        limit = f"{arguments.action_timeout:g} s" if arguments.action_timeout else "none"
+        say(
+            f"  thinking  mean {1000 * times.mean:.1f} ms, p95 {1000 * times.p95:.1f} ms, "
+            f"max {1000 * times.max:.1f} ms (limit {limit})"
+        )
+    if report.memory is not None:
+        limit = f"{arguments.agent_memory} MB" if arguments.agent_memory else "none"
+        say(f"  memory    {report.memory:.0f} MB (limit {limit})")
+    if report.size is not None:
+        files = "1 file" if report.num_files == 1 else f"{report.num_files} files"
+        say(f"  size      {files}, {report.size / 1000:.1f} kB")
+    if report.num_clipped:
+        say(f"  actions   {report.num_clipped} were outside the action space and were clipped")
+    if report.passed:
+        say("PASS: a tournament would accept this agent.")
+        return
+    say(f"FAIL: {report.reason}")
+    for line in report.trace.splitlines():
+        say(f"  {line}")

@@ -1,0 +1,126 @@
+"""Create a starter agent.
+
+Writes a small commented driver into a new folder. It finishes a race as it is; change it from
+there. Existing files are never overwritten.
+
+Examples:
+  stkzoo new my_agent          create my_agent/pystk_actor.py
+  stkzoo race my_agent ai ai   race it against the game's AI
+  stkzoo check my_agent        find out whether a tournament would accept it
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+from stkzoo._arguments import add_options, positional
+from stkzoo.cli._arguments import usage_errors
+from stkzoo.errors import ConfigError
+
+_ACTOR = '''\
+"""A starter agent. Its contract is described in docs/reference/agents.md."""
+
+import numpy as np
+
+# The view: what the agent observes and how it acts. Other views have other keys and shapes.
+env_name = "supertuxkart/simple-v0"
+
+# The name in results.
+player_name = {name!r}
+
+
+class State:
+    """What the agent remembers. Every race starts with a new one."""
+
+    slow_steps = 0
+
+
+create_state = State
+
+
+def get_actor(module_dir, observation_space, action_space):
+    """Called once before each race. Do slow work here, such as loading weights."""
+
+    def actor(state, observation):
+        """Called at every step, ten times per second. Returns one action."""
+        # The road ahead as points in front of the kart; index 3 is a few segments away.
+        # Each point is (angle [rad], height [m], distance [m]); a positive angle is to the right.
+        angle = observation["paths_end"][3][0]
+
+        # A stuck kart can ask to be put back on the road.
+        speed = np.linalg.norm(observation["velocity"])  # [m/s]
+        state.slow_steps = state.slow_steps + 1 if speed < 1 else 0
+        is_stuck = state.slow_steps > 50  # 5 s; the countdown before the start is shorter
+
+        # To see what the agent sees, uncomment this line and race with --inline.
+        # print(f"angle {{angle:.2f}} rad, speed {{speed:.1f}} m/s")
+
+        return {{
+            "acceleration": np.array([1.0], np.float32),  # 0 to 1
+            "steer": np.array([np.clip(2.5 * angle, -1, 1)], np.float32),  # -1 left to 1 right
+            "brake": 0,
+            "drift": 0,  # hold in sharp curves to collect a boost
+            "fire": 0,  # use the collected item
+            "nitro": 1,  # use nitro whenever there is some
+            "rescue": int(is_stuck),
+        }}
+
+    return actor
+'''
+
+_README = """\
+# {name}
+
+`pystk_actor.py` is an agent for stkzoo. Next steps: race it, change how it steers, brakes and
+uses items, then check it:
+
+    stkzoo race {folder} ai ai
+    stkzoo check {folder}
+    python -m zipfile -c {zip} {folder}
+"""
+
+
+@dataclass
+class NewArguments:
+    """Arguments of ``stkzoo new``.
+
+    Attributes:
+        folder: folder to create
+    """
+
+    folder: str = positional(metavar="FOLDER")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments."""
+    add_options(parser, NewArguments)
+
+
+@usage_errors
+def run(arguments: argparse.Namespace) -> int:
+    """Creates the agent and prints what to do next."""
+    folder = Path(arguments.folder)
+    name = folder.resolve().name
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        is_empty = not any(folder.iterdir())
+    except OSError as error:
+        raise ConfigError(f"cannot create {arguments.folder!r}: {error.strerror}") from None
+    if not is_empty:
+        raise ConfigError(f"{arguments.folder!r} is not empty; choose another folder")
+    quoted = shlex.quote(arguments.folder)
+    archive = shlex.quote(f"{name}.zip")
+    (folder / "pystk_actor.py").write_text(_ACTOR.format(name=name), encoding="utf-8")
+    readme = _README.format(name=name, folder=quoted, zip=archive)
+    (folder / "README.md").write_text(readme, encoding="utf-8")
+    print(f"Created {folder / 'pystk_actor.py'}. Next:")
+    for command, purpose in (
+        (f"stkzoo race {quoted} ai ai", "race it against the game's AI"),
+        (f"stkzoo check {quoted}", "see what a tournament would say"),
+        (f"python -m zipfile -c {archive} {quoted}", "make the zip to hand in"),
+    ):
+        print(f"  {command}\n      {purpose}")
+    return 0

@@ -1,0 +1,187 @@
+"""Checks an agent before it is handed in: what a tournament would say, and what the agent costs."""
+
+from __future__ import annotations
+
+import time
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stkzoo.drivers.driver import find_driver
+from stkzoo.drivers.files import MAX_BYTES, MAX_FILES, AgentFiles, find_files
+from stkzoo.drivers.instances import Decision, DriverRequest
+from stkzoo.drivers.isolated import IsolatedInstance
+from stkzoo.errors import ConfigError
+from stkzoo.race import run_race
+
+
+@dataclass(frozen=True, slots=True)
+class ThinkingTime:
+    """The durations of an agent's decisions [s]."""
+
+    mean: float
+    p95: float
+    max: float
+
+    @classmethod
+    def of(cls, seconds: Sequence[float]) -> ThinkingTime | None:
+        """The statistics of some durations; ``None`` if there are none."""
+        if not seconds:
+            return None
+        return cls(float(np.mean(seconds)), float(np.percentile(seconds, 95)), max(seconds))
+
+
+@dataclass(frozen=True, slots=True)
+class AgentReport:
+    """The outcome of a check.
+
+    Attributes:
+        agent: the agent, as the user wrote it.
+        name: the name to show.
+        passed: whether a tournament would accept the agent.
+        reason: why not; empty if it passed.
+        trace: the traceback in the agent's own code, and its last output; may be empty.
+        steps: number of steps driven.
+        distance: how far the kart came [m].
+        num_clipped: number of actions that were clipped to the action space.
+        load_time: time to start the agent's process and to load it [s]; ``None`` if that failed.
+        thinking_time: durations of its decisions; ``None`` if it made none.
+        memory: peak memory of its process [MB]; ``None`` where the system does not report it.
+        num_files: number of its files; ``None`` for a module found by its name.
+        size: of these files, unpacked [bytes]; ``None`` likewise.
+    """
+
+    agent: str
+    name: str
+    passed: bool
+    reason: str
+    trace: str
+    steps: int
+    distance: float
+    num_clipped: int
+    load_time: float | None
+    thinking_time: ThinkingTime | None
+    memory: float | None
+    num_files: int | None
+    size: int | None
+
+
+def check_agent(
+    source: str, *, track: str = "lighthouse", max_steps: int = 50, **settings: Any
+) -> AgentReport:
+    """Drives an agent alone, in a process of its own, as a tournament would.
+
+    Args:
+        source: a folder, a zip, a Python file, or the name of a module.
+        track: the track.
+        max_steps: number of steps to drive.
+        **settings: more fields of :class:`~stkzoo.race.RaceSettings`, such as ``seed`` and
+            ``action_timeout``.
+
+    Raises:
+        ConfigError: there is no such agent, or an argument is invalid.
+        AssetError: the game's data is missing.
+
+    Example:
+        >>> from stkzoo.evaluation import check_agent
+        >>> report = check_agent("my_agent")  # doctest: +SKIP
+        >>> report.passed  # doctest: +SKIP
+        True
+    """
+    driver = find_driver(source)
+    path = source.rpartition("@:")[0] if "@:" in source else source
+    files = find_files(path) if driver.is_from_files else None
+    if files is None:
+        raise ConfigError(
+            f"{source!r} comes with stkzoo; name your own agent: a folder, a .zip or a .py file"
+        )
+    meter = _Meter()
+    measured = replace(driver, start=partial(_MeasuredAgent, files=files, meter=meter))
+    result = run_race(
+        [measured], track=track, max_steps=max_steps, **{**settings, "error_handling": "retire"}
+    )
+    (row,) = result.agents
+    num_files, size = _measure(files)
+    reason, trace = _too_large(num_files, size), ""
+    if row.errors:
+        failure = row.errors[0]
+        when = "while loading" if failure.kind == "start" else f"at step {failure.step}"
+        reason, trace = f"failed {when}: {failure.message}", failure.trace
+    return AgentReport(
+        source,
+        row.driver,
+        not reason,
+        reason,
+        trace,
+        result.steps,
+        row.distance,
+        row.num_clipped,
+        meter.load_time,
+        ThinkingTime.of(meter.seconds),
+        meter.memory,
+        num_files,
+        size,
+    )
+
+
+@dataclass(slots=True)
+class _Meter:
+    """The measurements of one agent."""
+
+    load_time: float | None = None
+    memory: float | None = None
+    seconds: list[float] = field(default_factory=list)
+
+
+class _MeasuredAgent(IsolatedInstance):
+    """An agent in a process of its own that is measured."""
+
+    def __init__(self, request: DriverRequest, files: AgentFiles, meter: _Meter) -> None:
+        self._meter, self._begin = meter, time.perf_counter()
+        super().__init__(request, files)
+
+    def ready(self) -> str:
+        """Waits until the agent is loaded."""
+        name = super().ready()
+        self._meter.load_time = time.perf_counter() - self._begin
+        self._meter.memory = self.peak_memory()
+        return name
+
+    def answer(self) -> Decision:
+        """Waits for the action."""
+        decision = super().answer()
+        self._meter.seconds.append(decision.seconds)
+        self._meter.memory = self.peak_memory()
+        return decision
+
+
+def _measure(files: AgentFiles) -> tuple[int | None, int | None]:
+    """Number and size [bytes] of an agent's files, unpacked."""
+    path = files.path
+    if path is None:
+        return None, None
+    if path.suffix == ".zip" and path.is_file():
+        with zipfile.ZipFile(path) as archive:
+            sizes = [entry.file_size for entry in archive.infolist() if not entry.is_dir()]
+    else:
+        found = path.rglob("*") if path.is_dir() else [path]
+        sizes = [
+            file.stat().st_size
+            for file in map(Path, found)
+            if file.is_file() and "__pycache__" not in file.parts
+        ]
+    return len(sizes), sum(sizes)
+
+
+def _too_large(num_files: int | None, size: int | None) -> str:
+    """Why a zip of these files would be refused; empty if it would not."""
+    if (num_files or 0) > MAX_FILES:
+        return f"has {num_files} files; at most {MAX_FILES} are allowed in a zip"
+    if (size or 0) > MAX_BYTES:
+        return f"has {(size or 0) >> 20} MB of files; at most {MAX_BYTES >> 20} MB are allowed"
+    return ""

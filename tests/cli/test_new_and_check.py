@@ -1,0 +1,88 @@
+"""The commands ``stkzoo new`` and ``stkzoo check``."""
+
+import json
+import zipfile
+
+import pytest
+
+from stkzoo.cli import main
+from stkzoo.race import run_race
+from tests.support.paths import AGENTS
+
+HOSTILE = AGENTS / "hostile"
+
+
+@pytest.fixture
+def starter(tmp_path):
+    folder = tmp_path / "my agent"
+    assert main(["new", str(folder)]) == 0
+    return folder
+
+
+def test_the_starter_agent_finishes_lighthouse(starter):
+    (row,) = run_race([str(starter)], track="lighthouse", seed=1).agents
+    assert row.status == "finished"
+    assert (row.driver, row.num_errors, row.num_clipped) == ("my agent", 0, 0)
+
+
+def test_new_prints_the_next_commands(tmp_path, capsys):
+    folder = tmp_path / "first"
+    assert main(["new", str(folder)]) == 0
+    shown = capsys.readouterr().out
+    assert f"stkzoo race {folder} ai ai" in shown
+    assert f"stkzoo check {folder}" in shown
+    assert f"python -m zipfile -c first.zip {folder}" in shown
+
+
+def test_new_does_not_overwrite(starter, capsys):
+    before = (starter / "pystk_actor.py").read_bytes()
+    assert main(["new", str(starter)]) == 2
+    assert "is not empty; choose another folder" in capsys.readouterr().err
+    assert (starter / "pystk_actor.py").read_bytes() == before
+
+
+def test_new_refuses_a_path_that_is_a_file(tmp_path, capsys):
+    (tmp_path / "taken").touch()
+    assert main(["new", str(tmp_path / "taken")]) == 2
+    assert "cannot create" in capsys.readouterr().err
+
+
+def test_check_measures_a_zip(starter, tmp_path, capsys):
+    path = tmp_path / "handed_in.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        for file in starter.iterdir():
+            archive.write(file, f"folder/{file.name}")
+    capsys.readouterr()
+    assert main(["check", str(path), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["passed"]
+    assert report["reason"] == ""
+    assert report["steps"] == 50
+    assert report["num_files"] == 2
+    assert report["size"] == sum(file.stat().st_size for file in starter.iterdir())
+    times = report["thinking_time"]
+    assert 0 < times["mean"] <= times["max"]
+    assert 0 < times["p95"] <= times["max"]
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("unloadable", "failed while loading: RuntimeError: not today"),
+        ("exits", "failed at step 0: its process exited with code 1"),
+    ],
+)
+def test_check_says_why_an_agent_fails(name, reason, capsys):
+    assert main(["check", str(HOSTILE / f"{name}.py")]) == 3
+    shown = capsys.readouterr().out
+    assert f"FAIL: {reason}" in shown
+    assert "PASS" not in shown
+
+
+@pytest.mark.parametrize(
+    ("agent", "expected"),
+    [("heuristic", "name your own agent"), ("no/such/agent", "expected a folder")],
+)
+def test_check_refuses_what_is_not_an_agent_from_files(agent, expected, capsys):
+    assert main(["check", agent]) == 2
+    assert expected in capsys.readouterr().err
