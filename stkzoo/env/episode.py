@@ -24,7 +24,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.kernel import StepScorer
 from stkzoo.mdp.events import EVENTS, RaceEvents
 from stkzoo.mdp.observations import ai_actions, observe_karts
-from stkzoo.mdp.rewards import Reward, as_reward
+from stkzoo.mdp.rewards import Reward, RewardOver, as_reward
 from stkzoo.mdp.state import race_state
 from stkzoo.mdp.transition import Transition
 from stkzoo.wrappers.racing import ground_table
@@ -35,10 +35,13 @@ IntArray = npt.NDArray[np.intp]
 
 def rewards_of_agents(choice: object, agents: Sequence[str]) -> dict[str, Reward]:
     """Every agent's reward; see :mod:`stkzoo.mdp.rewards` for what can be chosen."""
+    default = "race"
+    if isinstance(choice, RewardOver):
+        default, choice = choice.default, choice.choice
     if isinstance(choice, Mapping) and any(_is_agent(name, agents) for name in choice):
         chosen = by_agent(choice, agents)
-        return {agent: as_reward(chosen.get(agent)) for agent in agents}
-    return dict.fromkeys(agents, as_reward(choice))
+        return {agent: as_reward(chosen.get(agent), default) for agent in agents}
+    return dict.fromkeys(agents, as_reward(choice, default))
 
 
 class Episode:

@@ -23,6 +23,7 @@ from stkzoo.env.rendering import RENDER_MODES
 from stkzoo.env.state import RaceState
 from stkzoo.env.world import WorldView
 from stkzoo.errors import ActionError, ApiOrderError, unknown_name
+from stkzoo.mdp.rewards import RewardOver
 from stkzoo.views import find_view, options_of, views_of_agents
 from stkzoo.views.walker import StepParts
 from stkzoo.wrappers.camera import Camera
@@ -57,6 +58,7 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
     ) -> None:
         # Gymnasium's TimeLimit, which the registered ids bring, cuts long races.
         options.setdefault("max_cycles", None)
+        options["reward"] = RewardOver("reference", options.get("reward"))
         self.core = RaceParallelEnv(agents=agents, **options)
         self.render_mode = self.core.render_mode
         drawn = {key: self.core.metadata[key] for key in ("render_modes", "render_fps")}

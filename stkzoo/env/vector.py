@@ -13,6 +13,7 @@ from stkzoo.config import AgentSpec
 from stkzoo.env.gymnasium_api import split_keywords
 from stkzoo.env.vec.env import RaceVectorEnv, is_of_fixed_size
 from stkzoo.errors import check_whole
+from stkzoo.mdp.rewards import RewardOver
 
 
 def single_kart_races(
@@ -41,6 +42,7 @@ def single_kart_races(
         ConfigError: an argument is invalid, or the view's values differ in size.
     """
     view, race = split_keywords(view, options, ("agent", "prefetch"))
+    race["reward"] = RewardOver("reference", race.get("reward"))
     limits = [limit for limit in (max_episode_steps, max_cycles) if limit not in (None, -1)]
     return RaceVectorEnv(
         num_envs,

@@ -8,7 +8,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { PROGRESS, RANK, TIME, FINISH, COURSE, PLACEMENT, NUM_TERMS };
+enum { PROGRESS, RANK, TIME, FINISH, COURSE, PLACEMENT, ADVANCE, PLACE, PACE, NUM_TERMS };
 
 /* Agents that share a reward. */
 typedef struct {
@@ -37,6 +37,18 @@ static double driven(const Kart *kart)
     return kart->overall_distance > 0 ? kart->overall_distance : 0;
 }
 
+/* Metres of the race driven, at most its length. */
+static double driven_of(const Kart *kart, double race_length)
+{
+    return kart->has_finished_race > 0 ? race_length : fmin(driven(kart), race_length);
+}
+
+static double place_of(const Kart *kart, double num_karts, double race_length)
+{
+    const double share = driven_of(kart, race_length) / race_length;
+    return 20.0 * ((num_karts - kart->position) / (num_karts > 1 ? num_karts - 1 : 1)) * share;
+}
+
 static double term(npy_intp code, const Kart *before, const Kart *after, double num_karts,
                    double race_length)
 {
@@ -47,12 +59,16 @@ static double term(npy_intp code, const Kart *before, const Kart *after, double 
     case RANK: return (1.0 - after->position / num_karts) * (3.0 + 7.0 * finishes);
     case TIME: return -0.1;
     case FINISH: return finishes ? 10.0 : 0.0;
-    case COURSE: {
-        const double end = after->has_finished_race > 0 ? race_length : fmin(now, race_length);
-        return (end - fmin(then, race_length)) / race_length;
-    }
-    default:
+    case COURSE:
+        return (driven_of(after, race_length) - fmin(then, race_length)) / race_length;
+    case PLACEMENT:
         return finishes * (num_karts - after->position) / (num_karts > 1 ? num_karts - 1 : 1);
+    case ADVANCE:
+        return (driven_of(after, race_length) - driven_of(before, race_length)) / 10.0;
+    case PLACE:
+        return place_of(after, num_karts, race_length) - place_of(before, num_karts, race_length);
+    default: /* PACE */
+        return finishes ? race_length / fmax(after->finish_time, 1.0) : 0.0;
     }
 }
 

@@ -4,10 +4,11 @@ A *term* is a function from a :class:`~stkzoo.mdp.transition.Transition` to ``(K
 A :class:`Reward` weighs and sums terms; their weighted values are in
 ``infos[agent]["reward/<name>"]``.
 
-Write ``reward="placement"`` to choose a shipped reward, ``reward={"time": 5.0}`` to
+Write ``reward="placement"`` to choose a shipped reward, ``reward={"pace": 5.0}`` to
 reweigh terms of the default one, ``reward={"drift": my_term}`` to add a term of your own,
-``reward={"rank": 0}`` to drop one, a :class:`Reward` to start from nothing, and a mapping
-from agents to any of these to give agents rewards of their own.
+``reward={"place": 0}`` to drop one, a :class:`Reward` to start from nothing, and a mapping
+from agents to any of these to give agents rewards of their own. The default is ``"race"``,
+and ``"reference"`` for the Gymnasium ids of pystk2-gymnasium.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.mdp.transition import Transition
 
@@ -49,10 +51,15 @@ def finish(step: Transition) -> FloatArray:
 
 def course(step: Transition) -> FloatArray:
     """The share of the race driven in this step; sums to 1 for a kart that finishes."""
-    done = np.minimum(step.distance, step.race_length)
-    # The engine may call a kart finished a hair before its distance says so.
-    done = np.where(step.after.karts["has_finished_race"] > 0, step.race_length, done)
+    done = _driven(step.after, step.distance, step.race_length)
     return (done - np.minimum(step.distance_before, step.race_length)) / step.race_length
+
+
+def _driven(moment: Snapshot, distance: FloatArray, race_length: float) -> FloatArray:
+    """Metres of the race driven, ``(K,)``, at most its length."""
+    # The engine may finish a kart a few centimetres before the line.
+    has_finished = moment.karts["has_finished_race"] > 0
+    return np.where(has_finished, race_length, np.minimum(distance, race_length))
 
 
 def placement(step: Transition) -> FloatArray:
@@ -61,8 +68,47 @@ def placement(step: Transition) -> FloatArray:
     return step.finishes * (step.num_kart - step.position) / others
 
 
+def advance(step: Transition) -> FloatArray:
+    """A tenth of the metres of the race driven, which end at the finish line."""
+    return (
+        _driven(step.after, step.distance, step.race_length)
+        - _driven(step.before, step.distance_before, step.race_length)
+    ) / 10.0
+
+
+def place(step: Transition) -> FloatArray:
+    """The change of 20 (K - position)/(K - 1) times the share of the race driven.
+
+    It is a potential: over an episode it sums to 20 for the winner, down to 0 for the last,
+    wherever the karts started. A place won early counts little until the kart has driven on.
+    """
+
+    def potential(moment: Snapshot, distance: FloatArray) -> FloatArray:
+        share = _driven(moment, distance, step.race_length) / step.race_length
+        ahead_of = (step.num_kart - moment.karts["position"]) / max(step.num_kart - 1, 1)
+        return np.asarray(20.0 * ahead_of * share, np.float64)
+
+    return potential(step.after, step.distance) - potential(step.before, step.distance_before)
+
+
+def pace(step: Transition) -> FloatArray:
+    """On the finishing step, the mean speed over the race [m/s]."""
+    seconds = np.maximum(step.after.karts["finish_time"].astype(np.float64), 1.0)
+    return np.where(step.finishes, step.race_length / seconds, 0.0)
+
+
 #: The terms that the kernel's ``StepScorer`` knows, by its numbers for them.
-KERNEL_TERMS: tuple[RewardTerm, ...] = (progress, rank, time, finish, course, placement)
+KERNEL_TERMS: tuple[RewardTerm, ...] = (
+    progress,
+    rank,
+    time,
+    finish,
+    course,
+    placement,
+    advance,
+    place,
+    pace,
+)
 
 
 @dataclass(frozen=True)
@@ -135,18 +181,35 @@ class Reward:
         return Reward(terms, weights)
 
 
-#: The shipped rewards. ``placement`` gives a total in [0, 2], the higher the better the
-#: place; ``default`` is the formula that users of pystk2-gymnasium know.
+#: The shipped rewards. ``race`` is the default: whoever drives better earns more. A finisher
+#: gets L/10 + 20 (K - p)/(K - 1) + L/T - 0.02 N for a race of L metres that it finishes in place p
+#: of K, after T seconds and N steps; a kart that stands still gets -0.02 N.
+#: ``reference`` is the formula of pystk2-gymnasium, which also pays a kart that stands still.
+#: ``placement`` gives a total in [0, 2], the higher the better the place.
 REWARDS: Mapping[str, Reward] = {
-    "default": Reward({"progress": progress, "rank": rank, "time": time, "finish": finish}),
+    "race": Reward({"advance": advance, "place": place, "pace": pace, "time": time}, {"time": 0.2}),
+    "reference": Reward({"progress": progress, "rank": rank, "time": time, "finish": finish}),
     "placement": Reward({"course": course, "placement": placement}),
 }
 
 
-def as_reward(choice: object) -> Reward:
+@dataclass(frozen=True)
+class RewardOver:
+    """A user's choice of reward where the default is not ``"race"``.
+
+    Attributes:
+        default: name of the reward that ``None`` stands for and that mappings adapt.
+        choice: the user's.
+    """
+
+    default: str
+    choice: object = None
+
+
+def as_reward(choice: object, default: str = "race") -> Reward:
     """The reward that a user's choice stands for (see the module's text)."""
     if choice is None:
-        return REWARDS["default"]
+        return REWARDS[default]
     if isinstance(choice, Reward):
         return choice
     if isinstance(choice, str):
@@ -154,7 +217,7 @@ def as_reward(choice: object) -> Reward:
             raise unknown_name("reward", choice, REWARDS)
         return REWARDS[choice]
     if isinstance(choice, Mapping):
-        return REWARDS["default"].adapted(choice)
+        return REWARDS[default].adapted(choice)
     raise ConfigError(
         f"reward is {choice!r}, expected one of {', '.join(REWARDS)}, a mapping from terms to "
         "weights or functions, a Reward, or a mapping from agents to these"

@@ -505,7 +505,7 @@ class TenfoldReward(gym.RewardWrapper):
 
 
 def parallel_race():
-    return race_v0.parallel_env(num_kart=2, track=SHORT_TRACK)
+    return race_v0.parallel_env(num_kart=2, track=SHORT_TRACK, reward="reference")
 
 
 def dict_race():
@@ -813,8 +813,8 @@ BAD_ARGUMENTS = [
     ({"reward": "placment"}, "Did you mean 'placement'"),
     ({"reward": 5}, "reward is 5"),
     ({"reward": {"drift": 1.0}}, "unknown reward term 'drift'"),
-    ({"reward": {"time": float("nan")}}, "'time' is nan"),
-    ({"reward": {"time": "much"}}, "'time' is 'much'"),
+    ({"reward": {"pace": float("nan")}}, "'pace' is nan"),
+    ({"reward": {"pace": "much"}}, "'pace' is 'much'"),
     ({"agents": 0}, "0 agents for 3 karts"),
     ({"agents": 4}, "4 agents for 3 karts"),
     ({"agents": []}, "0 agents for 3 karts"),

@@ -90,7 +90,7 @@ def test_the_distance_is_that_of_the_place():
         for distance in (5.0, 200.0, 700.0):
             _, infos = env.reset(seed=1, options={"start": distance})
             assert infos["kart_0"]["distance"] == pytest.approx(distance, abs=3.0)
-            assert infos["kart_0"]["reward/progress"] == 0.0
+            assert infos["kart_0"]["reward/advance"] == 0.0
             _, rewards, *_ = env.step({"kart_0": env.action_space("kart_0").sample()})
             assert abs(rewards["kart_0"]) < 5.0
 

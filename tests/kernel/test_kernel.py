@@ -34,6 +34,7 @@ from stkzoo.kernel import (
 )
 from stkzoo.kernel.reference import action_reader, car_controller, game_stepper, rows, track_graph
 from stkzoo.kernel.reference.kart_observer import KartObserver as KartObserverTwin
+from stkzoo.mdp.rewards import KERNEL_TERMS
 from stkzoo.mdp.spaces import extras_of, kart_action_space, kart_observation_space
 from stkzoo.names import AttachmentType, ItemType, PowerupType
 from stkzoo.tracks import SPLITS
@@ -320,7 +321,7 @@ def road_of(random):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("reward", ["default", "placement", {"rank": 0.5, "time": 3}])
+@pytest.mark.parametrize("reward", ["race", "reference", "placement", {"place": 0.5, "pace": 3}])
 def test_rewards_and_infos_are_the_same_to_the_finish(reward, numpy_only):
     """One lap of the game's AI, in which karts finish and leave."""
 
@@ -551,7 +552,16 @@ def test_a_counter_checks_what_it_is_given():
         {"alone": (*ALONE[:2], one_off := np.ones(1, np.intp), *ALONE[3:])},
         {"alone": (*ALONE[:3], np.zeros((1, 2)), *ALONE[4:])},
         {"alone": (*ALONE[:5], ALONE[5][1:], *ALONE[6:])},
-        {"rewards": ((one_off * 6, np.ones(1), np.zeros(1, np.intp), np.zeros(1, np.intp)),)},
+        {
+            "rewards": (
+                (
+                    one_off * len(KERNEL_TERMS),
+                    np.ones(1),
+                    np.zeros(1, np.intp),
+                    np.zeros(1, np.intp),
+                ),
+            )
+        },
         {"rewards": ((one_off, np.ones(1), one_off, np.zeros(1, np.intp)),)},
         {"rewards": ((one_off, np.ones(1), np.zeros(1, np.intp), one_off),)},
         {"events": np.zeros((1, 2))},

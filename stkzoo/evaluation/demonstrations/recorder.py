@@ -29,7 +29,7 @@ STEP = 0.1
 #: Buttons that count as pressed if pressed at any moment of a step; the others need half of it.
 _PULSES = np.array([name in ("fire", "nitro", "rescue") for name in CONTROLS])
 _ANALOGUE = np.array([name in ("acceleration", "steer") for name in CONTROLS])
-_PROGRESS = "reward/progress"
+_PROGRESS = "reward/advance"
 
 Controls = npt.NDArray[np.float32]
 
