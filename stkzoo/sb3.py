@@ -14,8 +14,10 @@ Needs ``pip install "stkzoo[sb3]"``; nothing else in stkzoo imports Stable-Basel
 from __future__ import annotations
 
 import copy
+import os
 import time
 from collections.abc import Generator, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -23,21 +25,58 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from stkzoo._os import atomic_write, write_text
 from stkzoo.env.vec.env import RaceVectorEnv, seeds_of_races
 from stkzoo.env.vec.slots import SlotSteps
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.views import VIEWS
 
 try:
     import torch
     from stable_baselines3.common.buffers import DictRolloutBuffer, RolloutBuffer
     from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError as error:
     raise ImportError(
         f"stkzoo.sb3 needs Stable-Baselines3 ({error}); pip install 'stkzoo[sb3]'"
     ) from error
 
-__all__ = ["ActiveDictRolloutBuffer", "ActiveRolloutBuffer", "RaceVecEnv"]
+__all__ = ["ActiveDictRolloutBuffer", "ActiveRolloutBuffer", "RaceVecEnv", "save_agent"]
+
+_ACTOR = '''"""A policy of Stable-Baselines3, evaluated with numpy."""
+
+import numpy as np
+
+env_name = "supertuxkart/{view}-v0"
+player_name = {name!r}
+
+
+def get_actor(module_dir, observation_space, action_space):
+    data = np.load(module_dir / "policy.npz")
+    layers = [(data[f"weights{{n}}"], data[f"bias{{n}}"]) for n in range(len(data.files) // 2)]
+
+    def act(state, observation):
+        values = np.ravel(observation)
+        for weights, bias in layers[:-1]:
+            values = np.{activation}
+        weights, bias = layers[-1]
+        values = weights @ values + bias
+        return {action}
+
+    return act
+'''
+_ACTIVATIONS = {
+    "Tanh": "tanh(weights @ values + bias)",
+    "ReLU": "maximum(weights @ values + bias, 0)",
+}
+_ACTIONS: dict[type[gym.Space[Any]], str] = {
+    spaces.Discrete: "int(values.argmax())",
+    spaces.MultiDiscrete: (
+        "np.array([part.argmax() for part in np.split(values, action_space.nvec.cumsum()[:-1])])"
+    ),
+    spaces.Box: "np.clip(values, action_space.low, action_space.high)",
+}
 
 Indices = None | int | Iterable[int]
 
@@ -267,3 +306,46 @@ class ActiveRolloutBuffer(RolloutBuffer):
 
 class ActiveDictRolloutBuffer(ActiveRolloutBuffer, DictRolloutBuffer):
     """:class:`ActiveRolloutBuffer` for observations that are dicts."""
+
+
+def save_agent(
+    model: OnPolicyAlgorithm, folder: str | os.PathLike[str], *, view: str, name: str
+) -> str:
+    """Writes a trained policy as an agent that races: a ``pystk_actor.py`` and its weights.
+
+    The agent takes the most likely action. It evaluates the network with numpy, so that it
+    starts at once and needs neither torch nor Stable-Baselines3.
+
+    Args:
+        model: PPO or A2C with ``"MlpPolicy"``, tanh or ReLU.
+        folder: made if it does not exist; files in it of the same names are replaced.
+        view: the view that the policy was trained in, such as ``"racing"``.
+        name: the agent's ``player_name``.
+
+    Returns:
+        The folder, for :func:`stkzoo.race.run_race` or ``stkzoo race``.
+
+    Raises:
+        ConfigError: the policy is of another kind, or there is no such view.
+    """
+    policy = model.policy
+    if view not in VIEWS:
+        raise unknown_name("view", view, VIEWS)
+    action = _ACTIONS.get(type(model.action_space))
+    activation = _ACTIVATIONS.get(getattr(getattr(policy, "activation_fn", None), "__name__", ""))
+    if not isinstance(model.observation_space, spaces.Box) or not action or not activation:
+        raise ConfigError(
+            f"the policy is {type(policy).__name__} over {type(model.observation_space).__name__}, "
+            'expected "MlpPolicy" with tanh or ReLU; write its pystk_actor.py by hand'
+        )
+    modules = [*policy.mlp_extractor.policy_net, policy.action_net]
+    layers = [module for module in modules if isinstance(module, torch.nn.Linear)]
+    arrays = {f"weights{n}": layer.weight.detach().cpu().numpy() for n, layer in enumerate(layers)}
+    arrays |= {f"bias{n}": layer.bias.detach().cpu().numpy() for n, layer in enumerate(layers)}
+    target = Path(folder)
+    target.mkdir(parents=True, exist_ok=True)
+    with atomic_write(target / "policy.npz") as part, part.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
+    text = _ACTOR.format(view=view, name=name, activation=activation, action=action)
+    write_text(target / "pystk_actor.py", text)
+    return str(target)
