@@ -8,7 +8,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { PROGRESS, RANK, TIME, FINISH, COURSE, PLACEMENT, ADVANCE, PLACE, PACE, NUM_TERMS };
+enum { PROGRESS, RANK, TIME, FINISH, COURSE, PLACEMENT, ADVANCE, PLACE, NUM_TERMS };
 
 /* Agents that share a reward. */
 typedef struct {
@@ -65,10 +65,8 @@ static double term(npy_intp code, const Kart *before, const Kart *after, double 
         return finishes * (num_karts - after->position) / (num_karts > 1 ? num_karts - 1 : 1);
     case ADVANCE:
         return (driven_of(after, race_length) - driven_of(before, race_length)) / 10.0;
-    case PLACE:
+    default: /* PLACE */
         return place_of(after, num_karts, race_length) - place_of(before, num_karts, race_length);
-    default: /* PACE */
-        return finishes ? race_length / fmax(after->finish_time, 1.0) : 0.0;
     }
 }
 

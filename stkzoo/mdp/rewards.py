@@ -4,7 +4,7 @@ A *term* is a function from a :class:`~stkzoo.mdp.transition.Transition` to ``(K
 A :class:`Reward` weighs and sums terms; their weighted values are in
 ``infos[agent]["reward/<name>"]``.
 
-Write ``reward="placement"`` to choose a shipped reward, ``reward={"pace": 5.0}`` to
+Write ``reward="placement"`` to choose a shipped reward, ``reward={"time": 5.0}`` to
 reweigh terms of the default one, ``reward={"drift": my_term}`` to add a term of your own,
 ``reward={"place": 0}`` to drop one, a :class:`Reward` to start from nothing, and a mapping
 from agents to any of these to give agents rewards of their own. The default is ``"race"``,
@@ -91,12 +91,6 @@ def place(step: Transition) -> FloatArray:
     return potential(step.after, step.distance) - potential(step.before, step.distance_before)
 
 
-def pace(step: Transition) -> FloatArray:
-    """On the finishing step, the mean speed over the race [m/s]."""
-    seconds = np.maximum(step.after.karts["finish_time"].astype(np.float64), 1.0)
-    return np.where(step.finishes, step.race_length / seconds, 0.0)
-
-
 #: The terms that the kernel's ``StepScorer`` knows, by its numbers for them.
 KERNEL_TERMS: tuple[RewardTerm, ...] = (
     progress,
@@ -107,7 +101,6 @@ KERNEL_TERMS: tuple[RewardTerm, ...] = (
     placement,
     advance,
     place,
-    pace,
 )
 
 
@@ -182,12 +175,14 @@ class Reward:
 
 
 #: The shipped rewards. ``race`` is the default: whoever drives better earns more. A finisher
-#: gets L/10 + 20 (K - p)/(K - 1) + L/T - 0.02 N for a race of L metres that it finishes in place p
-#: of K, after T seconds and N steps; a kart that stands still gets -0.02 N.
+#: gets L/10 + 20 (K - p)/(K - 1) + 10 - 0.02 N for a race of L metres that it finishes in place p
+#: of K, after N steps; a kart that stands still gets -0.02 N.
 #: ``reference`` is the formula of pystk2-gymnasium, which also pays a kart that stands still.
 #: ``placement`` gives a total in [0, 2], the higher the better the place.
 REWARDS: Mapping[str, Reward] = {
-    "race": Reward({"advance": advance, "place": place, "pace": pace, "time": time}, {"time": 0.2}),
+    "race": Reward(
+        {"advance": advance, "place": place, "finish": finish, "time": time}, {"time": 0.2}
+    ),
     "reference": Reward({"progress": progress, "rank": rank, "time": time, "finish": finish}),
     "placement": Reward({"course": course, "placement": placement}),
 }

@@ -321,7 +321,7 @@ def road_of(random):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("reward", ["race", "reference", "placement", {"place": 0.5, "pace": 3}])
+@pytest.mark.parametrize("reward", ["race", "reference", "placement", {"place": 0.5, "time": 3}])
 def test_rewards_and_infos_are_the_same_to_the_finish(reward, numpy_only):
     """One lap of the game's AI, in which karts finish and leave."""
 
