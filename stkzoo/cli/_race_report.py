@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from rich.progress import BarColumn, TextColumn
 
 from stkzoo.cli._console import make_bars, say, show_table
+from stkzoo.errors import AgentError
 from stkzoo.race import AgentResult, RaceListener, RaceProgress, RaceResult
 
 if TYPE_CHECKING:
@@ -26,8 +27,23 @@ _ENDINGS = {
     "abandoned": "all drivers had failed",
     "interrupted": "interrupted: this is how far it has come",
 }
-_MAX_TRACE_LINES = 12
+_MAX_TRACE_LINES = 40
 _TEXT_COLUMNS = ("driver", "kart")
+
+
+class LoadCheck(RaceListener):
+    """Ends a race before its first step if an agent could not be loaded."""
+
+    def started(self, race: RaceProgress) -> None:
+        """Raises one error about all agents that failed."""
+        failed = [(agent, errors[0]) for agent, errors in race.failures.items() if errors]
+        if failed:
+            first, *others = (
+                (f"{race.names[agent]} ({agent}) could not be loaded: {e.message}", e.trace)
+                for agent, e in failed
+            )
+            traces = [first[1], *(f"\n{message}\n{trace}" for message, trace in others)]
+            raise AgentError(first[0], failed[0][0], "\n".join(traces))
 
 
 class RaceBar(RaceListener):

@@ -27,7 +27,7 @@ from stkzoo.race import RaceSettings
 if TYPE_CHECKING:
     from stkzoo.evaluation import AgentReport
 
-_LIMITS = ("action_timeout", "start_timeout", "agent_memory")
+_SETTINGS = ("show_output", "action_timeout", "start_timeout", "agent_memory")
 _AGENT_FAILED = 3
 
 
@@ -53,7 +53,7 @@ class CheckArguments:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
     add_options(parser, CheckArguments)
-    add_options(parser.add_argument_group("limits"), RaceSettings, only=_LIMITS)
+    add_options(parser.add_argument_group("the agent"), RaceSettings, only=_SETTINGS)
 
 
 @usage_errors
@@ -62,8 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
     from stkzoo.evaluation import check_agent
 
     options = values_of(arguments, CheckArguments, only=("track", "max_steps", "seed"))
-    limits = values_of(arguments, RaceSettings, only=_LIMITS)
-    report = check_agent(arguments.agent, **options, **limits)
+    settings = values_of(arguments, RaceSettings, only=_SETTINGS)
+    report = check_agent(arguments.agent, **options, **settings)
     if arguments.json:
         print(json.dumps(asdict(report), indent=2))
     else:

@@ -55,7 +55,7 @@ def get_actor(module_dir, observation_space, action_space):
         state.slow_steps = state.slow_steps + 1 if speed < 1 else 0
         is_stuck = state.slow_steps > 50  # 5 s; the countdown before the start is shorter
 
-        # To see what the agent sees, uncomment this line and race with --inline.
+        # To see what the agent sees, uncomment this line and race with --show-output.
         # print(f"angle {{angle:.2f}} rad, speed {{speed:.1f}} m/s")
 
         return {{
@@ -77,7 +77,7 @@ _README = """\
 `pystk_actor.py` is an agent for stkzoo. Next steps: race it, change how it steers, brakes and
 uses items, then check it:
 
-    stkzoo race {folder} ai ai
+    stkzoo race {folder} ai ai --show-output
     stkzoo check {folder}
     python -m zipfile -c {zip} {folder}
 """

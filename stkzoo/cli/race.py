@@ -19,10 +19,11 @@ Examples:
   stkzoo race my_agent/ ai --races 10 --track test --output results.json
   stkzoo race heuristic --num-karts 8          with seven bots
   stkzoo race heuristic random --output -      the result as JSON
+  stkzoo race my_agent/ ai --show-output       see what your agent prints
 
 exit codes:
   0 success, 1 the race could not be run, 2 invalid command line, 3 an agent failed (the result
-  has the error), 130 interrupted
+  has the error; an agent that cannot be loaded ends the command before the race), 130 interrupted
 """
 
 from __future__ import annotations
@@ -188,12 +189,12 @@ def _plan(
 def _race(
     drivers: list[str | Driver], settings: dict[str, Any], arguments: argparse.Namespace
 ) -> RaceResult:
-    from stkzoo.cli._race_report import RaceBar
+    from stkzoo.cli._race_report import LoadCheck, RaceBar
     from stkzoo.race import run_race
 
     with RaceBar() as bar:
         replay = _race_options.replay_listeners(arguments)
-        listeners = [bar, *replay, *_race_options.viewing_listeners(arguments)]
+        listeners = [LoadCheck(), bar, *replay, *_race_options.viewing_listeners(arguments)]
         return run_race(drivers, listeners=listeners, **settings)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import importlib
 import importlib.util
+import inspect
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -107,7 +108,9 @@ def read_module(
             f"{module.__file__} has no function get_actor; expected "
             "get_actor(module_dir, observation_space, action_space)"
         )
-    if create_actor is not None:
+    if create_actor is None:
+        _check_call(get_actor, "get_actor", "module_dir", "observation_space", "action_space")
+    else:
         get_actor = partial(create_actor, get_actor)
     create_state = getattr(module, "create_state", lambda: None)
 
@@ -116,7 +119,10 @@ def read_module(
     ) -> Actor:
         actor = get_actor(folder, observation_space, action_space)
         if not callable(actor):
-            raise ConfigError(f"get_actor returned {actor!r}; expected a function (state, obs)")
+            raise ConfigError(
+                f"get_actor returned {actor!r:.200}; expected a function (state, observation)"
+            )
+        _check_call(actor, "the actor", "state", "observation")
         return partial(actor, create_state())
 
     view = _view_of(getattr(module, "env_name", _DEFAULT_ENV))
@@ -127,6 +133,23 @@ def read_module(
     if create_actor is None and hasattr(module, "get_batch_actor"):
         together = partial(_act_together, functools.cache(partial(module.get_batch_actor, folder)))
     return AgentCode(wrap, make_actor, name, scope or nullcontext(), together)
+
+
+def _check_call(function: Callable[..., Any], name: str, *arguments: str) -> None:
+    """Checks that a function takes these arguments by position.
+
+    Raises:
+        ConfigError: it does not.
+    """
+    try:
+        signature = inspect.signature(function, follow_wrapped=False)
+    except (TypeError, ValueError):
+        return  # written in C
+    try:
+        signature.bind(*arguments)
+    except TypeError:
+        expected = ", ".join(arguments)
+        raise ConfigError(f"{name} takes {signature}; expected ({expected})") from None
 
 
 def _act_together(

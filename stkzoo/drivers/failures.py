@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 import importlib
+import re
+import select
+import sys
+import sysconfig
 import threading
+import time
 import traceback
+from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -12,9 +18,14 @@ from stkzoo.errors import AgentError, AgentTimeout, ProtocolError, StkzooError
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _IMPORTLIB = Path(importlib.__file__).parent
+_LIBRARIES = {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
 _MAX_FRAMES = 30
 _MAX_TEXT = 4000
 _KEPT_BYTES, _KEPT_LINES = 8192, 20
+#: Escape sequences of terminals, such as colors and window titles.
+_ESCAPES = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)?)")
+#: Shown output of one process: bytes in a line, and lines.
+_LINE_BYTES, _MAX_LINES = 300, 5000
 
 
 def in_words(error: BaseException) -> str:
@@ -25,7 +36,7 @@ def in_words(error: BaseException) -> str:
         text = "(its __str__ failed)"
     if isinstance(error, ModuleNotFoundError):
         text += _importer(error)
-    return text if isinstance(error, StkzooError) else f"{type(error).__name__}: {text}"
+    return bounded(text if isinstance(error, StkzooError) else f"{type(error).__name__}: {text}")
 
 
 def _importer(error: ModuleNotFoundError) -> str:
@@ -37,42 +48,84 @@ def _importer(error: ModuleNotFoundError) -> str:
     return f" ({file}, line {line}); install it, or put it into the agent's folder"
 
 
+def bounded(text: str, limit: int = _MAX_TEXT) -> str:
+    """The beginning and the end of a long text."""
+    if len(text) <= limit:
+        return text
+    half = limit // 2
+    return f"{text[:half]} ... ({len(text) - 2 * half} characters left out) ... {text[-half:]}"
+
+
+def value_in_words(value: object) -> str:
+    """The ``repr`` of an agent's value, of bounded length."""
+    try:
+        return bounded(repr(value), 1000)
+    except Exception:  # noqa: BLE001 - the agent's own class
+        return f"a {type(value).__name__} whose __repr__ failed"
+
+
 def printable(text: object, limit: int | None = None) -> str:
     """Text from outside, safe for a terminal: no control codes, at most ``limit`` characters."""
-    letters = (letter if letter.isprintable() or letter in "\n\t" else "?" for letter in str(text))
-    return "".join(letters)[:limit]
+    plain = _ESCAPES.sub("", str(text))[:limit]
+    return "".join(letter if letter.isprintable() or letter in "\n\t" else "?" for letter in plain)
 
 
 def agent_trace(error: BaseException) -> str:
-    """The traceback without the leading frames of stkzoo; empty if there are no others.
+    """The traceback with the agent's own frames only; empty if there are none.
 
-    An agent's author cannot change stkzoo's frames. An error that stkzoo found, such as an action
+    The frames of stkzoo, of Python's import system and of libraries say nothing about the agent,
+    whose files are named relative to its first one. An error that stkzoo found, such as an action
     of the wrong shape, or a missing module, is complete in its text.
     """
     if isinstance(error, ModuleNotFoundError):
         return ""
     trace = traceback.TracebackException.from_exception(error)
-    has_frames = False
-    link: traceback.TracebackException | None = trace
-    while link is not None:
-        frames = list(link.stack)
-        start = next((i for i, f in enumerate(frames) if not _is_ours(f.filename)), len(frames))
-        link.stack = traceback.StackSummary.from_list(frames[start:][-_MAX_FRAMES:])
-        has_frames = has_frames or bool(link.stack)
-        link = link.__cause__ or link.__context__
-    return "".join(trace.format()) if has_frames else ""
+    links = list(_chain(trace))
+    for link in links:
+        link.stack = traceback.StackSummary.from_list(_own_frames(link.stack)[-_MAX_FRAMES:])
+    frames = [frame for link in reversed(links) for frame in link.stack]
+    if not frames and not isinstance(error, SyntaxError):
+        return ""
+    home = Path(frames[0].filename if frames else trace.filename or "").parent
+    for frame in frames:
+        frame.filename = _relative(frame.filename, home)
+    for link in links:
+        if isinstance(file := getattr(link, "filename", None), str):  # a syntax error's
+            link.filename = _relative(file, home)
+    return bounded("".join(trace.format())).rstrip()
+
+
+def _relative(file: str, home: Path) -> str:
+    return str(Path(file).relative_to(home)) if Path(file).is_relative_to(home) else file
+
+
+def _chain(trace: traceback.TracebackException | None) -> Iterator[traceback.TracebackException]:
+    """An error and those that led to it."""
+    while trace is not None:
+        yield trace
+        trace = trace.__cause__ or (None if trace.__suppress_context__ else trace.__context__)
+
+
+def _own_frames(stack: traceback.StackSummary) -> list[traceback.FrameSummary]:
+    """The frames of an agent; those of libraries if the agent has none."""
+    others = [frame for frame in stack if not _is_ours(frame.filename)]
+    return [frame for frame in others if not _is_library(frame.filename)] or others
 
 
 def _is_ours(file: str) -> bool:
-    is_importing = file.startswith("<frozen importlib") or Path(file).is_relative_to(_IMPORTLIB)
+    is_importing = file.startswith("<frozen ") or Path(file).is_relative_to(_IMPORTLIB)
     return is_importing or Path(file).is_relative_to(_PACKAGE)
+
+
+def _is_library(file: str) -> bool:
+    return any(Path(file).is_relative_to(folder) for folder in _LIBRARIES)
 
 
 def error_report(error: BaseException) -> list[str]:
     """An agent's error as a part of a message: its kind, its text and its traceback."""
     kind = "timeout" if isinstance(error, AgentTimeout) else "error"
     trace = error.trace if isinstance(error, AgentError) else agent_trace(error)
-    return [kind, printable(in_words(error), _MAX_TEXT), printable(trace[-_MAX_TEXT:])]
+    return [kind, printable(in_words(error), _MAX_TEXT), printable(bounded(trace))]
 
 
 def reported_error(report: Any, agent: str) -> AgentError:
@@ -93,19 +146,32 @@ class OutputTail:
 
     Args:
         stream: the reading end of its output.
+        label: shows the output on stderr, with this before each line; empty to show nothing.
     """
 
-    def __init__(self, stream: IO[bytes] | None) -> None:
+    def __init__(self, stream: IO[bytes] | None, label: str = "") -> None:
         assert stream is not None  # noqa: S101 - opened as a pipe
-        self._stream = stream
-        self._tail = b""
+        self._stream, self._label = stream, label
+        self._tail = self._line = b""
+        self._num_shown = 0
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
-    def text(self) -> str:
+    def text(self, lines: int = _KEPT_LINES) -> str:
         """The last lines received so far."""
-        lines = self._tail.decode(errors="replace").splitlines()
-        return "\n".join(lines[-_KEPT_LINES:])
+        text = printable(self._tail.decode(errors="replace"))
+        return "\n".join(line[:_LINE_BYTES] for line in text.splitlines()[-lines:])
+
+    def wait(self, seconds: float = 0.1) -> None:
+        """Waits until everything that the process has written is read, for some time."""
+        deadline = time.monotonic() + seconds
+        while self._thread.is_alive() and time.monotonic() < deadline:
+            poll = select.poll()
+            poll.register(self._stream, select.POLLIN)
+            if not poll.poll(0):
+                time.sleep(0.002)  # for the thread to keep what it has just read
+                return
+            time.sleep(0.001)
 
     def close(self) -> None:
         """Waits briefly for the last lines of a process that has ended."""
@@ -116,3 +182,19 @@ class OutputTail:
     def _read(self) -> None:
         while block := self._stream.read1(65536):  # type: ignore[attr-defined]
             self._tail = (self._tail + block)[-_KEPT_BYTES:]
+            if self._label:
+                self._show(block)
+        if self._line:
+            self._show(b"\n")
+
+    def _show(self, block: bytes) -> None:
+        """Shows the complete lines, up to a limit."""
+        *lines, self._line = (self._line + block).split(b"\n")
+        if len(self._line) > _LINE_BYTES:
+            lines, self._line = [*lines, self._line], b""
+        for line in lines[: _MAX_LINES + 1 - self._num_shown]:
+            self._num_shown += 1
+            text = printable(line[:_LINE_BYTES].decode(errors="replace").rstrip("\r"))
+            if self._num_shown > _MAX_LINES:
+                text = "(more output is not shown)"
+            sys.stderr.write(f"{self._label} | {text}\n")

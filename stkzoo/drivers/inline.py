@@ -14,9 +14,9 @@ from typing import Any
 from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo.drivers.code import AgentCode
-from stkzoo.drivers.failures import agent_trace, in_words
+from stkzoo.drivers.failures import agent_trace, in_words, value_in_words
 from stkzoo.drivers.instances import Decision, DriverRequest
-from stkzoo.errors import AgentError, AgentTimeout
+from stkzoo.errors import ActionError, AgentError, AgentTimeout
 from stkzoo.views.agent_chain import AgentChain
 
 
@@ -74,7 +74,7 @@ class InlineInstance:
         with self._guarded("action", self._request.limits.action_timeout), self._code.scope:
             seen = self._see(self._observation)
             try:
-                action = self._decode(self._actor(seen))
+                action = self._checked(self._actor(seen))
             except BaseException:
                 self._skip_step()
                 raise
@@ -97,6 +97,17 @@ class InlineInstance:
             return self._chain.reset(observation, {}, seed=self._request.seed)[0]
         self._is_begun = False
         return self._chain.finish_step((observation, 0.0, False, False, {}))[0]
+
+    def _checked(self, action: Any) -> Any:
+        """The game's own action; an invalid one is shown whole in the error."""
+        try:
+            return self._decode(action)
+        except ActionError as error:
+            details = (
+                f"the agent returned: {value_in_words(action)}\n"
+                f"its action space:   {value_in_words(self._chain.action_space)}"
+            )
+            raise AgentError(in_words(error), self._request.agent, details) from error
 
     def _decode(self, action: Any) -> Any:
         """The game's own action; checked again after wrappers of the agent's own."""
@@ -121,7 +132,8 @@ class InlineInstance:
         except _TooLate:
             raise AgentTimeout(f"its {phase} took longer than {limit:g} s", agent) from None
         except (Exception, SystemExit) as error:
-            raise AgentError(in_words(error), agent, agent_trace(error)) from error
+            trace = error.trace if isinstance(error, AgentError) else ""
+            raise AgentError(in_words(error), agent, trace or agent_trace(error)) from error
 
 
 class _TooLate(BaseException):

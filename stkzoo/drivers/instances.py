@@ -41,6 +41,8 @@ class DriverRequest:
         action_space: space of the actions that it returns.
         seed: seed of the driver's random numbers.
         limits: the resources that the driver may use.
+        output_label: shows what an agent in a process of its own prints, with this before each
+            line; empty to show nothing.
     """
 
     agent: str
@@ -48,6 +50,7 @@ class DriverRequest:
     action_space: spaces.Space[Any]
     seed: int
     limits: DriverLimits = field(default_factory=DriverLimits)
+    output_label: str = ""
 
 
 @dataclass(frozen=True, slots=True)

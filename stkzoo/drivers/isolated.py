@@ -36,6 +36,8 @@ main(*map(int, sys.argv[2:]))
 """
 #: How long an agent without a time limit may take to read its observation [s].
 _SEND_TIMEOUT = 60.0
+#: Lines of an agent's output that are shown with its exception.
+_LINES_BEFORE_ERROR = 5
 #: How long an agent may take to end by itself after the race [s].
 _GRACE = 0.5
 
@@ -72,7 +74,7 @@ class IsolatedInstance:
         except (ConfigError, OSError) as error:
             self._resources.close()
             raise AgentError(str(error), self._agent) from error
-        self._output = OutputTail(self._process.stdout)
+        self._output = OutputTail(self._process.stdout, request.output_label)
         self._resources.callback(self._output.close)
         self._resources.callback(self._end)
         order = {
@@ -144,7 +146,7 @@ class IsolatedInstance:
             if not isinstance(reply, dict):
                 raise ProtocolError(f"{reply!r:.200}, expected a dict")
             if "error" in reply:
-                raise reported_error(reply["error"], self._agent)
+                raise self._with_output(reported_error(reply["error"], self._agent))
             return reply
 
     # ------------------------------------------------------------------ failures
@@ -168,6 +170,13 @@ class IsolatedInstance:
             self._fail(f"its process {how} when the {phase} was due")
         except ProtocolError as problem:
             self._fail(f"its process sent an invalid message: {problem}")
+
+    def _with_output(self, error: AgentError) -> AgentError:
+        """The error with the last lines that the agent printed before it."""
+        self._output.wait()
+        if output := self._output.text(_LINES_BEFORE_ERROR):
+            error.trace = f"{error.trace.rstrip()}\nlast output:\n{output}".lstrip()
+        return error
 
     def _fail(self, message: str, kind: type[AgentError] = AgentError) -> NoReturn:
         self._end()

@@ -99,6 +99,7 @@ def main(connection_fd: int, parent: int, memory: int) -> None:
         memory: how much memory the process may use [bytes]; 0 for no limit.
     """
     _die_with(parent)
+    sys.stdout.reconfigure(line_buffering=True, errors="backslashreplace")  # type: ignore[union-attr]
     connection = socket.socket(fileno=connection_fd)
     connection.set_inheritable(False)
     channel = Channel(connection)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import logging
+from dataclasses import replace
 from pathlib import PurePath
 from typing import Any
 
@@ -53,7 +54,11 @@ class RacingDriver:
         self.num_failures = self.num_clipped = 0
         self.seconds: list[float] = []
         self.is_retired = False
-        self._driver, self._request, self._settings = driver, request, settings
+        self._driver, self._settings = driver, settings
+        label = (
+            f"{self.name or self._default_name()} ({self.agent})" if settings.show_output else ""
+        )
+        self._request = replace(request, output_label=label)
         self._instance: DriverInstance | None = None
         self._start_error: Exception | None = None
         self._is_ready = self._is_asked = False

@@ -44,6 +44,7 @@ class RaceSettings:
         start_timeout: time limit for loading an agent
         agent_memory: memory limit of agents; 0 for no limit
         inline: run agents in this process: faster, but without protection
+        show_output: show what agents print, on stderr
         adapter: Python file with create_actor(get_actor, module_dir, obs_space, act_space)
     """
 
@@ -62,6 +63,7 @@ class RaceSettings:
     start_timeout: float = option(60.0, metavar="SECONDS")
     agent_memory: int | None = option(4096, metavar="MB")
     inline: bool = False
+    show_output: bool = False
     adapter: str | None = None
 
     def __post_init__(self) -> None:

@@ -2,8 +2,6 @@
 
 import re
 
-import pytest
-
 from stkzoo.race import ERROR_HANDLING, RaceSettings, run_race
 from tests.support.paths import ROOT
 
@@ -20,13 +18,10 @@ def write(name, folder):
     return str(folder / name)
 
 
-@pytest.mark.parametrize(
-    ("name", "player"), [("my_agent", "Beginner"), ("stuck_agent", "Stubborn")]
-)
-def test_the_agents_of_the_page_finish(name, player, tmp_path):
-    result = run_race([write(name, tmp_path), "ai"], track="lighthouse", seed=1)
+def test_the_agent_of_the_page_finishes(tmp_path):
+    result = run_race([write("my_agent", tmp_path), "ai"], track="lighthouse", seed=1)
     assert result.is_finished
-    assert player in {row.driver for row in result.agents}
+    assert "Beginner" in {row.driver for row in result.agents}
 
 
 def test_the_python_of_the_page_runs(tmp_path, monkeypatch, capsys):

@@ -43,9 +43,11 @@ SHORT = {
 PARSED = {
     "assets": "it is here already: tests/engine/test_assets.py",
     "benchmark": "hundreds of races: tests/evaluation/test_benchmark_races.py",
+    "check": "tests/cli/test_new_and_check.py",
     "completion": "tests/cli/test_tables.py",
     "demos": "whole races: tests/evaluation/test_demonstrations.py",
     "doctor": "tests/cli/test_doctor.py",
+    "new": "tests/cli/test_new_and_check.py",
     "play": "opens a window: tests/play/test_play.py",
     "race-client": "needs a server: tests/cli/test_remote.py",
     "race-server": "serves until it is stopped: tests/cli/test_remote.py",

@@ -81,16 +81,6 @@ NOT_RUN = [
         "ray.rllib",
         "RLlib wants an older Gymnasium: benchmarks/ecosystem.py",
     ),
-    (
-        "docs/reference/agents.md",
-        "import torch",
-        "without its weights: tests/drivers/test_files.py",
-    ),
-    (
-        "docs/reference/agents.md",
-        "def get_wrappers",
-        "a part of an agent: tests/drivers/test_files.py",
-    ),
     ("docs/how-to/play.md", "play_race", "opens a window: tests/play/test_play.py"),
     ("docs/how-to/play.md", "play(env", "opens a window: tests/play/test_play.py"),
     (

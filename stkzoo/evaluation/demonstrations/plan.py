@@ -99,7 +99,7 @@ class DemoPlan(BatchPlan[Demonstrations]):
     resume_command: ClassVar[str] = "stkzoo demos AGENT --output {folder}"
     decided: ClassVar[tuple[str, ...]] = (
         *("track", "reverse", "seed"),
-        *("error_handling", "max_restarts"),
+        *("error_handling", "max_restarts", "show_output"),
     )
     is_gradual: ClassVar[bool] = False
 

@@ -41,7 +41,7 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
     kind: ClassVar[str] = "tournament-plan"
     noun: ClassVar[str] = "tournament"
     resume_command: ClassVar[str] = "stkzoo tournament --resume {folder}"
-    decided: ClassVar[tuple[str, ...]] = ("track", "seed")
+    decided: ClassVar[tuple[str, ...]] = ("track", "seed", "show_output")
 
     entrants: tuple[Entrant, ...]
     races: int
