@@ -13,6 +13,9 @@ unexport PYTHONDONTWRITEBYTECODE
 GRAPHICS_PACKAGES := libegl1 libgl1 libgl1-mesa-dri xvfb
 BROWSER_PACKAGES := chromium chromium-driver
 
+# What people read: checked for typing errors and for words to avoid.
+PROSE := README.md CHANGELOG.md CONTRIBUTING.md docs stkzoo wrappers agents examples benchmarks
+
 .PHONY: browser graphics help race test test-fast check bench docs site clean
 
 help:
@@ -42,6 +45,7 @@ test-fast: $(VENV)/.dev
 check: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/codespell --dictionary - --dictionary .codespell.txt $(PROSE)
 	$(BIN)/mypy
 
 bench: $(VENV)/.dev
@@ -78,7 +82,7 @@ browser:
 	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
 		{ apt-get install -y -q $(BROWSER_PACKAGES) >/dev/null 2>&1 || \
 		{ apt-get update -q && apt-get install -y -q $(BROWSER_PACKAGES); }; } || \
-		echo "no browser can be had here; tests of the live page in one are skipped"; \
+		echo "no browser is available; tests of the live page are skipped"; \
 	else \
 		echo "to try the live page in a browser: sudo apt install $(BROWSER_PACKAGES)"; \
 	fi
@@ -116,7 +120,7 @@ cd $(VENV) && mkdir -p apt/lists/partial apt/cache/archives/partial && cd apt &&
 dpkg-deb -x python3-pip-whl_*.deb . && \
 wheel=$$(echo usr/share/python-wheels/pip-*.whl) && \
 ../bin/python $$wheel/pip install --quiet --no-warn-script-location --no-index $$wheel && cd .. && rm -rf apt || { \
-	echo "pip could not be had. On Debian and Ubuntu: sudo apt install python3-venv"; exit 1; }
+	echo "pip is not available. On Debian and Ubuntu: sudo apt install python3-venv"; exit 1; }
 endef
 
 $(VENV)/.core: $(VENV)/.made pyproject.toml

@@ -1,4 +1,4 @@
-"""Two recordings of one race, compared entry by entry; what may differ stands in ``INTENDED``."""
+"""Two recordings of one race, compared entry by entry; ``INTENDED`` lists what may differ."""
 
 from __future__ import annotations
 

@@ -97,7 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(words: list[str]) -> int:
     try:
-        arguments = build_parser(words[0] if words else "").parse_args(words)
+        arguments = build_parser(words[0] if words else "").parse_args(words or ["--help"])
         return int(arguments.run(arguments))
     except SystemExit as end:  # argparse: 0 after --help, 2 after bad usage
         return end.code if isinstance(end.code, int) else 1

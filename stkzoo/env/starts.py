@@ -174,7 +174,7 @@ class StartCurriculum:
         return replace(self._start, share=(1.0 - self.stage / self.stages, 1.0))
 
     def report(self, success: bool) -> bool:
-        """Takes in how an episode went; whether the starts move on."""
+        """Records how an episode ended; returns whether the starts move on."""
         self._latest.append(bool(success))
         is_full = len(self._latest) == self._latest.maxlen
         if not is_full or sum(self._latest) < self._promote_at * len(self._latest):

@@ -174,7 +174,7 @@ class Reward:
         return Reward(terms, weights)
 
 
-#: The shipped rewards. ``race`` is the default: whoever drives better earns more. A finisher
+#: The shipped rewards. ``race`` is the default: a better drive earns more. A finisher
 #: gets L/10 + 20 (K - p)/(K - 1) + 10 - 0.02 N for a race of L metres that it finishes in place p
 #: of K, after N steps; a kart that stands still gets -0.02 N.
 #: ``reference`` is the formula of pystk2-gymnasium, which also pays a kart that stands still.

@@ -1,4 +1,4 @@
-"""The default reward pays whoever drives better more, on all tracks.
+"""The default reward pays a better drive more, on all tracks.
 
 The races were recorded by ``python -m benchmarks.rewards --record``.
 """

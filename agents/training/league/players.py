@@ -132,7 +132,7 @@ class PlayerMatchmaker:
         self._reported: list[float] = []
 
     def draw(self, random: np.random.Generator) -> str | None:
-        """The rival's name of a race; ``None`` for oneself."""
+        """The rival's name of a race; ``None`` for yourself."""
         kind = self._player.kind
         if kind == MAIN and random.random() < _SELF_PLAY:
             return None

@@ -11,7 +11,7 @@ the karts, drawn for each race, drive in the mirror: left is right. The reward i
 track and places won; a finish does not end the return, so that nobody slows down for it.
 
 The same command with more ``--total-timesteps`` continues the run, and so does the same command
-after a kill, bit for bit: all races begin anew after a checkpoint. In the folder are
+after a kill, bit for bit: all races start again after a checkpoint. In the folder are
 ``checkpoint.pt``, ``log.jsonl`` (one line per iteration), TensorBoard files, ``arguments.json``,
 and ``policy-STEPS.safetensors``, which ``python -m stkzoo.agents.training.export`` makes an agent
 of.
