@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 _NEXT_STEPS = """\
 Where to go next:
   another race        stkzoo race pretrained:ace ai:3 ai:3 ai:3 --seed 2 (it does not win all)
-  your own driver     docs/reference/agents.md; then: stkzoo race FOLDER ai ai ai
+  your own driver     stkzoo new my_agent
   from Python         from stkzoo import race_v0; env = race_v0.parallel_env(num_kart=4)
   more                README.md, stkzoo race --help, and stkzoo doctor if something fails
 """
