@@ -209,14 +209,14 @@ def check_flag(name: str, value: object) -> bool:
     return bool(value)
 
 
-def import_extra(module: str, needs: str, extra: str, alternative: str = "") -> Any:
+def import_extra(module: str, needs: str, extra: str, hint: str = "") -> Any:
     """Imports a module of a library that one of stkzoo's extras installs.
 
     Args:
         module: its name.
         needs: subject and verb of the error, such as ``"the plot needs"``.
         extra: the extra.
-        alternative: what the user can do without it, such as ``"pass --no-plot"``.
+        hint: what follows the command, such as ``"or pass --no-plot"``.
 
     Raises:
         ConfigError: it is not installed.
@@ -224,9 +224,14 @@ def import_extra(module: str, needs: str, extra: str, alternative: str = "") -> 
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        remedy = f"pip install 'stkzoo[{extra}]'" + (alternative and f", or {alternative}")
-        library = module.partition(".")[0]
-        raise ConfigError(f"{needs} the library {library} ({error}); {remedy}") from error
+        from stkzoo._installation import install_command
+
+        package = module.partition(".")[0]
+        library = {"PIL": "Pillow"}.get(package, package)
+        is_missing = isinstance(error, ModuleNotFoundError) and package in str(error.name)
+        problem = "is not installed" if is_missing else f"does not load ({error})"
+        remedy = f"{install_command(extra)} {hint}".rstrip()
+        raise ConfigError(f"{needs} {library}, which {problem}: {remedy}") from error
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> ConfigError:

@@ -8,7 +8,8 @@
 ... )
 >>> envs.close()
 
-Needs ``pip install "stkzoo[sb3]"``; nothing else in stkzoo imports Stable-Baselines3.
+Needs the extra ``sb3`` (in a checkout, ``pip install ".[sb3]"``). Nothing else in stkzoo imports
+Stable-Baselines3.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from stkzoo._installation import install_command
 from stkzoo._os import atomic_write, write_text
 from stkzoo.env.vec.env import RaceVectorEnv, seeds_of_races
 from stkzoo.env.vec.slots import SlotSteps
@@ -39,7 +41,7 @@ try:
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError as error:
     raise ImportError(
-        f"stkzoo.sb3 needs Stable-Baselines3 ({error}); pip install 'stkzoo[sb3]'"
+        f"stkzoo.sb3 needs Stable-Baselines3 ({error}): {install_command('sb3')}"
     ) from error
 
 __all__ = ["ActiveDictRolloutBuffer", "ActiveRolloutBuffer", "RaceVecEnv", "save_agent"]

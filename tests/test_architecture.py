@@ -26,6 +26,7 @@ LAYERS = [
             "stkzoo.config",
             "stkzoo.tracks",
             "stkzoo._arguments",
+            "stkzoo._installation",
             "stkzoo._lazy",
             "stkzoo._os",
             "stkzoo.kernel",

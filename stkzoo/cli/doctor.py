@@ -25,6 +25,7 @@ from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 
+from stkzoo._installation import extra_requirements, install_command, pip_install
 from stkzoo.engine.assets import DATADIR_VARIABLE, find_assets
 from stkzoo.errors import AssetError
 from stkzoo.kernel import IS_COMPILED
@@ -107,7 +108,7 @@ def _diagnose() -> list[Finding]:
     install = f"{prefix}stkzoo assets install"
     return [
         _look("Python", _python, "install Python 3.10 or newer", required=True),
-        _look("engine", _engine, "pip install PySuperTuxKart2", required=True),
+        _look("engine", _engine, pip_install("PySuperTuxKart2"), required=True),
         _look("race data", _race_data, install, required=True),
         _look("engine starts", partial(_start, install), install, required=True),
         _look("headless pack", _pack, f"{prefix}stkzoo assets pack"),
@@ -116,9 +117,9 @@ def _diagnose() -> list[Finding]:
         _look("kernel", _kernel, _KERNEL_REMEDY),
         _look("3D graphics", _graphics, _GRAPHICS_REMEDY),
         _look("display", _display, "run in a graphical session, or under xvfb-run"),
-        _look("ffmpeg", _ffmpeg, 'pip install "stkzoo[record]"'),
+        _look("ffmpeg", _ffmpeg, install_command("record")),
         *(
-            _look(f"extra [{extra}]", partial(_extra, names), f'pip install "stkzoo[{extra}]"')
+            _look(f"extra [{extra}]", partial(_extra, names), install_command(extra))
             for extra, names in _extras().items()
         ),
     ]
@@ -245,14 +246,12 @@ def _ffmpeg() -> str:
 
 
 def _extras() -> dict[str, list[str]]:
-    """The libraries of each optional extra that stkzoo's own metadata declares."""
-    extras: dict[str, list[str]] = {}
-    for requirement in metadata.requires("stkzoo") or ():
-        name = re.match(r"[\w.-]+", requirement)
-        extra = re.search(r"extra\s*==\s*['\"]([\w-]+)['\"]", requirement)
-        if name and extra and extra[1] not in ("all", "dev", "docs"):
-            extras.setdefault(extra[1], []).append(name[0])
-    return extras
+    """The libraries of each extra for users."""
+    return {
+        extra: [re.split(r"[^\w.-]", requirement)[0] for requirement in requirements]
+        for extra, requirements in extra_requirements().items()
+        if extra not in ("all", "dev", "docs")
+    }
 
 
 def _extra(names: list[str]) -> str:

@@ -14,6 +14,7 @@ from typing import IO, NoReturn, cast
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._installation import install_command
 from stkzoo._os import check_writable, write_whole
 from stkzoo.engine.process import open_log, tail
 from stkzoo.errors import ConfigError, StkzooError
@@ -67,8 +68,8 @@ def _ffmpeg() -> str:
         found = shutil.which("ffmpeg")
         if found is None:
             raise ConfigError(
-                "videos need ffmpeg, which is not on this machine or does not run; run "
-                "`pip install 'stkzoo[record]'`"
+                "videos need ffmpeg, which is not installed or does not run: "
+                + install_command("record")
             ) from None
         return found
 

@@ -25,7 +25,7 @@ def pillow() -> Any:
         ConfigError: Pillow is not installed.
     """
     for name in ("Image", "ImageDraw", "ImageFont"):
-        import_extra(f"PIL.{name}", "drawing needs Pillow,", "record")
+        import_extra(f"PIL.{name}", "drawing needs", "record")
     return sys.modules["PIL"]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from stkzoo._installation import install_command
 from stkzoo.cli import COMMANDS, build_parser, main
 from stkzoo.tracks import SPLITS
 
@@ -111,7 +112,7 @@ def test_bash_completes_commands_options_and_choices(tmp_path, capsys):
 def test_without_shtab_the_remedy_is_told(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "shtab", None)
     assert main(["completion", "bash"]) == 1
-    assert "pip install 'stkzoo[completion]'" in capsys.readouterr().err
+    assert install_command("completion") in capsys.readouterr().err
 
 
 def every_parser(parser, words=()):

@@ -12,6 +12,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
+from stkzoo._installation import install_command
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import (
@@ -180,8 +181,8 @@ def test_a_missing_library_is_told_before_the_first_race(tmp_path):
     for library in ("openskill", "matplotlib"):
         folder = str(tmp_path / library)
         shown = run_program(code.format(library=library, folder=folder)).stdout
-        assert f"library {library}" in shown
-        assert "pip install 'stkzoo[tournament]'" in shown
+        assert f"{library}, which is not installed" in shown
+        assert install_command("tournament") in shown
         assert not Path(folder).exists()
 
 

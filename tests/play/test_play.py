@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import stkzoo
+from stkzoo._installation import install_command
 from stkzoo.cli import main
 from stkzoo.env.keyboard import KEYS, base_action
 from stkzoo.errors import ConfigError
@@ -365,7 +366,7 @@ def test_without_pygame_it_names_the_extra():
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
     )
-    assert "pip install 'stkzoo[play]'" in done.stderr
+    assert install_command("play") in done.stderr
     assert "ConfigError" in done.stderr
 
 

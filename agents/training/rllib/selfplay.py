@@ -32,7 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.pretrained.weights import save_weights
-from stkzoo.errors import ConfigError
+from stkzoo.errors import import_extra
 
 from ..common.arguments import ScriptOptions
 from ..common.command import run_command
@@ -147,15 +147,9 @@ def train(options: ScriptOptions, arguments: RLlibArguments) -> None:
 
 
 def _ray() -> Any:
-    try:
-        import ray
-        import ray.rllib
-    except ImportError as error:
-        raise ConfigError(
-            f"this needs Ray RLlib ({error}); pip install 'stkzoo[rllib]' in an environment of its "
-            "own, because it needs an older Gymnasium"
-        ) from error
-    return ray
+    note = "in an environment of its own, because Ray RLlib needs an older Gymnasium"
+    import_extra("ray.rllib", "this program needs", "rllib", note)
+    return import_extra("ray", "this program needs", "rllib", note)
 
 
 def _algorithm(arguments: RLlibArguments, folder: Path) -> Any:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from stkzoo._installation import pip_install
 from stkzoo.drivers.driver import Driver
 from stkzoo.engine.assets import find_assets
 from stkzoo.race.listeners import RaceListener, RaceProgress
@@ -101,7 +102,8 @@ def _check_engine(replay: Replay, any_engine: bool) -> None:
     if recorded != here and not any_engine:
         raise ReplayError(
             f"the replay was recorded with version {recorded} of the engine; version {here} is "
-            f"installed and may drive differently: pip install PySuperTuxKart2=={recorded}, or "
+            "installed and may drive differently: "
+            f"{pip_install(f'PySuperTuxKart2=={recorded}')}, or "
             "play it anyway with any_engine=True (--any-engine)"
         )
 

@@ -13,6 +13,7 @@ import aiohttp
 import numpy as np
 import pytest
 
+from stkzoo._installation import install_command
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceResult, run_race
@@ -90,7 +91,7 @@ def test_without_aiohttp_the_remedy_is_told():
         from stkzoo.race.web import LivePage
         LivePage(port=0)
     """)
-    assert "pip install 'stkzoo[web]'" in program.stderr
+    assert install_command("web") in program.stderr
 
 
 def test_closing_frees_the_port_and_the_thread():

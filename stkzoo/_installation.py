@@ -1,0 +1,89 @@
+"""How this copy of stkzoo was installed, and the command that adds an extra to it.
+
+No package index has stkzoo yet, so ``pip install "stkzoo[sb3]"`` fails. pip records where it found
+stkzoo (PEP 610), and its extras come from the same place.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from importlib import metadata
+from pathlib import Path
+from shutil import which
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
+
+__all__ = ["extra_requirements", "install_command", "pip_install", "repository_url"]
+
+_EXTRA = re.compile(r"extra\s*==\s*['\"]([\w-]+)['\"]")
+
+
+def repository_url() -> str:
+    """The address of the project's repository, from the metadata of the installed package."""
+    package = _installed()
+    urls = (package and package.metadata.get_all("Project-URL")) or []
+    return next((url.partition(", ")[2] for url in urls if url.startswith("Repository, ")), "")
+
+
+def extra_requirements() -> dict[str, list[str]]:
+    """What each extra requires, such as ``{"web": ["aiohttp>=3.11"]}``."""
+    package = _installed()
+    extras: dict[str, list[str]] = {}
+    for requirement in (package and package.requires) or ():
+        if extra := _EXTRA.search(requirement):
+            extras.setdefault(extra[1], []).append(requirement.partition(";")[0].strip())
+    return extras
+
+
+def install_command(extra: str) -> str:
+    """The command that installs an extra of stkzoo, from where stkzoo itself came.
+
+    Args:
+        extra: the extra, such as ``"sb3"``.
+    """
+    libraries = _libraries(extra) or [f"stkzoo[{extra}]"]
+    return pip_install(_source(extra) or " ".join(f'"{name}"' for name in libraries))
+
+
+def pip_install(arguments: str) -> str:
+    """The command that installs into the running Python: ``pip``, or this Python's own."""
+    pip = which("pip")
+    here = Path(sys.executable).parent
+    if pip and Path(pip).parent == here:
+        return f"pip install {arguments}"
+    return f'"{sys.executable}" -m pip install {arguments}'
+
+
+def _installed() -> metadata.Distribution | None:
+    """What pip installed; a build leaves metadata in a checkout too, which may be out of date."""
+    found = list(metadata.distributions(name="stkzoo"))
+    by_pip = (package for package in found if package.read_text("INSTALLER"))
+    return next(by_pip, found[0] if found else None)
+
+
+def _source(extra: str) -> str:
+    """The argument of pip for the place that stkzoo came from; empty if it is gone or unknown."""
+    package = _installed()
+    origin = json.loads((package and package.read_text("direct_url.json")) or "{}")
+    url = str(origin.get("url", ""))
+    path = Path(url2pathname(urlsplit(url).path)) if url.startswith("file:") else None
+    if not url or (path and not path.exists()):
+        return ""
+    if path and "dir_info" in origin:
+        edit = "-e " if origin["dir_info"].get("editable") else ""
+        return f'{edit}"{path}[{extra}]"'
+    vcs = origin.get("vcs_info")
+    address = f"{vcs['vcs']}+{url}@{vcs['commit_id']}" if vcs else url
+    return f'"stkzoo[{extra}] @ {address}"'
+
+
+def _libraries(extra: str) -> list[str]:
+    """What an extra requires, with the requirements of the extras that it names."""
+    found: dict[str, None] = {}
+    for requirement in extra_requirements().get(extra, ()):
+        inner = re.fullmatch(r"stkzoo\[([\w,-]+)\]", requirement)
+        names = [n for e in inner[1].split(",") for n in _libraries(e)] if inner else [requirement]
+        found.update(dict.fromkeys(names))
+    return list(found)
