@@ -22,7 +22,7 @@ help:
 	@echo "make race    set everything up; a learned driver races the hardest bots"
 	@echo "make test    set everything up and run all tests"
 	@echo "make test-fast  the quick tests: every package, two minutes"
-	@echo "make check   lint, format and types"
+	@echo "make check   lint, format, types and spelling"
 	@echo "make bench   measure speed and memory"
 	@echo "make site    build the documentation's pages"
 	@echo "make docs    build them and run all examples of the documentation"
