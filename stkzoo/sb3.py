@@ -94,9 +94,9 @@ class RaceVecEnv(VecEnv):
     ``rollout_buffer_class=ActiveDictRolloutBuffer`` (or :class:`ActiveRolloutBuffer` with
     ``flat_observations``). They do count as timesteps.
 
-    **Infos**, a dict for each slot: the agent's own, ``active``, and where an episode has
-    ended ``terminal_observation``, ``TimeLimit.truncated`` and ``episode`` (return ``r``,
-    length ``l``, seconds ``t`` since this was made), from which Stable-Baselines3 logs its
+    **Infos**, a dict for each slot: the agent's own, ``active``, ``track``, and where an
+    episode has ended ``terminal_observation``, ``TimeLimit.truncated`` and ``episode`` (return
+    ``r``, length ``l``, seconds ``t`` since this was made), from which Stable-Baselines3 logs its
     means without a ``VecMonitor``.
 
     Args:
@@ -170,14 +170,15 @@ class RaceVecEnv(VecEnv):
     def reset(self) -> Any:
         """New races everywhere; infos are in ``reset_infos``.
 
-        Of ``set_options``, those of a race's first slot are the race's.
+        Of ``set_options``, those of a race's first slot are the race's, for one episode. Options
+        that hold until you change them: ``races.set_options``.
 
         Returns:
             Observations of all slots.
         """
         options = [dict(given) for given in self._options[:: self.races.num_agents]]
         steps = self.races.reset_slots(self._race_seeds, options)
-        self.reset_infos = steps.infos
+        self.reset_infos = _infos(steps)
         self._race_seeds = [None] * self.races.num_races
         self._reset_options()
         return self._batch(steps.observations)
@@ -201,10 +202,10 @@ class RaceVecEnv(VecEnv):
         """
         steps = self.races.wait_slots()
         done = steps.terminations | steps.truncations | ~steps.active
-        infos = [{**info, "active": True} for info in steps.infos]
+        infos = [{**info, "active": True} for info in _infos(steps)]
         for slot in np.flatnonzero(done).tolist():
             if steps.infos[slot]:  # the slot's race has started again
-                self.reset_infos[slot] = steps.infos[slot]
+                self.reset_infos[slot] = {**steps.infos[slot], "track": steps.tracks[slot]}
             infos[slot] = self._ended(steps, slot)
         return self._batch(steps.observations), steps.rewards.astype(np.float32), done, infos
 
@@ -247,6 +248,7 @@ class RaceVecEnv(VecEnv):
         age = round(time.monotonic() - self._born, 6)
         episode = {"episode": {**info["episode"], "t": age}} if "episode" in info else {}
         return {
+            "track": steps.tracks[slot],
             **info,
             **episode,
             "active": bool(steps.active[slot]),
@@ -260,6 +262,12 @@ class RaceVecEnv(VecEnv):
             return batch
         flat = np.concatenate(_flat_parts(self._space, batch, self.num_envs), axis=1)
         return flat.astype(self.observation_space.dtype, copy=False)
+
+
+def _infos(steps: SlotSteps) -> list[dict[str, Any]]:
+    """Each slot's info with its race's track."""
+    pairs = zip(steps.infos, steps.tracks, strict=True)
+    return [{**info, "track": track} for info, track in pairs]
 
 
 def _flat_parts(space: spaces.Space[Any], batch: Any, count: int) -> list[npt.NDArray[Any]]:

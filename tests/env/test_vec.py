@@ -87,7 +87,7 @@ def info_of(infos, slot):
         key: values[slot].item()
         for key, values in infos.items()
         if not key.startswith("_")
-        and key not in {"active", "crashed", "final_obs", "final_info"}
+        and key not in {"active", "crashed", "track", "final_obs", "final_info"}
         and infos[f"_{key}"][slot]
     }
 
@@ -233,6 +233,63 @@ def test_an_unseeded_reset_goes_on_with_the_streams():
         envs.reset()
         seeds.append([race.race.seed for race in envs.races])
     assert seeds[0] == seeds[1]
+    envs.close()
+
+
+@pytest.mark.parametrize("prefetch", [True, False])
+def test_set_options_holds_from_the_next_race_until_it_is_changed(prefetch):
+    envs = make(max_cycles=2, prefetch=prefetch)
+    _, infos = envs.reset(seed=1, options={"max_cycles": 3})
+    actions = envs.action_space.sample()
+    tracks = [infos["track"].tolist()]
+    for step in range(9):
+        if step == 1:
+            envs.set_options([{"track": "zengarden"}, None])
+        if step == 5:
+            envs.set_options(None)
+        *_, infos = envs.step(actions)
+        tracks.append(infos["track"].tolist())
+        if "final_info" in infos:
+            assert infos["final_info"]["track"].tolist() == tracks[-2]
+    plain, changed = ["olivermath"] * 4, ["zengarden"] * 2 + ["olivermath"] * 2
+    # The first race takes three steps. The second and third have the options.
+    assert tracks == [plain] * 3 + [changed] * 4 + [plain] * 3
+    envs.close()
+
+
+def test_options_of_reset_come_before_those_that_hold():
+    envs = make(num_races=1, max_cycles=2)
+    envs.set_options({"track": "zengarden", "laps": 2})
+    _, infos = envs.reset(seed=1, options={"track": "lighthouse"})
+    race = envs.races[0].race
+    assert (infos["track"][0], race.laps) == ("lighthouse", 2)
+    envs.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"trakc": "hacienda"}, "unknown option 'trakc'.*Did you mean 'track'"),
+        ({"track": "hacienda2"}, "unknown track"),
+        ({"num_kart": 5}, "5 karts in an environment of 3"),
+        ([{}], "a list of 2, one a race"),
+        ([{}, {"difficulty": 9}], "difficulty is 9"),
+        (7, "options is 7"),
+    ],
+)
+def test_set_options_refuses_invalid_options_and_changes_nothing(two_races, options, message):
+    two_races.set_options({"laps": 2})
+    with pytest.raises(ConfigError, match=message):
+        two_races.set_options(options)
+    two_races.reset(seed=1)
+    assert [race.race.laps for race in two_races.races] == [2, 2]
+    two_races.set_options({})
+
+
+@pytest.fixture(scope="module")
+def two_races():
+    envs = make(prefetch=False)
+    yield envs
     envs.close()
 
 

@@ -173,7 +173,7 @@ def test_idle_steps_are_episodes_of_nothing():
     assert done.tolist() == ended.tolist()
     assert rewards[first] == 0
     assert not observations["continuous"][first].any()
-    assert infos[first].keys() == {"active", "terminal_observation", "TimeLimit.truncated"}
+    assert infos[first].keys() == {"active", "terminal_observation", "TimeLimit.truncated", "track"}
     assert not infos[first]["active"]
     assert infos[1 - first]["active"]
     envs.close()
@@ -232,6 +232,19 @@ def test_a_seed_is_for_one_reset():
 
 
 @pytest.mark.slow
+def test_options_of_the_races_hold_and_infos_name_the_track():
+    envs = make(num_races=1, max_cycles=2)
+    envs.reset()
+    envs.races.set_options({"track": "zengarden"})
+    tracks = []
+    for _ in range(4):
+        *_, infos = envs.step(np.zeros((envs.num_envs, *envs.action_space.shape), np.int64))
+        tracks.append(infos[0]["track"])
+    assert tracks == ["olivermath", "olivermath", "zengarden", "zengarden"]
+    assert envs.reset_infos[0]["track"] == "zengarden"
+    envs.close()
+
+
 def test_set_options_are_for_one_reset():
     envs = make()
     envs.set_options({"track": "zengarden"})

@@ -36,9 +36,10 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
     which transitions are real: learn from no others.
 
     **Infos**, as Gymnasium has them: an array over slots for each key of the agents'
-    infos, with a mask ``_<key>``; ``active`` (above) and ``crashed``, whose race the game's
-    process has left in this step; ``final_obs`` and ``final_info`` of slots that ended in
-    this step, the latter with ``episode``: ``r`` is the return and ``l`` the length.
+    infos, with a mask ``_<key>``; ``active`` (above); ``crashed``, whose race the game's
+    process has left in this step; ``track``, the name of the slot's track; ``final_obs`` and
+    ``final_info`` of slots that ended in this step, the latter with ``episode``: ``r`` is the
+    return and ``l`` the length.
 
     **Crashes.** If the game dies or hangs, its race's slots are truncated with reward 0
     where they were seen last, the race is replaced and the others go on. It is logged as a
@@ -166,13 +167,45 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         self._require_open("reset")
         seeds = seeds_of_races(seed, self.num_races)
         for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
-            row.race.prepare(own_seed, own)
+            row.prepare(own_seed, own)
         steps = SlotSteps.idle(self.idle_observation, self.num_envs)
         for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
             row.reset(steps, own_seed, own)
         steps.active |= self.racing
         self._prefetch(self._rows)
+        self._name_tracks(steps)
         return steps
+
+    def set_options(
+        self, options: Mapping[str, Any] | Sequence[Mapping[str, Any] | None] | None
+    ) -> None:
+        """Changes every race from its next start on, until the next call; for curricula.
+
+        A race that runs is not changed. Options of :meth:`reset` come first, for one episode.
+
+        Args:
+            options: as for :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`, such as
+                ``{"track": "hacienda", "difficulty": 3}``; or a list of these, one for each
+                race. ``None`` or ``{}`` goes back to the options this was made with.
+
+        Raises:
+            ConfigError: an option is unknown or invalid; nothing has changed.
+            ApiOrderError: after ``close``.
+        """
+        self._require_open("set_options")
+        if options is None or isinstance(options, Mapping):
+            options = [options] * self.num_races
+        if not isinstance(options, Sequence) or len(options) != self.num_races:
+            raise ConfigError(
+                f"options is {options!r}, expected a dict or a list of {self.num_races}, one a race"
+            )
+        by_race = [{} if own is None else own for own in options]
+        for row, own in zip(self._rows, by_race, strict=True):
+            row.race.check_options(own)
+        for row, own in zip(self._rows, by_race, strict=True):
+            row.options = dict(own)
+        if any(row.track for row in self._rows):
+            self._prefetch(self._rows)
 
     def step(self, actions: Any) -> VectorStep:
         """Advances all races by one step.
@@ -242,11 +275,12 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         for row in self._rows:
             row.step_wait(steps)
             if row.is_over:  # the next one starts while the others are waited for
-                row.race.prepare()
+                row.prepare()
         over = [row for row in self._rows if row.is_over]
         for row in over:
             row.reset(steps)
         self._prefetch(over)
+        self._name_tracks(steps)
         return steps
 
     def batch(self, observations: Sequence[Any]) -> Any:
@@ -268,7 +302,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
     def _prefetch(self, rows: Sequence[RaceSlots]) -> None:
         if self.prefetch:
             for row in rows:
-                row.race.prepare()
+                row.prepare()
 
     def _require_open(self, method: str) -> None:
         if self.closed:
@@ -282,9 +316,14 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             **infos,
             **self._flag("active", steps.active),
             **self._flag("crashed", steps.crashed),
+            **self._flag("track", np.array(steps.tracks, object)),
         }
 
-    def _flag(self, name: str, values: BoolArray) -> dict[str, BoolArray]:
+    def _name_tracks(self, steps: SlotSteps) -> None:
+        for row in self._rows:
+            steps.tracks[row.slots] = [row.track] * self.num_agents
+
+    def _flag(self, name: str, values: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
         return {name: values, f"_{name}": np.ones(self.num_envs, np.bool_)}
 
     def _columns(self, infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -35,6 +35,7 @@ class SlotSteps:
         infos: each slot's info, belonging to its observation; empty while it idles.
         finals: the last observation and info of the slots that ended in this step.
         crashed: ``(S,)`` bool, whose race the game's process has left in this step.
+        tracks: each slot's track, belonging to its observation.
     """
 
     observations: list[Any]
@@ -45,6 +46,7 @@ class SlotSteps:
     infos: list[dict[str, Any]]
     finals: dict[int, tuple[Any, dict[str, Any]]]
     crashed: BoolArray
+    tracks: list[str]
 
     @classmethod
     def idle(cls, idle_obs: Any, count: int) -> SlotSteps:
@@ -55,6 +57,7 @@ class SlotSteps:
             rewards=np.zeros(count),
             infos=[{} for _ in range(count)],
             finals={},
+            tracks=[""] * count,
             **{name: np.zeros(count, np.bool_) for name in flags},
         )
 
@@ -70,11 +73,15 @@ class RaceSlots:
         race: the race's environment.
         slots: where they stand among the slots of all races.
         num_crashes: how often the game died or hung.
+        options: what :meth:`reset` changes for every race from the next one on.
+        track: the track of the race that runs.
     """
 
     def __init__(self, race: AheadRace, number: int) -> None:
         self.race = race
         self.num_crashes = 0
+        self.options: Mapping[str, Any] = {}
+        self.track = ""
         self._number = number
         self._agents = race.possible_agents
         count = len(self._agents)
@@ -95,6 +102,10 @@ class RaceSlots:
         """Whether all agents' episodes have ended, so that :meth:`reset` is due."""
         return not self._last
 
+    def prepare(self, seed: int | None = None, options: Mapping[str, Any] | None = None) -> None:
+        """Starts the race that :meth:`reset` with the same arguments takes; returns at once."""
+        self.race.prepare(seed, {**self.options, **(options or {})})
+
     def reset(
         self,
         steps: SlotSteps,
@@ -106,12 +117,14 @@ class RaceSlots:
         Args:
             steps: of all slots; takes the race's first observations and infos.
             seed: as for :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`, as ``options``.
-            options: likewise.
+            options: likewise, for this race alone; they come before :attr:`options`.
 
         Raises:
             EngineError: the game died several times in a row.
         """
+        options = {**self.options, **(options or {})}
         observations, infos = self._start(seed, options, _MAX_STARTS)
+        self.track = race.track if (race := self.race.race) else ""
         self._last = {agent: (observations[agent], infos[agent]) for agent in observations}
         self._returns[:] = 0.0
         self._num_steps = 0
@@ -152,7 +165,7 @@ class RaceSlots:
         self.race.close()
 
     def _start(
-        self, seed: int | None, options: Mapping[str, Any] | None, attempts: int
+        self, seed: int | None, options: Mapping[str, Any], attempts: int
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         try:
             return self.race.reset(seed=seed, options=options)
@@ -200,4 +213,4 @@ class RaceSlots:
         """The last observation and info of a slot whose episode ends here."""
         observation, info = self._last.pop(self._agents[row])
         episode = {"r": float(self._returns[row]), "l": self._num_steps}
-        return observation, {**info, "episode": episode}
+        return observation, {**info, "episode": episode, "track": self.track}
