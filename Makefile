@@ -16,7 +16,7 @@ BROWSER_PACKAGES := chromium chromium-driver
 # What people read: checked for typing errors and for words to avoid.
 PROSE := README.md CHANGELOG.md CONTRIBUTING.md docs stkzoo wrappers agents examples benchmarks
 
-.PHONY: browser graphics help race test test-fast check bench docs site clean
+.PHONY: browser graphics help race test test-fast check bench docs site wheel clean
 
 help:
 	@echo "make race    set everything up; a learned driver races the hardest bots"
@@ -26,6 +26,7 @@ help:
 	@echo "make bench   measure speed and memory"
 	@echo "make site    build the documentation's pages"
 	@echo "make docs    build them and run all examples of the documentation"
+	@echo "make wheel   build the package as one file, in the folder dist"
 	@echo "make clean   remove what was built here; the game's data stays"
 	@echo "             (it goes with: stkzoo assets clean)"
 
@@ -86,6 +87,11 @@ browser:
 	else \
 		echo "to try the live page in a browser: sudo apt install $(BROWSER_PACKAGES)"; \
 	fi
+
+# The package as one file, to install elsewhere: pip install stkzoo-*.whl
+wheel: $(VENV)/.made
+	$(PIP) install --quiet build
+	$(BIN)/python -m build --wheel --outdir dist .
 
 clean:
 	rm -rf $(VENV) build dist site jupyter_execute .ecosystem *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

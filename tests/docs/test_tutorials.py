@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -14,11 +15,29 @@ NAMES = sorted(path.stem for path in SOURCES.glob("*.py"))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "train_a_driver"])
 def test_a_tutorial_runs(name, tmp_path):
-    command = [sys.executable, "-m", "benchmarks.tutorials", "--short", "--only", name]
+    assert pictures(executed(name, tmp_path, "--short")) >= 1
+
+
+@pytest.mark.slow
+def test_the_first_training_gives_a_driver_that_beats_the_easiest_ai(tmp_path, monkeypatch):
+    """The whole tutorial, with a third of its training steps."""
+    monkeypatch.setenv("STKZOO_STEPS", "200000")
+    notebook = executed("train_a_driver", tmp_path)
+    assert pictures(notebook) >= 1
+    rows = re.findall(r"^(\w+) +(\d) of 5 .* (\d\.\d)$", printed(notebook), re.MULTILINE)
+    finished = {name: int(count) for name, count, _ in rows}
+    place = {name: float(mean) for name, _, mean in rows}
+    assert finished["Trained"] == 5
+    assert place["Trained"] < min(place[name] for name in ("ai", "random", "Untrained"))
+
+
+def executed(name, folder, *options):
+    """The notebook of a tutorial that was run."""
+    command = [sys.executable, "-m", "benchmarks.tutorials", *options, "--only", name]
     done = subprocess.run(
-        [*command, "--output", tmp_path],
+        [*command, "--output", folder],
         cwd=ROOT,
         env={**os.environ, "OMP_NUM_THREADS": "1"},
         capture_output=True,
@@ -27,7 +46,12 @@ def test_a_tutorial_runs(name, tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stderr[-3000:]
-    assert pictures(json.loads((tmp_path / f"{name}.ipynb").read_text())) >= 1
+    return json.loads((folder / f"{name}.ipynb").read_text("utf-8"))
+
+
+def printed(notebook):
+    outputs = [out for cell in notebook["cells"] for out in cell.get("outputs", [])]
+    return "".join("".join(out.get("text", "")) for out in outputs)
 
 
 def pictures(notebook):
