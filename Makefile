@@ -26,7 +26,7 @@ help:
 	@echo "make bench   measure speed and memory"
 	@echo "make site    build the documentation's pages"
 	@echo "make docs    build them and run all examples of the documentation"
-	@echo "make wheel   build the package as one file, in the folder dist"
+	@echo "make wheel   build dist/stkzoo-*.whl, to install elsewhere"
 	@echo "make clean   remove what was built here; the game's data stays"
 	@echo "             (it goes with: stkzoo assets clean)"
 
@@ -62,6 +62,11 @@ site: $(VENV)/.docs
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs site
 	@echo "open site/index.html"
 
+# From the source distribution, so that nothing of an earlier build gets into it.
+wheel: $(VENV)/.made
+	$(PIP) install --quiet build
+	$(BIN)/python -m build --outdir dist .
+
 # The game draws off-screen with these libraries, and its window is tried in Xvfb. Where they
 # cannot be installed, the map is drawn instead, and the tests look for that.
 graphics:
@@ -87,11 +92,6 @@ browser:
 	else \
 		echo "to try the live page in a browser: sudo apt install $(BROWSER_PACKAGES)"; \
 	fi
-
-# The package as one file, to install elsewhere: pip install stkzoo-*.whl
-wheel: $(VENV)/.made
-	$(PIP) install --quiet build
-	$(BIN)/python -m build --wheel --outdir dist .
 
 clean:
 	rm -rf $(VENV) build dist site jupyter_execute .ecosystem *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

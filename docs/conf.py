@@ -6,6 +6,8 @@ import sys
 from importlib.metadata import version as version_of
 from pathlib import Path
 
+from stkzoo._installation import repository_url
+
 sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
 
 project = "stkzoo"
@@ -46,12 +48,16 @@ python_maximum_signature_line_length = 88
 
 # The site
 html_theme = "furo"
-html_title = "stkzoo"
+html_title = f"stkzoo {version}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_show_sphinx = False
 html_show_sourcelink = False
 html_theme_options = {
+    "source_repository": repository_url(),
+    "source_branch": "main",
+    "source_directory": "docs/",
+    "footer_icons": [{"name": "Repository", "url": repository_url(), "html": "Repository"}],
     "sidebar_hide_name": False,
     "light_css_variables": {
         "color-brand-primary": "#0b6bcb",

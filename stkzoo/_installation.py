@@ -1,7 +1,7 @@
 """How this copy of stkzoo was installed, and the command that adds an extra to it.
 
-No package index has stkzoo yet, so ``pip install "stkzoo[sb3]"`` fails. pip records where it found
-stkzoo (PEP 610), and its extras come from the same place.
+No package index has stkzoo yet, so pip cannot find its extras by name. pip records where it found
+stkzoo (PEP 610), and the extras come from the same place.
 """
 
 from __future__ import annotations

@@ -106,7 +106,18 @@ def try_command(words):
     program, *rest = words
     if program == "stkzoo":
         try_stkzoo(rest)
-    elif program in ("pip", "apt", "sudo", "python3", ".", "cd", "git", "ray", "tensorboard"):
+    elif program in (
+        "pip",
+        "apt",
+        "sudo",
+        "python3",
+        ".",
+        "cd",
+        "git",
+        "ray",
+        "tensorboard",
+        "conda",
+    ):
         extras = re.search(r"(?:stkzoo|\.)\[([\w,-]+)\]", " ".join(rest))
         for extra in extras[1].split(",") if extras else ():
             assert re.search(rf"^{extra} = \[", (ROOT / "pyproject.toml").read_text(), re.M), words

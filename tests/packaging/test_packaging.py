@@ -1,6 +1,5 @@
 """The wheel and the source distribution, and the package as others see it."""
 
-import os
 import re
 import subprocess
 import sys
@@ -12,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.paths import ROOT
+from tests.support.paths import ROOT, copy_checkout
 
 CONSUMER = '''\
 """Somebody's package that uses stkzoo, strictly typed."""
@@ -56,16 +55,7 @@ def run(words, **options):
 def built(tmp_path_factory):
     """The folder with a wheel that was made from the source distribution, and that itself."""
     folder = tmp_path_factory.mktemp("dist")
-    copy = tmp_path_factory.mktemp("source") / "stkzoo"
-    tracked = ["git", "ls-files", "-co", "--exclude-standard", "-z"]
-    names = subprocess.run(tracked, cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    for name in filter(None, names.split("\0")):
-        path = ROOT / name
-        (copy / name).parent.mkdir(parents=True, exist_ok=True)
-        if path.is_symlink():
-            (copy / name).symlink_to(os.readlink(path))
-        elif path.exists():
-            (copy / name).write_bytes(path.read_bytes())
+    copy = copy_checkout(tmp_path_factory.mktemp("source") / "stkzoo")
     code, said = run(
         [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder)], cwd=copy
     )

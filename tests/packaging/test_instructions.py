@@ -1,0 +1,148 @@
+"""Every install instruction works from a checkout or a wheel, in an empty environment.
+
+pip resolves and does not install: the libraries take gigabytes.
+"""
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import venv
+
+import pytest
+
+from tests.packaging.test_release_files import PROJECT
+from tests.support.paths import ROOT, copy_checkout
+
+EXTRAS = PROJECT["project"]["optional-dependencies"]
+URL = PROJECT["project"]["urls"]["Repository"]
+TEXTS = [
+    path
+    for pattern in ("README.md", "docs/**/*.md", "docs/**/*.ipynb", "examples/**/*.py")
+    for path in ROOT.glob(pattern)
+]
+CODE = [p for folder in ("stkzoo", "agents", "wrappers") for p in ROOT.glob(f"{folder}/**/*.py")]
+COMMAND = re.compile(r"^[^#\n]*?(pip install [^\n`{]+)|`(pip install [^`{]+)`", re.M)
+FROM_WHEEL = 'pip install "stkzoo[sb3] @ file://$(echo $PWD/dist/stkzoo-*.whl)"'
+PROGRAM = "import runpy; print(runpy.run_path('stkzoo/_installation.py')['install_command']('web'))"
+
+
+def instructions():
+    """Each install command of the documentation and of docstrings, with the file that has it."""
+    found = {}
+    for path in [*TEXTS, *CODE]:
+        text = path.read_text("utf-8").replace('\\"', '"')
+        for command in COMMAND.findall(text):
+            words = re.split(r"\s+#|&&|``| && ", "".join(command))[0].strip()
+            if "..." not in words:
+                found.setdefault(words, path.relative_to(ROOT).as_posix())
+    return found
+
+
+def run(command, folder, python, **variables):
+    """Runs a command line of bash with an environment's programs and an empty home."""
+    settings = {k: v for k, v in os.environ.items() if k.startswith(("PIP_", "SSL_", "REQUESTS_"))}
+    programs = os.pathsep.join([str(python.parent), "/usr/bin", "/bin"])
+    home = str(folder.parent / "home")
+    # Metadata alone is wanted: a compiler that fails makes a build without the kernel, at once.
+    quick = {"PIP_NO_BUILD_ISOLATION": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "CC": "false"}
+    done = subprocess.run(
+        ["bash", "-c", command],
+        cwd=folder,
+        env={**settings, "PATH": programs, "HOME": home, **quick, **variables},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A checkout with a built wheel, and the Python of an environment with pip alone."""
+    checkout = copy_checkout(tmp_path_factory.mktemp("instructions") / "stkzoo")
+    (checkout.parent / "home").mkdir()
+    venv.create(checkout.parent / "env", with_pip=True, symlinks=True)
+    python = checkout.parent / "env" / "bin" / "python"
+    code, said = run("pip install --quiet --upgrade pip setuptools numpy", checkout, python)
+    if code and re.search("connection|resolve|No matching", said):
+        pytest.skip(f"pip reaches no index: {said[-300:]}")
+    assert code == 0, said
+    code, said = run("pip wheel --quiet --no-deps --wheel-dir dist .", checkout, python)
+    assert code == 0, said
+    (wheel,) = checkout.glob("dist/*.whl")
+    shutil.copy(wheel, checkout)
+    return checkout, python
+
+
+def test_instructions_are_found_and_none_asks_an_index_for_stkzoo():
+    found = instructions()
+    assert len(found) > 12
+    assert {"pip install .", 'pip install ".[sb3]"'} <= set(found)
+    by_name = [c for c in found if re.search(r"install (-\S+ )*['\"]?stkzoo(?!-)", c)]
+    assert by_name == [FROM_WHEEL]
+
+
+def test_messages_name_extras_that_exist():
+    named = set()
+    for path in CODE:
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            name = getattr(getattr(node, "func", None), "id", "")
+            place = {"import_extra": 2, "install_command": 0}.get(name)
+            if place is not None and isinstance(node.args[place], ast.Constant):
+                named.add(node.args[place].value)
+    assert len(named) > 4
+    assert named <= set(EXTRAS)
+
+
+def test_the_repository_has_one_address():
+    address_of_any = re.compile(r"https?://git(?:hub|lab)\.com/[\w.-]+/stkzoo\b")
+    for path in [*TEXTS, ROOT / "CITATION.cff", ROOT / "docs" / "conf.py"]:
+        for address in address_of_any.findall(path.read_text("utf-8")):
+            assert address == URL, path
+    for page in ("README.md", "docs/how-to/install.md"):
+        assert f"git clone {URL} && cd stkzoo" in (ROOT / page).read_text("utf-8")
+    assert f"repository-code: {URL}\n" in (ROOT / "CITATION.cff").read_text("utf-8")
+
+
+@pytest.mark.slow
+def test_every_instruction_works(place):
+    checkout, python = place
+    for command, page in instructions().items():
+        # A container's recipe copies the wheel to /tmp.
+        here = command.replace("/tmp/", "")
+        code, said = run(here, checkout, python, PIP_DRY_RUN="1", PIP_NO_DEPS="1")
+        assert code == 0, (page, command, said)
+        assert "Would install" in said, (page, command, said)
+        assert "does not provide the extra" not in said, (page, command, said)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("extra", ["all", "rllib"])
+def test_the_libraries_of_extras_are_found_together(place, extra):
+    checkout, python = place
+    # torch counts as installed, as after the first step of the install guide.
+    (site,) = python.parent.parent.glob("lib/python*/site-packages")
+    info = site / "torch-2.13.0.dist-info"
+    info.mkdir(exist_ok=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: torch\nVersion: 2.13.0\n")
+    code, said = run(f'pip install ".[{extra}]"', checkout, python, PIP_DRY_RUN="1")
+    shutil.rmtree(info)
+    assert code == 0, said[-2000:]
+    assert "PySuperTuxKart2" in said
+    assert "nvidia" not in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("source", [".", "stkzoo-*.whl", "-e ."])
+def test_the_command_of_a_message_works(place, source):
+    checkout, python = place
+    code, said = run(f"pip install --quiet --no-deps {source}", checkout, python)
+    assert code == 0, said
+    code, command = run(f'{python} -c "{PROGRAM}"', checkout, python)
+    assert code == 0, command
+    assert str(checkout) in command
+    code, said = run(command, checkout, python, PIP_DRY_RUN="1", PIP_NO_DEPS="1")
+    assert code == 0, said
+    assert "does not provide the extra" not in said
