@@ -306,6 +306,7 @@ def test_what_was_driven_is_a_dataset_that_drives_the_same_race_again(tmp_path):
         num_kart=about["num_kart"],
         track=about["track"],
         step_size=about["step_size"],
+        reward="race",
     )
     observation, _ = env.reset(seed=about["seed"])
     seen, rewards = [observation["continuous"]], []

@@ -21,7 +21,7 @@ PROGRAM = ROOT / "examples" / "self_play.py"
 def test_the_program_is_short_and_shown_as_it_stands():
     assert len(PROGRAM.read_text().splitlines()) <= 40
     page = (ROOT / "docs" / "how-to" / "opponents.md").read_text("utf-8")
-    assert "```{literalinclude} ../examples/self_play.py\n" in page
+    assert "```{literalinclude} ../../examples/self_play.py\n" in page
 
 
 @pytest.mark.slow

@@ -153,7 +153,7 @@ LIES = {
     ),
     "silence": (lambda kind, _: [b"P", OPENED] if kind == b"O" else None, "in time"),
     "news of no seat": (lambda *_: [b"P", pack(seat=9, name="a")], "not asked for"),
-    "it sends the game's keys": (lies(b"E", pack(text="\x1b[2J" + "a" * 9000)), "?[2J"),
+    "it sends the game's keys": (lies(b"E", pack(text="\x1b[2J" + "a" * 9000)), ": aaaa"),
 }
 
 

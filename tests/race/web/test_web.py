@@ -236,7 +236,7 @@ def test_an_agents_observation_is_told_to_who_asks_for_it():
     assert set(later["parts"]["action"]) == {
         *("acceleration", "steer", "brake", "drift", "fire", "nitro", "rescue")
     }
-    assert "reward/progress" in later["parts"]["info"]
+    assert "reward/advance" in later["parts"]["info"]
 
 
 def test_a_late_viewer_is_told_the_past():
