@@ -1,12 +1,14 @@
 """The racing view: a fixed-size driver's view of the race, and a few choices to act by."""
 
-from stkzoo.wrappers.racing.features import MIRROR, PARTS, PLACES, SIZE, racing_features
+from stkzoo.wrappers.racing.features import MEANINGS, MIRROR, PARTS, PLACES, SIZE, racing_features
 from stkzoo.wrappers.racing.ground import GroundAhead, GroundTable, ground_table
 from stkzoo.wrappers.racing.road import LOOKS, RoadTable, road_line
 from stkzoo.wrappers.racing.surroundings import ABSENT, Surroundings, surroundings_of
 from stkzoo.wrappers.racing.wrapper import (
     BRAKE,
+    CHOICE_NAMES,
     CHOICES,
+    PEDALS,
     RESCUE,
     STEERS,
     BatchedRacingView,
@@ -20,9 +22,12 @@ __all__ = [
     "ABSENT",
     "BRAKE",
     "CHOICES",
+    "CHOICE_NAMES",
     "LOOKS",
+    "MEANINGS",
     "MIRROR",
     "PARTS",
+    "PEDALS",
     "PLACES",
     "RESCUE",
     "SIZE",

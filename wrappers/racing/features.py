@@ -34,30 +34,61 @@ NUM_POWERUPS = max(PowerupType) + 1
 #: The view's parts in order: name, how many entries, numbers of an entry. Each entry of a part
 #: is x (to the right), y (up), z (ahead) where its name says ``_position`` or ``_direction``.
 PARTS: dict[str, tuple[int, int]] = {
-    "velocity": (1, 3),  # [20 m/s]
-    "max_steer_angle": (1, 1),  # [rad]
+    "velocity": (1, 3),
+    "max_steer_angle": (1, 1),
     "skeed_factor": (1, 1),
-    "energy": (1, 1),  # [20]
-    "attachment_time_left": (1, 1),  # [10 s]
-    "shield_time": (1, 1),  # [10 s]
+    "energy": (1, 1),
+    "attachment_time_left": (1, 1),
+    "shield_time": (1, 1),
     "jumping": (1, 1),
-    "powerup_type": (1, NUM_POWERUPS),  # one of them is 1
-    "powerup_count": (1, 1),  # [3]
-    "attachment": (1, len(ATTACHMENTS)),  # one of them is 1, or none
-    "line_position": (1, 3),  # the nearest point of the line [10 m]
-    "line_room": (1, 1),  # from there to the road's edge [10 m]
-    "marks_direction": (len(MARKS), 3),  # position over distance along the line
-    "marks_room": (len(MARKS), 1),  # [10 m]
-    "marks_heading": (len(MARKS), 2),  # of the line there: sine and cosine, 0 is the kart's
-    "karts_direction": (KARTS, 3),  # unit vector
-    "karts_nearness": (KARTS, 1),  # 1 / (1 + distance / 5 m); 0 where there is none
+    "powerup_type": (1, NUM_POWERUPS),
+    "powerup_count": (1, 1),
+    "attachment": (1, len(ATTACHMENTS)),
+    "line_position": (1, 3),
+    "line_room": (1, 1),
+    "marks_direction": (len(MARKS), 3),
+    "marks_room": (len(MARKS), 1),
+    "marks_heading": (len(MARKS), 2),
+    "karts_direction": (KARTS, 3),
+    "karts_nearness": (KARTS, 1),
     "goods_direction": (GOODS, 3),
     "goods_nearness": (GOODS, 1),
-    "goods_beside": (GOODS, 1),  # how far to the right [5 m]
-    "goods_type": (GOODS, len(TYPES_GOOD)),  # one of them is 1; 0 where there is none
+    "goods_beside": (GOODS, 1),
+    "goods_type": (GOODS, len(TYPES_GOOD)),
     "bads_direction": (BADS, 3),
     "bads_nearness": (BADS, 1),
     "bads_beside": (BADS, 1),
+}
+
+_MARKS = ", ".join(f"{mark:g}" for mark in MARKS)
+_POWERUPS = ", ".join(kind.name for kind in PowerupType)
+_HANGING = ", ".join(kind.name for kind in ATTACHMENTS)
+#: What each part is: the unit of its numbers, and what they mean.
+MEANINGS: dict[str, tuple[str, str]] = {
+    "velocity": ("20 m/s", "the kart's velocity: right, up, ahead"),
+    "max_steer_angle": ("rad", "the wheels' angle at full lock, at this speed"),
+    "skeed_factor": ("", "how much the kart skids; 1 is not at all"),
+    "energy": ("20 s", "nitro in the tank"),
+    "attachment_time_left": ("10 s", "how long the attachment stays"),
+    "shield_time": ("10 s", "how long the shield holds"),
+    "jumping": ("", "1 in the air, else 0"),
+    "powerup_type": ("", f"1 for the power-up that the kart holds: {_POWERUPS}"),
+    "powerup_count": ("3", "how often it can fire"),
+    "attachment": ("", f"1 for what hangs on the kart, all 0 for nothing: {_HANGING}"),
+    "line_position": ("10 m", "the nearest point of the road's line: right, up, ahead"),
+    "line_room": ("10 m", "from that point to the edge of the road"),
+    "marks_direction": ("", f"points on the line {_MARKS} m ahead: position over distance"),
+    "marks_room": ("10 m", "from each of these points to the edge of the road"),
+    "marks_heading": ("", "the line's direction there: sine and cosine; 0 rad is the kart's own"),
+    "karts_direction": ("", "unit vectors to the nearest karts within 60 m"),
+    "karts_nearness": ("", "1 / (1 + distance / 5 m); 0 where there is none"),
+    "goods_direction": ("", "unit vectors to the nearest good items ahead, within 60 m"),
+    "goods_nearness": ("", "1 / (1 + distance / 5 m); 0 where there is none"),
+    "goods_beside": ("5 m", "how far to the right each of them is"),
+    "goods_type": ("", f"1 for its type: {', '.join(kind.name for kind in TYPES_GOOD)}"),
+    "bads_direction": ("", "unit vectors to the nearest bad items ahead, within 60 m"),
+    "bads_nearness": ("", "1 / (1 + distance / 5 m); 0 where there is none"),
+    "bads_beside": ("5 m", "how far to the right each of them is"),
 }
 
 #: How many numbers the view has.

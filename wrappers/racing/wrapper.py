@@ -34,10 +34,12 @@ _RIGHT = (0.05, 0.1, 0.16, 0.23, 0.31, 0.4, 0.52, 0.66, 0.82, 1.0)
 #: What the steering can be chosen to be; a mirrored choice is the one at the mirrored place.
 STEERS = np.array([*(-steer for steer in reversed(_RIGHT)), 0.0, *_RIGHT], np.float32)
 
-#: Number of choices for steering, pedal (go, coast, brake, rescue), drift, nitro and fire.
-CHOICES = (len(STEERS), 4, 2, 2, 2)
-#: Which pedal is which; in the order above.
-_GO, _COAST, BRAKE, RESCUE = range(CHOICES[1])
+#: The values of the pedal.
+PEDALS = ("go", "coast", "brake", "rescue")
+_GO, _COAST, BRAKE, RESCUE = range(len(PEDALS))
+#: What is chosen, in order, and the number of choices of each.
+CHOICE_NAMES = ("steer", "pedal", "drift", "nitro", "fire")
+CHOICES = (len(STEERS), len(PEDALS), 2, 2, 2)
 
 _NEEDED = ("paths_start", "paths_end", "paths_width", "items_position", "karts_position")
 

@@ -1,0 +1,53 @@
+"""The reference pages of the views say what the code does."""
+
+import re
+
+import numpy as np
+import pytest
+
+from stkzoo import race_v0
+from stkzoo.wrappers.racing import MEANINGS, PARTS, SIZE
+from tests.docs.test_extensions import extension
+from tests.support.paths import ROOT
+
+FOLDER = ROOT / "docs" / "reference" / "views"
+
+
+def test_the_pages_are_those_of_the_code():
+    written = {path.name: path.read_text("utf-8") for path in FOLDER.glob("*.md")}
+    assert len(written) == 15
+    assert written == extension("view_pages").pages(), "run: python docs/_extensions/view_pages.py"
+
+
+def rows(page, part=""):
+    """The index ranges of a page's entries, by entry."""
+    text = (FOLDER / f"{page}.md").read_text("utf-8").split("## Action")[0]
+    text = text.partition(f"### `{part}`")[2] if part else text
+    found = re.findall(r"^\| (\d+)(?: to (\d+))? \| `(\w+)` \|", text, re.M)
+    return {name: slice(int(a), int(b or a) + 1) for a, b, name in found}
+
+
+def test_racing_is_described_to_the_last_number():
+    places = rows("racing")
+    assert set(places) == set(PARTS) == set(MEANINGS)
+    assert places["bads_beside"].stop == SIZE
+
+
+@pytest.mark.slow
+def test_numbers_of_a_vector_are_the_entries_that_the_page_names():
+    seen = {}
+    for view in ("simple", "box_discrete"):
+        with race_v0.parallel_env(num_kart=3, track="lighthouse", view=view) as env:
+            observations, _ = env.reset(seed=1, options={"start": 300.0})
+            seen[view] = observations["kart_0"]
+    places = rows("box_discrete")
+    for key, value in seen["simple"].items():
+        if key == "kart_type":
+            continue
+        part = seen["box_discrete"][places[key]]
+        if np.issubdtype(np.asarray(value).dtype, np.floating):
+            np.testing.assert_array_equal(part, np.ravel(value), err_msg=key)
+        else:
+            ones = part.reshape(np.size(value), -1)
+            np.testing.assert_array_equal(ones.argmax(axis=1), np.ravel(value), err_msg=key)
+            assert ones.sum() == np.size(value), key
