@@ -211,7 +211,8 @@ def _action(space: spaces.Space[Any]) -> Iterator[str]:
         yield f"`{number}` is full throttle, straight on. To decode a number:"
         yield from ("", "```python", "import numpy as np", "")
         yield f"choices = np.unravel_index({number}, {tuple(counts)}, order='F')".replace("'", '"')
-        yield f"print(dict(zip({names!r}, map(int, choices))))".replace("'", '"')
+        yield f"names = {names!r}".replace("'", '"')
+        yield "print(dict(zip(names, map(int, choices))))"
         yield "```"
     elif isinstance(space, spaces.MultiDiscrete) and tuple(space.nvec) == CHOICES:
         yield from ("`MultiDiscrete`, one choice in each place:", "")
