@@ -8,6 +8,7 @@ Examples:
   stkzoo race-client --server 127.0.0.1:5555 --track lighthouse
   stkzoo race-client --server ada.lab:5555 --server bob.lab:5555 heuristic ai --laps 2
   stkzoo race-client --server ada.lab:5555 --server-key ada.public --secret course.secret
+  stkzoo race-client --servers servers.txt --secret course.secret
 
 exit codes:
   0 success, 1 the race could not be run, 2 invalid command line, 3 an agent or server failed
@@ -17,10 +18,16 @@ exit codes:
 from __future__ import annotations
 
 import argparse
-from dataclasses import MISSING, dataclass
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from stkzoo._arguments import add_options, option
 from stkzoo.cli._arguments import usage_errors
+from stkzoo.errors import ConfigError
+
+if TYPE_CHECKING:
+    from stkzoo.race.remote import ServerAccess
 
 
 @dataclass
@@ -28,7 +35,8 @@ class ServersArguments:
     """Options of the connection to servers.
 
     Attributes:
-        server: of a server, such as tcp://127.0.0.1:5555; repeatable
+        server: of a server, such as 127.0.0.1:5555; repeatable
+        servers: a file with a line ADDRESS [KEY] for each server, instead of --server
         server_key: the servers' public key: a .public file or the key; once, or once for each
             --server
         secret: your own secret key (stkzoo keys new)
@@ -36,7 +44,8 @@ class ServersArguments:
         connect_timeout: for the connection to a server before the race
     """
 
-    server: str = option(MISSING, action="append", required=True, metavar="ADDRESS")
+    server: str | None = option(action="append", metavar="ADDRESS")
+    servers: str | None = option(metavar="FILE")
     server_key: str | None = option(action="append", metavar="KEY")
     secret: str | None = option(metavar="FILE")
     timeout: float | None = option(metavar="SECONDS")
@@ -55,17 +64,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(demo=False)
 
 
+def server_access(arguments: argparse.Namespace) -> ServerAccess | None:
+    """What the options of :class:`ServersArguments` say; ``None`` without a server.
+
+    Raises:
+        ConfigError: the options do not fit together, or a file cannot be read.
+    """
+    from stkzoo.race.remote import ServerAccess, read_servers
+
+    servers, keys = tuple(arguments.server or ()), tuple(arguments.server_key or ())
+    if arguments.servers is not None:
+        if servers or keys:
+            raise ConfigError("--servers lists servers and keys; leave out --server, --server-key")
+        servers, keys = read_servers(arguments.servers)
+    if not servers:
+        return None
+    secret = None if arguments.secret is None else str(Path(arguments.secret).resolve())
+    return ServerAccess(servers, keys, secret, arguments.timeout, arguments.connect_timeout)
+
+
 @usage_errors
 def run(arguments: argparse.Namespace) -> int:
     """Connects to the servers and runs the race."""
     from stkzoo.cli.race import run_races
-    from stkzoo.race.remote import RemoteDriverGroup, read_public, read_secret
 
-    with RemoteDriverGroup(
-        arguments.server,
-        keys=None if arguments.secret is None else read_secret(arguments.secret),
-        server_keys=[read_public(key) for key in arguments.server_key or ()],
-        timeout=arguments.timeout,
-        connect_timeout=arguments.connect_timeout,
-    ) as group:
+    access = server_access(arguments)
+    if access is None:
+        raise ConfigError("no servers; give --server ADDRESS or --servers FILE")
+    with access.connect() as group:
         return run_races(arguments, group.drivers)

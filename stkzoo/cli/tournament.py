@@ -4,8 +4,11 @@ Runs many races among agents and rates them. The schedule is balanced: each agen
 often as the others, on each track, from each place of the grid, against each other agent.
 
 Each race is stored in the output folder as soon as it is over. After an interruption the same
-command resumes; so does --resume FOLDER. An agent that fails loses its race; the tournament
-goes on.
+command resumes; so does --resume FOLDER. Agents that are new in it join the tournament and get
+races of their own. An agent that fails loses its race; the tournament goes on.
+
+A table of N agents needs about 10 races for each, so --races 10 N / --per-race. A race takes about
+10 s on one core: divide by --jobs, and see how long the first ones take.
 
 Agents are named as for `stkzoo race`: ai, heuristic, random, a folder, a zip, a module; append
 @:Name to rename one.
@@ -14,6 +17,8 @@ Examples:
   stkzoo tournament heuristic ai random my_agent/ --tracks lighthouse hacienda
   stkzoo tournament students/*.zip ai --tracks test --races 300 --per-race 5 --output league
   stkzoo tournament --resume league
+  stkzoo tournament --resume league late.zip       the agent late.zip joins
+  stkzoo tournament ai --servers servers.txt --secret course.secret
 
 exit codes:
   0 success, 1 a race could not be run, 2 invalid command line, 3 an agent failed in some race,
@@ -29,7 +34,7 @@ from typing import TYPE_CHECKING
 
 from stkzoo._arguments import add_options, option, positional, values_of
 from stkzoo.cli._arguments import add_batch_options, tracks_option, usage_errors
-from stkzoo.errors import ConfigError
+from stkzoo.cli.race_client import ServersArguments, server_access
 from stkzoo.race import RaceSettings
 
 if TYPE_CHECKING:
@@ -49,7 +54,7 @@ class TournamentArguments:
         per_race: agents in a race (default: 4, or all if there are fewer)
         seed: of the schedule and the races
         output: for races, result.json and tournament.png
-        resume: resume the tournament in FOLDER
+        resume: resume the tournament in FOLDER; agents named beside it join it
         json: write only JSON to stdout
         no_plot: draw no tournament.png
     """
@@ -70,6 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     from stkzoo.evaluation import TournamentPlan
 
     add_options(parser, TournamentArguments)
+    add_options(parser.add_argument_group("agents of servers"), ServersArguments)
     add_batch_options(parser, TournamentPlan.decided)
 
 
@@ -86,11 +92,11 @@ def _plan(arguments: argparse.Namespace, folder: Path) -> TournamentPlan:
     from stkzoo.evaluation import TournamentPlan, plan_tournament
     from stkzoo.evaluation.tournament.plan import resumed_plan
 
-    if arguments.resume and arguments.agents:
-        raise ConfigError("--resume knows its agents; leave them out")
+    servers = server_access(arguments)
     if arguments.resume:
-        return resumed_plan(folder)
+        return resumed_plan(folder, arguments.agents, servers)
     return plan_tournament(
+        servers=servers,
         **values_of(arguments, TournamentArguments, only=_PLANNED),
         **values_of(arguments, RaceSettings, without=TournamentPlan.decided),
     )
@@ -116,8 +122,11 @@ def _show(result: TournamentResult) -> None:
     ]
     styles = ["red" if row.errors else None for row in result.standings]
     show_table(columns, rows, left=("agent",), styles=styles)
+    for row in result.standings:
+        if row.reason:
+            say(f"{row.label} failed in {row.retired} of {row.races} races: {row.reason}")
     plan = result.plan
     say(
-        f"{len(result.races)} of {plan.races} races of {plan.per_race} on "
+        f"{len(result.races)} of {plan.num_races} races of {plan.per_race} on "
         f"{', '.join(plan.tracks)}; Plackett-Luce ratings, intervals by bootstrap over races."
     )

@@ -19,7 +19,7 @@ import gymnasium as gym
 from gymnasium import spaces
 from gymnasium.envs.registration import load_env_creator
 
-from stkzoo.drivers.files import AgentFiles, AgentPlace, declared_env
+from stkzoo.drivers.files import AgentFiles, AgentPlace, declared
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.views import VIEWS, View, ViewFactory, extras_for, find_view
 
@@ -187,7 +187,7 @@ def _view_of(env_name: object) -> ViewFactory:
 
 def env_extras(files: AgentFiles) -> frozenset[str]:
     """What an agent's view observes in addition to ``full``, read without running its module."""
-    name, options = declared_env(files), {}
+    name, options = declared(files, "env_name"), {}
     if isinstance(name, (tuple, list)) and len(name) == 2:
         name, options = name
     try:

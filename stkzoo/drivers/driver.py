@@ -22,7 +22,7 @@ from stkzoo.drivers.code import (
     load_agent,
     read_module,
 )
-from stkzoo.drivers.files import AgentFiles, find_files
+from stkzoo.drivers.files import AgentFiles, declared, find_files
 from stkzoo.drivers.inline import InlineInstance
 from stkzoo.drivers.instances import DriverStart
 from stkzoo.drivers.isolated import IsolatedInstance
@@ -170,6 +170,17 @@ def find_driver(text: str, *, inline: bool = False, adapter: str | None = None) 
         raise ConfigError(f"there is no adapter {adapter!r}; expected the path of a Python file")
     driver = _find(source, inline, None if adapter is None else str(Path(adapter).resolve()))
     return replace(driver, source=source, name=name or driver.name)
+
+
+def declared_name(source: str) -> str:
+    """The ``player_name`` of an agent from files, which does not run; empty if there is none.
+
+    Args:
+        source: as for :func:`find_driver`, without ``@:Name``.
+    """
+    files = None if source in (*_GAME_AI, *driver_names()) else find_files(source)
+    name = "" if files is None else declared(files, "player_name")
+    return name if isinstance(name, str) else ""
 
 
 def _find(source: str, inline: bool, adapter: str | None) -> Driver:

@@ -20,8 +20,8 @@ from stkzoo.errors import ConfigError
 #: Name of an agent's module.
 ACTOR_MODULE = "pystk_actor"
 _PACKAGE = "stk_actor"
-#: How a module names its environment; what follows is a literal of a few lines.
-_ENV_NAME = re.compile(r"^env_name\s*(?::[^=\n]+)?=", re.MULTILINE)
+#: How a module assigns a name; what follows is a literal of a few lines.
+_ASSIGNMENT = r"^{name}\s*(?::[^=\n]+)?=(?!=)"
 _MAX_LINES, _MAX_LITERAL = 20, 2000
 #: Only the first characters of a module are searched.
 _MAX_CHARACTERS = 1 << 20
@@ -83,11 +83,15 @@ class AgentFiles:
         return _place_in(_only_folder(home), self.source)
 
 
-def declared_env(files: AgentFiles) -> object:
-    """What an agent's module says as ``env_name``; empty if it says nothing as a literal.
+def declared(files: AgentFiles, name: str) -> object:
+    """The literal that an agent's module assigns to a name; empty if there is none.
 
-    The module does not run: a line of it must begin with ``env_name = `` and text, or a pair of
-    text and options.
+    The module does not run: a line of it must begin with the name, such as ``env_name = ``, and a
+    literal.
+
+    Args:
+        files: the agent's.
+        name: ``env_name`` or ``player_name``.
     """
     try:
         with ExitStack() as resources:
@@ -96,7 +100,7 @@ def declared_env(files: AgentFiles) -> object:
             text = stream.read(_MAX_CHARACTERS)
     except (ConfigError, OSError):
         return ""  # reported when the agent is loaded
-    found = _ENV_NAME.search(text)
+    found = re.search(_ASSIGNMENT.format(name=name), text, re.MULTILINE)
     return _literal(text[found.end() :][:_MAX_LITERAL]) if found else ""
 
 

@@ -326,11 +326,11 @@ def test_an_agent_that_was_changed_meanwhile_is_told(tmp_path):
     assert resume_tournament(folder, plot=False) == result
     (agent / "helper.py").write_text("chase = None")
     with pytest.raises(
-        ConfigError, match=r"files of agent 'mine' have changed: \['mine/helper.py'\]"
+        ConfigError, match=r"files of agent 'Plain' have changed: \['mine/helper.py'\]"
     ):
         resume_tournament(folder)
     shutil.rmtree(agent)
-    with pytest.raises(ConfigError, match="files of agent 'mine' have changed"):
+    with pytest.raises(ConfigError, match="files of agent 'Plain' have changed"):
         resume_tournament(folder)
 
 
@@ -389,9 +389,10 @@ def test_a_plan_that_cannot_be_is_told(agents, plan, message):
         plan_tournament(agents, **plan)
 
 
-def test_agents_of_one_file_name_are_called_by_their_paths():
+def test_agents_of_one_file_name_are_called_by_their_player_names():
     paths = [str(AGENTS / name / "stk_actor") for name in ("alpha", "beta")]
-    assert [entrant.label for entrant in plan_tournament(paths).entrants] == paths
+    labels = [entrant.label for entrant in plan_tournament(paths).entrants]
+    assert labels == ["Alpha", "Beta"]
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import pytest
 
 import stkzoo
 from stkzoo import race_v0
-from stkzoo.drivers.files import declared_env, find_files
+from stkzoo.drivers.files import declared, find_files
 from stkzoo.engine.track import TrackMap
 from stkzoo.errors import AgentError, ConfigError
 from stkzoo.evaluation import DemoView
@@ -235,7 +235,7 @@ def test_agents_on_servers_are_shown_it_too(mole):
 )
 def test_what_a_module_says_is_read_without_running_it(tmp_path, line, env_name):
     (tmp_path / "pystk_actor.py").write_text(f"raise SystemExit\n{line}\n")
-    assert declared_env(find_files(str(tmp_path))) == env_name
+    assert declared(find_files(str(tmp_path)), "env_name") == env_name
 
 
 def test_shipped_drivers_say_it_wherever_the_program_is_started(tmp_path, monkeypatch):
@@ -244,7 +244,7 @@ def test_shipped_drivers_say_it_wherever_the_program_is_started(tmp_path, monkey
     monkeypatch.setattr(sys, "path", [p for p in sys.path if Path(p).resolve() != home])
     for name in ("heuristic", "pretrained.scout"):
         files = find_files(f"stkzoo.agents.{name}")
-        assert declared_env(files) == "supertuxkart/full-v0"
+        assert declared(files, "env_name") == "supertuxkart/full-v0"
 
 
 def test_a_package_may_have_a_folder_with_dots(mole):

@@ -5,21 +5,22 @@ from __future__ import annotations
 import hashlib
 import itertools
 import os
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 
 from stkzoo._os import file_digest
-from stkzoo.drivers.driver import driver_names, find_driver
+from stkzoo.drivers.driver import declared_name, driver_names, find_driver
 from stkzoo.drivers.failures import printable
 from stkzoo.drivers.files import find_files, installed_module
 from stkzoo.errors import ConfigError
+from stkzoo.race.remote.drivers import ServedAgent
 from stkzoo.race.settings import RaceSettings
 
 #: Separates a driver's source from its name.
 NAME_MARK = "@:"
 _MOST_FILES = 1000
+_MOST_CHARACTERS = 40
 _DIGEST_SIZE = 8
 #: What running an agent may write beside its code.
 _IGNORED_FOLDERS, _IGNORED_ENDINGS = ("__pycache__",), (".pyc", ".log")
@@ -33,16 +34,22 @@ class Entrant:
         label: its name, unique in the batch.
         source: its driver name or path, for :func:`~stkzoo.race.find_driver`.
         files: a digest of each of its files, by path.
+        served: where it is served; ``None`` for one that runs here.
     """
 
     label: str
     source: str
     files: Mapping[str, str] = field(default_factory=dict, hash=False)
+    served: ServedAgent | None = None
 
     @classmethod
     def of(cls, label: str, source: str) -> Entrant:
         """An agent with the present state of its files."""
         return cls(label, source, fingerprint(source))
+
+    def now(self) -> Entrant:
+        """The agent with the present state of its files."""
+        return self if self.served else Entrant.of(self.label, self.source)
 
     @property
     def text(self) -> str:
@@ -56,34 +63,58 @@ class Entrant:
         return [name for name, digest in self.files.items() if now.files.get(name) != digest]
 
 
-def find_entrants(agents: Sequence[str], settings: RaceSettings) -> tuple[Entrant, ...]:
+def find_entrants(
+    agents: Sequence[str],
+    settings: RaceSettings,
+    served: Sequence[ServedAgent] = (),
+    taken: Collection[str] = (),
+) -> tuple[Entrant, ...]:
     """The agents that texts name, each with a unique label.
+
+    An agent's label is the name after ``@:``, else its ``player_name``, else its file's name. Where
+    two agents share one, the later gets a number: ``Ada``, ``Ada-2``.
 
     Args:
         agents: texts for :func:`~stkzoo.race.find_driver`.
         settings: of the races.
+        served: agents of servers, which come after the others.
+        taken: labels of other agents of the batch.
 
     Raises:
-        ConfigError: there is no such agent, or two have the same name.
+        ConfigError: there is no such agent, or two were given the same name.
     """
-    sources, names = [], []
+    labels = [*taken]
+    entrants = []
     for text in agents:
         driver = find_driver(text, inline=settings.inline, adapter=settings.adapter)
-        named = text.rpartition(NAME_MARK)[2] if NAME_MARK in text else ""
-        sources.append(_lasting(driver.source))
-        names.append(printable(named or _short(driver.source)).replace("\n", " "))
-    counts = Counter(names)
-    labels = [
-        name if counts[name] == 1 else (text.rpartition(NAME_MARK)[2] or text)
-        for name, text in zip(names, agents, strict=True)
-    ]
-    for label, count in Counter(labels).items():
-        if count > 1:
-            raise ConfigError(
-                f"{count} agents are called {label!r}; give each a name of its own, such as "
-                f"{agents[labels.index(label)].partition(NAME_MARK)[0]}@:{label}-2"
-            )
-    return tuple(map(Entrant.of, labels, sources))
+        given = text.rpartition(NAME_MARK)[2] if NAME_MARK in text else ""
+        name = given or declared_name(driver.source) or _short(driver.source)
+        labels.append(_unique(name, labels, is_fixed=bool(given) or driver.is_game_ai, text=text))
+        entrants.append(Entrant.of(labels[-1], _lasting(driver.source)))
+    for agent in served:
+        labels.append(_unique(agent.name or _short(agent.source), labels))
+        entrants.append(Entrant(labels[-1], agent.place, served=agent))
+    return tuple(entrants)
+
+
+def _unique(name: str, taken: Collection[str], *, is_fixed: bool = False, text: str = "") -> str:
+    """A label that is not taken yet.
+
+    Raises:
+        ConfigError: it is taken, and fixed.
+    """
+    name = " ".join(printable(name).replace(NAME_MARK, " ").split())
+    label = name = name[:_MOST_CHARACTERS].strip() or "unnamed"
+    if is_fixed and label in taken:
+        raise ConfigError(
+            f"2 agents are called {label!r}; give each a name of its own, such as "
+            f"{text.partition(NAME_MARK)[0]}@:{label}-2"
+        )
+    for number in itertools.count(2):
+        if label not in taken:
+            break
+        label = f"{name}-{number}"
+    return label
 
 
 def _lasting(source: str) -> str:

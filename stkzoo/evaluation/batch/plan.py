@@ -83,6 +83,10 @@ class BatchPlan(Document, Generic[Result]):
         """The agents that take part."""
         return ()
 
+    def continued(self: Plan, other: Plan) -> Plan:  # noqa: ARG002 - some plans can grow
+        """The plan to run in a folder that has this one, when another one is asked for."""
+        return self
+
     def differences(self: Plan, other: Plan) -> list[str]:
         """What differs in another plan of the same kind, as sentences."""
         found = describe_differences(self._comparable(), other._comparable())

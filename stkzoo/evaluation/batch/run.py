@@ -194,13 +194,13 @@ def _locked(folder: Path, noun: str) -> Iterator[None]:
 def _keep_plan(plan: Plan, folder: Path) -> Plan:
     """Writes the plan, or returns the one in the folder if it leads to the same races."""
     file = folder / PLAN_FILE
-    if not file.exists():
-        write_text(file, plan.to_json() + "\n")
-        return plan
-    started = type(plan).load(file)
-    if differences := started.differences(plan):
+    started = type(plan).load(file) if file.exists() else None
+    kept = started.continued(plan) if started else plan
+    if differences := kept.differences(plan):
         raise ConfigError(
             f"{folder} has another {plan.noun}: {'; '.join(differences)}. Choose another folder, "
             f"or correct that and resume: {plan.resume_command.format(folder=folder)}"
         )
-    return started
+    if kept != started:
+        write_text(file, kept.to_json() + "\n")
+    return kept

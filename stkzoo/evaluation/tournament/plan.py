@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,15 +11,21 @@ from typing import Any, ClassVar
 
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
-from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.plan import PLAN_FILE, BatchPlan, find_tracks
 from stkzoo.evaluation.batch.run import RunOptions, load_batch, run_batch
 from stkzoo.evaluation.ratings import rate, require_openskill
 from stkzoo.evaluation.statistics import CONFIDENCE
+from stkzoo.evaluation.tournament.order import TournamentOrder
 from stkzoo.evaluation.tournament.plot import plot_tournament
-from stkzoo.evaluation.tournament.schedule import ScheduledRace, make_schedule
+from stkzoo.evaluation.tournament.schedule import (
+    ScheduledRace,
+    extend_schedule,
+    make_schedule,
+    newcomer_seats,
+)
 from stkzoo.evaluation.tournament.standings import RaceSummary, Standing
 from stkzoo.race.document import Document
+from stkzoo.race.remote import ServedAgent, ServerAccess
 from stkzoo.race.result import RaceResult, versions_now
 from stkzoo.race.settings import RaceSettings
 
@@ -33,9 +40,11 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
 
     Attributes:
         entrants: the agents.
-        races: number of races.
+        races: number of races of the first agents.
         per_race: agents per race.
         seed: of the schedule; race ``i`` has the seed ``seed + i``.
+        additions: number of agents that joined later, each time; they are the last entrants.
+        access: how to reach the agents that servers have.
     """
 
     kind: ClassVar[str] = "tournament-plan"
@@ -47,30 +56,76 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
     races: int
     per_race: int
     seed: int
+    additions: tuple[int, ...] = ()
+    access: ServerAccess | None = None
 
     def __post_init__(self) -> None:
         check_whole("races", self.races, 1, _MAX_RACES)
         check_whole("seed", self.seed, 0, _MAX_SEED)
-        check_whole("per_race", self.per_race, 2, min(len(self.entrants), _MAX_PER_RACE))
+        check_whole("per_race", self.per_race, 2, min(self._num_first, _MAX_PER_RACE))
 
     @property
     def agents(self) -> tuple[Entrant, ...]:
         """The agents."""
         return self.entrants
 
+    @property
+    def num_races(self) -> int:
+        """Number of all races, with those of agents that joined later."""
+        return self.races + sum(map(self._races_for, self.additions))
+
+    @property
+    def _num_first(self) -> int:
+        return len(self.entrants) - sum(self.additions)
+
+    def _races_for(self, newcomers: int) -> int:
+        """Races in which newcomers get as many starts as each of the first agents has."""
+        starts = math.ceil(self.races * self.per_race / self._num_first)
+        return math.ceil(starts * newcomers / newcomer_seats(newcomers, self.per_race))
+
     def schedule(self) -> tuple[ScheduledRace, ...]:
         """All races."""
-        return make_schedule(len(self.entrants), self.tracks, self.races, self.per_race, self.seed)
+        known = self._num_first
+        races = make_schedule(known, self.tracks, self.races, self.per_race, self.seed)
+        for count in self.additions:
+            races += extend_schedule(races, known, count, self._races_for(count), self.seed)
+            known += count
+        return races
 
-    def orders(self) -> list[RaceOrder]:
+    def continued(self, other: TournamentPlan) -> TournamentPlan:
+        """This tournament with the agents that another plan has besides this one's."""
+        own, asked = ({entry.text for entry in plan.entrants} for plan in (self, other))
+        new = tuple(entry for entry in other.entrants if entry.text not in own)
+        kept = replace(self, access=other.access or self.access)
+        if not new or not own <= asked:
+            return kept
+        return replace(kept, entrants=(*self.entrants, *new), additions=(*self.additions, len(new)))
+
+    def differences(self, other: TournamentPlan) -> list[str]:
+        """What differs in another plan, as sentences; the order of later agents does not count."""
+        if self.additions:
+            place = {entry.text: number for number, entry in enumerate(self.entrants)}
+            last = len(place)
+            in_order = sorted(other.entrants, key=lambda entry: place.get(entry.text, last))
+            other = replace(other, entrants=tuple(in_order), additions=())
+        return BatchPlan.differences(self, other)
+
+    def _comparable(self) -> dict[str, Any]:
+        values = BatchPlan._comparable(self)
+        return {name: values[name] for name in values if name not in ("additions", "access")}
+
+    def orders(self) -> list[TournamentOrder]:
         """All races, ready to run."""
         return [
-            RaceOrder(
+            TournamentOrder(
                 race.number,
-                tuple(self.entrants[number].text for number in race.grid),
+                tuple(entrant.text for entrant in grid),
                 replace(self.settings, track=race.track, seed=race.seed),
+                served=tuple(entrant.served for entrant in grid),
+                access=self.access,
             )
             for race in self.schedule()
+            for grid in [[self.entrants[number] for number in race.grid]]
         ]
 
     def summarize(self, results: Mapping[int, RaceResult], _: Path) -> TournamentResult:
@@ -107,8 +162,9 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
 
 
 def plan_tournament(
-    agents: Sequence[str],
+    agents: Sequence[str] = (),
     *,
+    servers: ServerAccess | None = None,
     tracks: str | Sequence[str] = "train",
     races: int = 60,
     per_race: int | None = None,
@@ -121,6 +177,7 @@ def plan_tournament(
     Args:
         agents: names of drivers, paths of folders and zips, or modules; append ``@:Name`` to
             rename one.
+        servers: servers whose agents take part too.
         tracks: names, or ``"train"``, ``"test"`` or ``"all"``.
         races: number of races.
         per_race: agents per race; by default 4, or all if there are fewer.
@@ -131,12 +188,14 @@ def plan_tournament(
 
     Raises:
         ConfigError: an argument is invalid, or there is no such agent or track.
+        RemoteError: a server does not answer.
         AssetError: the game's data is missing.
     """
-    if isinstance(agents, str) or len(agents) < 2:
+    served, access = _ask(servers)
+    if isinstance(agents, str) or len(agents) + len(served) < 2:
         raise ConfigError(f"agents is {agents!r}, expected a list of at least two")
     chosen = TournamentPlan.choose_settings(settings, changes)
-    entrants = find_entrants(agents, chosen)
+    entrants = find_entrants(agents, chosen, served)
     return TournamentPlan(
         entrants=entrants,
         tracks=find_tracks(tracks, chosen),
@@ -144,7 +203,16 @@ def plan_tournament(
         per_race=min(_USUAL_PER_RACE, len(entrants)) if per_race is None else per_race,
         seed=seed,
         settings=chosen,
+        access=access,
     )
+
+
+def _ask(servers: ServerAccess | None) -> tuple[list[ServedAgent], ServerAccess | None]:
+    """The agents of servers, and how to reach them again."""
+    if servers is None:
+        return [], None
+    with servers.connect() as group:
+        return group.agents, replace(servers, servers=(), server_keys=())
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +239,7 @@ class TournamentResult(Document):
     @property
     def is_complete(self) -> bool:
         """Whether all races have been run."""
-        return len(self.races) == self.plan.races
+        return len(self.races) == self.plan.num_races
 
     @property
     def errors(self) -> int:
@@ -200,9 +268,11 @@ class TournamentResult(Document):
 
 
 def run_tournament(
-    agents: Sequence[str], *, output: str | os.PathLike[str], **options: Any
+    agents: Sequence[str] = (), *, output: str | os.PathLike[str], **options: Any
 ) -> TournamentResult:
     """Runs a tournament, or resumes it if it was started in ``output``.
+
+    Agents that were not in it before get races of their own; no race is repeated.
 
     Args:
         agents: the agents; see :func:`~stkzoo.evaluation.plan_tournament`.
@@ -234,11 +304,28 @@ def resume_tournament(folder: str | os.PathLike[str], **options: Any) -> Tournam
     return run_batch(resumed_plan(folder), folder, RunOptions(**options))
 
 
-def resumed_plan(folder: str | os.PathLike[str]) -> TournamentPlan:
-    """The plan of the tournament in a folder, with the present software and agents' files."""
+def resumed_plan(
+    folder: str | os.PathLike[str],
+    agents: Sequence[str] = (),
+    servers: ServerAccess | None = None,
+) -> TournamentPlan:
+    """The plan of the tournament in a folder, with the present software and agents' files.
+
+    Args:
+        folder: of the tournament.
+        agents: agents that join it.
+        servers: servers whose agents join it.
+    """
     plan = TournamentPlan.load(Path(folder) / PLAN_FILE)
-    entrants = tuple(Entrant.of(entry.label, entry.source) for entry in plan.entrants)
-    return replace(plan, entrants=entrants, versions=versions_now())
+    entrants = tuple(entry.now() for entry in plan.entrants)
+    served, access = _ask(servers)
+    known = {entry.served for entry in entrants}
+    joining = [agent for agent in served if agent not in known]
+    labels = [entry.label for entry in entrants]
+    new = find_entrants(agents, plan.settings, joining, labels)
+    return replace(
+        plan, entrants=(*entrants, *new), access=access or plan.access, versions=versions_now()
+    )
 
 
 def load_tournament(path: str | os.PathLike[str]) -> TournamentResult:

@@ -70,6 +70,42 @@ def make_schedule(
     )
 
 
+def extend_schedule(
+    races: Sequence[ScheduledRace], num_agents: int, num_newcomers: int, count: int, seed: int = 0
+) -> tuple[ScheduledRace, ...]:
+    """More races, in which newcomers meet the agents of the races so far.
+
+    Each race has up to half newcomers. Newcomers have equally often a seat, up to one race, on each
+    track; so have the other agents.
+
+    Args:
+        races: the races so far; the new ones follow with their numbers and seeds.
+        num_agents: number of agents so far.
+        num_newcomers: number of new agents, whose numbers follow.
+        count: number of new races.
+        seed: the same arguments give the same schedule.
+    """
+    per_race = len(races[0].grid)
+    tracks = list(dict.fromkeys(race.track for race in races))
+    seats = newcomer_seats(num_newcomers, per_race)
+    new = make_schedule(num_newcomers, tracks, count, seats, seed)
+    old = make_schedule(num_agents, tracks, count, per_race - seats, seed)
+    joint = [
+        (one.track, [*(num_agents + agent for agent in one.grid), *two.grid])
+        for one, two in zip(new, old, strict=True)
+    ]
+    grids = _grids(num_agents + num_newcomers, joint, random.Random(seed))
+    return tuple(
+        ScheduledRace(number, track, races[0].seed + number, grid)
+        for number, ((track, _), grid) in enumerate(zip(joint, grids, strict=True), len(races))
+    )
+
+
+def newcomer_seats(num_newcomers: int, per_race: int) -> int:
+    """Newcomers in each race of :func:`extend_schedule`."""
+    return min(num_newcomers, per_race // 2)
+
+
 def _deal(
     num_agents: int, counts: Sequence[int], per_race: int, chance: random.Random
 ) -> list[list[list[int]]]:

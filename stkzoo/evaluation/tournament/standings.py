@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
 from stkzoo.evaluation.batch.entrants import Entrant
 from stkzoo.evaluation.ratings import Rating
-from stkzoo.race.result import RaceResult
+from stkzoo.race.result import AgentResult, RaceResult
+
+_MAX_REASON = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +49,7 @@ class Standing:
         errors: how often it failed.
         mean_time: mean time of the races it finished [s]; ``None`` without.
         track_ranks: its mean rank on each track it raced on.
+        reason: its most frequent failure, in one line; empty without failures.
     """
 
     place: int
@@ -61,6 +64,7 @@ class Standing:
     errors: int
     mean_time: float | None
     track_ranks: Mapping[str, float]
+    reason: str = ""
 
     @classmethod
     def of(
@@ -101,7 +105,15 @@ class Standing:
             errors=sum(row.num_errors for row in rows),
             mean_time=_mean(times),
             track_ranks={track: fmean(on_track) for track, on_track in sorted(track_ranks.items())},
+            reason=_reason(rows),
         )
+
+
+def _reason(rows: Sequence[AgentResult]) -> str:
+    """The most frequent first failure of an agent, in one line."""
+    firsts = (" ".join(row.errors[0].message.split()) for row in rows if row.errors)
+    most = Counter(text[:_MAX_REASON] for text in firsts).most_common(1)
+    return most[0][0] if most else ""
 
 
 def _mean(values: Sequence[float]) -> float | None:

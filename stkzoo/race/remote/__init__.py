@@ -6,7 +6,8 @@ client or a server sends can at worst cost its own part in the race.
 
 from __future__ import annotations
 
-from stkzoo.race.remote.drivers import RemoteDriverGroup
+from stkzoo.race.remote.access import ServerAccess, read_servers
+from stkzoo.race.remote.drivers import RemoteDriverGroup, ServedAgent
 from stkzoo.race.remote.keys import (
     KeyPair,
     new_key_files,
@@ -23,6 +24,8 @@ __all__ = [
     "KeyPair",
     "RaceServer",
     "RemoteDriverGroup",
+    "ServedAgent",
+    "ServerAccess",
     "ServerKeys",
     "full_address",
     "new_key_files",
@@ -30,4 +33,5 @@ __all__ = [
     "read_public",
     "read_publics",
     "read_secret",
+    "read_servers",
 ]

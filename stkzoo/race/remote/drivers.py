@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from itertools import zip_longest
 from typing import Any
@@ -26,6 +27,38 @@ _MARGIN = 5.0
 _TIMEOUT = 60.0
 
 
+@dataclass(frozen=True, slots=True)
+class ServedAgent:
+    """An agent of a server, as the server describes it.
+
+    Attributes:
+        server: the server.
+        number: index of the agent on the server.
+        name: its name; may be empty.
+        source: its driver name or path on the server.
+        extras: what it observes in addition to the ``full`` view.
+    """
+
+    server: Server
+    number: int
+    name: str
+    source: str
+    extras: tuple[str, ...] = ()
+
+    @classmethod
+    def all_of(cls, server: Server, welcome: Mapping[str, Any]) -> list[ServedAgent]:
+        """The agents that a server's welcome lists."""
+        return [
+            cls(server, number, printable(name, 100), printable(source, 100), tuple(extras))
+            for number, (name, source, extras) in enumerate(welcome["agents"])
+        ]
+
+    @property
+    def place(self) -> str:
+        """The server's address and the source there."""
+        return f"{self.server.address} {self.source}".strip()
+
+
 class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
     """The agents of some servers, as drivers of races.
 
@@ -37,6 +70,8 @@ class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
 
     Args:
         servers: their addresses.
+        agents: agents that are known already, instead of ``servers``. Their servers are connected
+            when a race starts; until then nothing checks them.
         keys: the client's own keys; ``None`` for new ones, where any client is allowed.
         server_keys: the servers' public keys: none, one for all, or one for each.
         timeout: time limit for a server's answer [s], in place of its agents' limits.
@@ -49,14 +84,15 @@ class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
 
     def __init__(
         self,
-        servers: Sequence[str],
+        servers: Sequence[str] = (),
         *,
+        agents: Sequence[ServedAgent] = (),
         keys: KeyPair | None = None,
         server_keys: Sequence[str] = (),
         timeout: float | None = None,
         connect_timeout: float = 10.0,
     ) -> None:
-        if not servers:
+        if not servers and not agents:
             raise ConfigError("no servers; name at least one, such as tcp://127.0.0.1:5555")
         if len(server_keys) not in (0, 1, len(servers)):
             raise ConfigError(
@@ -77,11 +113,13 @@ class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
         self._connections: dict[Server, Connection] = {}
         self._failed: set[Server] = set()
         try:
-            #: One driver per agent of each server, in order.
-            self.drivers: list[Driver] = self._find_drivers()
+            #: The agents of each server, in order.
+            self.agents: list[ServedAgent] = [*agents, *self._find_agents()]
         except BaseException:
             self.close()
             raise
+        #: One driver per agent, in the same order.
+        self.drivers: list[Driver] = [self._driver(agent) for agent in self.agents]
 
     def __exit__(self, *exception: object) -> None:
         self.close()
@@ -116,23 +154,20 @@ class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
         for connection in self._connections.values():
             connection.flush()
 
-    def _find_drivers(self) -> list[Driver]:
+    def _find_agents(self) -> list[ServedAgent]:
         deadline = time.monotonic() + self._patience
         for server in self._servers:
             self.connection(server)
-        drivers = []
+        agents = []
         for server in dict.fromkeys(self._servers):
             connection = self.connection(server)
-            welcome = connection.wait_welcome(deadline)
-            for number, agent in enumerate(welcome["agents"]):
-                name, source, extras = agent
-                start = partial(
-                    RemoteInstance, group=self, server=server, number=number, agent=agent
-                )
-                where = f"{server.address} {printable(source, 100)}".strip()
-                drivers.append(Driver(printable(name, 100), start, where, extras=frozenset(extras)))
+            agents += ServedAgent.all_of(server, connection.wait_welcome(deadline))
             connection.close()
-        return drivers
+        return agents
+
+    def _driver(self, agent: ServedAgent) -> Driver:
+        start = partial(RemoteInstance, group=self, served=agent)
+        return Driver(agent.name, start, agent.place, extras=frozenset(agent.extras))
 
 
 class RemoteInstance:
@@ -141,33 +176,24 @@ class RemoteInstance:
     Args:
         request: the runner's request.
         group: the agents of all servers.
-        server: the agent's server.
-        number: index of the agent on the server.
-        agent: the server's description of the agent before the race: its name (may be empty), its
-            source, and what it observes in addition to the ``full`` view.
+        served: the agent, as its server described it before the race.
 
     Raises:
         AgentError: the server cannot be reached.
     """
 
     def __init__(
-        self,
-        request: DriverRequest,
-        group: RemoteDriverGroup,
-        server: Server,
-        number: int,
-        agent: list[Any],
+        self, request: DriverRequest, group: RemoteDriverGroup, served: ServedAgent
     ) -> None:
-        self._group, self._server = group, server
-        self._number, self._description = number, agent
+        self._group, self._served, self._server = group, served, served.server
         self._agent, self._limits = request.agent, request.limits
         self._paths: int | None = None
         self.is_usable = True
         self._begin = time.monotonic()
         try:
-            self._connection = group.connection(server)
+            self._connection = group.connection(served.server)
             self._seat = self._connection.open(
-                driver=number,
+                driver=served.number,
                 agent=request.agent,
                 extras=sorted(extras_of(request.observation_space)),
                 seed=request.seed,
@@ -183,7 +209,7 @@ class RemoteInstance:
         with self._failures():
             patience = min(self._group.patience(self._server), start_timeout)
             welcome = self._connection.wait_welcome(self._begin + patience)
-            if welcome["agents"][self._number : self._number + 1] != [self._description]:
+            if self._served not in ServedAgent.all_of(self._server, welcome):
                 raise ProtocolError(f"{self._server.address} has other agents than before")
             deadline = self._begin + start_timeout + _MARGIN
             answer = self._connection.wait_answer(self._seat, deadline, "start an agent")

@@ -12,7 +12,7 @@ from importlib.metadata import version
 from typing import Any
 
 from stkzoo.drivers.codec import Limits
-from stkzoo.drivers.driver import Driver
+from stkzoo.drivers.driver import Driver, declared_name
 from stkzoo.drivers.instances import DriverLimits
 from stkzoo.errors import ConfigError, ProtocolError, check_whole
 from stkzoo.race.remote import protocol
@@ -68,6 +68,10 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         self._drivers, self._limits = _checked(drivers), limits or DriverLimits()
         check_whole("max_sessions", max_sessions, 1)
         self._max_sessions, keys = max_sessions, keys or ServerKeys()
+        self._descriptions = [
+            [own.name or declared_name(own.source), own.source, sorted(own.extras)]
+            for own in self._drivers
+        ]
         address = full_address(address)
         keys.check(address, insecure)
         self._clients: dict[bytes, ClientSession] = {}
@@ -171,7 +175,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         except ProtocolError as error:
             self._refuse(identity, str(error))
             return
-        agents = [[own.name, own.source, sorted(own.extras)] for own in self._drivers]
+        agents = self._descriptions
         limit = self._limits.action_timeout
         facts = {"protocol": protocol.VERSION, "stkzoo": version("stkzoo")}
         body = protocol.pack(**facts, agents=agents, action_timeout=limit)

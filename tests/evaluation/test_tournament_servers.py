@@ -1,0 +1,96 @@
+"""Tournaments with agents of servers, and with agents that join later."""
+
+import json
+from collections import Counter
+
+import pytest
+
+from stkzoo.cli import main
+from stkzoo.errors import ConfigError
+from stkzoo.evaluation import load_tournament, plan_tournament
+from stkzoo.evaluation.tournament.schedule import extend_schedule, make_schedule
+from stkzoo.race.remote import new_key_files, read_servers
+from tests.support.remote_race import server_process, write_agent
+
+NAME = "<img src=x onerror=alert(1)>"
+RACES = ("--races", "2", "--max-steps", "12", "--tracks", "lighthouse", "--no-plot", "--jobs", "1")
+
+
+@pytest.fixture(scope="module")
+def course(tmp_path_factory):
+    """A tournament of two servers with keys, then one more agent; and what the command printed."""
+    home = tmp_path_factory.mktemp("course")
+    agents = [write_agent(home, "ada"), write_agent(home, "bad", act="raise KeyError('oops')")]
+    bad = home / "bad" / "pystk_actor.py"
+    bad.write_text(bad.read_text().replace('"bad"', repr(NAME)))
+    server, public = new_key_files("server", home)
+    secret, allowed = new_key_files("course", home)
+    keys = ("--secret", str(server), "--allow", str(allowed))
+    folder = home / "cup"
+    with server_process(*agents, *keys) as (_, address):
+        (home / "servers.txt").write_text(f"# the course\n{address} {public.name}\n")
+        words = ["--servers", str(home / "servers.txt"), "--secret", str(secret)]
+        code = main(["tournament", "heuristic", *words, *RACES, "--output", str(folder)])
+        first = {file.name: file.read_bytes() for file in (folder / "races").iterdir()}
+        main(["tournament", "--resume", str(folder), "random@:late", "--no-plot", "--jobs", "1"])
+    return folder, code, first
+
+
+@pytest.mark.slow
+def test_agents_of_servers_race_under_their_own_names(course):
+    folder, code, _ = course
+    result = load_tournament(folder)
+    assert {row.label for row in result.standings} == {"heuristic", "ada", NAME, "late"}
+    assert code == 3
+    assert result.is_complete
+
+
+@pytest.mark.slow
+def test_the_standings_say_why_an_agent_failed(course):
+    rows = {row.label: row for row in load_tournament(course[0]).standings}
+    assert "oops" in rows[NAME].reason
+    assert rows["ada"].reason == ""
+
+
+@pytest.mark.slow
+def test_an_agent_that_joins_later_repeats_no_race(course):
+    folder, _, first = course
+    assert len(first) == 2
+    assert all((folder / "races" / name).read_bytes() == text for name, text in first.items())
+    rows = {row.label: row for row in load_tournament(folder).standings}
+    assert rows["late"].races == 2
+    assert json.loads((folder / "plan.json").read_text())["additions"] == [1]
+
+
+def test_newcomers_start_as_often_as_each_other_and_from_all_places():
+    first = make_schedule(6, ["a", "b"], 12, 4, seed=3)
+    more = extend_schedule(first, 6, 2, 8, seed=3)
+    assert [race.number for race in more] == list(range(12, 20))
+    assert [race.seed for race in more] == list(range(15, 23))
+    starts = Counter(agent for race in more for agent in race.grid)
+    assert starts[6] == starts[7] == 8
+    assert max(starts[agent] for agent in range(6)) - min(starts[a] for a in range(6)) <= 1
+    assert all(len(set(race.grid)) == 4 for race in more)
+    places = Counter(race.grid.index(agent) for race in more for agent in (6, 7))
+    assert set(places.values()) == {4}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "lists no servers"),
+        ("a:1 key\nb:2\n", "a key for some servers only"),
+        ("a:1 key more\n", "expected ADDRESS"),
+    ],
+)
+def test_an_invalid_list_of_servers_is_refused(tmp_path, text, message):
+    (tmp_path / "servers.txt").write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        read_servers(tmp_path / "servers.txt")
+
+
+def test_agents_are_called_by_their_player_name_and_numbered(tmp_path):
+    (tmp_path / "two").mkdir()
+    paths = [write_agent(tmp_path, "Ada"), write_agent(tmp_path / "two", "Ada")]
+    plan = plan_tournament([*paths, "heuristic"])
+    assert [entrant.label for entrant in plan.entrants] == ["Ada", "Ada-2", "heuristic"]
