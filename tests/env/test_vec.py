@@ -241,16 +241,16 @@ def test_set_options_holds_from_the_next_race_until_it_is_changed(prefetch):
     envs = make(max_cycles=2, prefetch=prefetch)
     _, infos = envs.reset(seed=1, options={"max_cycles": 3})
     actions = envs.action_space.sample()
-    tracks = [infos["track"].tolist()]
+    tracks = [[envs.tracks[number] for number in infos["track"]]]
     for step in range(9):
         if step == 1:
             envs.set_options([{"track": "zengarden"}, None])
         if step == 5:
             envs.set_options(None)
         *_, infos = envs.step(actions)
-        tracks.append(infos["track"].tolist())
+        tracks.append([envs.tracks[number] for number in infos["track"]])
         if "final_info" in infos:
-            assert infos["final_info"]["track"].tolist() == tracks[-2]
+            assert [envs.tracks[number] for number in infos["final_info"]["track"]] == tracks[-2]
     plain, changed = ["olivermath"] * 4, ["zengarden"] * 2 + ["olivermath"] * 2
     # The first race takes three steps. The second and third have the options.
     assert tracks == [plain] * 3 + [changed] * 4 + [plain] * 3
@@ -262,7 +262,7 @@ def test_options_of_reset_come_before_those_that_hold():
     envs.set_options({"track": "zengarden", "laps": 2})
     _, infos = envs.reset(seed=1, options={"track": "lighthouse"})
     race = envs.races[0].race
-    assert (infos["track"][0], race.laps) == ("lighthouse", 2)
+    assert (envs.tracks[infos["track"][0]], race.laps) == ("lighthouse", 2)
     envs.close()
 
 

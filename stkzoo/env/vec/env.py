@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array,
 from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo._os import cpu_count
+from stkzoo.engine.assets import find_assets
 from stkzoo.env.parallel import drive_opponents
 from stkzoo.env.vec.ahead import AheadRace
 from stkzoo.env.vec.slots import BoolArray, RaceSlots, SlotSteps
@@ -37,9 +38,9 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
 
     **Infos**, as Gymnasium has them: an array over slots for each key of the agents'
     infos, with a mask ``_<key>``; ``active`` (above); ``crashed``, whose race the game's
-    process has left in this step; ``track``, the name of the slot's track; ``final_obs`` and
-    ``final_info`` of slots that ended in this step, the latter with ``episode``: ``r`` is the
-    return and ``l`` the length.
+    process has left in this step; ``track``, the slot's track as an index into
+    :attr:`tracks`; ``final_obs`` and ``final_info`` of slots that ended in this step, the
+    latter with ``episode``: ``r`` is the return and ``l`` the length.
 
     **Crashes.** If the game dies or hangs, its race's slots are truncated with reward 0
     where they were seen last, the race is replaced and the others go on. It is logged as a
@@ -58,6 +59,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         num_agents: how many agents in each.
         num_envs: how many slots, races times agents.
         races: every race's environment, to look at; step them through this one alone.
+        tracks: the names of all tracks of the game's data, sorted.
         prefetch: whether the next race of each race is started while it runs.
         idle_observation: what slots see whose episode has ended before their race.
 
@@ -108,6 +110,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.idle_observation = create_zero_array(self.single_observation_space)
+        self.tracks = tuple(sorted(find_assets().tracks))
         self._rows = [RaceSlots(race, number) for number, race in enumerate(self.races)]
         self._names = [f"{a} of race {n}" for n in range(num_races) for a in first.possible_agents]
         self._is_player = np.array([not spec.use_ai for spec in first.specs] * num_races)
@@ -311,12 +314,13 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
     def _infos(self, steps: SlotSteps) -> dict[str, Any]:
         infos = self._columns(steps.infos)
         for slot, (observation, info) in steps.finals.items():
-            infos = self._add_info(infos, {"final_obs": observation, "final_info": info}, slot)
+            final = {**info, "track": self.tracks.index(info["track"])}
+            infos = self._add_info(infos, {"final_obs": observation, "final_info": final}, slot)
         return {
             **infos,
             **self._flag("active", steps.active),
             **self._flag("crashed", steps.crashed),
-            **self._flag("track", np.array(steps.tracks, object)),
+            **self._flag("track", np.array([self.tracks.index(name) for name in steps.tracks])),
         }
 
     def _name_tracks(self, steps: SlotSteps) -> None:
