@@ -56,7 +56,8 @@ class CommandParser(argparse.ArgumentParser):
 
 def _unknown(kind: str, name: object, known: Collection[str]) -> str:
     """The error for an unknown name, without the list of all."""
-    return str(unknown_name(kind, name, known)).partition(" Known: ")[0]
+    text = str(unknown_name(kind, name, known))
+    return re.split(r"(?: Choose a name from the list:)?\sKnown: ", text)[0]
 
 
 def option(default: Any = None, **keywords: Any) -> Any:

@@ -56,6 +56,9 @@ __all__ = [
 
 Kind = TypeVar("Kind", bound=type)
 
+#: The longest first line of a message, in characters.
+MAX_LINE = 200
+
 
 class StkzooError(Exception):
     """Base class of all errors that stkzoo raises on purpose."""
@@ -139,6 +142,12 @@ class ProtocolError(RemoteError):
     """The other end of a network connection sent an invalid message."""
 
 
+def shortened(value: object) -> str:
+    """The value as Python writes it, at most 60 characters long."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
 def check_whole(name: str, value: object, low: int, high: int | None = None) -> int:
     """Checks that a value is a whole number within bounds, and returns it as Python's own.
 
@@ -157,7 +166,7 @@ def check_whole(name: str, value: object, low: int, high: int | None = None) -> 
         number = low - 1
     if number < low or (high is not None and number > high):
         bounds = f"of {low} or more" if high is None else f"from {low} to {high}"
-        raise ConfigError(f"{name} is {value!r}, expected a whole number {bounds}")
+        raise ConfigError(f"{name} is {shortened(value)}, expected a whole number {bounds}")
     return number
 
 
@@ -194,7 +203,7 @@ def check_number(
         is_valid, bounds = low < number and (number < math.inf or not is_finite), f"above {low:g}"
     if not is_valid:
         what = f"a number of {unit}" if unit else "a number"
-        raise ConfigError(f"{name} is {value!r}, expected {what} {bounds}")
+        raise ConfigError(f"{name} is {shortened(value)}, expected {what} {bounds}")
     return number
 
 
@@ -205,7 +214,7 @@ def check_flag(name: str, value: object) -> bool:
         ConfigError: it is neither.
     """
     if not isinstance(value, Hashable) or value not in (True, False):
-        raise ConfigError(f"{name} is {value!r}, expected True or False")
+        raise ConfigError(f"{name} is {shortened(value)}, expected True or False")
     return bool(value)
 
 
@@ -235,7 +244,7 @@ def import_extra(module: str, needs: str, extra: str, hint: str = "") -> Any:
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> ConfigError:
-    """Makes the error for an unknown name; it suggests the nearest known one.
+    """Makes the error for an unknown name; it suggests the nearest known one, or lists them all.
 
     Args:
         kind: what the name is for, such as ``"track"``.
@@ -245,16 +254,27 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> ConfigError:
     known = sorted(known)
     near = difflib.get_close_matches(str(name), known, n=1)
     hint = f" Did you mean {near[0]!r}?" if near else ""
-    return ConfigError(f"unknown {kind} {name!r}.{hint} Known: {', '.join(known)}.")
+    text = f"unknown {kind} {shortened(name)}.{hint}"
+    names = f"Known: {', '.join(known)}."
+    if len(text) + len(names) < MAX_LINE:
+        return ConfigError(f"{text} {names}")
+    return ConfigError(text if hint else f"{text} Choose a name from the list:\n{names}")
 
 
 def check_arguments(kind: Kind) -> Kind:
-    """Decorates a class: an unknown keyword is a ``ConfigError`` that names the nearest one."""
+    """Decorates a class: an unknown keyword is a ``ConfigError`` that names the nearest one.
+
+    Where the class has ``num_kart``, ``num_karts`` is accepted too.
+    """
     make: Any = kind.__init__  # type: ignore[misc]
     known = list(inspect.signature(make).parameters)[1:]
 
     @functools.wraps(make)
     def checked(self: object, *values: object, **keywords: object) -> None:
+        if "num_karts" in keywords and "num_kart" in known:
+            if "num_kart" in keywords:
+                raise ConfigError("num_kart and num_karts are the same argument; give one of them")
+            keywords["num_kart"] = keywords.pop("num_karts")
         for name in keywords:
             if name not in known:
                 raise unknown_name("argument", name, known)

@@ -151,7 +151,7 @@ for name, rows in table.items():
 # %% [markdown]
 # ## Next steps
 #
-# - Film a race: `stkzoo race my_driver ai ai ai --track lighthouse --record race.mp4`.
+# - Film a race: `stkzoo race my_driver ai ai ai --track lighthouse --video race.mp4`.
 # - Watch one in the browser: `stkzoo race my_driver ai ai ai --track lighthouse --web`.
 # - Train longer, on more tracks (`track="train"`), against rivals ([opponents](../how-to/opponents.md)).
 # - Measure the driver on tracks that it has never seen: `stkzoo benchmark my_driver`

@@ -103,8 +103,10 @@ def add_batch_options(parser: argparse.ArgumentParser, decided: Collection[str])
 
 
 def tracks_option() -> Any:
-    """A field for ``--tracks``."""
-    return option(("train",), metavar="TRACK", help="names of tracks, or train, test or all")
+    """A field for ``--track``, with several names."""
+    return option(
+        ("train",), flag="--track", metavar="TRACK", help="tracks' names, or train, test or all"
+    )
 
 
 def directions_option(*default: str) -> Any:

@@ -70,14 +70,14 @@ class VideoArguments:
 
     Attributes:
         cameras: agents with a camera, 1 to 8 (default: auto, up to 4)
-        screen_width: width of the picture
-        screen_height: height of the picture
+        width: width of the picture
+        height: height of the picture
         render_sub_steps: pictures per step, with ten steps per second
     """
 
     cameras: int | None = option(metavar="N", type=_number_of_cameras)
-    screen_width: int = option(854, metavar="PIXELS")
-    screen_height: int = option(480, metavar="PIXELS")
+    width: int = option(854, metavar="PIXELS")
+    height: int = option(480, metavar="PIXELS")
     render_sub_steps: int = 3
 
 
@@ -102,14 +102,13 @@ class LivePageArguments:
     web_stay: bool = False
 
 
-def add_viewing_options(parser: argparse.ArgumentParser, video_option: str) -> None:
+def add_viewing_options(parser: argparse.ArgumentParser) -> None:
     """Adds the options for the window, videos and the live page."""
     add_options(parser.add_argument_group("the game's window"), WindowArguments)
     video = parser.add_argument_group("a video")
     formats = ".mp4, .mkv, .avi, .webm, .ogv, .mov, .gif"
-    video.add_argument(video_option, dest="video", metavar="FILE", help=f"make a video: {formats}")
+    video.add_argument("--video", metavar="FILE", help=f"make a video: {formats}")
     add_options(video, VideoArguments)
-    parser.set_defaults(video_option=video_option)
     add_options(parser.add_argument_group("a live page in the browser"), LivePageArguments)
 
 
@@ -121,7 +120,7 @@ def viewing_listeners(arguments: argparse.Namespace) -> list[RaceListener]:
     """
     found: list[RaceListener] = []
     if arguments.video is None:
-        _check_unused(arguments, VideoArguments, arguments.video_option)
+        _check_unused(arguments, VideoArguments, "--video")
     if not arguments.web:
         _check_unused(arguments, LivePageArguments, "--web")
     if arguments.window:
@@ -144,7 +143,7 @@ def _check_unused(arguments: argparse.Namespace, kind: type, needed: str) -> Non
 
 
 def _window() -> RaceListener:
-    check_display("--window opens the game's window", ", or --record FILE for a video")
+    check_display("--window opens the game's window", ", or --video FILE for a video")
     from stkzoo.race import RaceListener
 
     class Window(RaceListener):
@@ -156,13 +155,13 @@ def _window() -> RaceListener:
 
 def _video(arguments: argparse.Namespace) -> RaceListener:
     if arguments.races > 1:
-        raise ConfigError("--record makes a video of one race; leave out --races")
+        raise ConfigError("--video makes a video of one race; leave out --races")
     from stkzoo.race import RaceVideo
 
     return RaceVideo(
         arguments.video,
         cameras=arguments.cameras,
-        size=(arguments.screen_width, arguments.screen_height),
+        size=(arguments.width, arguments.height),
         sub_steps=arguments.render_sub_steps,
     )
 

@@ -14,7 +14,7 @@ The agent is named as for `stkzoo race`: heuristic, ai, random, a folder, a zip,
 
 Examples:
   stkzoo benchmark heuristic                    300 races, stored in benchmark/heuristic
-  stkzoo benchmark my_agent/ --split lighthouse hacienda --seeds 2
+  stkzoo benchmark my_agent/ --track lighthouse hacienda --seeds 2
   stkzoo benchmark my_agent.zip --difficulty 2 --output results/mine --inline
   stkzoo benchmark --compare results/mine benchmark/heuristic
   stkzoo benchmark --baseline --output ai-times     measure the AI's own times
@@ -77,7 +77,7 @@ class BenchmarkArguments:
         compare: show the results in these folders or result.json files, and the differences between
             the first and each other in the same races
         baseline: measure the game's AI itself, at all difficulties, for --ai-times
-        split: test, train, all, or names of tracks (default: test; with --baseline all)
+        split: tracks' names, or train, test or all (default: test; with --baseline all)
         difficulty: of the game's AI, 0 to 3
         forms: P is a kart of the agent, A one of the AI (default: PAAAA PPAAA P)
         seeds: races of each kind
@@ -91,7 +91,7 @@ class BenchmarkArguments:
     agent: str | None = positional(None)
     compare: tuple[str, ...] | None = option(metavar="RESULT", rivals="what")
     baseline: bool = option(False, rivals="what")
-    split: tuple[str, ...] | None = option(metavar="TRACK")
+    split: tuple[str, ...] | None = option(flag="--track", metavar="TRACK")
     difficulty: int = 3
     forms: tuple[str, ...] | None = option(metavar="FORM")
     seeds: int = 5

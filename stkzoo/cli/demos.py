@@ -14,7 +14,7 @@ Examples:
   stkzoo demos heuristic                              15 training tracks, in demos.npz
   stkzoo demos ai --difficulty 3 --seeds 5 --directions forward reversed --output ai.npz
   stkzoo demos heuristic --rivals ai ai ai ai --karts 1 --view flattened_discrete
-  stkzoo demos my_agent/ --tracks lighthouse hacienda --check
+  stkzoo demos my_agent/ --track lighthouse hacienda --check
   stkzoo demos heuristic --format minari --output supertuxkart/heuristic-v0
 
 exit codes:
@@ -70,7 +70,7 @@ class DemosArguments:
     """
 
     agent: str = positional()
-    view: str = option("racing", metavar="NAME")
+    view: str = "racing"
     tracks: tuple[str, ...] = tracks_option()
     directions: tuple[str, ...] = directions_option("forward")
     seeds: int = 1

@@ -39,11 +39,14 @@ _DEFAULTS = {
     "num_karts": 3,
     "error_handling": "raise",
     "action_timeout": 0.0,
-    "screen_width": 1280,
-    "screen_height": 720,
+    "width": 1280,
+    "height": 720,
     "render_sub_steps": 1,
     "web_port": 8050,
 }
+
+#: The reference's names of options, and what `stkzoo race` calls their values.
+_NAMES = {"--record": "video", "--screen-width": "width", "--screen-height": "height"}
 
 
 def add_arguments(parser: CommandParser) -> None:
@@ -54,6 +57,9 @@ def add_arguments(parser: CommandParser) -> None:
     race_client.add_arguments(client)
     race_server.add_arguments(server)
     for child in (local, client):
+        for name, field in _NAMES.items():
+            kind = str if field == "video" else int
+            child.add_argument(name, dest=field, type=kind, help=argparse.SUPPRESS)
         child.set_defaults(**_DEFAULTS, document=_document)
     client.set_defaults(timeout=60.0)
     server.set_defaults(action_timeout=0.0)
@@ -103,11 +109,19 @@ def _install(_: argparse.Namespace) -> int:
 
 def _translate(arguments: argparse.Namespace) -> None:
     """Changes options into those of ``stkzoo race``, and says what pystk2 does otherwise."""
+    from stkzoo.race import RaceListener
+
+    class ReferenceReward(RaceListener):
+        def env_options(self) -> dict[str, Any]:
+            return {"reward": "reference"}
+
+    if arguments.replay is None:  # a replay is checked with stkzoo's own reward
+        arguments.listeners = (ReferenceReward(),)
     if arguments.verbose:
         logging.basicConfig(level=logging.DEBUG)
     notes = []
     for kind, needed, is_used in (
-        (VideoArguments, "--record", arguments.video is not None),
+        (VideoArguments, "--video", arguments.video is not None),
         (LivePageArguments, "--web", arguments.web),
     ):
         for entry in () if is_used else fields(kind):

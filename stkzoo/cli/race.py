@@ -18,7 +18,7 @@ Examples:
   stkzoo race my_agent/ other.zip@:Rival ai    agents of files against the game's AI
   stkzoo race my_agent/ ai --races 10 --track test --output results.json
   stkzoo race heuristic --num-karts 8          with seven bots
-  stkzoo race heuristic random --output -      the result as JSON
+  stkzoo race heuristic random --json          the result as JSON
   stkzoo race my_agent/ ai --show-output       see what your agent prints
 
 exit codes:
@@ -70,13 +70,15 @@ class RacesArguments:
     Attributes:
         num_karts: fill the race up with the AI to N karts
         races: number of races, with consecutive seeds
-        output: write the result into FILE as JSON; - writes only it, to stdout
+        output: write the result into FILE as JSON
+        json: write only JSON to stdout
         seed: of all random choices
     """
 
     num_karts: int | None = None
     races: int = 1
     output: str | None = option(metavar="FILE")
+    json: bool = False
     seed: int | None = None
 
 
@@ -104,8 +106,8 @@ def add_race_options(parser: argparse.ArgumentParser) -> None:
     add_options(parser, RacesArguments)
     add_options(parser.add_argument_group("the race"), RaceSettings, without=_DECIDED)
     _race_options.add_replay_options(parser)
-    _race_options.add_viewing_options(parser, "--record")
-    parser.set_defaults(document=_document)
+    _race_options.add_viewing_options(parser)
+    parser.set_defaults(document=_document, listeners=())
 
 
 @usage_errors
@@ -130,7 +132,7 @@ def run_races(arguments: argparse.Namespace, remote: Sequence[Driver] = ()) -> i
     failure: AgentError | None = None
     code = 0
     try:
-        with _prints_on_stderr() if arguments.output == "-" else contextlib.nullcontext():
+        with _prints_on_stderr() if arguments.json else contextlib.nullcontext():
             for drivers, settings in _plan(arguments, remote):
                 results.append(_race(drivers, settings, arguments))
     except AgentError as error:
@@ -163,7 +165,7 @@ def _plan(
     """For each race the drivers, and the settings of :func:`stkzoo.race.run_race`."""
     if arguments.demo and arguments.drivers:
         raise ConfigError("--demo brings its own drivers; leave out --demo or the drivers")
-    if arguments.output not in (None, "-"):
+    if arguments.output is not None:
         check_writable(arguments.output, "the result")
     outputs = [arguments.output, arguments.replay, arguments.video]
     for file in filter(None, outputs):
@@ -194,7 +196,8 @@ def _race(
 
     with RaceBar() as bar:
         replay = _race_options.replay_listeners(arguments)
-        listeners = [LoadCheck(), bar, *replay, *_race_options.viewing_listeners(arguments)]
+        shown = _race_options.viewing_listeners(arguments)
+        listeners = [LoadCheck(), bar, *replay, *shown, *arguments.listeners]
         return run_race(drivers, listeners=listeners, **settings)
 
 
@@ -204,10 +207,9 @@ def _report(
     """Shows and writes the results."""
     code = _AGENT_FAILED if any(result.has_errors for result in results) else 0
     text = arguments.document(results, failure, arguments)
-    if arguments.output == "-":
+    if arguments.json:
         print(text, end="\n" if text else "")
-        return code
-    if results:
+    elif results:
         _show(results, arguments, is_clean=not code)
     if arguments.output and text:
         with write_whole(arguments.output, "the result", StkzooError) as part:

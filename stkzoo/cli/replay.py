@@ -52,7 +52,7 @@ class ReplayArguments:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
     add_options(parser, ReplayArguments)
-    add_viewing_options(parser, "--video")
+    add_viewing_options(parser)
     parser.set_defaults(races=1)
 
 

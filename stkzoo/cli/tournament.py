@@ -14,8 +14,8 @@ Agents are named as for `stkzoo race`: ai, heuristic, random, a folder, a zip, a
 @:Name to rename one.
 
 Examples:
-  stkzoo tournament heuristic ai random my_agent/ --tracks lighthouse hacienda
-  stkzoo tournament students/*.zip ai --tracks test --races 300 --per-race 5 --output league
+  stkzoo tournament heuristic ai random my_agent/ --track lighthouse hacienda
+  stkzoo tournament students/*.zip ai --track test --races 300 --per-race 5 --output league
   stkzoo tournament --resume league
   stkzoo tournament --resume league late.zip       the agent late.zip joins
   stkzoo tournament ai --servers servers.txt --secret course.secret

@@ -2,11 +2,11 @@
 
 Shows the game's tracks: the length of a lap, parts and forks of the driving line, items at
 the start, and how long the game's AI takes for a lap, forward and reversed (median of 25 karts
-at --difficulty). Do not train on the tracks of the split "test".
+at --difficulty). Do not train on the tracks of "test".
 
 Examples:
   stkzoo tracks                                    all, by name
-  stkzoo tracks --split train --sort time          training tracks, the fastest first
+  stkzoo tracks train --sort time                  training tracks, the fastest first
   stkzoo tracks lighthouse hacienda --difficulty 3
   stkzoo tracks lighthouse --map lighthouse.png    its map as a picture
   stkzoo tracks --json                             for programs
@@ -33,8 +33,7 @@ class TracksArguments:
     """Options of ``stkzoo tracks``.
 
     Attributes:
-        tracks: only these (default: all)
-        split: only the tracks of one split
+        tracks: names, or train, test or all (default: all)
         sort: what they are sorted by
         difficulty: of the AI whose times are shown, 0 to 3
         map: draw the one track's map (.png, .jpg, .webp)
@@ -42,7 +41,6 @@ class TracksArguments:
     """
 
     tracks: tuple[str, ...] = positional((), metavar="TRACK")
-    split: str | None = option(choices=list(SPLITS))
     sort: str = option("name", choices=_SORTS)
     difficulty: int = option(2, choices=range(4), metavar="N")
     map: Path | None = option(metavar="FILE")
@@ -94,13 +92,15 @@ def _chosen(arguments: argparse.Namespace) -> list[str]:
     from stkzoo.engine.assets import find_assets
 
     known = find_assets().tracks
-    for name in arguments.tracks:
-        if name not in known:
-            raise unknown_name("track", name, known)
-    names = arguments.tracks or [n for n in SPLITS[arguments.split or "all"] if n in known]
-    if arguments.split is not None:
-        names = [name for name in names if name in SPLITS[arguments.split]]
-    return list(names)
+    chosen: list[str] = []
+    for name in arguments.tracks or ["all"]:
+        if name in SPLITS:
+            chosen += [track for track in SPLITS[name] if track in known]
+        elif name in known:
+            chosen.append(name)
+        else:
+            raise unknown_name("track", name, [*known, *SPLITS])
+    return list(dict.fromkeys(chosen))
 
 
 def track_facts(track: str, difficulty: int) -> TrackFacts:

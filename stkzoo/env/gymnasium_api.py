@@ -250,7 +250,7 @@ def split_keywords(
     """
     (own,) = views_of_agents(view, ["kart_0"]).values()
     names = options_of(own)
-    race = {*inspect.signature(RaceParallelEnv).parameters, *others} - {"agents"}
+    race = {*inspect.signature(RaceParallelEnv).parameters, "num_karts", *others} - {"agents"}
     for name in keywords:
         if name not in race.union(names):
             raise unknown_name("argument", name, race.union(names))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -29,7 +28,14 @@ from stkzoo.env.grid import draw_race
 from stkzoo.env.options import MAX_CAMERAS, RaceOptions, check_agents, random_stream
 from stkzoo.env.rendering import RENDER_MODES, Rendering, available_modes, frame_rate
 from stkzoo.env.starts import MAX_START_DRAWS, is_random
-from stkzoo.errors import ApiOrderError, ConfigError, check_arguments, check_number, check_whole
+from stkzoo.errors import (
+    ApiOrderError,
+    ConfigError,
+    check_arguments,
+    check_number,
+    check_whole,
+    unknown_name,
+)
 from stkzoo.mdp.spaces import kart_action_space
 from stkzoo.mdp.state import state_space
 from stkzoo.views import base_space, views_of_agents
@@ -40,7 +46,6 @@ if TYPE_CHECKING:
     from stkzoo.drivers import Driver
     from stkzoo.env.opponents import OpponentChoice
 
-logger = logging.getLogger(__name__)
 
 Observations = dict[str, Any]
 
@@ -188,7 +193,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         Args:
             seed: restarts the environment's random stream; ``None`` goes on with it.
             options: fields of :class:`~stkzoo.env.options.RaceOptions` for this episode
-                alone, except ``num_kart``; others are ignored with a log line. ``state``
+                alone, except ``num_kart``. ``state``
                 is a :class:`~stkzoo.env.state.RaceState`: the episode starts at that moment
                 of that race, with the agents that were racing, and counts from zero; of
                 the other options only ``max_cycles``, ``max_paths``, ``events`` and those that
@@ -457,9 +462,10 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
                 f"options ask for {episode.num_kart} karts in an environment of "
                 f"{self.options.num_kart}; make another environment for that"
             )
-        unknown = set(options) - set(RaceOptions.__dataclass_fields__) - {"state", "scenario"}
-        if unknown:
-            logger.warning("reset() ignores unknown options: %s", ", ".join(map(str, unknown)))
+        known = (*RaceOptions.__dataclass_fields__, "state", "scenario")
+        for name in options:
+            if name not in known:
+                raise unknown_name("option", name, known)
         return episode
 
 

@@ -147,7 +147,7 @@ _LIMITS = ("--track", "olivermath", "--seed", "3", "--action-timeout", "2", "--s
 _RACE = ("-m", "stkzoo", "race", "plain.zip", "heuristic", "ai", "--max-steps", "150", *_LIMITS)
 _KEPT = ("--output", "out/race.json", "--replay", "out/race.stkz")
 _LEAGUE = ("-m", "stkzoo", "tournament", "heuristic", "ai", "plain.zip", "--races", str(_RACES))
-_SHORT = ("--tracks", "olivermath", "--max-steps", "60", "--no-plot", "--jobs", "2")
+_SHORT = ("--track", "olivermath", "--max-steps", "60", "--no-plot", "--jobs", "2")
 _SPAWN = (("STKZOO_START_METHOD", "spawn"),)
 _ALL = ("race", "fork server", "program")
 

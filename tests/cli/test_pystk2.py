@@ -93,13 +93,13 @@ def test_a_failure_ends_the_race_and_is_the_result(tmp_path, capsys):
 def test_what_differs_is_one_line(monkeypatch, capsys):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
         monkeypatch.delenv(name, raising=False)
-    words = "race ai --track lighthouse --max-steps 2 --cameras 2 --screen-width 600 --web-port 9"
+    words = "race ai --track lighthouse --max-steps 2 --cameras 2 --width 600 --web-port 9"
     assert main(["pystk2", *words.split()]) == 0
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     for text in (
-        "--cameras does nothing without --record",
-        "--screen-width does nothing",
+        "--cameras does nothing without --video",
+        "--width does nothing",
         "--web-port does nothing without --web",
         "no window opens, because there is no display",
     ):

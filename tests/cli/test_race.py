@@ -107,7 +107,7 @@ def test_command_writes_json(tmp_path):
 
 @pytest.mark.slow
 def test_command_writes_only_json_to_stdout_on_request(capsys):
-    assert main(["race", "ai", "--track", "olivermath", "--output", "-"]) == 0
+    assert main(["race", "ai", "--track", "olivermath", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["track"] == "olivermath"
 
 
@@ -117,7 +117,7 @@ def test_what_an_agent_prints_stays_out_of_the_json(capfd, tmp_path):
     shutil.copytree(AGENTS / "plain", agent)
     with (agent / "pystk_actor.py").open("a") as module:
         module.write("import os\nprint('at load')\nos.write(1, b'by a library')\n")
-    words = ["--inline", "--track", "olivermath", "--max-steps", "2", "--output", "-"]
+    words = ["--inline", "--track", "olivermath", "--max-steps", "2", "--json"]
     assert main(["race", str(agent), *words]) == 0
     printed = capfd.readouterr()
     assert json.loads(printed.out)["steps"] == 2
@@ -126,7 +126,7 @@ def test_what_an_agent_prints_stays_out_of_the_json(capfd, tmp_path):
 
 
 def test_command_fills_the_race_up(capsys):
-    words = ["race", "heuristic", "--num-karts", "3", "--track", "olivermath", "--output", "-"]
+    words = ["race", "heuristic", "--num-karts", "3", "--track", "olivermath", "--json"]
     assert main(words) == 0
     drivers = [row["driver"] for row in json.loads(capsys.readouterr().out)["agents"]]
     assert sorted(drivers) == ["ai", "ai", "heuristic"]
@@ -151,7 +151,7 @@ def test_command_fills_the_race_up(capsys):
         ["ai", "--adapter", "no.py"],
         ["ai", "heuristic", "--adapter", __file__],
         ["ai", "--cameras", "2"],
-        ["ai", "--cameras", "auto", "--screen-width", "99"],
+        ["ai", "--cameras", "auto", "--width", "99"],
         ["ai", "--web-port", "8001"],
         ["ai", "--replay", "race.stkz", "--output", "race.stkz"],
     ],
@@ -160,11 +160,11 @@ def test_bad_usage_exits_with_2(words, capsys):
     assert main(["race", *words]) == 2
     said = capsys.readouterr().err
     assert said.startswith("stkzoo race: ")
-    assert said.count("\n") == 1
+    assert said.count("\n") <= 2  # the second line may list the valid names
 
 
 def test_a_number_of_cameras_that_is_none_is_named(capsys):
-    assert main(["race", "ai", "--cameras", "x", "--record", "race.mp4"]) == 2
+    assert main(["race", "ai", "--cameras", "x", "--video", "race.mp4"]) == 2
     assert "--cameras: 'x' is neither a number nor auto" in capsys.readouterr().err
 
 
@@ -175,7 +175,7 @@ def test_command_without_the_games_data_exits_with_1(monkeypatch, tmp_path, caps
 
 
 @pytest.mark.parametrize(
-    ("option", "name"), [("--output", "a.json"), ("--replay", "a.stkz"), ("--record", "a.mp4")]
+    ("option", "name"), [("--output", "a.json"), ("--replay", "a.stkz"), ("--video", "a.mp4")]
 )
 @pytest.mark.parametrize("folder", ["missing", "."])
 def test_a_path_that_cannot_be_written_is_refused_before_the_race(

@@ -30,7 +30,7 @@ def test_tracks_shows_what_the_race_has(capsys):
 
 @pytest.mark.slow
 def test_tracks_of_a_split_are_shown(capsys):
-    assert main(["tracks", "--split", "test", "--difficulty", "0"]) == 0
+    assert main(["tracks", "test", "--difficulty", "0"]) == 0
     shown = capsys.readouterr().out
     assert all(track in shown for track in SPLITS["test"])
     assert "lighthouse" not in shown

@@ -143,7 +143,7 @@ def test_a_killed_benchmark_goes_on_to_the_same_result(small, tmp_path):
     words = [
         "benchmark",
         "heuristic",
-        "--split",
+        "--track",
         "lighthouse",
         "--forms",
         "PA",
@@ -288,7 +288,7 @@ def test_the_command_shows_the_figures_and_compares(small, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_the_command_exits_with_3_when_the_agent_failed(tmp_path, capsys):
-    words = ["--split", "lighthouse", "--forms", "PA", "--seeds", "1", "--directions", "forward"]
+    words = ["--track", "lighthouse", "--forms", "PA", "--seeds", "1", "--directions", "forward"]
     agent = str(AGENTS / "hostile" / "unloadable.py")
     output = ["--output", str(tmp_path / "one"), "--json", "--no-plot"]
     assert main(["benchmark", agent, *words, *output]) == 3

@@ -199,7 +199,7 @@ def test_other_demonstrations_are_not_overwritten(driven):
         record_demonstrations("pursuit", output=file, seeds=5, rivals=["ai"], **SHORT)
 
 
-COMMAND = ["pursuit", "--tracks", "lighthouse", "--karts", "1", "--max-steps", "40", "--jobs", "1"]
+COMMAND = ["pursuit", "--track", "lighthouse", "--karts", "1", "--max-steps", "40", "--jobs", "1"]
 
 
 @pytest.mark.slow
@@ -255,7 +255,7 @@ def test_the_command_records_and_checks(tmp_path, capsys):
         (["ai", "--check"], "--check cannot drive the game's AI again"),
         (["ai", "--substeps", "5"], "expected one of"),
         (["pursuit", "--substeps", "4"], "decide once in a step"),
-        (["ai", "--tracks", "moon"], "moon"),
+        (["ai", "--track", "moon"], "moon"),
         (["ai", "--karts", "21"], "karts is 21"),
     ],
 )
@@ -271,7 +271,7 @@ def test_an_agent_that_fails_makes_no_demonstrations(tmp_path, capsys):
         'env_name = "supertuxkart/racing-v0"\nplayer_name = "bad"\n'
         "def get_actor(*_):\n    return lambda *_: 1 / 0\n"
     )
-    words = ["--tracks", "lighthouse", "--karts", "1", "--output", str(tmp_path / "d.npz")]
+    words = ["--track", "lighthouse", "--karts", "1", "--output", str(tmp_path / "d.npz")]
     assert main(["demos", str(bad), *words]) == 1
     assert "ZeroDivisionError" in capsys.readouterr().err
     assert not (tmp_path / "d.npz").exists()

@@ -195,7 +195,7 @@ SIX = ("heuristic", "ai", "random", "heuristic@:second", "ai@:rival", "random@:d
 def test_races_killed_at_half_and_resumed_are_all_races(tmp_path):
     folder = tmp_path / "league"
     command = [sys.executable, "-m", "stkzoo", "tournament", *SIX, "--output", str(folder)]
-    words = ["--races", "24", "--max-steps", "10", "--tracks", "lighthouse", "olivermath"]
+    words = ["--races", "24", "--max-steps", "10", "--track", "lighthouse", "olivermath"]
     program = subprocess.Popen([*command, *words], stderr=subprocess.PIPE, text=True)
     is_over = lambda: program.poll() is not None  # noqa: E731
     is_half = lambda: len(races_in(folder)) >= 12  # noqa: E731
@@ -247,7 +247,7 @@ def test_a_resumed_tournament_comes_to_the_same(tmp_path):
 def test_ctrl_c_says_how_to_go_on(tmp_path):
     folder = tmp_path / "cup"
     command = [sys.executable, "-m", "stkzoo", "tournament", "ai", "heuristic"]
-    words = ["--output", str(folder), "--races", "50", "--tracks", "lighthouse"]
+    words = ["--output", str(folder), "--races", "50", "--track", "lighthouse"]
     program = subprocess.Popen([*command, *words], stderr=subprocess.PIPE, text=True)
     assert wait_until(lambda: races_in(folder), seconds=60)
     workers = children_of(program.pid)
@@ -399,7 +399,7 @@ def test_agents_of_one_file_name_are_called_by_their_player_names():
 def test_the_command_shows_a_table_and_exits_with_3_when_an_agent_failed(tmp_path, capsys):
     folder = str(tmp_path / "cup")
     agents = ["ai", str(AGENTS / "hostile" / "once.py")]
-    words = ["--races", "2", "--max-steps", "10", "--tracks", "lighthouse", "--output", folder]
+    words = ["--races", "2", "--max-steps", "10", "--track", "lighthouse", "--output", folder]
     assert main(["tournament", *agents, *words, "--no-plot"]) == 3
     shown = capsys.readouterr().out
     assert "2 of 2 races of 2 on lighthouse" in shown

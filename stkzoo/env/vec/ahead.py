@@ -5,16 +5,15 @@ from __future__ import annotations
 import copy
 import logging
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import Any
 
 from stkzoo.engine.race import RaceStart
 from stkzoo.engine.session import WorkerSession
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.env.grid import draw_race
-from stkzoo.env.options import RaceOptions, random_stream
+from stkzoo.env.options import random_stream
 from stkzoo.env.parallel import RaceParallelEnv
-from stkzoo.errors import ConfigError, EngineError, StkzooError, unknown_name
+from stkzoo.errors import ConfigError, EngineError, StkzooError
 
 logger = logging.getLogger(__name__)
 
@@ -50,10 +49,6 @@ class AheadRace(RaceParallelEnv):
             ConfigError: an option is unknown or invalid.
         """
         self._options_now(options).tracks(self._assets.tracks)
-        known = [field.name for field in fields(RaceOptions)] + ["state", "scenario"]
-        for name in options:
-            if name not in known:
-                raise unknown_name("option", name, known)
 
     def prepare(self, seed: int | None = None, options: Mapping[str, Any] | None = None) -> None:
         """Starts the race that :meth:`reset` with the same arguments will ask for.

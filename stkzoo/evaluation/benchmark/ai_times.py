@@ -107,7 +107,7 @@ class AiTimes(Document):
         except KeyError:
             raise ConfigError(
                 f"the game's AI has no time on {track} ({direction_name(reverse)}) at difficulty "
-                f"{difficulty}; measure it: stkzoo benchmark --baseline --split {track} --output "
+                f"{difficulty}; measure it: stkzoo benchmark --baseline --track {track} --output "
                 "ai-times, then pass --ai-times ai-times/ai_times.json"
             ) from None
 

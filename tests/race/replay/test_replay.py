@@ -396,6 +396,6 @@ def test_one_replay_for_several_races_is_bad_usage(tmp_path, capsys):
 @pytest.mark.slow
 def test_a_replay_becomes_a_video(small, tmp_path):
     video = tmp_path / "race.mp4"
-    size = ["--screen-width", "160", "--screen-height", "90", "--render-sub-steps", "1"]
+    size = ["--width", "160", "--height", "90", "--render-sub-steps", "1"]
     assert main(["replay", str(small), "--video", str(video), "--cameras", "1", *size]) == 0
     assert video.read_bytes()[4:8] == b"ftyp"
