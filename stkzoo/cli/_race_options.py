@@ -73,12 +73,15 @@ class VideoArguments:
         width: width of the picture
         height: height of the picture
         render_sub_steps: pictures per step, with ten steps per second
+        render_backend: engine: the game draws; map: the race from above, ten times as fast; auto:
+            the game if it can draw here
     """
 
     cameras: int | None = option(metavar="N", type=_number_of_cameras)
     width: int = option(854, metavar="PIXELS")
     height: int = option(480, metavar="PIXELS")
     render_sub_steps: int = 3
+    render_backend: str = option("auto", choices=("auto", "engine", "map"))
 
 
 @dataclass
@@ -163,6 +166,7 @@ def _video(arguments: argparse.Namespace) -> RaceListener:
         cameras=arguments.cameras,
         size=(arguments.width, arguments.height),
         sub_steps=arguments.render_sub_steps,
+        backend=arguments.render_backend,
     )
 
 

@@ -393,6 +393,16 @@ def test_one_replay_for_several_races_is_bad_usage(tmp_path, capsys):
     assert "--replay keeps one race" in capsys.readouterr().err
 
 
+def test_a_replay_becomes_a_film_of_the_map_without_the_render_process(
+    small, tmp_path, monkeypatch
+):
+    monkeypatch.delattr("stkzoo.render.game.RenderSession")  # the game's renderer is out of reach
+    video = tmp_path / "race.mp4"
+    words = ["--video", str(video), "--render-backend", "map", "--render-sub-steps", "1"]
+    assert main(["replay", str(small), *words]) == 0
+    assert video.read_bytes()[4:8] == b"ftyp"
+
+
 @pytest.mark.slow
 def test_a_replay_becomes_a_video(small, tmp_path):
     video = tmp_path / "race.mp4"
