@@ -16,7 +16,7 @@ BROWSER_PACKAGES := chromium chromium-driver
 # What people read: checked for typing errors and for words to avoid.
 PROSE := README.md CHANGELOG.md CONTRIBUTING.md docs stkzoo wrappers agents examples benchmarks
 
-.PHONY: browser graphics help race test test-fast check bench docs site wheel clean
+.PHONY: browser graphics help race test test-fast check bench docs pictures site wheel clean
 
 help:
 	@echo "make race    set everything up; a learned driver races the hardest bots"
@@ -25,6 +25,7 @@ help:
 	@echo "make check   lint, format, types and spelling"
 	@echo "make bench   measure speed and memory"
 	@echo "make site    build the documentation's pages"
+	@echo "make pictures  draw the tracks and charts of the documentation again"
 	@echo "make docs    build them and run all examples of the documentation"
 	@echo "make wheel   build dist/stkzoo-*.whl, to install elsewhere"
 	@echo "make clean   remove what was built here; the game's data stays"
@@ -56,6 +57,12 @@ bench: $(VENV)/.dev
 docs: site $(VENV)/.dev
 	$(BIN)/stkzoo assets install
 	$(PYTEST) --doctest-modules stkzoo tests/docs $(ARGS)
+
+# Pictures are in the repository; draw them again after a change of the map or of the results.
+pictures: $(VENV)/.dev
+	$(BIN)/stkzoo assets install
+	$(BIN)/python -m benchmarks.track_atlas
+	$(BIN)/python -m benchmarks.bench_charts
 
 # The documentation as pages, in the folder site; every warning and every dead link fails.
 site: $(VENV)/.docs

@@ -16,7 +16,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from benchmarks import bench_tables
+from benchmarks import bench_charts, bench_tables
 from benchmarks.bench_common import RESULTS, progress_bar
 
 #: In the order in which they run, with arguments that make a trial of each short.
@@ -57,7 +57,7 @@ def main(arguments: list[str] | None = None) -> int:
     if failed:
         print(f"failed, or contenders drove different races: {', '.join(failed)}", file=sys.stderr)
     elif options.output.resolve() == RESULTS.resolve() and not options.quick:
-        return bench_tables.main([])
+        return bench_charts.main([]) or bench_tables.main([])
     return int(bool(failed))
 
 

@@ -1,4 +1,4 @@
-"""Writes ``docs/explanation/benchmarks.md`` from the saved results.
+"""Writes ``docs/reference/benchmark-results.md`` from the saved results.
 
 python -m benchmarks.bench_tables
 python -m benchmarks.bench_tables --results trial --output page.md
@@ -26,7 +26,7 @@ from benchmarks import (
 )
 from benchmarks.bench_common import RESULTS, Table
 
-PAGE = Path(__file__).parents[1] / "docs" / "explanation" / "benchmarks.md"
+PAGE = Path(__file__).parents[1] / "docs" / "reference" / "benchmark-results.md"
 
 _SECTIONS: dict[str, tuple[str, Callable[[Any], Sequence[Table]]]] = {
     "steps": ("Steps", bench_steps.tables),
@@ -40,13 +40,12 @@ _SECTIONS: dict[str, tuple[str, Callable[[Any], Sequence[Table]]]] = {
     "remote": ("Networked races", bench_remote.tables),
 }
 
-_HEAD = """# Benchmarks
+_HEAD = """# Benchmark results
 
-This page is written by `python -m benchmarks.bench_tables` from `benchmarks/results`;
-`make bench` measures everything again and writes it. See
-[benchmarks/README.md](../../benchmarks/README.md) for how it is measured and what each figure
-means. *Reference* is pystk2-gymnasium 0.10.0. Figures are medians, with the 10 and
-90 % quantiles in brackets.
+`python -m benchmarks.bench_tables` writes this page from `benchmarks/results`; `make bench`
+measures everything again first. [Benchmarks](../explanation/benchmarks.md) has the charts and the
+method. *Reference* means pystk2-gymnasium 0.10.0. Figures are medians, with the 10 and 90 %
+quantiles in brackets.
 """
 
 

@@ -19,7 +19,7 @@ PAGES = {
     ROOT / "README.md": DOCS / "index.md",
     ROOT / "CHANGELOG.md": DOCS / "changelog.md",
     ROOT / "CONTRIBUTING.md": DOCS / "contributing.md",
-    ROOT / "benchmarks" / "README.md": DOCS / "explanation" / "benchmarks-method.md",
+    ROOT / "benchmarks" / "README.md": DOCS / "explanation" / "benchmarks.md",
 }
 
 _LINK = re.compile(r"\[(?P<text>[^\]]*)\]\((?P<path>\.\./[^)#\s]*)(?P<place>#[^)\s]*)?\)")

@@ -4,6 +4,7 @@ import argparse
 import importlib
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -12,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import bench_steps, bench_tables, opponents
+from benchmarks import bench_charts, bench_steps, bench_tables, opponents
 from benchmarks.bench_all import BENCHMARKS
 from benchmarks.bench_common import VIEWS, Table, figures, quantiles
 from benchmarks.bench_controls import (
@@ -150,6 +151,18 @@ def test_the_page_is_written_from_the_results(trial, tmp_path):
     assert "python -m benchmarks.bench_steps --steps 10" in text
     assert text.count("| --: |") > 5
     assert "stkzoo, worker" in text
+
+
+def test_the_charts_are_of_the_saved_results(tmp_path):
+    assert bench_charts.main(["--output", str(tmp_path)]) == 0
+    saved = ROOT / "docs" / "images" / "benchmarks"
+    for name in bench_charts.CHARTS:
+        drawn = (tmp_path / f"{name}.svg").read_text()
+        assert labels(drawn) == labels((saved / f"{name}.svg").read_text()) != []
+
+
+def labels(svg):
+    return re.findall("<!-- (.*?) -->", svg)
 
 
 def test_the_page_needs_results(tmp_path, capsys):

@@ -48,7 +48,7 @@ def test_links_that_lead_nowhere_are_found(site, link, complaint):
 def test_links_out_of_the_site_become_links_within():
     inside = extension("outside_links").inside
     folder = ROOT / "docs" / "how-to"
-    method = "../explanation/benchmarks-method.md"
+    method = "../explanation/benchmarks.md"
     assert inside("[method](../../benchmarks/README.md)", folder) == f"[method]({method})"
     assert inside("[results](../../benchmarks/results)", folder) == "results"
     assert inside("[tracks](../../stkzoo/tracks.py)", folder) == "[tracks](../../stkzoo/tracks.py)"

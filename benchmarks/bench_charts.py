@@ -1,0 +1,107 @@
+"""Draws the three charts of ``docs/explanation/benchmarks.md`` from the saved results.
+
+python -m benchmarks.bench_charts
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from benchmarks.bench_common import RESULTS
+from stkzoo._os import write_whole
+from stkzoo.evaluation.plotting import GREY, PALETTE, new_figure, style_axes
+
+PICTURES = Path(__file__).parents[1] / "docs" / "images" / "benchmarks"
+SIZE = (8.0, 3.0)  # [in]
+_DRIVERS = ("random", "ai", "heuristic", "scout", "ace")
+
+
+def throughput(results: Path, axes: Any) -> None:
+    """Steps per second of a race whose karts are all agents, here and in the reference."""
+    contenders = {"engine": GREY, "stkzoo, worker": PALETTE[0], "reference, in process": PALETTE[1]}
+    titles = ("the engine alone", "stkzoo", "pystk2-gymnasium")
+    rows = [row for row in _load(results / "steps.json") if row["group"] == "multi"]
+    width = 0.8 / len(contenders)
+    for number, ((name, colour), title) in enumerate(zip(contenders.items(), titles, strict=True)):
+        rates = [1e6 / row["contenders"][name]["step"]["median"] for row in rows]
+        places = [place + (number - 1) * width for place in range(len(rows))]
+        bars = axes.bar(places, rates, width * 0.92, color=colour, label=title)
+        axes.bar_label(bars, [f"{rate:,.0f}" for rate in rates], fontsize=8)
+    axes.set_xticks(range(len(rows)), [f"{row['karts']} karts" for row in rows])
+    axes.set_yscale("log")
+    axes.set_yticks([])
+    axes.minorticks_off()
+    axes.legend(frameon=False, fontsize=9)
+    style_axes(axes, "Environment steps per second, all karts agents; log scale, more is better")
+
+
+def scaling(results: Path, axes: Any) -> None:
+    """A step against the number of karts."""
+    lines = {"engine": GREY, "flattened, worker": PALETTE[0], "full, worker": PALETTE[2]}
+    titles = ("the engine alone", "stkzoo, flattened view", "stkzoo, full view")
+    rows = [row for row in _load(results / "scaling.json") if row["part"] == "karts"]
+    karts = [row["karts"] for row in rows]
+    for (name, colour), title in zip(lines.items(), titles, strict=True):
+        steps = [row["contenders"][name]["step"]["median"] / 1000 for row in rows]
+        axes.plot(karts, steps, "o-", markersize=4, color=colour, label=title)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xticks(karts, map(str, karts))
+    axes.set_yticks([0.2, 1, 5, 20], ["0.2", "1", "5", "20"])
+    axes.minorticks_off()
+    axes.grid(color=GREY, alpha=0.25)
+    axes.set_xlabel("karts", fontsize=9)
+    axes.legend(frameon=False, fontsize=9)
+    style_axes(axes, "One step of all karts [ms]; log scales, less is better")
+
+
+def drivers(results: Path, axes: Any) -> None:
+    """Races won against four of the hardest AI karts, with 95 % intervals."""
+    for row, name in enumerate(_DRIVERS):
+        form = json.loads((results / "benchmark" / f"{name}.json").read_text())
+        group = next(g for g in form["groups"] if (g["by"], g["name"]) == ("form", "PAAAA"))
+        won = {key: 100 * group["figures"]["win_rate"][key] for key in ("value", "low", "high")}
+        axes.plot([won["low"], won["high"]], [row, row], color=PALETTE[0], linewidth=3, alpha=0.5)
+        axes.plot(won["value"], row, "o", color=PALETTE[0])
+        axes.text(won["high"] + 1, row, f"{won['value']:.0f} %", va="center", fontsize=9)
+    axes.axvline(20, color=GREY, linewidth=1, linestyle="--", zorder=0)
+    axes.set_yticks(range(len(_DRIVERS)), _DRIVERS)
+    axes.set_xlim(-1, 55)
+    style_axes(axes, "Races won against four of the hardest AI karts [%]; the line is chance")
+
+
+#: What draws each picture, by the picture's name.
+CHARTS: dict[str, Callable[[Path, Any], None]] = {
+    "throughput": throughput,
+    "scaling": scaling,
+    "drivers": drivers,
+}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; returns its exit code."""
+    words = argparse.ArgumentParser(prog="python -m benchmarks.bench_charts", description=__doc__)
+    words.add_argument("--results", type=Path, default=RESULTS, help="folder of the JSON files")
+    words.add_argument("--output", type=Path, default=PICTURES, help="folder of the pictures")
+    options = words.parse_args(arguments)
+    options.output.mkdir(parents=True, exist_ok=True)
+    for name, draw in CHARTS.items():
+        figure = new_figure(*SIZE)
+        draw(options.results, figure.add_subplot())
+        with write_whole(options.output / f"{name}.svg") as part:
+            figure.savefig(part, format="svg", metadata={"Date": None})
+    print(f"written to {options.output}")
+    return 0
+
+
+def _load(path: Path) -> list[Mapping[str, Any]]:
+    return json.loads(path.read_text())["results"]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
