@@ -1,8 +1,12 @@
-"""Runs each library's example in an environment of its own: the table of docs/how-to/works-with.md.
+"""Runs each library's example in an environment of its own.
 
 python -m benchmarks.ecosystem                    all of them: some minutes, 12 GB of disk
 python -m benchmarks.ecosystem --only torchrl     one of them
 python -m benchmarks.ecosystem --folder /big/disk environments elsewhere; those there are used again
+python -m benchmarks.ecosystem --record           write the results and the table of works-with.md
+
+Without --yes, the command asks before it installs anything. Without --record, it writes the
+results into the folder of the environments only.
 """
 
 from __future__ import annotations
@@ -134,10 +138,17 @@ def main() -> int:
         "--folder", type=Path, default=ROOT / ".ecosystem", help="where the environments are made"
     )
     parser.add_argument("--timeout", type=float, default=600.0, help="seconds for one example")
+    parser.add_argument("--yes", action="store_true", help="install without asking")
+    parser.add_argument(
+        "--record", action="store_true", help="rewrite the saved results and the page's table"
+    )
     args = parser.parse_args()
     chosen = [e for e in LIBRARIES if not args.only or any(o in e.script for o in args.only)]
     if not chosen:
         parser.error(f"no example has {args.only} in its name; they are {', '.join(names)}")
+    if not args.yes and not _agrees({example.where for example in chosen}, args.folder):
+        print("nothing was installed; add --yes to install without the question")
+        return 1
     outcomes = {o["library"]: o for o in _known()}
     pythons: dict[str, Path] = {}
     for example in chosen:
@@ -149,9 +160,19 @@ def main() -> int:
         if not outcome.passed:
             print(outcome.said)
     ordered = [outcomes[e.library] for e in LIBRARIES if e.library in outcomes]
-    write_text(RESULTS, json.dumps(ordered, indent=1) + "\n")
-    _write_table(ordered)
+    results = RESULTS if args.record else args.folder / "ecosystem.json"
+    write_text(results, json.dumps(ordered, indent=1) + "\n")
+    print(f"written to {results}")
+    if args.record:
+        _write_table(ordered)
     return 0 if all(outcomes[e.library]["passed"] for e in chosen) else 1
+
+
+def _agrees(places: set[str], folder: Path) -> bool:
+    """Asks before gigabytes are installed; without a terminal the answer is no."""
+    gigabytes = 3 * len(places)  # most of it is torch
+    print(f"This installs up to {gigabytes} GB of libraries below {folder}.")
+    return sys.stdin.isatty() and input("Continue? [y/N] ").strip().lower() in ("y", "yes")
 
 
 def _known() -> list[dict[str, object]]:

@@ -1,5 +1,6 @@
 """The examples of docs/how-to/works-with.md run, for each library that is installed."""
 
+import io
 import os
 import subprocess
 import sys
@@ -25,6 +26,15 @@ def test_an_example_runs(script):
     )
     assert done.returncode == 0, done.stderr[-3000:]
     assert "steps" in done.stdout or "races over" in done.stdout
+
+
+def test_nothing_is_installed_without_consent(tmp_path, monkeypatch, capsys):
+    folder = tmp_path / "environments"
+    monkeypatch.setattr(sys, "argv", ["ecosystem", "--only", "torchrl", "--folder", str(folder)])
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    assert ecosystem.main() == 1
+    assert "This installs up to 3 GB" in capsys.readouterr().out
+    assert not folder.exists()
 
 
 def test_every_example_has_its_line():
