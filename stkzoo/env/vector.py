@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
@@ -12,7 +13,7 @@ from gymnasium.vector import AsyncVectorEnv
 from stkzoo.config import AgentSpec
 from stkzoo.env.gymnasium_api import split_keywords
 from stkzoo.env.vec.env import RaceVectorEnv, is_of_fixed_size
-from stkzoo.errors import check_whole
+from stkzoo.errors import check_whole, unknown_name
 from stkzoo.mdp.rewards import RewardOver
 
 
@@ -73,6 +74,11 @@ def make_stkrace_vec(
         **vec_kwargs: further keywords of :class:`gymnasium.vector.AsyncVectorEnv`.
     """
     check_whole("num_envs", num_envs, 1)
+    known = [*inspect.signature(make_stkrace_vec).parameters]
+    known = [*known[:-1], *inspect.signature(AsyncVectorEnv).parameters]
+    for name in vec_kwargs:
+        if name not in known:
+            raise unknown_name("argument", name, known)
     make = partial(_make, env_id, dict(env_kwargs or {}))
     if shared_memory is None:
         with make() as env:

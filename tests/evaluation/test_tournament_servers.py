@@ -13,7 +13,7 @@ from stkzoo.race.remote import new_key_files, read_servers
 from tests.support.remote_race import server_process, write_agent
 
 NAME = "<img src=x onerror=alert(1)>"
-RACES = ("--races", "2", "--max-steps", "12", "--tracks", "lighthouse", "--no-plot", "--jobs", "1")
+RACES = ("--races", "2", "--max-steps", "12", "--track", "lighthouse", "--no-plot", "--jobs", "1")
 
 
 @pytest.fixture(scope="module")

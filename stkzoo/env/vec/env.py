@@ -372,9 +372,9 @@ def _shared(by_agent: Mapping[str, spaces.Space[Any]], kind: str) -> spaces.Spac
         )
     if not is_of_fixed_size(first):
         raise ConfigError(
-            f"the {kind} space is {first}, whose values differ in size, so that those of many "
-            'slots are no array; choose view="simple", one of the flattened views, or a view of '
-            "yours with Box, Discrete, MultiDiscrete, MultiBinary, Text and Dict spaces"
+            f"the {kind} space is a {type(first).__name__} whose values differ in size; choose "
+            'view="simple", one of the flattened views, or a view of yours with Box, Discrete, '
+            "MultiDiscrete, MultiBinary, Text and Dict spaces"
         )
     return first
 

@@ -1,0 +1,193 @@
+"""Typical mistakes of newcomers: each message names the cause and the remedy in its first line."""
+
+import json
+import zipfile
+
+import gymnasium
+import numpy as np
+import pytest
+
+import stkzoo
+from stkzoo import race_v0
+from stkzoo.cli import main
+from stkzoo.errors import MAX_LINE, StkzooError
+from stkzoo.race import RaceSettings, run_race
+
+#: Command line, and what the first line of its message says. ``{here}`` is a folder of examples.
+COMMANDS = [
+    ("rcae", "Did you mean 'race'?"),
+    ("race", "no drivers; name some"),
+    ("race heuristik", "Did you mean 'heuristic'?"),
+    ("race ai --trak lighthouse", "Did you mean '--track'?"),
+    ("race ai --tracks lighthouse", "Did you mean '--track'?"),
+    ("race ai --track lighthose", "Did you mean 'lighthouse'?"),
+    ("race ai --track moon", "unknown track 'moon'. Choose a name from the list:"),
+    ("race ai --track", "--track: expected one argument; see `stkzoo race --help`"),
+    ("race ai --laps 0", "laps is 0, expected a whole number from 1 to 1000"),
+    ("race ai --laps two", "--laps: invalid int value: 'two'"),
+    ("race ai --difficulty 4", "difficulty is 4, expected a whole number from 0 to 3"),
+    ("race ai --difficulty hard", "--difficulty: invalid int value: 'hard'"),
+    ("race ai:7", "ai:7"),
+    ("race ai --seed -1", "seed is -1, expected a whole number of 0 or more"),
+    ("race ai --races 0", "--races is 0, expected 1 or more"),
+    ("race ai ai --num-karts 1", "--num-karts is 1, but 2 drivers are named"),
+    ("race ai --num-karts 1000", "num_kart"),
+    ("race ai --max-steps 0", "max_steps is 0, expected a whole number of 1 or more"),
+    ("race ai --action-timeout -1", "action_timeout is -1.0, expected a number of seconds above 0"),
+    ("race ai --error-handling ignore", "'ignore' is not one of raise, catch, retire, restart"),
+    ("race --demo ai", "leave out --demo or the drivers"),
+    ("race ai --cameras 2", "--cameras does nothing without --video; add --video"),
+    ("race ai --web-port 80", "--web-port does nothing without --web; add --web"),
+    ("race ai --video film.txt", "film.txt"),
+    ("race ai --video {here}/none/film.mp4", "film.mp4"),
+    ("race ai --video a.mp4 --races 2", "--video makes a video of one race; leave out --races"),
+    ("race ai --replay a.stkz --races 2", "--replay keeps one race; leave out --races"),
+    ("race ai --output {here}", "it is not a regular file; choose another name"),
+    ("race ai --output /proc/x.json", "/proc/x.json"),
+    ("race ai --output {here}/none/x.json", "x.json"),
+    ("race ai --output a.stkz --replay a.stkz", "give each a file of its own"),
+    ("race {here}/none.zip", "none.zip"),
+    ("race {here}/empty", "pystk_actor.py"),
+    ("race {here}/classless", "get_actor"),
+    ("race {here}/broken", "SyntaxError"),
+    ("race {here}/no_view", "env_name"),
+    ("race {here}/text.zip", "text.zip"),
+    ("race {here}/deep.zip", "pystk_actor.py"),
+    ("race {here}/pystk_actor.txt", "pystk_actor.txt"),
+    ("race ai --adapter none.py", "none.py"),
+    ("check", "the following arguments are required: AGENT"),
+    ("check ai", "ai"),
+    ("check {here}/empty", "pystk_actor.py"),
+    ("new {here}/empty/../classless", "is not empty; choose another folder"),
+    ("new {here}/text.zip", "text.zip"),
+    ("replay {here}/none.stkz", "none.stkz"),
+    ("replay {here}/text.zip", "text.zip"),
+    ("tracks lighthose", "Did you mean 'lighthouse'?"),
+    ("tracks --map map.png", "lighthouse"),
+    ("keys new open --folder {here}", "open.secret"),
+    ("assets instal", "Did you mean 'install'?"),
+    ("completion powershell", "'powershell' is not one of"),
+]
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("here")
+    sources = {
+        "empty": None,
+        "classless": "x = 1\n",
+        "broken": "def get_actor(:\n",
+        "no_view": "env_name = 'simpel'\ndef get_actor(*_): return lambda state, obs: obs\n",
+    }
+    for name, source in sources.items():
+        (folder / name).mkdir()
+        if source:
+            (folder / name / "pystk_actor.py").write_text(source)
+    (folder / "text.zip").write_text("no zip")
+    (folder / "pystk_actor.txt").write_text("")
+    with zipfile.ZipFile(folder / "deep.zip", "w") as archive:
+        archive.writestr("readme.txt", "")
+    (folder / "tournament").mkdir()
+    (folder / "tournament" / "result.json").write_text(json.dumps({"type": "tournament-result"}))
+    assert main(["keys", "new", "open", "--folder", str(folder)]) == 0
+    (folder / "open.secret").chmod(0o644)
+    return folder
+
+
+def is_legible(text):
+    first = text.splitlines()[0]
+    return len(first) <= MAX_LINE and "Traceback" not in text
+
+
+@pytest.mark.parametrize(("words", "expected"), COMMANDS, ids=[words for words, _ in COMMANDS])
+def test_a_mistake_on_the_command_line_is_explained(words, expected, here, capsys, monkeypatch):
+    monkeypatch.chdir(here)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    code = main(words.format(here=here).split())
+    said = capsys.readouterr().err
+    assert code in (1, 2, 3), said
+    first = said.replace(str(here), "HERE").splitlines()[0]
+    assert expected.format(here="HERE") in first
+    assert is_legible(said.replace(str(here), "HERE"))
+
+
+def make(**options):
+    return race_v0.parallel_env(**options)
+
+
+#: A mistake in Python, and what the first line of its message says.
+CALLS = [
+    (lambda: make(num_kart=0), "num_kart is 0, expected a whole number from 1 to 256"),
+    (lambda: make(num_kart="3"), "num_kart is '3', expected a whole number"),
+    (lambda: make(num_kart=2, num_karts=2), "give one of them"),
+    (lambda: make(num_cart=2), "Did you mean 'num_kart'?"),
+    (lambda: make(num_agents=2), "unknown argument 'num_agents'"),
+    (lambda: make(laps=0), "laps is 0"),
+    (lambda: make(track="lighthose"), "Did you mean 'lighthouse'?"),
+    (lambda: make(track=[]), "expected at least one name"),
+    (lambda: make(track=3), "track is 3, expected a name, names or None"),
+    (lambda: make(view="simpel"), "Did you mean 'simple'?"),
+    (lambda: make(view=("simple", {"state_itms": 3})), "Did you mean 'state_items'?"),
+    (lambda: make(reward="racee"), "Did you mean 'race'?"),
+    (lambda: make(reward={"progres": 1.0}), "unknown reward term 'progres'. Known: advance"),
+    (lambda: make(opponents="heuristik"), "expected a list such as ['pretrained:ace', 'ai:3']"),
+    (lambda: make(agents=5, num_kart=3), "raise num_kart or drop agents"),
+    (lambda: make(agents=[{"nam": "Ada"}]), "Did you mean 'name'?"),
+    (lambda: make(agents=["kart_0"]), "expected an AgentSpec or a mapping of its fields"),
+    (lambda: make(render_mode="rgb"), "rgb_array"),
+    (lambda: make(max_cycles=-1), "max_cycles is -1"),
+    (lambda: make(step_size=60), "step_size is 60"),
+    (lambda: make(reverse="yes"), "reverse is 'yes', expected True or False"),
+    (lambda: make().step({}), "reset"),
+    (lambda: make().reset(seed=-1), "seed is -1"),
+    (lambda: make().reset(options={"trak": "lighthouse"}), "Did you mean 'track'?"),
+    (lambda: make().reset(options={"num_kart": 5}), "make another environment"),
+    (lambda: make().reset(options="lighthouse"), "expected a dict from names of options"),
+    (lambda: gymnasium.make("supertuxkart/simple-v0", trak="x"), "Did you mean 'track'?"),
+    (lambda: stkzoo.make_stkrace_vec(1, env_kwarg={}), "Did you mean 'env_kwargs'?"),
+    (lambda: stkzoo.make_stkrace_vec(0), "num_envs is 0"),
+    (lambda: stkzoo.register_view("my view", "simple"), "letters, digits and underscores"),
+    (lambda: stkzoo.register_view("simple", "full"), "choose another name"),
+    (lambda: stkzoo.RaceVectorEnv("two"), "num_races is 'two'"),
+    (lambda: stkzoo.RaceVectorEnv(1, view="full"), "choose view="),
+    (lambda: stkzoo.RaceVectorEnv(1, trak="x"), "Did you mean 'track'?"),
+    (lambda: run_race([]), "driver"),
+    (lambda: run_race("heuristic"), "heuristic"),
+    (lambda: run_race(["heuristik"]), "Did you mean 'heuristic'?"),
+    (lambda: run_race(["ai"], lap=1), "Did you mean 'laps'?"),
+    (lambda: RaceSettings(trak="x"), "Did you mean 'track'?"),
+]
+
+
+@pytest.mark.parametrize(("call", "expected"), CALLS, ids=[expected for _, expected in CALLS])
+def test_a_mistake_in_python_is_explained(call, expected):
+    with pytest.raises(StkzooError) as caught:
+        call()
+    assert expected in str(caught.value).splitlines()[0]
+    assert is_legible(str(caught.value))
+
+
+ACTIONS = [
+    ({}, "kart_0"),
+    ({"kart_0": 10**6}, "1000000"),
+    ({"kart_0": 1.5}, "1.5"),
+    ({"kart_0": np.zeros(2)}, "kart_0"),
+    ({"kart_0": None}, "None"),
+    ([0], "[0]"),
+    (0, "0"),
+]
+
+
+@pytest.fixture(scope="module")
+def race():
+    with make(num_kart=1, track="lighthouse", view="flattened_discrete") as env:
+        env.reset(seed=0)
+        yield env
+
+
+@pytest.mark.parametrize(("actions", "expected"), ACTIONS, ids=str)
+def test_a_wrong_action_is_explained(race, actions, expected):
+    with pytest.raises(StkzooError) as caught:
+        race.step(actions)
+    assert expected in str(caught.value).splitlines()[0]
+    assert is_legible(str(caught.value))
