@@ -92,7 +92,7 @@ def run_plan(
         print(result.to_json())
     else:
         show(result)
-        names = (plan.result_file, f"{plan.noun}.png", RACES)
+        names = (plan.result_file, f"{plan.noun}.png", "report.html", RACES)
         kept = ", ".join(name for name in names if (folder / name).exists())
         say(f"More in {folder}{os.sep}: {kept}")
     return code or (_AGENT_FAILED if getattr(result, "errors", 0) else 0)

@@ -65,6 +65,7 @@ from stkzoo.evaluation.tournament.plan import (
     run_tournament,
 )
 from stkzoo.evaluation.tournament.plot import plot_tournament
+from stkzoo.evaluation.tournament.report import write_report
 from stkzoo.evaluation.tournament.schedule import ScheduledRace
 from stkzoo.evaluation.tournament.standings import Standing
 
@@ -126,4 +127,5 @@ __all__ = [
     "save_figure",
     "style_axes",
     "to_minari",
+    "write_report",
 ]

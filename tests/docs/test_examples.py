@@ -47,6 +47,7 @@ PARSED = {
     "completion": "tests/cli/test_tables.py",
     "demos": "whole races: tests/evaluation/test_demonstrations.py",
     "doctor": "tests/cli/test_doctor.py",
+    "report": "tests/evaluation/test_tournament_report.py",
     "new": "tests/cli/test_new_and_check.py",
     "play": "opens a window: tests/play/test_play.py",
     "race-client": "needs a server: tests/cli/test_remote.py",

@@ -69,6 +69,9 @@ class BatchPlan(Document, Generic[Result]):
         """Plots the result into a file."""
         raise NotImplementedError
 
+    def report(self, result: Result, results: Mapping[int, RaceResult], folder: Path) -> None:
+        """Writes more files about the result into the batch's folder."""
+
     def require_libraries(self, plot: bool) -> None:
         """Checks that the libraries for the result and its plot are installed.
 

@@ -125,6 +125,8 @@ def run_batch(
                 write_text(folder / plan.result_file, result.to_json() + "\n")
             if plan.is_gradual and options.plot and results:
                 plan.draw(result, folder / f"{plan.noun}.png")
+            if results:
+                plan.report(result, results, folder)
     if errors or result is None:
         raise BatchError.of(errors, len(orders), result)
     return result

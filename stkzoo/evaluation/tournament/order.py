@@ -1,4 +1,4 @@
-"""One race of a tournament, with agents of servers."""
+"""One race of a tournament: agents of servers take part, and it leaves a replay and a film."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from stkzoo._os import write_text
 from stkzoo.drivers.driver import Driver
 from stkzoo.evaluation.batch.entrants import NAME_MARK
 from stkzoo.evaluation.batch.order import RaceOrder
+from stkzoo.evaluation.tournament.film import FilmRecorder
 from stkzoo.race.remote import ServedAgent, ServerAccess
+from stkzoo.race.replay import ReplayWriter
 from stkzoo.race.result import RaceResult
 from stkzoo.race.runner import run_race
 
@@ -26,14 +29,21 @@ class TournamentOrder(RaceOrder):
     served: tuple[ServedAgent | None, ...] = ()
     access: ServerAccess | None = None
 
-    def run(self, folder: Path) -> RaceResult:  # noqa: ARG002 - as the base class
-        """Runs the race, in a worker process."""
+    def run(self, folder: Path) -> RaceResult:
+        """Runs the race, in a worker process, and stores its replay and its film."""
+        replay, film = replay_file(folder, self.number), film_file(folder, self.number)
+        for file in (replay, film):
+            file.parent.mkdir(exist_ok=True)
+        recorder = FilmRecorder()
         with ExitStack() as resources:
-            return run_race(
+            result = run_race(
                 self._all_drivers(resources),
+                listeners=[recorder, ReplayWriter(replay)],
                 start_positions=range(1, len(self.drivers) + 1),
                 settings=self.settings,
             )
+        write_text(film, recorder.film().to_json())
+        return result
 
     def _all_drivers(self, resources: ExitStack) -> list[str | Driver]:
         """The drivers, connected as long as ``resources`` lasts."""
@@ -46,3 +56,13 @@ class TournamentOrder(RaceOrder):
             replace(next(connected), name=text.rpartition(NAME_MARK)[2]) if agent else text
             for text, agent in zip(self.drivers, self.served, strict=True)
         ]
+
+
+def replay_file(folder: Path, number: int) -> Path:
+    """The file of a race's replay in the tournament's folder."""
+    return folder / "replays" / f"{number:05d}.stkz"
+
+
+def film_file(folder: Path, number: int) -> Path:
+    """The file of a race's film in the tournament's folder."""
+    return folder / "films" / f"{number:05d}.json"

@@ -11,12 +11,14 @@ from typing import Any, ClassVar
 
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
+from stkzoo.evaluation.batch.order import load_orders
 from stkzoo.evaluation.batch.plan import PLAN_FILE, BatchPlan, find_tracks
 from stkzoo.evaluation.batch.run import RunOptions, load_batch, run_batch
 from stkzoo.evaluation.ratings import rate, require_openskill
 from stkzoo.evaluation.statistics import CONFIDENCE
 from stkzoo.evaluation.tournament.order import TournamentOrder
 from stkzoo.evaluation.tournament.plot import plot_tournament
+from stkzoo.evaluation.tournament.report import TournamentReport
 from stkzoo.evaluation.tournament.schedule import (
     ScheduledRace,
     extend_schedule,
@@ -154,6 +156,12 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
     def draw(self, result: TournamentResult, path: Path) -> None:
         """Plots the result into a file."""
         plot_tournament(result, path)
+
+    def report(
+        self, result: TournamentResult, results: Mapping[int, RaceResult], folder: Path
+    ) -> None:
+        """Writes the report's page and tables."""
+        TournamentReport(folder, result, results).write(folder)
 
     def require_libraries(self, plot: bool) -> None:
         """Checks that the libraries for the ratings and their plot are installed."""
@@ -326,6 +334,17 @@ def resumed_plan(
     return replace(
         plan, entrants=(*entrants, *new), access=access or plan.access, versions=versions_now()
     )
+
+
+def load_races(folder: Path) -> tuple[TournamentResult, dict[int, RaceResult]]:
+    """The result of a tournament so far, and its races by number.
+
+    Raises:
+        ConfigError: there is no tournament, or a race is damaged.
+    """
+    plan = TournamentPlan.load(folder / PLAN_FILE)
+    races = load_orders(plan.orders(), folder)
+    return plan.summarize(races, folder), races
 
 
 def load_tournament(path: str | os.PathLike[str]) -> TournamentResult:

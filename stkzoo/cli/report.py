@@ -1,0 +1,59 @@
+"""Write the report of a tournament: one page, and tables as CSV.
+
+Writes report.html, standings.csv and races.csv into the tournament's folder, as each tournament
+does when it ends; a tournament may still be running. With --publish, writes index.html and the
+tables into another folder, without error messages, tracebacks, addresses, paths and replays.
+
+The page is one file: it needs no server, loads nothing and runs no script.
+
+Examples:
+  stkzoo report league
+  stkzoo report league --publish public --title "Racing course 2026"
+  stkzoo report league --films 0 17 42             map films of these races
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+
+from stkzoo._arguments import add_options, option, positional
+from stkzoo.cli._arguments import usage_errors
+
+
+@dataclass
+class ReportArguments:
+    """Options of ``stkzoo report``.
+
+    Attributes:
+        folder: of the tournament
+        publish: write a page without private details into FOLDER
+        title: heading of the page
+        films: races with a map film (default: six races of the best agents)
+    """
+
+    folder: str = positional(metavar="FOLDER")
+    publish: str | None = option(metavar="FOLDER")
+    title: str = "Tournament"
+    films: tuple[int, ...] = option((), metavar="RACE")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments."""
+    add_options(parser, ReportArguments)
+
+
+@usage_errors
+def run(arguments: argparse.Namespace) -> int:
+    """Writes the report."""
+    from stkzoo.cli._console import say
+    from stkzoo.evaluation import write_report
+
+    page = write_report(
+        arguments.folder,
+        publish=arguments.publish,
+        title=arguments.title,
+        films=arguments.films or None,
+    )
+    say(f"Wrote {page}, and beside it standings.csv and races.csv")
+    return 0

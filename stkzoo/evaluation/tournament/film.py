@@ -1,0 +1,143 @@
+"""Map films of races: where each kart was, twice a second."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.race.document import Document
+from stkzoo.race.listeners import RaceListener, RaceProgress
+from stkzoo.render.palette import race_palette
+
+_INTERVAL = 0.5  # [s]
+_MAX_MOMENTS = 600
+_SIZE = 800  # pixels of the longer side
+_SPEED = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class RaceFilm(Document):
+    """Where the karts of a race were. All places are x and z in the world frame [m].
+
+    Attributes:
+        track: its name.
+        interval: game time from one moment to the next [s].
+        width: median width of the road [m].
+        road: start and end of each segment of the centre line: x, z, x, z.
+        karts: of each agent by label, x and z of each moment, one after the other.
+    """
+
+    kind: ClassVar[str] = "race-film"
+    origin: ClassVar[str] = "the folder films of a tournament"
+
+    track: str
+    interval: float
+    width: float
+    road: tuple[tuple[float, ...], ...]
+    karts: Mapping[str, tuple[float, ...]]
+
+    def to_json(self) -> str:
+        """The film as JSON, in one line."""
+        values = {"type": self.kind, "schema_version": self.version, **self.to_dict()}
+        return json.dumps(values, separators=(",", ":"), allow_nan=False)
+
+
+class FilmRecorder(RaceListener):
+    """Records the film of the race that it listens to."""
+
+    def __init__(self) -> None:
+        self._places: list[list[list[float]]] = []
+        self._film: RaceFilm | None = None
+        self._every = 1
+
+    def started(self, race: RaceProgress) -> None:
+        """See :class:`~stkzoo.race.listeners.RaceListener`."""
+        step = float(race.env.options.step_size)
+        self._every = max(1, round(_INTERVAL / step))
+        track = race.scene.track_map
+        self._film = RaceFilm(
+            track=race.race_info.track,
+            interval=self._every * step,
+            width=float(np.median(track.path_width)),
+            road=tuple(map(tuple, _rounded(track.path_nodes[..., ::2].reshape(-1, 4)))),
+            karts={race.names[agent]: () for agent in race.env.possible_agents},
+        )
+        self._add(race)
+
+    def stepped(self, race: RaceProgress) -> None:
+        """See :class:`~stkzoo.race.listeners.RaceListener`."""
+        if race.steps % self._every == 0 and len(self._places) < _MAX_MOMENTS:
+            self._add(race)
+
+    def film(self) -> RaceFilm:
+        """The film so far."""
+        film = self._film
+        assert film is not None  # noqa: S101 - the race has started
+        ways = np.array(self._places).transpose(1, 0, 2).reshape(len(film.karts), -1)
+        karts = {name: tuple(way) for name, way in zip(film.karts, ways.tolist(), strict=True)}
+        return RaceFilm(film.track, film.interval, film.width, film.road, karts)
+
+    def _add(self, race: RaceProgress) -> None:
+        karts = list(race.race_info.kart_indices)
+        self._places.append(_rounded(race.snapshot.karts["location"][karts, ::2]))
+
+
+def _rounded(places: npt.NDArray[np.float32]) -> list[list[float]]:
+    rows: list[list[float]] = places.astype(np.float64).round(1).tolist()
+    return rows
+
+
+def draw_film(film: RaceFilm, name: str) -> tuple[str, dict[str, str]]:
+    """A film as an SVG picture that plays when it is clicked.
+
+    Args:
+        film: the film.
+        name: the picture's id in its page.
+
+    Returns:
+        The picture, and the colour of each agent by label.
+    """
+    road = np.array(film.road).reshape(-1, 2, 2)
+    low, high = road.min((0, 1)) - film.width, road.max((0, 1)) + film.width
+    scale = _SIZE / float((high - low).max())
+
+    def pixels(places: Any) -> npt.NDArray[np.int64]:
+        """Pixels of places; north is up."""
+        moved = (np.array(places).reshape(-1, 2) - low) * scale
+        return np.rint([moved[:, 0], (high - low)[1] * scale - moved[:, 1]]).astype(np.int64)
+
+    ends = pixels(road).T.reshape(-1, 4).tolist()
+    path = "".join("M{} {}L{} {}".format(*end) for end in ends)
+    width, height = ((high - low) * scale).astype(int).tolist()
+    colours = dict(zip(film.karts, race_palette(len(film.karts)), strict=True))
+    karts = "".join(
+        _moving(pixels(way), colours[label], name, film.interval)
+        for label, way in reversed([*film.karts.items()])
+    )
+    picture = (
+        f'<svg id="{name}" viewBox="0 0 {width} {height}" role="img" aria-label="map film">'
+        f'<path class="road" stroke-width="{max(film.width * scale, 8):.0f}" d="{path}"/>{karts}'
+        f'<text x="{width // 2}" y="{height // 2}" font-size="{_SIZE // 16}">&#9654; play'
+        f'<set attributeName="visibility" to="hidden" begin="{name}.click"/></text></svg>'
+    )
+    return picture, colours
+
+
+def _moving(way: npt.NDArray[np.int64], colour: str, name: str, interval: float) -> str:
+    """A dot that moves along pixels ``(2, moments)``."""
+    seconds = max((way.shape[1] - 1) * interval / _SPEED, 0.1)
+    moves = "".join(
+        f'<animate attributeName="{axis}" values="{";".join(map(str, values))}" '
+        f'dur="{seconds:.1f}s" begin="{name}.click" fill="freeze"/>'
+        for axis, values in zip(("cx", "cy"), way.tolist(), strict=True)
+    )
+    x, y = way[:, 0].tolist()
+    return (
+        f'<circle cx="{x}" cy="{y}" r="{_SIZE // 50}" fill="{colour}" stroke="black">'
+        f"{moves}</circle>"
+    )

@@ -1,0 +1,133 @@
+"""The report of a tournament: a page and tables, safe to publish."""
+
+import csv
+import json
+from html.parser import HTMLParser
+
+import pytest
+
+from stkzoo.cli import main
+from stkzoo.errors import ConfigError
+from stkzoo.evaluation import run_tournament, write_report
+from stkzoo.race.replay import load_replay
+from tests.support.remote_race import write_agent
+
+NAME = "=<script>alert(1)</script>"
+SECRET = "</td><script>alert(2)</script> the key is 4711"
+
+
+class PageParser(HTMLParser):
+    """Collects the tags, the links and the text of a page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.links, self.text = [], [], ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.links += [value for name, value in attrs if name in ("href", "src")]
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def cup(tmp_path_factory):
+    """A tournament with an agent whose name and error are HTML, and its published page."""
+    home = tmp_path_factory.mktemp("report")
+    module = home / "hidden_folder"
+    module.mkdir()
+    bad = write_agent(module, "bad", act=f"raise ValueError({SECRET!r})")
+    file = module / "bad" / "pystk_actor.py"
+    file.write_text(file.read_text().replace('"bad"', repr(NAME)))
+    run_tournament(
+        ["ai", "heuristic", bad],
+        output=home / "cup",
+        tracks=["lighthouse"],
+        races=2,
+        per_race=3,
+        max_steps=12,
+        jobs=2,
+        plot=False,
+    )
+    write_report(home / "cup", publish=home / "public", title="Course <1>")
+    return home
+
+
+@pytest.mark.slow
+def test_a_tournament_writes_its_report(cup):
+    page = PageParser((cup / "cup" / "report.html").read_text())
+    assert "Standings" in page.text
+    assert "2 of 2 races of 3" in page.text
+    assert page.tags.count("figure") == 2
+    assert page.tags.count("animate") == 2 * 3 * 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", ["cup/report.html", "public/index.html"])
+def test_what_agents_write_is_never_markup(cup, file):
+    page = PageParser((cup / file).read_text())
+    assert "script" not in page.tags
+    assert NAME in page.text
+
+
+@pytest.mark.slow
+def test_the_private_page_says_why_an_agent_failed_and_links_replays(cup):
+    page = PageParser((cup / "cup" / "report.html").read_text())
+    assert SECRET in page.text
+    replays = [link for link in page.links if link.endswith(".stkz")]
+    assert replays
+    assert load_replay(cup / "cup" / replays[0]).track == "lighthouse"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", ["index.html", "standings.csv", "races.csv"])
+def test_the_published_files_leave_private_details_out(cup, file):
+    text = (cup / "public" / file).read_text()
+    assert "4711" not in text
+    assert "hidden_folder" not in text
+    assert ".stkz" not in text
+    assert "raised an error" in text
+
+
+@pytest.mark.slow
+def test_the_page_loads_nothing(cup):
+    text = (cup / "public" / "index.html").read_text()
+    assert "default-src 'none'" in text
+    assert all(link.startswith("#") for link in PageParser(text).links)
+
+
+@pytest.mark.slow
+def test_the_tables_have_a_line_for_each_agent_and_no_formulas(cup):
+    with (cup / "cup" / "standings.csv").open() as file:
+        standings = list(csv.DictReader(file))
+    with (cup / "cup" / "races.csv").open() as file:
+        races = list(csv.DictReader(file))
+    assert len(standings) == 3
+    assert len(races) == 6
+    assert standings[-1]["agent"] == f"'{NAME}"
+    assert "4711" in standings[-1]["reason"]
+    assert {row["status"] for row in races if row["agent"] == f"'{NAME}"} == {"retired"}
+
+
+@pytest.mark.slow
+def test_a_film_has_each_kart_at_each_moment(cup):
+    film = json.loads((cup / "cup" / "films" / "00000.json").read_text())
+    assert sorted(film["karts"]) == sorted(["ai", "heuristic", NAME])
+    assert {len(way) for way in film["karts"].values()} == {2 * (1 + 12 // 5)}
+
+
+@pytest.mark.slow
+def test_the_command_writes_a_report_with_chosen_films(cup, capsys):
+    folder = str(cup / "cup")
+    assert main(["report", folder, "--films", "1", "--title", "The <cup>"]) == 0
+    page = PageParser((cup / "cup" / "report.html").read_text())
+    assert page.tags.count("figure") == 1
+    assert "The <cup>" in page.text
+    assert "report.html" in capsys.readouterr().out
+
+
+def test_a_folder_without_a_tournament_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="has no tournament plan"):
+        write_report(tmp_path)
