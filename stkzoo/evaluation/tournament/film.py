@@ -21,7 +21,7 @@ _SPEED = 4.0
 
 
 @dataclass(frozen=True, slots=True)
-class RaceFilm(Document):
+class MapFilm(Document):
     """Where the karts of a race were. All places are x and z in the world frame [m].
 
     Attributes:
@@ -32,7 +32,7 @@ class RaceFilm(Document):
         karts: of each agent by label, x and z of each moment, one after the other.
     """
 
-    kind: ClassVar[str] = "race-film"
+    kind: ClassVar[str] = "map-film"
     origin: ClassVar[str] = "the folder films of a tournament"
 
     track: str
@@ -52,7 +52,7 @@ class FilmRecorder(RaceListener):
 
     def __init__(self) -> None:
         self._places: list[list[list[float]]] = []
-        self._film: RaceFilm | None = None
+        self._film: MapFilm | None = None
         self._every = 1
 
     def started(self, race: RaceProgress) -> None:
@@ -60,7 +60,7 @@ class FilmRecorder(RaceListener):
         step = float(race.env.options.step_size)
         self._every = max(1, round(_INTERVAL / step))
         track = race.scene.track_map
-        self._film = RaceFilm(
+        self._film = MapFilm(
             track=race.race_info.track,
             interval=self._every * step,
             width=float(np.median(track.path_width)),
@@ -74,13 +74,13 @@ class FilmRecorder(RaceListener):
         if race.steps % self._every == 0 and len(self._places) < _MAX_MOMENTS:
             self._add(race)
 
-    def film(self) -> RaceFilm:
+    def film(self) -> MapFilm:
         """The film so far."""
         film = self._film
         assert film is not None  # noqa: S101 - the race has started
         ways = np.array(self._places).transpose(1, 0, 2).reshape(len(film.karts), -1)
         karts = {name: tuple(way) for name, way in zip(film.karts, ways.tolist(), strict=True)}
-        return RaceFilm(film.track, film.interval, film.width, film.road, karts)
+        return MapFilm(film.track, film.interval, film.width, film.road, karts)
 
     def _add(self, race: RaceProgress) -> None:
         karts = list(race.race_info.kart_indices)
@@ -92,7 +92,7 @@ def _rounded(places: npt.NDArray[np.float32]) -> list[list[float]]:
     return rows
 
 
-def draw_film(film: RaceFilm, name: str) -> tuple[str, dict[str, str]]:
+def draw_film(film: MapFilm, name: str) -> tuple[str, dict[str, str]]:
     """A film as an SVG picture that plays when it is clicked.
 
     Args:

@@ -17,7 +17,7 @@ from statistics import fmean
 from typing import TYPE_CHECKING
 
 from stkzoo._os import write_text
-from stkzoo.evaluation.tournament.film import RaceFilm, draw_film
+from stkzoo.evaluation.tournament.film import MapFilm, draw_film
 from stkzoo.evaluation.tournament.order import film_file, replay_file
 from stkzoo.race.result import AgentResult, RaceResult
 
@@ -190,7 +190,7 @@ class TournamentReport:
 
     def _films(self) -> str:
         figures = [
-            self._figure(number, RaceFilm.load(file))
+            self._figure(number, MapFilm.load(file))
             for number in self._filmed()
             if (file := film_file(self.folder, number)).exists()
         ]
@@ -210,7 +210,7 @@ class TournamentReport:
         )
         return [race.number for race in best[:_FILMS]]
 
-    def _figure(self, number: int, film: RaceFilm) -> str:
+    def _figure(self, number: int, film: MapFilm) -> str:
         race = self.races[number]
         picture, colours = draw_film(film, f"film-{number}")
         lines = "".join(
