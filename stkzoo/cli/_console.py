@@ -43,6 +43,8 @@ def show_table(
 ) -> None:
     """Prints a table of results: framed on a terminal, bare in a file.
 
+    Where it is too wide, texts wrap; numbers stay whole.
+
     Args:
         columns: headings.
         rows: the texts of each row.
@@ -57,7 +59,7 @@ def show_table(
     table = Table(box=box.ROUNDED if is_framed else None, pad_edge=is_framed, **options)
     for name in columns:
         justify: Literal["left", "right"] = "left" if name in left else "right"
-        table.add_column(escape(name), justify=justify, overflow="fold")
+        table.add_column(escape(name), justify=justify, overflow="fold", no_wrap=name not in left)
     for row, style in zip_longest(rows, styles):
         table.add_row(*map(escape, row), style=style)
     console.print(table)

@@ -145,3 +145,18 @@ def test_every_example_of_the_helps_is_understood():
                 words = command.split()[1:]
                 if words != ["COMMAND", "--help"]:
                     build_parser().parse_args(words)
+
+
+def test_long_names_wrap_and_numbers_stay_whole(capsys, monkeypatch):
+    from stkzoo.cli._console import show_table
+
+    monkeypatch.setenv("COLUMNS", "80")
+    columns = ("rank", "driver", "kart", "time [s]", "distance [m]", "reward", "think [ms]")
+    name = "a_driver_whose_name_has_forty_characters"
+    row = ("1", name, "kart_0", "not finished", "880", "-123.4", "1000.55")
+    show_table(columns, [row], left=("driver", "kart"))
+    shown = capsys.readouterr().out
+    assert all(len(line) <= 80 for line in shown.splitlines())
+    assert all(number in shown for number in ("not finished", "880", "-123.4", "1000.55"))
+    driver = "".join(line.split()[1 if "880" in line else 0] for line in shown.splitlines()[1:])
+    assert driver == name
