@@ -7,8 +7,8 @@ Each race is stored in the output folder as soon as it is over. After an interru
 command resumes; so does --resume FOLDER. Agents that are new in it join the tournament and get
 races of their own. An agent that fails loses its race; the tournament goes on.
 
-A table of N agents needs about 10 races for each, so --races 10 N / --per-race. A race takes about
-10 s on one core: divide by --jobs, and see how long the first ones take.
+Choose --races as agents * 15 / --per-race, so that each agent has 15 races. A race of five agents
+from files on a short track takes about 15 s; --jobs races run at the same time.
 
 Agents are named as for `stkzoo race`: ai, heuristic, random, a folder, a zip, a module; append
 @:Name to rename one.
@@ -17,7 +17,7 @@ Examples:
   stkzoo tournament heuristic ai random my_agent/ --track lighthouse hacienda
   stkzoo tournament students/*.zip ai --track test --races 300 --per-race 5 --output league
   stkzoo tournament --resume league
-  stkzoo tournament --resume league late.zip       the agent late.zip joins
+  stkzoo tournament --resume league late.zip       late.zip joins
   stkzoo tournament ai --servers servers.txt --secret course.secret
 
 exit codes:
