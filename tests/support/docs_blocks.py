@@ -53,7 +53,6 @@ def blocks(page, language):
 #: is in the block, and what stands there when it is run.
 SHORTER = [
     ("README.md", "learn(1_000_000)", "learn(256)"),
-    ("README.md", 'reward="placement"', 'reward={"mine": lambda step: step.distance * 0}'),
     ("README.md", '("MultiInputPolicy", envs', '("MultiInputPolicy", envs, n_steps=32'),
     ("docs/how-to/quickstart.md", "model.learn(1_000_000)", "model.n_steps; model.learn(1)"),
     ("docs/how-to/quickstart.md", "seed=1, device", "n_steps=32, seed=1, device"),
