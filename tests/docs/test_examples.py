@@ -24,11 +24,17 @@ from tests.support.docs_blocks import (
 )
 
 PAGES = pages()
+#: Runs each block with names of its own, as a reader does who copies only this block. A later block
+#: may read files that an earlier one wrote.
 RUNNER = """\
-import json, sys
-names = {"__name__": "__main__"}
+import doctest, json, sys
 for page, line, code in json.load(open(sys.argv[1])):
-    exec(compile("\\n" * line + code, page, "exec"), names)
+    names = {"__name__": "__main__"}
+    if ">>>" in code:
+        example = doctest.DocTestParser().get_doctest(code, names, page, page, line)
+        doctest.DebugRunner().run(example)
+    else:
+        exec(compile("\\n" * line + code, page, "exec"), names)
 """
 
 #: Commands that are run as they stand, in a few steps, with options that make them short.
@@ -60,45 +66,41 @@ PARSED = {
 }
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """A folder with the agents that the pages speak of."""
-    agent = next(b for b in blocks("docs/how-to/quickstart.md", "python") if b.file)
+def enter_folder(path, monkeypatch):
+    """Makes a folder with the agents that the pages name, and changes to it."""
+    agent = next(b for b in blocks("docs/reference/agents.md", "python") if b.file)
     for name in ("my_agent", "agents/one", "agents/swift"):
-        (tmp_path / name).mkdir(parents=True)
-        (tmp_path / name / "pystk_actor.py").write_text(agent.code)
-    with zipfile.ZipFile(tmp_path / "rival.zip", "w") as packed:
+        (path / name).mkdir(parents=True)
+        (path / name / "pystk_actor.py").write_text(agent.code)
+    with zipfile.ZipFile(path / "rival.zip", "w") as packed:
         packed.writestr("pystk_actor.py", agent.code)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+    monkeypatch.chdir(path)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")])
-def test_the_python_of_a_page_runs(page, folder):
+def test_each_python_block_of_a_page_runs_alone(page, tmp_path, monkeypatch):
+    enter_folder(tmp_path, monkeypatch)
     to_run = []
     for block in blocks(page, "python"):
-        if reason_not_to_run(block) or ">>>" in block.code:
+        if reason_not_to_run(block):
             continue
         if block.file:
-            path = folder / block.file
+            path = tmp_path / block.file
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(block.code)
         else:
             to_run.append((page, block.line, shortened(block)))
-    (folder / "blocks.json").write_text(json.dumps(to_run))
-    (folder / "runner.py").write_text(RUNNER)
+    (tmp_path / "blocks.json").write_text(json.dumps(to_run))
+    (tmp_path / "runner.py").write_text(RUNNER)
     run([sys.executable, "runner.py", "blocks.json"])
-    if any(">>>" in block.code for block in blocks(page, "python")):
-        run([sys.executable, "-m", "doctest", str(ROOT / page)])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "sh")])
-def test_the_commands_of_a_page_are_right(page, folder):
-    for block in blocks(page, "sh"):
-        for key in (*folder.glob("*.secret"), *folder.glob("*.public")):
-            key.unlink()  # each block is a place of its own
+def test_each_shell_block_of_a_page_is_right(page, tmp_path, monkeypatch):
+    for number, block in enumerate(blocks(page, "sh")):
+        enter_folder(tmp_path / str(number), monkeypatch)
         for words in commands(block):
             try_command(words)
 

@@ -58,6 +58,7 @@ SHORTER = [
     ("docs/how-to/quickstart.md", "seed=1, device", "n_steps=32, seed=1, device"),
     ("docs/how-to/stable-baselines3.md", "learn(1_000_000)", "learn(1)"),
     ("docs/how-to/stable-baselines3.md", "seed=1)\nfor", "seed=1, max_steps=20)\nfor"),
+    ("docs/how-to/stable-baselines3.md", "learn(500_000", "learn(1"),
     ("docs/how-to/stable-baselines3.md", "RaceVecEnv(4, num", "RaceVecEnv(1, num"),
     ("docs/how-to/vector.md", "model.learn(1_000_000)", "model.learn(1)"),
     ("docs/how-to/vector.md", 'MultiInputPolicy", envs', 'MultiInputPolicy", envs, n_steps=32'),
