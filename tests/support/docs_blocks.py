@@ -63,8 +63,8 @@ SHORTER = [
     ("docs/how-to/vector.md", "model.learn(1_000_000)", "model.learn(1)"),
     ("docs/how-to/vector.md", 'MultiInputPolicy", envs', 'MultiInputPolicy", envs, n_steps=32'),
     ("docs/how-to/vector.md", "range(1000)", "range(20)"),
-    ("docs/how-to/vector.md", "policy(observations)", "envs.action_space.sample()"),
-    ("docs/how-to/vector.md", "learn_from(", "print("),
+    ("docs/how-to/pytorch.md", "STEPS, UPDATES = 64, 60", "STEPS, UPDATES = 16, 1"),
+    ("docs/how-to/pytorch.md", "seed=1)\nfor", "seed=1, max_steps=20)\nfor"),
     ("docs/how-to/curriculum.md", "range(1000)", "range(1)"),
     ("docs/how-to/curriculum.md", "range(10_000)", "range(20)"),
     ("docs/how-to/curriculum.md", "max_cycles=300", "max_cycles=10"),
@@ -87,6 +87,12 @@ NOT_RUN = [
         "ray.rllib",
         "RLlib wants an older Gymnasium: benchmarks/ecosystem.py",
     ),
+    (
+        "docs/how-to/rllib.md",
+        "ray.rllib",
+        "RLlib wants an older Gymnasium: benchmarks/ecosystem.py",
+    ),
+    ("docs/how-to/torchrl.md", "torchrl", "not installed for tests: benchmarks/ecosystem.py"),
     ("docs/how-to/play.md", "play_race", "opens a window: tests/play/test_play.py"),
     ("docs/how-to/play.md", "play(env", "opens a window: tests/play/test_play.py"),
     (
