@@ -10,7 +10,6 @@ from tests.support.paths import ROOT
 WITHOUT_EXAMPLES = {
     "docs/changelog.md",
     "docs/contributing.md",
-    "docs/explanation/benchmarks-method.md",
 }
 _BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 _FILE = re.compile(r"# ([\w/]+\.py)\n")
