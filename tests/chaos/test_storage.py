@@ -97,7 +97,7 @@ def test_a_tournament_goes_on_when_there_is_room_again(tmp_path):
         free()
         print(league().is_complete, len(list((PLACE / "cup" / "races").iterdir())))
     """
-    done = on_disk("full", tmp_path, code)
+    done = on_disk("full", tmp_path, code, size="1m")
     assert done.stdout.splitlines() == ["True", "2", "True 4"], done.stderr
 
 

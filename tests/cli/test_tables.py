@@ -1,6 +1,7 @@
 """`stkzoo tracks`, `stkzoo karts` and `stkzoo completion`."""
 
 import json
+import shlex
 import shutil
 import subprocess
 import sys
@@ -142,7 +143,7 @@ def test_every_example_of_the_helps_is_understood():
         for line in (parser.epilog or "").splitlines():
             if line.startswith("  stkzoo "):
                 command = line.strip().split("  ")[0].split(" > ")[0].split(" # ")[0]
-                words = command.split()[1:]
+                words = shlex.split(command)[1:]
                 if words != ["COMMAND", "--help"]:
                     build_parser().parse_args(words)
 
