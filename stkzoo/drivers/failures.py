@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import re
 import select
 import sys
@@ -26,6 +27,8 @@ _KEPT_BYTES, _KEPT_LINES = 8192, 20
 _ESCAPES = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)?)")
 #: Shown output of one process: bytes in a line, and lines.
 _LINE_BYTES, _MAX_LINES = 300, 5000
+#: How often a reader of output looks whether it must end [ms].
+_POLL = 200
 
 
 def in_words(error: BaseException) -> str:
@@ -154,6 +157,7 @@ class OutputTail:
         self._stream, self._label = stream, label
         self._tail = self._line = b""
         self._num_shown = 0
+        self._is_closing = False
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
@@ -166,26 +170,41 @@ class OutputTail:
         """Waits until everything that the process has written is read, for some time."""
         deadline = time.monotonic() + seconds
         while self._thread.is_alive() and time.monotonic() < deadline:
-            poll = select.poll()
-            poll.register(self._stream, select.POLLIN)
-            if not poll.poll(0):
+            if not self._is_readable(0):
                 time.sleep(0.002)  # for the thread to keep what it has just read
                 return
             time.sleep(0.001)
 
     def close(self) -> None:
-        """Waits briefly for the last lines of a process that has ended."""
+        """Waits briefly for the last lines of a process that has ended.
+
+        A process that has escaped may still hold the other end; that costs it its output.
+        """
         self._thread.join(0.5)
+        self._is_closing = True
+        self._thread.join(2 * _POLL / 1000)
         if not self._thread.is_alive():
             self._stream.close()
 
     def _read(self) -> None:
-        while block := self._stream.read1(65536):  # type: ignore[attr-defined]
+        while block := self._next():
             self._tail = (self._tail + block)[-_KEPT_BYTES:]
             if self._label:
                 self._show(block)
         if self._line:
             self._show(b"\n")
+
+    def _next(self) -> bytes:
+        """The next output; empty at its end."""
+        while not self._is_closing:
+            if not hasattr(select, "poll") or self._is_readable(_POLL):
+                return os.read(self._stream.fileno(), 65536)
+        return b""
+
+    def _is_readable(self, milliseconds: int) -> bool:
+        poll = select.poll()
+        poll.register(self._stream, select.POLLIN)
+        return bool(poll.poll(milliseconds))
 
     def _show(self, block: bytes) -> None:
         """Shows the complete lines, up to a limit."""

@@ -2,7 +2,8 @@
 
 An error, an endless loop, a crash or too much memory costs such an agent only its own kart. It is
 no protection against malicious code: an agent can still read and write what the user who runs the
-race can.
+race can. On Linux, a keeper (:mod:`stkzoo.drivers.keeper`) starts each agent and ends all that it
+has started.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from pathlib import Path
 from typing import Any, NoReturn
 
+from stkzoo.drivers import keeper
 from stkzoo.drivers.failures import OutputTail, reported_error
 from stkzoo.drivers.files import AgentFiles
 from stkzoo.drivers.instances import Decision, DriverRequest, without_unused_paths
@@ -38,14 +39,16 @@ main(*map(int, sys.argv[2:]))
 _SEND_TIMEOUT = 60.0
 #: Lines of an agent's output that are shown with its exception.
 _LINES_BEFORE_ERROR = 5
-#: How long an agent may take to end by itself after the race [s].
+#: How long an agent may take to end by itself after the race [s] ...
 _GRACE = 0.5
+#: ... and its keeper to end all that it has started.
+_END_TIMEOUT = 5.0
+_HAS_KEEPER = sys.platform == "linux"
+_MOST_REASON = 200
 
 
 class IsolatedInstance:
     """An agent in a process of its own.
-
-    The process ends with the thread that started it, so start it in one that lasts.
 
     Args:
         request: the runner's request; its spaces are those of the ``full`` view.
@@ -70,7 +73,7 @@ class IsolatedInstance:
         self._resources = ExitStack()
         try:
             place = files.place(self._resources)
-            self._channel, self._process = self._spawn()
+            self._channel, self._life, self._process = self._spawn()
         except (ConfigError, OSError) as error:
             self._resources.close()
             raise AgentError(str(error), self._agent) from error
@@ -115,12 +118,9 @@ class IsolatedInstance:
 
     def peak_memory(self) -> float | None:
         """Peak memory of the process so far [MB]; ``None`` where the system does not report it."""
-        status = Path(f"/proc/{self._process.pid}/status")
-        with suppress(OSError):
-            for line in status.read_text(errors="replace").splitlines():
-                if line.startswith("VmHWM:"):
-                    return int(line.split()[1]) / 1024
-        return None
+        processes = keeper.descendants(self._process.pid)
+        peaks = (keeper.memory_of(process, "status", ("VmHWM:",)) for process in processes)
+        return max(peaks, default=0) / 2**20 or None
 
     def close(self) -> None:
         """Ends the process and all that it started, and removes the agent's unpacked files."""
@@ -165,8 +165,7 @@ class IsolatedInstance:
         except (EOFError, OSError):
             how = "closed its connection"
             if self._has_ended(_GRACE):
-                self._end()
-                how = describe_end(self._process.returncode)
+                how = self._how_it_ended()
             self._fail(f"its process {how} when the {phase} was due")
         except ProtocolError as problem:
             self._fail(f"its process sent an invalid message: {problem}")
@@ -184,25 +183,30 @@ class IsolatedInstance:
 
     # ------------------------------------------------------------------ the process
 
-    def _spawn(self) -> tuple[Channel, subprocess.Popen[bytes]]:
+    def _spawn(self) -> tuple[Channel, socket.socket, subprocess.Popen[bytes]]:
         if sys.platform == "win32":
             raise ConfigError("agents cannot run in processes of their own here; use --inline")
         ours, theirs = socket.socketpair()
         self._resources.callback(ours.close)
+        life, end = socket.socketpair()
+        self._resources.callback(life.close)
         memory = (self._limits.memory or 0) << 20
         path = json.dumps([path or os.getcwd() for path in sys.path])
-        with theirs:
-            arguments = theirs.fileno(), os.getpid(), memory
+        with theirs, end:
+            command = [sys.executable, "-c", _CODE, path, str(theirs.fileno()), str(memory)]
+            if _HAS_KEEPER:
+                arguments = map(str, (os.getpid(), theirs.fileno(), memory))
+                command = [sys.executable, "-I", "-S", keeper.__file__, *arguments, *command]
             process = subprocess.Popen(  # noqa: S603 - our own interpreter on our own code
-                [sys.executable, "-c", _CODE, path, *map(str, arguments)],
-                stdin=subprocess.DEVNULL,
+                command,
+                stdin=end.fileno() if _HAS_KEEPER else subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 pass_fds=[theirs.fileno()],
                 start_new_session=True,
                 env={**os.environ, **ONE_THREAD, "PYTHONHASHSEED": "0"},
             )
-        return Channel(ours), process
+        return Channel(ours), life, process
 
     def _has_ended(self, seconds: float) -> bool:
         """Waits for the process to end by itself; leaves its id reserved for :meth:`_end`."""
@@ -217,10 +221,27 @@ class IsolatedInstance:
                 time.sleep(0.002)
         return True
 
+    def _how_it_ended(self) -> str:
+        """Says how the process ended by itself, or why its keeper ended it."""
+        reason = b""
+        with suppress(OSError):
+            self._life.setblocking(False)
+            reason = self._life.recv(_MOST_REASON)
+        self._end()
+        code = self._process.returncode
+        if _HAS_KEEPER and code - 128 in set(signal.Signals):
+            code = 128 - code  # of the agent, which its keeper reports so
+        return reason.decode(errors="replace") or describe_end(code)
+
     def _end(self) -> None:
-        """Ends the process and all others of its session."""
+        """Ends the process and all that it has started."""
         self.is_usable = False
         self._channel.close()
+        self._life.close()
+        if self._process.returncode is None and _HAS_KEEPER:
+            with suppress(ProcessLookupError, subprocess.TimeoutExpired):
+                os.kill(self._process.pid, signal.SIGCONT)
+                self._process.wait(_END_TIMEOUT)
         if self._process.returncode is None:
             with suppress(ProcessLookupError, PermissionError):
                 os.killpg(self._process.pid, signal.SIGKILL)

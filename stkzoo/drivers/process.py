@@ -90,15 +90,13 @@ class Channel:
         self._connection.settimeout(left)
 
 
-def main(connection_fd: int, parent: int, memory: int) -> None:
+def main(connection_fd: int, memory: int) -> None:
     """Runs until the other end is gone.
 
     Args:
         connection_fd: descriptor of the socket to the race.
-        parent: process id of the race.
         memory: how much memory the process may use [bytes]; 0 for no limit.
     """
-    _die_with(parent)
     sys.stdout.reconfigure(line_buffering=True, errors="backslashreplace")  # type: ignore[union-attr]
     connection = socket.socket(fileno=connection_fd)
     connection.set_inheritable(False)
@@ -160,11 +158,3 @@ def _limit_memory(limit: int) -> None:
 
         resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-
-
-def _die_with(parent: int) -> None:
-    """Makes the kernel end this process when the race's process ends (Linux)."""
-    if sys.platform == "linux":
-        from stkzoo.engine import process_clone
-
-        process_clone.die_with(parent)

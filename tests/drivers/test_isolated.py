@@ -1,17 +1,19 @@
 """Agents in processes of their own: what one does costs its own kart only (D23, D25)."""
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
 import textwrap
+import threading
 
 import pytest
 
 from stkzoo.errors import AgentError, AgentTimeout
 from stkzoo.race import run_race
 from tests.support.paths import AGENTS
-from tests.support.processes import process_exists, wait_until
+from tests.support.processes import children_of, process_exists, wait_until
 
 HOSTILE = AGENTS / "hostile"
 TRACK = "lighthouse"
@@ -205,5 +207,46 @@ def test_an_agent_dies_with_a_race_that_is_killed(tmp_path):
         program.kill()
         program.wait()
     agent, child = map(int, pids.read_text().split())
-    assert wait_until(lambda: not process_exists(agent))
-    os.kill(child, signal.SIGKILL)  # its own children are its own affair then
+    assert wait_until(lambda: not process_exists(agent) and not process_exists(child))
+
+
+def left_by_this_program():
+    return threading.active_count(), len(os.listdir("/proc/self/fd")), children_of(os.getpid())
+
+
+@pytest.mark.slow
+def test_a_daemon_of_an_agent_does_not_outlive_its_race(monkeypatch, tmp_path):
+    """It leaves its session and its parents, and holds the agent's output open."""
+    pids = tmp_path / "pids"
+    monkeypatch.setenv("STKZOO_TEST_PIDS", str(pids))
+    race("ai", hostile("daemon"), max_steps=3)
+    before = left_by_this_program()
+    for _ in range(3):
+        race("ai", hostile("daemon"), max_steps=3)
+    assert left_by_this_program() == before
+    daemons = [int(pid) for pid in pids.read_text().split()]
+    assert len(daemons) == 4
+    assert wait_until(lambda: not any(map(process_exists, daemons)))
+
+
+@pytest.mark.slow
+def test_a_keeper_that_is_killed_leaves_no_thread_and_no_descriptor(monkeypatch, tmp_path):
+    monkeypatch.setenv("STKZOO_TEST_PIDS", str(tmp_path / "pids"))
+    race("ai", hostile("escapes"), max_steps=3, start_timeout=2.0)
+    before = left_by_this_program()
+    row = by_driver(race("ai", hostile("escapes"), max_steps=3, start_timeout=2.0))["escapes"]
+    assert row.status == "retired"
+    assert left_by_this_program() == before
+    for pid in map(int, (tmp_path / "pids").read_text().split()):
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+
+
+@pytest.mark.slow
+def test_memory_of_all_processes_of_an_agent_counts_together(monkeypatch, tmp_path):
+    """Shared memory and children are not the agent's own data, which the system limits."""
+    monkeypatch.setenv("STKZOO_TEST_PIDS", str(tmp_path / "pids"))
+    for name in ("shares", "spreads"):
+        result = race("ai", hostile(name), agent_memory=400, action_timeout=20.0, max_steps=40)
+        row = by_driver(result)[name]
+        assert "used more than 400 MB with all its processes" in row.errors[0].message
