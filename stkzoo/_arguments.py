@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 import inspect
 import re
+import textwrap
 import types
 import typing
-from collections import defaultdict
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import MISSING, Field, field, fields
 from typing import Any, NoReturn
 
@@ -19,11 +19,61 @@ __all__ = ["CommandParser", "add_options", "option", "positional", "values_of"]
 _ATTRIBUTE = re.compile(r"^    (\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
 
 
+#: A command with more options has a usage line that does not list them.
+_MAX_LISTED = 6
+
+
+class _HelpFormatter(argparse.HelpFormatter):
+    """Fills paragraphs, keeps indented lists, and shortens the usage of long commands."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        """Fills paragraphs to the terminal's width; those with indented lines stay as they are."""
+        plain = re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text).replace("``", "`")
+        filled = "\n\n".join(
+            part
+            if re.search("^ ", part, re.MULTILINE)
+            else "\n".join(self._split_lines(part, width))
+            for part in plain.split("\n\n")
+        )
+        return textwrap.indent(filled, indent)
+
+    def _split_lines(self, text: str, width: int) -> list[str]:
+        return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
+
+    def _format_action(self, action: argparse.Action) -> str:
+        """Lists commands without a line for the word COMMAND."""
+        if isinstance(action, argparse._SubParsersAction):
+            return "".join(map(self._format_action, action._get_subactions()))
+        return super()._format_action(action)
+
+    def add_usage(
+        self,
+        usage: str | None,
+        actions: Iterable[argparse.Action],
+        groups: Iterable[argparse._MutuallyExclusiveGroup],
+        prefix: str | None = None,
+    ) -> None:
+        """Replaces a long list of options with ``[OPTION ...]``."""
+        listed = list(actions)
+        free = [action for action in listed if action.option_strings and not action.required]
+        if len(free) > _MAX_LISTED:
+            options = argparse.Action((), "options", nargs="*", metavar="OPTION")
+            listed, groups = [options, *(a for a in listed if a not in free)], ()
+        super().add_usage(usage, listed, groups, prefix)
+
+
 class CommandParser(argparse.ArgumentParser):
     """A parser whose errors are one line, which names what was probably meant."""
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(**{"formatter_class": argparse.RawDescriptionHelpFormatter, **options})
+        super().__init__(**{"formatter_class": _HelpFormatter, **options})
+
+    def group(self, title: str) -> argparse._ArgumentGroup:
+        """The group of options with a title; groups are shown in the order of their first use."""
+        for group in self._action_groups:
+            if group.title == title:
+                return group
+        return self.add_argument_group(title)
 
     def fail(self, message: str) -> NoReturn:
         """Ends the program with exit code 2."""
@@ -66,8 +116,8 @@ def option(default: Any = None, **keywords: Any) -> Any:
     Args:
         default: the field's.
         **keywords: of ``ArgumentParser.add_argument``, and ``flag``, where the option has another
-            name than the field, and ``rivals``: at most one of the options with the same
-            ``rivals`` can be given.
+            name than the field, ``group``, the title of its group in the help, and ``rivals``:
+            at most one of the options with the same ``rivals`` can be given.
     """
     return field(default=default, metadata=keywords)
 
@@ -78,11 +128,12 @@ def positional(default: Any = MISSING, **keywords: Any) -> Any:
 
 
 def add_options(
-    parser: argparse._ActionsContainer,
+    parser: CommandParser,
     kind: type,
     *,
     without: Collection[str] = (),
     only: Collection[str] | None = None,
+    group: str | None = None,
 ) -> None:
     """Adds an option for each field of a dataclass: ``--max-steps`` for ``max_steps``.
 
@@ -90,17 +141,23 @@ def add_options(
     metadata have one. Fields are numbers, texts, booleans, paths, or tuples of these.
 
     Args:
-        parser: a parser or a group of options.
+        parser: the command's.
         kind: the dataclass.
         without: fields to leave out.
         only: the fields to add; ``None`` for all.
+        group: title of the group of fields that name none; ``None`` for the parser's own.
     """
     kinds, texts = typing.get_type_hints(kind), _texts(kind)
-    rivals: dict[str, argparse._ActionsContainer] = defaultdict(parser.add_mutually_exclusive_group)
+    rivals: dict[str, argparse._ActionsContainer] = {}
     for entry in _fields(kind, without, only):
-        keywords = _keywords(entry, kinds[entry.name], texts)
+        keywords = _keywords(entry, _metadata(kind, entry.name), kinds[entry.name], texts)
         flag = keywords.pop("flag", "--" + entry.name.replace("_", "-"))
-        container = rivals[keywords.pop("rivals")] if "rivals" in keywords else parser
+        title = keywords.pop("group", group)
+        container: argparse._ActionsContainer = parser.group(title) if title else parser
+        if rival := keywords.pop("rivals", None):
+            if rival not in rivals:
+                rivals[rival] = container.add_mutually_exclusive_group()
+            container = rivals[rival]
         if flag:
             container.add_argument(flag, dest=entry.name, **keywords)
         else:
@@ -137,10 +194,21 @@ def _texts(kind: type) -> dict[str, str]:
     }
 
 
-def _keywords(entry: Field[Any], kind: Any, texts: dict[str, str]) -> dict[str, Any]:
+def _metadata(kind: type, name: str) -> dict[str, Any]:
+    """The metadata of a field; a new default keeps those of the base's field."""
+    metadata: dict[str, Any] = {}
+    for base in reversed(kind.__mro__):
+        if name in (entries := getattr(base, "__dataclass_fields__", {})):
+            metadata |= entries[name].metadata
+    return metadata
+
+
+def _keywords(
+    entry: Field[Any], metadata: dict[str, Any], kind: Any, texts: dict[str, str]
+) -> dict[str, Any]:
     """The keywords of ``add_argument`` for a field."""
-    is_positional, default = entry.metadata.get("flag") == "", entry.default
-    keywords: dict[str, Any] = {"help": texts.get(entry.name, ""), **entry.metadata}
+    is_positional, default = metadata.get("flag") == "", entry.default
+    keywords: dict[str, Any] = {"help": texts.get(entry.name, ""), **metadata}
     if isinstance(kind, types.UnionType):  # with None
         kind = next(part for part in typing.get_args(kind) if part is not types.NoneType)
         keywords |= {"nargs": "?"} if is_positional else {}

@@ -3,7 +3,7 @@
 A command's module has
 
 - a docstring: its first line is the command's line in ``stkzoo --help``, the rest its description,
-  of which ``stkzoo COMMAND --help`` shows ``Examples:`` and what follows at the end;
+  of which ``stkzoo COMMAND --help`` shows ``exit codes:`` and what follows at the end;
 - ``add_arguments(parser)``: declares its arguments;
 - ``run(arguments)``: does the work and returns the exit code; a command with actions has one
   function for each instead (:func:`~stkzoo.cli._arguments.add_actions`).
@@ -46,8 +46,8 @@ first steps:
 `stkzoo COMMAND --help` has examples of each.
 
 exit codes:
-  0 success, 1 failure, 2 invalid command line, 3 the race ran but an agent failed,
-  130 interrupted
+  0 success, 1 failure, 2 invalid command line, 3 the race ran but an agent
+  failed, 130 interrupted
 """
 
 

@@ -45,16 +45,16 @@ def add_command(
         subparsers: of the command line, or of a command.
         name: the command's.
         documented: what has its docstring: a line for the list, a description if there is more to
-            say, and after "Examples:" what comes below the options.
+            say, "Examples:", and "exit codes:", which come below the options.
         **options: of the parser.
     """
     summary, _, text = (inspect.getdoc(documented) or "").partition("\n\n")
-    description, heading, examples = text.partition("Examples:\n")
+    description, heading, codes = text.partition("exit codes:")
     return subparsers.add_parser(
         name,
         help=summary[:1].lower() + summary[1:].rstrip("."),
-        description=description.rstrip() or summary,
-        epilog=heading.lower() + examples,
+        description=description.rstrip().replace("Examples:\n", "examples:\n") or summary,
+        epilog=heading + codes,
         **options,
     )
 
@@ -83,7 +83,7 @@ class BatchArguments:
     """Options of all commands that run many races.
 
     Attributes:
-        jobs: races at a time (default: all CPU cores)
+        jobs: races at the same time (default: all CPU cores)
         race_timeout: time limit of one race
     """
 
@@ -91,7 +91,7 @@ class BatchArguments:
     race_timeout: float = option(3600.0, metavar="SECONDS")
 
 
-def add_batch_options(parser: argparse.ArgumentParser, decided: Collection[str]) -> None:
+def add_batch_options(parser: CommandParser, decided: Collection[str]) -> None:
     """Adds the options of all commands that run many races.
 
     Args:
@@ -99,13 +99,13 @@ def add_batch_options(parser: argparse.ArgumentParser, decided: Collection[str])
         decided: fields of ``RaceSettings`` that the command sets itself.
     """
     add_options(parser, BatchArguments)
-    add_options(parser.add_argument_group("each race"), RaceSettings, without=decided)
+    add_options(parser, RaceSettings, without=decided, group="each race")
 
 
 def tracks_option() -> Any:
     """A field for ``--track``, with several names."""
     return option(
-        ("train",), flag="--track", metavar="TRACK", help="tracks' names, or train, test or all"
+        ("train",), flag="--track", metavar="TRACK", help="names of tracks, or train, test or all"
     )
 
 

@@ -10,7 +10,7 @@ import sys
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
-from stkzoo._arguments import add_options, option
+from stkzoo._arguments import CommandParser, add_options, option
 from stkzoo._os import check_display
 from stkzoo.errors import ConfigError
 
@@ -20,11 +20,10 @@ if TYPE_CHECKING:
 _SPEEDS = {"1": 1.0, "2": 2.0, "4": 4.0, "max": None}
 
 
-def add_replay_options(parser: argparse.ArgumentParser) -> None:
+def add_replay_options(parser: CommandParser) -> None:
     """Adds ``--replay``."""
-    group = parser.add_argument_group("a replay")
-    group.add_argument(
-        "--replay", metavar="FILE", help="keep the race in FILE (.stkz), for `stkzoo replay FILE`"
+    parser.group("output").add_argument(
+        "--replay", metavar="FILE", help="record the race into FILE (.stkz), for stkzoo replay"
     )
 
 
@@ -69,12 +68,12 @@ class VideoArguments:
     """Options of a video.
 
     Attributes:
-        cameras: agents with a camera, 1 to 8 (default: auto, up to 4)
-        width: width of the picture
-        height: height of the picture
-        render_sub_steps: pictures per step, with ten steps per second
-        render_backend: engine: the game draws; map: the race from above, ten times as fast; auto:
-            the game if it can draw here
+        cameras: number of agents with a camera, 1 to 8, or auto (default: up to 4)
+        width: width of the video
+        height: height of the video
+        render_sub_steps: frames per step; there are ten steps per second
+        render_backend: engine films in the game; map draws the race from above, ten times as fast;
+            auto uses the game if it can draw here
     """
 
     cameras: int | None = option(metavar="N", type=_number_of_cameras)
@@ -90,9 +89,9 @@ class LivePageArguments:
 
     Attributes:
         web: show the race on a page while it runs
-        web_port: its port; 0 takes a free one
-        web_host: its address; 0.0.0.0 lets other machines watch
-        web_speed: times real time at the start
+        web_port: port of the page; 0 picks a free one
+        web_host: address of the page; 0.0.0.0 lets other machines watch
+        web_speed: initial speed, in multiples of real time
         web_wait: wait on the grid until a viewer presses Run
         web_stay: keep the page after the race, until Close or Ctrl-C
     """
@@ -105,14 +104,14 @@ class LivePageArguments:
     web_stay: bool = False
 
 
-def add_viewing_options(parser: argparse.ArgumentParser) -> None:
+def add_viewing_options(parser: CommandParser) -> None:
     """Adds the options for the window, videos and the live page."""
-    add_options(parser.add_argument_group("the game's window"), WindowArguments)
-    video = parser.add_argument_group("a video")
+    add_options(parser, WindowArguments, group="game window")
+    video = parser.group("video")
     formats = ".mp4, .mkv, .avi, .webm, .ogv, .mov, .gif"
-    video.add_argument("--video", metavar="FILE", help=f"make a video: {formats}")
-    add_options(video, VideoArguments)
-    add_options(parser.add_argument_group("a live page in the browser"), LivePageArguments)
+    video.add_argument("--video", metavar="FILE", help=f"film the race into FILE: {formats}")
+    add_options(parser, VideoArguments, group="video")
+    add_options(parser, LivePageArguments, group="live page in the browser")
 
 
 def viewing_listeners(arguments: argparse.Namespace) -> list[RaceListener]:

@@ -17,10 +17,9 @@ Examples:
   stkzoo assets install                      any source that works
   stkzoo assets install --source debian      from Debian's or Ubuntu's package
   stkzoo assets install --source upstream    by the download of pystk2
-  stkzoo assets install --from pack.tar.xz   no network: from another machine's pack
+  stkzoo assets install --from pack.tar.xz   from another machine's pack
   stkzoo assets pack                         build the pack in the cache
-  stkzoo assets pack --output pack.tar.xz    and write it into a file (about 40 MB), for
-                                             `stkzoo assets install --from` elsewhere
+  stkzoo assets pack --output pack.tar.xz    the same, as a file of about 40 MB
 """
 
 from __future__ import annotations
@@ -103,7 +102,7 @@ def _install(arguments: argparse.Namespace) -> int:
       stkzoo assets install                      any source that works
       stkzoo assets install --source debian      from Debian's or Ubuntu's package
       stkzoo assets install --source upstream    by the download of pystk2
-      stkzoo assets install --from pack.tar.xz   no network: from another machine's pack
+      stkzoo assets install --from pack.tar.xz   from another machine's pack
     """
     from stkzoo.cli._console import ConsoleProgress
     from stkzoo.engine.assets import install

@@ -13,15 +13,15 @@ The agent is named as for `stkzoo race`: heuristic, ai, random, a folder, a zip,
 @:Name to rename it.
 
 Examples:
-  stkzoo benchmark heuristic                    300 races, stored in benchmark/heuristic
+  stkzoo benchmark heuristic                  300 races
   stkzoo benchmark my_agent/ --track lighthouse hacienda --seeds 2
   stkzoo benchmark my_agent.zip --difficulty 2 --output results/mine --inline
   stkzoo benchmark --compare results/mine benchmark/heuristic
-  stkzoo benchmark --baseline --output ai-times     measure the AI's own times
+  stkzoo benchmark --baseline --output ai-times     the AI's times
 
 exit codes:
-  0 success, 1 a race could not be run, 2 invalid command line, 3 the agent failed in some race,
-  130 interrupted
+  0 success, 1 a race could not be run, 2 invalid command line, 3 the agent
+  failed in some race, 130 interrupted
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stkzoo._arguments import add_options, option, positional, values_of
+from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
 from stkzoo.cli._arguments import (
     add_batch_options,
     chosen_directions,
@@ -74,18 +74,17 @@ class BenchmarkArguments:
 
     Attributes:
         agent: the agent; see above
-        compare: show the results in these folders or result.json files, and the differences between
-            the first and each other in the same races
-        baseline: measure the game's AI itself, at all difficulties, for --ai-times
-        split: tracks' names, or train, test or all (default: test; with --baseline all)
-        difficulty: of the game's AI, 0 to 3
-        forms: P is a kart of the agent, A one of the AI (default: PAAAA PPAAA P)
-        seeds: races of each kind
-        ai_times: the output of --baseline (default: stkzoo's own)
-        output: for races, result.json and benchmark.png (default: benchmark/AGENT); with --compare,
-            the file of a picture
+        compare: compare results (folders or result.json files): the first with each other
+        baseline: measure the game's AI at all difficulties, for --ai-times
+        split: names of tracks, or train, test or all (default: test; with --baseline, all)
+        difficulty: difficulty of the game's AI, 0 to 3
+        forms: line-ups to race: P is a kart of the agent, A one of the AI (default: PAAAA PPAAA P)
+        seeds: races of each track, direction, line-up and end of the grid
+        ai_times: the AI's times, from --baseline (default: those that come with stkzoo)
+        output: folder for the races, result.json and benchmark.png (default: benchmark/AGENT);
+            with --compare, a file for the picture; with --baseline, a folder for the times
         json: write only JSON to stdout
-        no_plot: draw no benchmark.png
+        no_plot: do not draw benchmark.png
     """
 
     agent: str | None = positional(None)
@@ -97,12 +96,12 @@ class BenchmarkArguments:
     seeds: int = 5
     directions: tuple[str, ...] = directions_option("forward", "reversed")
     ai_times: str | None = option(metavar="FILE")
-    output: str | None = option(metavar="FOLDER")
-    json: bool = False
-    no_plot: bool = False
+    output: str | None = option(metavar="PATH", group="output")
+    json: bool = option(False, group="output")
+    no_plot: bool = option(False, group="output")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     from stkzoo.evaluation import BenchmarkPlan
 

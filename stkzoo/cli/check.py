@@ -9,8 +9,8 @@ Examples:
   stkzoo check my_agent --json   the same for programs
 
 exit codes:
-  0 the agent passed, 1 the check could not be run, 2 invalid command line, 3 the agent failed,
-  130 interrupted
+  0 the agent passed, 1 the check could not be run, 2 invalid command line, 3
+  the agent failed, 130 interrupted
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import json
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
-from stkzoo._arguments import add_options, positional, values_of
+from stkzoo._arguments import CommandParser, add_options, positional, values_of
 from stkzoo.cli._arguments import usage_errors
 from stkzoo.race import RaceSettings
 
@@ -50,10 +50,10 @@ class CheckArguments:
     json: bool = False
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     add_options(parser, CheckArguments)
-    add_options(parser.add_argument_group("the agent"), RaceSettings, only=_SETTINGS)
+    add_options(parser, RaceSettings, only=_SETTINGS, group="agent")
 
 
 @usage_errors

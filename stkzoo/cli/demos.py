@@ -11,15 +11,15 @@ resumes.
 Read the file with stkzoo.evaluation.load_demonstrations(path), or with numpy.load (no pickles).
 
 Examples:
-  stkzoo demos heuristic                              15 training tracks, in demos.npz
-  stkzoo demos ai --difficulty 3 --seeds 5 --directions forward reversed --output ai.npz
-  stkzoo demos heuristic --rivals ai ai ai ai --karts 1 --view flattened_discrete
+  stkzoo demos heuristic                 15 training tracks, in demos.npz
+  stkzoo demos ai --difficulty 3 --seeds 5 --output ai.npz
+  stkzoo demos heuristic --rivals ai ai --karts 1 --view flattened_discrete
   stkzoo demos my_agent/ --track lighthouse hacienda --check
   stkzoo demos heuristic --format minari --output supertuxkart/heuristic-v0
 
 exit codes:
-  0 success, 1 a race could not be recorded or differs when driven again, 2 invalid command
-  line, 130 interrupted
+  0 success, 1 a race could not be recorded or differs when driven again, 2
+  invalid command line, 130 interrupted
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stkzoo._arguments import add_options, option, positional, values_of
+from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
 from stkzoo.cli._arguments import (
     add_batch_options,
     chosen_directions,
@@ -55,18 +55,18 @@ class DemosArguments:
 
     Attributes:
         agent: the driver; see above
-        view: the view to record: racing, simple, flattened_discrete, ...
+        view: view to record: racing, simple, flattened_discrete, ...
         seeds: races of each track and direction
-        first_seed: of these races
-        karts: karts of a race that the driver drives
-        rivals: the drivers of other karts
-        substeps: reads of the AI's controls per step, 1 to 12: it decides 12 times, and each read
-            takes time (default: 4; for agents 1)
-        output: the data set (default: demos.npz); with --format minari its name there (default:
-            supertuxkart/AGENT-v0)
-        format: of the data set
-        check: drive the first race again with the recorded controls, and compare the observations
-            (not with ai, which has boosts that agents do not get)
+        first_seed: seed of the first of these races
+        karts: number of karts that the driver drives in a race
+        rivals: drivers of the other karts
+        substeps: how often to read the AI's controls in a step, 1 to 12; more is slower
+            (default: 4; for agents 1)
+        output: file of the dataset (default: demos.npz); with --format minari, its name there
+            (default: supertuxkart/AGENT-v0)
+        format: format of the dataset
+        check: drive the first race again with the recorded actions, and compare the observations
+            (not for ai, which has boosts that agents do not get)
     """
 
     agent: str = positional()
@@ -78,12 +78,12 @@ class DemosArguments:
     karts: int = 4
     rivals: tuple[str, ...] = option((), metavar="DRIVER")
     substeps: int | None = None
-    output: str | None = option(metavar="FILE")
-    format: str = option("npz", choices=("npz", "minari"))
-    check: bool = False
+    output: str | None = option(metavar="FILE", group="output")
+    format: str = option("npz", choices=("npz", "minari"), group="output")
+    check: bool = option(False, group="output")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     from stkzoo.evaluation import DemoPlan
 

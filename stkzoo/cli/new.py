@@ -16,7 +16,7 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-from stkzoo._arguments import add_options, positional
+from stkzoo._arguments import CommandParser, add_options, positional
 from stkzoo.cli._arguments import usage_errors
 from stkzoo.errors import ConfigError
 
@@ -94,7 +94,7 @@ class NewArguments:
     folder: str = positional(metavar="FOLDER")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     add_options(parser, NewArguments)
 

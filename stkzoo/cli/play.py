@@ -10,11 +10,11 @@ them by default), heuristic, random, or agents from files, as in `stkzoo race`.
   backspace   return to the road
 
 Examples:
-  stkzoo play                                    against three bots, on a random track
+  stkzoo play                             against three karts of the game's AI
   stkzoo play heuristic my_agent/ --track hacienda
-  stkzoo play --map --track lighthouse           from above, where 3D is slow
-  stkzoo play --dataset me.npz                   your observations and actions, to learn from
-  stkzoo play --replay me.stkz                   the race, to replay
+  stkzoo play --map --track lighthouse    a map, where 3D is slow
+  stkzoo play --dataset me.npz            record your observations and actions
+  stkzoo play --replay me.stkz            record the race
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import random
 from dataclasses import dataclass
 from typing import Any
 
-from stkzoo._arguments import add_options, option, positional, values_of
+from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
 from stkzoo.cli._arguments import usage_errors
 from stkzoo.cli._race_options import add_replay_options, replay_listeners
 from stkzoo.errors import ConfigError
@@ -42,7 +42,7 @@ class PlayArguments:
     Attributes:
         opponents: the other drivers
         name: your name
-        seed: of all random choices
+        seed: seed of all random choices (default: a new one each time)
     """
 
     opponents: tuple[str, ...] = positional((), metavar="DRIVER")
@@ -55,11 +55,11 @@ class PlayWindowArguments:
     """Options of the window to play in.
 
     Attributes:
-        map: draw the race from above
-        is_3d: the game's pictures only
-        width: of the picture
-        height: of the picture
-        rate: steps a second: 10, 12, 15, 20, 30 or 60 (default: 20; 10 with --dataset, as
+        map: show a map instead of the game's pictures
+        is_3d: show the game's pictures; fail if this machine cannot draw them
+        width: width of the window
+        height: height of the window
+        rate: steps per second: 10, 12, 15, 20, 30 or 60 (default: 20; 10 with --dataset, as
             environments step)
     """
 
@@ -75,20 +75,20 @@ class PlayDatasetArguments:
     """Options of the dataset to record.
 
     Attributes:
-        dataset: record your drive in FILE (.npz)
-        view: its observations and actions (default: flattened_discrete): simple or a flattened one
+        dataset: record your observations and actions into FILE (.npz)
+        view: view of the dataset: simple or a flattened one (default: flattened_discrete)
     """
 
     dataset: str | None = option(metavar="FILE")
     view: str | None = None
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     add_options(parser, PlayArguments)
-    add_options(parser.add_argument_group("the window"), PlayWindowArguments)
-    add_options(parser.add_argument_group("a dataset"), PlayDatasetArguments)
-    add_options(parser.add_argument_group("the race"), RaceSettings, without=_DECIDED)
+    add_options(parser, PlayWindowArguments, group="window")
+    add_options(parser, PlayDatasetArguments, group="output")
+    add_options(parser, RaceSettings, without=_DECIDED, group="race")
     add_replay_options(parser)
     parser.set_defaults(races=1)
 

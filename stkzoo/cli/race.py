@@ -2,28 +2,29 @@
 
 Each driver gets a kart:
 
-  ai               the game's own AI, as strong as --difficulty; ai:3 sets that too
-  heuristic        a rule-based driver, which comes with stkzoo
-  pretrained:ace   a learned one, the best that comes with stkzoo; docs/explanation/learning.md
+  ai               the game's AI at --difficulty; ai:3 sets its own difficulty
+  heuristic        a rule-based driver that comes with stkzoo
+  pretrained:ace   a learned driver, the best that comes with stkzoo
   random           random actions
-  FOLDER, ZIP      an agent of yours: a pystk_actor.py with get_actor(...); docs/reference/agents.md
-  MODULE           the same, by the name that Python imports it by
+  FOLDER, ZIP      your agent: a pystk_actor.py with get_actor(...)
+  MODULE           your agent, by the name of a Python module
 
 DRIVER@:Name sets a driver's name. Each agent from files runs in a process of its own: a failure
 affects its own kart only. The same seed gives the same race, bit for bit.
 
 Examples:
-  stkzoo race --demo                           the best driver here against the hardest bots
+  stkzoo race --demo                          a learned driver against the AI
   stkzoo race heuristic ai ai --track hacienda --laps 3
-  stkzoo race my_agent/ other.zip@:Rival ai    agents of files against the game's AI
+  stkzoo race my_agent/ other.zip@:Rival ai   your agents against the game's AI
   stkzoo race my_agent/ ai --races 10 --track test --output results.json
-  stkzoo race heuristic --num-karts 8          with seven bots
-  stkzoo race heuristic random --json          the result as JSON
-  stkzoo race my_agent/ ai --show-output       see what your agent prints
+  stkzoo race heuristic --num-karts 8         against seven of the game's AI
+  stkzoo race heuristic random --json         the result as JSON
+  stkzoo race my_agent/ ai --show-output      see what your agent prints
 
 exit codes:
-  0 success, 1 the race could not be run, 2 invalid command line, 3 an agent failed (the result
-  has the error; an agent that cannot be loaded ends the command before the race), 130 interrupted
+  0 success, 1 the race could not be run, 2 invalid command line, 3 an agent
+  failed (the result has the error; an agent that cannot be loaded ends the
+  command before the race), 130 interrupted
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from stkzoo._arguments import add_options, option, positional, values_of
+from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
 from stkzoo._os import check_writable, write_whole
 from stkzoo.cli import _race_options
 from stkzoo.cli._arguments import usage_errors
@@ -68,18 +69,18 @@ class RacesArguments:
     """Options of the commands that run races of named drivers.
 
     Attributes:
-        num_karts: fill the race up with the AI to N karts
-        races: number of races, with consecutive seeds
+        num_karts: add karts of the game's AI until there are N karts
+        races: number of races; their seeds are consecutive
+        seed: seed of all random choices (default: a new one each time)
         output: write the result into FILE as JSON
         json: write only JSON to stdout
-        seed: of all random choices
     """
 
-    num_karts: int | None = None
-    races: int = 1
-    output: str | None = option(metavar="FILE")
-    json: bool = False
-    seed: int | None = None
+    num_karts: int | None = option(group="race")
+    races: int = option(1, group="race")
+    seed: int | None = option(group="race")
+    output: str | None = option(metavar="FILE", group="output")
+    json: bool = option(False, group="output")
 
 
 @dataclass
@@ -88,23 +89,23 @@ class RaceArguments:
 
     Attributes:
         drivers: the drivers; see above
-        demo: four karts on lighthouse: see who wins
+        demo: a demonstration: a learned driver against three karts of the AI
     """
 
     drivers: tuple[str, ...] = positional((), metavar="DRIVER")
     demo: bool = False
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     add_options(parser, RaceArguments)
     add_race_options(parser)
 
 
-def add_race_options(parser: argparse.ArgumentParser) -> None:
+def add_race_options(parser: CommandParser) -> None:
     """Adds all options of a race but its drivers."""
+    add_options(parser, RaceSettings, without=_DECIDED, group="race")
     add_options(parser, RacesArguments)
-    add_options(parser.add_argument_group("the race"), RaceSettings, without=_DECIDED)
     _race_options.add_replay_options(parser)
     _race_options.add_viewing_options(parser)
     parser.set_defaults(document=_document, listeners=())

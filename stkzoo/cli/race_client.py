@@ -1,4 +1,4 @@
-"""Run a race with agents that are served elsewhere.
+r"""Run a race with agents that are served elsewhere.
 
 Runs a race like `stkzoo race`, with the agents of servers (`stkzoo race-server`). Every agent of
 every server gets a kart, in the order of --server; the drivers named as arguments run here and
@@ -6,13 +6,14 @@ get the next karts. A server that is slow, dies or misbehaves affects its own ka
 
 Examples:
   stkzoo race-client --server 127.0.0.1:5555 --track lighthouse
-  stkzoo race-client --server ada.lab:5555 --server bob.lab:5555 heuristic ai --laps 2
-  stkzoo race-client --server ada.lab:5555 --server-key ada.public --secret course.secret
+  stkzoo race-client --server ada.lab:5555 --server bob.lab:5555 heuristic ai
+  stkzoo race-client --server ada.lab:5555 --server-key ada.public \
+      --secret course.secret
   stkzoo race-client --servers servers.txt --secret course.secret
 
 exit codes:
-  0 success, 1 the race could not be run, 2 invalid command line, 3 an agent or server failed
-  (the result has the error), 130 interrupted
+  0 success, 1 the race could not be run, 2 invalid command line, 3 an agent
+  or server failed (the result has the error), 130 interrupted
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stkzoo._arguments import add_options, option
+from stkzoo._arguments import CommandParser, add_options, option
 from stkzoo.cli._arguments import usage_errors
 from stkzoo.errors import ConfigError
 
@@ -35,13 +36,13 @@ class ServersArguments:
     """Options of the connection to servers.
 
     Attributes:
-        server: of a server, such as 127.0.0.1:5555; repeatable
-        servers: a file with a line ADDRESS [KEY] for each server, instead of --server
-        server_key: the servers' public key: a .public file or the key; once, or once for each
+        server: address of a server, such as 127.0.0.1:5555; repeatable
+        servers: list of servers, one ADDRESS [KEY] per line, instead of --server
+        server_key: public key of the servers, or a .public file; give it once, or once for each
             --server
-        secret: your own secret key (stkzoo keys new)
-        timeout: for each of a server's answers (default: --action-timeout plus 5 s)
-        connect_timeout: for the connection to a server before the race
+        secret: your secret key (see stkzoo keys new)
+        timeout: time limit for a server's reply (default: --action-timeout plus 5 s)
+        connect_timeout: time limit for the connection to a server
     """
 
     server: str | None = option(action="append", metavar="ADDRESS")
@@ -52,14 +53,14 @@ class ServersArguments:
     connect_timeout: float = option(10.0, metavar="SECONDS")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     from stkzoo.cli.race import add_race_options
 
     parser.add_argument(
-        "drivers", nargs="*", metavar="DRIVER", help="drivers that run here, as in stkzoo race"
+        "drivers", nargs="*", metavar="DRIVER", help="drivers that run here, as in `stkzoo race`"
     )
-    add_options(parser.add_argument_group("the servers"), ServersArguments)
+    add_options(parser, ServersArguments, group="servers")
     add_race_options(parser)
     parser.set_defaults(demo=False)
 

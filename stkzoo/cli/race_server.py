@@ -1,4 +1,4 @@
-"""Serve agents to races that run elsewhere.
+r"""Serve agents to races that run elsewhere.
 
 Serves agents to races that run elsewhere (`stkzoo race-client`), one race after another and
 several at once, until Ctrl-C. Each agent of each race runs in a process of its own here, with its
@@ -8,12 +8,11 @@ An agent is the path of a folder or zip with pystk_actor.py, or the name of a mo
 driver of stkzoo; append @:Name to rename it (docs/reference/agents.md).
 
 Examples:
-  stkzoo race-server my_agent.zip                  for clients on this machine
+  stkzoo race-server my_agent.zip             for clients on this machine
   stkzoo race-server ada.zip bob/ --address 127.0.0.1:6000
-  stkzoo race-server my_agent --address '*:5555' --secret ada.secret --allow course.public
-                                                   for a client elsewhere who has a key
-then, at the client:
-  stkzoo race-client --server 127.0.0.1:5555 --track lighthouse
+  stkzoo race-server my_agent --address '*:5555' --secret ada.secret \
+      --allow course.public                   for a remote client with a key
+  stkzoo race-client --server 127.0.0.1:5555  on the client's side
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from stkzoo._arguments import add_options, option, positional, values_of
+from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
 from stkzoo.cli._arguments import usage_errors
 from stkzoo.race import RaceSettings
 
@@ -41,11 +40,11 @@ class RaceServerArguments:
 
     Attributes:
         agents: the agents; see above
-        address: where to listen
-        threads: clients served at a time, each in a thread
-        secret: the server's secret key (stkzoo keys new)
-        allow: a client's public key, a file of them or a folder of .public files; repeatable
-        insecure: listen to other machines even without keys
+        address: address to listen at
+        threads: number of clients served at the same time
+        secret: secret key of the server (see stkzoo keys new)
+        allow: public key of a client, a file of keys or a folder of .public files; repeatable
+        insecure: accept other machines even without keys
         quiet: log only failures
     """
 
@@ -58,10 +57,10 @@ class RaceServerArguments:
     quiet: bool = False
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     add_options(parser, RaceServerArguments)
-    add_options(parser.add_argument_group("each agent"), RaceSettings, only=_SETTINGS)
+    add_options(parser, RaceSettings, only=_SETTINGS, group="agents")
 
 
 @usage_errors

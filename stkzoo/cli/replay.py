@@ -7,11 +7,11 @@ Examples:
   stkzoo race heuristic ai ai --seed 1 --replay race.stkz
   stkzoo replay race.stkz                      run it again and check it
   stkzoo replay race.stkz --video race.mp4     make a video of it
-  stkzoo replay race.stkz --info               describe the file, without the engine
+  stkzoo replay race.stkz --info               describe the file, run nothing
 
 exit codes:
-  0 all is as recorded, 1 it is not, or the file is not playable, 2 invalid command line,
-  130 interrupted
+  0 all is as recorded, 1 it is not, or the file is not playable, 2 invalid
+  command line, 130 interrupted
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import sys
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
-from stkzoo._arguments import add_options, positional
+from stkzoo._arguments import CommandParser, add_options, positional
 from stkzoo.cli._race_options import add_viewing_options, viewing_listeners
 from stkzoo.errors import ConfigError
 
@@ -49,7 +49,7 @@ class ReplayArguments:
     any_engine: bool = False
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     add_options(parser, ReplayArguments)
     add_viewing_options(parser)

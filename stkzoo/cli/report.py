@@ -17,7 +17,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 
-from stkzoo._arguments import add_options, option, positional
+from stkzoo._arguments import CommandParser, add_options, option, positional
 from stkzoo.cli._arguments import usage_errors
 
 
@@ -26,7 +26,7 @@ class ReportArguments:
     """Options of ``stkzoo report``.
 
     Attributes:
-        folder: of the tournament
+        folder: folder of the tournament
         publish: write a page without private details into FOLDER
         title: heading of the page
         films: races with a map film (default: six races of the best agents)
@@ -38,7 +38,7 @@ class ReportArguments:
     films: tuple[int, ...] = option((), metavar="RACE")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     add_options(parser, ReportArguments)
 

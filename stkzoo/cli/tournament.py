@@ -15,14 +15,14 @@ Agents are named as for `stkzoo race`: ai, heuristic, random, a folder, a zip, a
 
 Examples:
   stkzoo tournament heuristic ai random my_agent/ --track lighthouse hacienda
-  stkzoo tournament students/*.zip ai --track test --races 300 --per-race 5 --output league
+  stkzoo tournament students/*.zip ai --races 300 --per-race 5 --output league
   stkzoo tournament --resume league
   stkzoo tournament --resume league late.zip       late.zip joins
   stkzoo tournament ai --servers servers.txt --secret course.secret
 
 exit codes:
-  0 success, 1 a race could not be run, 2 invalid command line, 3 an agent failed in some race,
-  130 interrupted
+  0 success, 1 a race could not be run, 2 invalid command line, 3 an agent
+  failed in some race, 130 interrupted
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stkzoo._arguments import add_options, option, positional, values_of
+from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
 from stkzoo.cli._arguments import add_batch_options, tracks_option, usage_errors
 from stkzoo.cli.race_client import ServersArguments, server_access
 from stkzoo.race import RaceSettings
@@ -51,12 +51,12 @@ class TournamentArguments:
     Attributes:
         agents: the agents; see above
         races: number of races
-        per_race: agents in a race (default: 4, or all if there are fewer)
-        seed: of the schedule and the races
-        output: for races, result.json and tournament.png
-        resume: resume the tournament in FOLDER; agents named beside it join it
+        per_race: number of agents in a race (default: 4, or all if there are fewer)
+        seed: seed of the schedule and the races
+        output: folder for the races, result.json, tournament.png and report.html
+        resume: resume the tournament in FOLDER; agents that you name join it
         json: write only JSON to stdout
-        no_plot: draw no tournament.png
+        no_plot: do not draw tournament.png
     """
 
     agents: tuple[str, ...] = positional((), metavar="AGENT")
@@ -64,18 +64,18 @@ class TournamentArguments:
     races: int = 60
     per_race: int | None = None
     seed: int = 0
-    output: str = option("tournament", metavar="FOLDER", rivals="folder")
-    resume: str | None = option(metavar="FOLDER", rivals="folder")
-    json: bool = False
-    no_plot: bool = False
+    output: str = option("tournament", metavar="FOLDER", rivals="folder", group="output")
+    resume: str | None = option(metavar="FOLDER", rivals="folder", group="output")
+    json: bool = option(False, group="output")
+    no_plot: bool = option(False, group="output")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     from stkzoo.evaluation import TournamentPlan
 
     add_options(parser, TournamentArguments)
-    add_options(parser.add_argument_group("agents of servers"), ServersArguments)
+    add_options(parser, ServersArguments, group="agents of servers")
     add_batch_options(parser, TournamentPlan.decided)
 
 

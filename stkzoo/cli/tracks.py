@@ -6,7 +6,7 @@ at --difficulty). Do not train on the tracks of "test".
 
 Examples:
   stkzoo tracks                                    all, by name
-  stkzoo tracks train --sort time                  training tracks, the fastest first
+  stkzoo tracks train --sort time                  the fastest first
   stkzoo tracks lighthouse hacienda --difficulty 3
   stkzoo tracks lighthouse --map lighthouse.png    its map as a picture
   stkzoo tracks --json                             for programs
@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from stkzoo._arguments import add_options, option, positional
+from stkzoo._arguments import CommandParser, add_options, option, positional
 from stkzoo._os import write_whole
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.tracks import SPLITS, TEST_TRACKS
@@ -47,7 +47,7 @@ class TracksArguments:
     json: bool = False
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     add_options(parser, TracksArguments)
 

@@ -19,6 +19,9 @@ ERROR_HANDLING = {
     "restart": "start it again, in the middle of the race",
 }
 
+#: Titles of groups of options.
+_AGENTS, _END = "agents", "end of the race"
+
 
 @check_arguments
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,21 +32,21 @@ class RaceSettings:
     ``max_steps`` a race ends after the time that a kart needs at 4 m/s, plus a minute.
 
     Attributes:
-        track: a track's name, or train, test or all to draw one
+        track: name of a track, or train, test or all to draw one (default: all)
         laps: number of laps
-        difficulty: of the game's AI, 0 to 3
+        difficulty: difficulty of the game's AI, 0 to 3
         reverse: drive in the other direction
         seed: seed of all random numbers
         max_paths: track segments ahead that agents see (default: all)
-        max_steps: end the race after this number of steps
-        max_steps_after_first: end the race this number of steps after the first kart finished
-        karts_finished: end the race when this number of karts finished
-        error_handling: when an agent fails
-        max_restarts: restarts of a failed agent
+        max_steps: end the race after N steps; there are ten steps per second
+        max_steps_after_first: end the race N steps after the first kart finishes
+        karts_finished: end the race when N karts have finished
+        error_handling: what to do when an agent fails
+        max_restarts: restarts of an agent that fails
         action_timeout: time limit for an agent's decision; 0 for no limit
         start_timeout: time limit for loading an agent
         agent_memory: memory limit of agents; 0 for no limit
-        inline: run agents in this process: faster, but without protection
+        inline: run agents in this process: faster, but an agent can end the race
         show_output: show what agents print, on stderr
         adapter: Python file with create_actor(get_actor, module_dir, obs_space, act_space)
     """
@@ -54,17 +57,17 @@ class RaceSettings:
     reverse: bool = False
     seed: int = 0
     max_paths: int | None = None
-    max_steps: int | None = None
-    max_steps_after_first: int | None = None
-    karts_finished: int | None = None
-    error_handling: str = option("retire", choices=tuple(ERROR_HANDLING))
-    max_restarts: int = 3
-    action_timeout: float | None = option(10.0, metavar="SECONDS")
-    start_timeout: float = option(60.0, metavar="SECONDS")
-    agent_memory: int | None = option(4096, metavar="MB")
-    inline: bool = False
-    show_output: bool = False
-    adapter: str | None = None
+    max_steps: int | None = option(group=_END)
+    max_steps_after_first: int | None = option(group=_END)
+    karts_finished: int | None = option(group=_END)
+    error_handling: str = option("retire", choices=tuple(ERROR_HANDLING), group=_AGENTS)
+    max_restarts: int = option(3, group=_AGENTS)
+    action_timeout: float | None = option(10.0, metavar="SECONDS", group=_AGENTS)
+    start_timeout: float = option(60.0, metavar="SECONDS", group=_AGENTS)
+    agent_memory: int | None = option(4096, metavar="MB", group=_AGENTS)
+    inline: bool = option(False, group=_AGENTS)
+    show_output: bool = option(False, group=_AGENTS)
+    adapter: str | None = option(metavar="FILE", group=_AGENTS)
 
     def __post_init__(self) -> None:
         check_whole("seed", self.seed, 0)

@@ -1,5 +1,6 @@
 """The command line is made of its modules: a new module is a new command."""
 
+import argparse
 import subprocess
 import sys
 from pathlib import Path
@@ -21,6 +22,30 @@ def test_the_help_lists_each_command_with_its_summary(capsys):
     shown = " ".join(capsys.readouterr().out.split())
     for name, summary in [("keys", "make keys for networked races"), ("karts", "list the karts")]:
         assert f"{name} {summary}" in shown
+
+
+def parsers(parser, name="stkzoo"):
+    yield name, parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for word, child in action.choices.items():
+                yield from parsers(child, f"{name} {word}")
+
+
+def test_the_help_of_each_command_fits_80_columns(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    for name, parser in parsers(build_parser()):
+        lines = parser.format_help().splitlines()
+        assert max(map(len, lines)) <= 80, name
+        assert len(parser.format_usage().splitlines()) <= 3, name
+
+
+def test_a_long_help_shows_examples_first_and_groups_of_options():
+    for name in ("race", "race-client", "tournament", "benchmark", "demos", "play"):
+        text = dict(parsers(build_parser(name)))[f"stkzoo {name}"].format_help()
+        assert text.startswith(f"usage: stkzoo {name} [OPTION ...] ")
+        assert text.index("examples:") < text.index("options:") < text.index("output:")
+        assert max(len(group.splitlines()) for group in text.split("\n\n")) < 42
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -1,10 +1,10 @@
 """The table of the commands' defaults is that of the commands."""
 
-import argparse
 import re
 
 import pytest
 
+from stkzoo._arguments import CommandParser
 from stkzoo.cli import race, race_client, race_server
 from tests.support.paths import ROOT
 
@@ -13,7 +13,7 @@ TABLE = PAGE.split("## Defaults of the commands")[1].split("\n## ")[0]
 
 
 def default(command, option):
-    parser = argparse.ArgumentParser()
+    parser = CommandParser()
     command.add_arguments(parser)
     return parser.get_default(option)
 

@@ -11,6 +11,8 @@ from stkzoo._arguments import option
 from stkzoo.errors import check_whole
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
+#: Title of a group of options.
+_LEARNING = "learning"
 #: The training tracks but for one, on which a race takes three times as long.
 QUICK_TRACKS = tuple(track for track in TRAIN_TRACKS if track != "black_forest")
 
@@ -23,7 +25,7 @@ class ScriptOptions:
         output: the run's folder.
     """
 
-    output: Path = option(required=True)
+    output: Path = option(required=True, metavar="FOLDER")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,10 +62,10 @@ class NetworkArguments(RunArguments):
         n_epochs: passes over the collected data per update.
     """
 
-    hidden: tuple[int, ...] = (256, 128)
-    learning_rate: float = 3e-4
-    batch_size: int = 512
-    n_epochs: int = 4
+    hidden: tuple[int, ...] = option((256, 128), group=_LEARNING)
+    learning_rate: float = option(3e-4, metavar="X", group=_LEARNING)
+    batch_size: int = option(512, group=_LEARNING)
+    n_epochs: int = option(4, group=_LEARNING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +79,10 @@ class PPOArguments(NetworkArguments):
         ent_coef: entropy coefficient at the start.
     """
 
-    gamma: float = 0.98
-    gae_lambda: float = 0.95
-    clip_range: float = 0.2
-    ent_coef: float = 0.0
+    gamma: float = option(0.98, metavar="X", group=_LEARNING)
+    gae_lambda: float = option(0.95, metavar="X", group=_LEARNING)
+    clip_range: float = option(0.2, metavar="X", group=_LEARNING)
+    ent_coef: float = option(0.0, metavar="X", group=_LEARNING)
 
 
 def track_names(names: Sequence[str]) -> list[str]:
