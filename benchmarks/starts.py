@@ -37,7 +37,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--starts", type=int, default=1000, help="how many, over all tracks")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--tracks", nargs="+", default=list(SPLITS["all"]))
+    parser.add_argument("--track", dest="tracks", nargs="+", default=list(SPLITS["all"]))
     parser.add_argument("--reverse", action="store_true", help="the tracks the other way round")
     parser.add_argument("--output", type=Path, default=RESULTS)
     arguments = parser.parse_args()

@@ -1,7 +1,7 @@
 """Evaluates policies in the same races, on training tracks; quicker than the benchmark.
 
     python -m stkzoo.agents.training.evaluate prior runs/first/policy-*.safetensors
-    python -m stkzoo.agents.training.evaluate prior runs/first runs/second/agent --tracks train
+    python -m stkzoo.agents.training.evaluate prior runs/first runs/second/agent --track train
 
 Each policy drives one race per track, direction and number, by its most likely choices. A policy is
 
@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._arguments import positional
+from stkzoo._arguments import option, positional
 from stkzoo.evaluation import BenchmarkForm
 
 from .common.arguments import track_names
@@ -110,7 +110,7 @@ class EvaluationOptions:
     policies: tuple[str, ...] = positional()
     form: str = "PAAAA"
     numbers: int = 2
-    tracks: tuple[str, ...] = ("train",)
+    tracks: tuple[str, ...] = option(("train",), flag="--track", metavar="TRACK")
 
 
 def main(words: list[str] | None = None) -> int:

@@ -196,7 +196,7 @@ class ExportOptions:
 
     weights: tuple[Path, ...] = positional()
     name: str = option(required=True)
-    output: Path = option(required=True)
+    output: Path = option(required=True, metavar="FOLDER")
     ensemble_weight: float | None = None
 
 

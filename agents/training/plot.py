@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._arguments import positional
+from stkzoo._arguments import option, positional
 from stkzoo.evaluation import GREY, INK, new_figure, save_figure, style_axes
 
 from .common.command import run_command
@@ -217,7 +217,7 @@ class PlotOptions:
     """
 
     runs: tuple[Path, ...] = positional()
-    output: Path = Path("curves.png")
+    output: Path = option(Path("curves.png"), metavar="FILE")
 
 
 def main(words: list[str] | None = None) -> int:

@@ -28,7 +28,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stkzoo._arguments import positional
+from stkzoo._arguments import option, positional
 from stkzoo.agents.pretrained.mlp import is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
@@ -338,11 +338,11 @@ class RatingOptions:
     """
 
     runs: tuple[Path, ...] = positional()
-    output: Path | None = None
+    output: Path | None = option(metavar="FOLDER")
     policy: str = ""
     matches: int | None = None
     every: int = 1_000_000
-    tracks: tuple[str, ...] = ("lighthouse",)
+    tracks: tuple[str, ...] = option(("lighthouse",), flag="--track", metavar="TRACK")
 
     def __post_init__(self) -> None:
         if bool(self.policy) == bool(self.output):

@@ -28,6 +28,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from stkzoo._arguments import option
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.errors import unknown_name
@@ -111,7 +112,7 @@ class TuningOptions:
         output: the search's folder.
     """
 
-    output: Path = Path("tuned")
+    output: Path = option(Path("tuned"), metavar="FOLDER")
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +133,7 @@ class TuningArguments(RunArguments):
     population: int = 14
     bots: int = 0
     sigma: float = 0.07
-    tracks: tuple[str, ...] = QUICK_TRACKS
+    tracks: tuple[str, ...] = option(QUICK_TRACKS, flag="--track", metavar="TRACK")
 
     def __post_init__(self) -> None:
         RunArguments.__post_init__(self)

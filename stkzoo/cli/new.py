@@ -1,12 +1,14 @@
 """Create a starter agent.
 
 Writes a small commented driver into a new folder. It finishes a race as it is; change it from
-there. Existing files are never overwritten.
+there. With another view than simple, it acts at random until you put a policy in.
+Existing files are never overwritten.
 
 Examples:
-  stkzoo new my_agent          create my_agent/pystk_actor.py
-  stkzoo race my_agent ai ai   race it against the game's AI
-  stkzoo check my_agent        find out whether a tournament would accept it
+  stkzoo new my_agent                create my_agent/pystk_actor.py
+  stkzoo new my_agent --view racing  for a policy that you train on this view
+  stkzoo race my_agent ai ai         race it against the game's AI
+  stkzoo check my_agent              see whether a tournament would accept it
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-from stkzoo._arguments import CommandParser, add_options, positional
+from stkzoo._arguments import CommandParser, add_options, option, positional
 from stkzoo.cli._arguments import usage_errors
 from stkzoo.errors import ConfigError
 
@@ -71,6 +73,26 @@ def get_actor(module_dir, observation_space, action_space):
     return actor
 '''
 
+_POLICY = '''\
+"""A starter agent for a policy. Its contract is described in docs/reference/agents.md."""
+
+# The view: what the agent observes and how it acts. Use the one that you train on.
+env_name = "supertuxkart/{view}-v0"
+
+# The name in results.
+player_name = {name!r}
+
+
+def get_actor(module_dir, observation_space, action_space):
+    """Called once before each race. Load your policy here, such as module_dir / "weights.pt"."""
+
+    def actor(state, observation):
+        """Called at every step, ten times per second. Returns one action."""
+        return action_space.sample()  # a random action: return that of your policy instead
+
+    return actor
+'''
+
 _README = """\
 # {name}
 
@@ -89,9 +111,11 @@ class NewArguments:
 
     Attributes:
         folder: folder to create
+        view: view of the agent, such as simple, racing or box_continuous
     """
 
     folder: str = positional(metavar="FOLDER")
+    view: str = option("simple", metavar="NAME")
 
 
 def add_arguments(parser: CommandParser) -> None:
@@ -102,6 +126,9 @@ def add_arguments(parser: CommandParser) -> None:
 @usage_errors
 def run(arguments: argparse.Namespace) -> int:
     """Creates the agent and prints what to do next."""
+    from stkzoo.views import find_view
+
+    find_view(arguments.view)
     folder = Path(arguments.folder)
     name = folder.resolve().name
     try:
@@ -113,7 +140,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"{arguments.folder!r} is not empty; choose another folder")
     quoted = shlex.quote(arguments.folder)
     archive = shlex.quote(f"{name}.zip")
-    (folder / "pystk_actor.py").write_text(_ACTOR.format(name=name), encoding="utf-8")
+    actor = _ACTOR if arguments.view == "simple" else _POLICY
+    source = actor.format(name=name, view=arguments.view)
+    (folder / "pystk_actor.py").write_text(source, encoding="utf-8")
     readme = _README.format(name=name, folder=quoted, zip=archive)
     (folder / "README.md").write_text(readme, encoding="utf-8")
     print(f"Created {folder / 'pystk_actor.py'}. Next:")

@@ -28,7 +28,7 @@ exit codes:
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -94,7 +94,9 @@ def _plan(arguments: argparse.Namespace, folder: Path) -> TournamentPlan:
 
     servers = server_access(arguments)
     if arguments.resume:
-        return resumed_plan(folder, arguments.agents, servers)
+        plan = resumed_plan(folder, arguments.agents, servers)
+        settings = replace(plan.settings, show_output=arguments.show_output)
+        return replace(plan, settings=settings)
     return plan_tournament(
         servers=servers,
         **values_of(arguments, TournamentArguments, only=_PLANNED),

@@ -161,6 +161,10 @@ class OutputTail:
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
+    def show_as(self, label: str) -> None:
+        """Changes the label of the lines that follow, and counts them from 0."""
+        self._label, self._num_shown = label, 0
+
     def text(self, lines: int = _KEPT_LINES) -> str:
         """The last lines received so far."""
         text = printable(self._tail.decode(errors="replace"))

@@ -10,7 +10,7 @@ import pytest
 from tests.chaos.family import family, marked
 from tests.support.processes import wait_until
 
-SMALL = ["--tracks=olivermath", "--n-epochs=1", "--hidden", "16", "16"]
+SMALL = ["--track=olivermath", "--n-epochs=1", "--hidden", "16", "16"]
 TRAINERS = {
     "imitation.imitate": ["--teacher=pursuit", "--karts=1", "--jobs=2", *SMALL],
     "ppo.selfplay": ["--total-timesteps=99999", "--races=2x1", "--n-steps=16", *SMALL],

@@ -25,6 +25,14 @@ def test_the_starter_agent_finishes_lighthouse(starter):
     assert (row.driver, row.num_errors, row.num_clipped) == ("my agent", 0, 0)
 
 
+def test_the_starter_of_another_view_acts_in_that_view(tmp_path, capsys):
+    folder = tmp_path / "racer"
+    assert main(["new", str(folder), "--view", "racing"]) == 0
+    assert main(["check", str(folder), "--max-steps", "5"]) == 0
+    assert main(["new", str(tmp_path / "other"), "--view", "racin"]) == 2
+    assert "Did you mean 'racing'?" in capsys.readouterr().err
+
+
 def test_new_prints_the_next_commands(tmp_path, capsys):
     folder = tmp_path / "first"
     assert main(["new", str(folder)]) == 0

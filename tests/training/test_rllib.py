@@ -112,7 +112,7 @@ def test_the_learned_weights_have_the_names_of_stable_baselines3():
 
 
 def test_the_command_line_is_read():
-    words = ["--output", "run", "--tracks", "train", "--hidden", "64", "32"]
+    words = ["--output", "run", "--track", "train", "--hidden", "64", "32"]
     found = []
     kinds = ScriptOptions, RLlibArguments
     run_command("rllib.selfplay", None, lambda *given: found.extend(given), kinds, words)

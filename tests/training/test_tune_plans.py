@@ -19,7 +19,7 @@ def command(folder, generations):
     options = {"output": folder, "generations": generations, "population": 3}
     words = [f"--{name}={value}" for name, value in options.items()]
     module = "stkzoo.agents.training.tune_plans"
-    return [sys.executable, "-m", module, *words, "--tracks=lighthouse"]
+    return [sys.executable, "-m", module, *words, "--track=lighthouse"]
 
 
 def test_present_numbers_are_within_their_bounds_and_come_back():
@@ -50,7 +50,7 @@ def test_bad_numbers_drive_badly_and_each_set_as_if_it_were_alone():
 
 @pytest.mark.slow
 def test_test_tracks_are_refused(tmp_path, capsys):
-    assert tune_plans.main([f"--output={tmp_path}", "--tracks", "zengarden"]) == 1
+    assert tune_plans.main([f"--output={tmp_path}", "--track", "zengarden"]) == 1
     assert "unknown training track 'zengarden'" in capsys.readouterr().err
 
 

@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from stkzoo._arguments import option
 from stkzoo.agents.planning.arrays import IntArray
 from stkzoo.agents.planning.driver import PolicyInput
 from stkzoo.agents.planning.plans import BRAKE as BRAKE_PLAN
@@ -60,7 +61,7 @@ class DistillationArguments(ImitationArguments):
     learning_rate: float = 1.5e-3
     rounds: int = 7
     steps: int = 60_000
-    tracks: tuple[str, ...] = QUICK_TRACKS
+    tracks: tuple[str, ...] = option(QUICK_TRACKS, flag="--track", metavar="TRACK")
 
 
 class LabelledRaces:

@@ -36,6 +36,7 @@ from typing import Any, ClassVar
 import numpy as np
 from gymnasium import spaces
 
+from stkzoo._arguments import option
 from stkzoo._os import cpu_count
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.errors import ConfigError, StkzooError
@@ -79,7 +80,7 @@ class TeacherArguments(ImitationArguments):
     learning_rate: float = 1e-3
     teacher: str = "heuristic"
     demos: str = ""
-    tracks: tuple[str, ...] = QUICK_TRACKS
+    tracks: tuple[str, ...] = option(QUICK_TRACKS, flag="--track", metavar="TRACK")
     races: int = 1
     karts: int = 3
     jobs: int = 0

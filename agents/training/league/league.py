@@ -30,6 +30,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from stkzoo._arguments import option
 from stkzoo._os import write_text
 from stkzoo.agents.pretrained.driver import check_shapes
 from stkzoo.agents.pretrained.policy import RacingPolicy
@@ -84,7 +85,11 @@ class LeagueArguments(PPOArguments):
     turn: int = 50_000
     matches: int = 8
     patience: int = 4
-    tracks: tuple[str, ...] = ("lighthouse", "snowmountain", "hacienda", "cornfield_crossing")
+    tracks: tuple[str, ...] = option(
+        ("lighthouse", "snowmountain", "hacienda", "cornfield_crossing"),
+        flag="--track",
+        metavar="TRACK",
+    )
     races: tuple[str, ...] = ("4x6", "2+3x2")
     groups: int = 2
     n_steps: int = 128

@@ -87,7 +87,7 @@ class SelfPlayArguments(PPOArguments):
     batch_size: int = 4096
     n_epochs: int = 3
     gae_lambda: float = 0.85
-    tracks: tuple[str, ...] = QUICK_TRACKS
+    tracks: tuple[str, ...] = option(QUICK_TRACKS, flag="--track", metavar="TRACK")
     races: tuple[str, ...] = ("1x8", "5x8", "2+3x8", "1+4x8")
     plans: str = ""
     groups: int = 2

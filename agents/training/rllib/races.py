@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from stkzoo import RaceParallelEnv, race_v0
+from stkzoo._arguments import option
 from stkzoo.engine.assets import cache_folder, find_assets, install, pack
 from stkzoo.errors import AssetError, ConfigError
 
@@ -62,7 +63,7 @@ class RLlibArguments(PPOArguments):
     cpus_per_runner: float = 1.0
     address: str = ""
     pack: str = ""
-    tracks: tuple[str, ...] = ("train",)
+    tracks: tuple[str, ...] = option(("train",), flag="--track", metavar="TRACK")
     difficulty: int = 2
     learners: int = 2
     frozen: int = 2

@@ -42,6 +42,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from stkzoo._arguments import option
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.evaluation import require_openskill
 from stkzoo.wrappers.racing import CHOICES, RESCUE
@@ -103,7 +104,7 @@ class SB3Arguments(PPOArguments):
     learning_rate: float = 5e-4
     ent_coef: float = 0.003
     races: tuple[str, ...] = ("4x4", "2+2x2")
-    tracks: tuple[str, ...] = EASY_TO_HARD
+    tracks: tuple[str, ...] = option(EASY_TO_HARD, flag="--track", metavar="TRACK")
     pass_at: float = 0.7
     snapshot_share: float = 0.5
     grid_share: float = 0.3
@@ -117,7 +118,9 @@ class SB3Arguments(PPOArguments):
     keep_every: int = 50_000
     evaluate_every: int = 100_000
     evaluation_races: int = 6
-    evaluation_tracks: tuple[str, ...] = EASY_TO_HARD[:3]
+    evaluation_tracks: tuple[str, ...] = option(
+        EASY_TO_HARD[:3], flag="--evaluation-track", metavar="TRACK"
+    )
     supersuit: bool = False
 
 
@@ -177,7 +180,7 @@ class BackgroundEvaluation:
     def _start(self, name: str) -> None:
         self._started.add(name)
         words = ["-m", "stkzoo.agents.training.rate", str(self._run), "--policy", name]
-        words += ["--matches", str(self._races), "--tracks", *self._tracks]
+        words += ["--matches", str(self._races), "--track", *self._tracks]
         self._process = subprocess.Popen(  # noqa: S603 - this program
             [sys.executable, *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL
         )

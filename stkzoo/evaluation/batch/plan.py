@@ -90,6 +90,11 @@ class BatchPlan(Document, Generic[Result]):
         """The plan to run in a folder that has this one, when another one is asked for."""
         return self
 
+    def shown_like(self: Plan, other: Plan) -> Plan:
+        """This plan, which shows what agents print if another plan does."""
+        settings = replace(self.settings, show_output=other.settings.show_output)
+        return replace(self, settings=settings)
+
     def differences(self: Plan, other: Plan) -> list[str]:
         """What differs in another plan of the same kind, as sentences."""
         found = describe_differences(self._comparable(), other._comparable())
@@ -104,7 +109,8 @@ class BatchPlan(Document, Generic[Result]):
         versions, settings = values.pop("versions"), values.pop("settings")
         for name in ("agent", "entrants"):
             values.pop(name, None)
-        values |= {name: value for name, value in settings.items() if name not in self.decided}
+        ignored = (*self.decided, "show_output")
+        values |= {name: value for name, value in settings.items() if name not in ignored}
         software = {"engine": versions.get("pystk2"), "stkzoo": versions.get("stkzoo")}
         return values | software | {"agents": [agent.text for agent in self.agents]}
 

@@ -103,6 +103,7 @@ class _Worker:
                 if self._is_closed:
                     return OrderOutcome(order, error="the batch was ended")
                 process, said = self._running = self._running or _start()
+            said.show_as(f"race {order.number}" if order.settings.show_output else "")
             assert process.stdin is not None  # noqa: S101 - opened as pipes
             assert process.stdout is not None  # noqa: S101 - opened as pipes
             watch = threading.Timer(self._timeout, process.kill)

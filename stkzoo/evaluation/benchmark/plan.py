@@ -65,7 +65,7 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
     resume_command: ClassVar[str] = "stkzoo benchmark AGENT --output {folder}"
     decided: ClassVar[tuple[str, ...]] = (
         *("track", "laps", "difficulty", "reverse", "seed"),
-        *("max_steps", "max_steps_after_first", "karts_finished", "show_output"),
+        *("max_steps", "max_steps_after_first", "karts_finished"),
     )
 
     agent: Entrant

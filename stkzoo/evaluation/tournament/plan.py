@@ -52,7 +52,7 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
     kind: ClassVar[str] = "tournament-plan"
     noun: ClassVar[str] = "tournament"
     resume_command: ClassVar[str] = "stkzoo tournament --resume {folder}"
-    decided: ClassVar[tuple[str, ...]] = ("track", "seed", "show_output")
+    decided: ClassVar[tuple[str, ...]] = ("track", "seed")
 
     entrants: tuple[Entrant, ...]
     races: int
