@@ -10,6 +10,16 @@ from stkzoo._arguments import CommandParser, add_options, values_of
 from stkzoo.errors import StkzooError, import_extra
 
 
+def command_parser(module: str, description: str | None, kinds: Sequence[type]) -> CommandParser:
+    """The parser of a command; for the arguments see :func:`run_command`."""
+    own = {"league": "stkzoo league"}
+    prog = own.get(module, f"python -m stkzoo.agents.training.{module}")
+    parser = CommandParser(prog=prog, description=description)
+    for kind in kinds:
+        add_options(parser, kind)
+    return parser
+
+
 def run_command(
     module: str,
     description: str | None,
@@ -31,12 +41,7 @@ def run_command(
     Returns:
         The exit code.
     """
-    own = {"league": "stkzoo league"}
-    prog = own.get(module, f"python -m stkzoo.agents.training.{module}")
-    parser = CommandParser(prog=prog, description=description)
-    for kind in kinds:
-        add_options(parser, kind)
-    values = parser.parse_args(words)
+    values = command_parser(module, description, kinds).parse_args(words)
     try:
         run(*(kind(**values_of(values, kind)) for kind in kinds))
     except StkzooError as error:

@@ -1,0 +1,14 @@
+"""The reference page of the commands says what their parsers say."""
+
+from stkzoo.cli import COMMANDS
+from tests.docs.test_extensions import extension
+
+
+def test_the_page_is_that_of_the_parsers():
+    module = extension("command_page")
+    text = module.FILE.read_text("utf-8")
+    assert text == module.page(), "run: python docs/_extensions/command_page.py"
+    assert [line for line in text.splitlines() if line.startswith("## ")] == [
+        f"## stkzoo {name}" for name in COMMANDS
+    ]
+    assert "| `--track TRACK` |" in text
