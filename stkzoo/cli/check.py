@@ -27,7 +27,7 @@ from stkzoo.race import RaceSettings
 if TYPE_CHECKING:
     from stkzoo.evaluation import AgentReport
 
-_SETTINGS = ("show_output", "action_timeout", "start_timeout", "agent_memory")
+_SETTINGS = ("show_output", "action_timeout", "start_timeout", "agent_memory", "sandbox")
 _AGENT_FAILED = 3
 
 

@@ -31,7 +31,7 @@ from stkzoo.race import RaceSettings
 if TYPE_CHECKING:
     from stkzoo.race.remote import RaceServer
 
-_SETTINGS = ("action_timeout", "start_timeout", "agent_memory", "inline", "adapter")
+_SETTINGS = ("action_timeout", "start_timeout", "agent_memory", "sandbox", "inline", "adapter")
 
 
 @dataclass
@@ -83,6 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _server(arguments: argparse.Namespace) -> RaceServer:
     from stkzoo.drivers.driver import check_adapter
+    from stkzoo.drivers.sandbox import say_what_is_missing
     from stkzoo.race import find_driver
     from stkzoo.race.remote import RaceServer, ServerKeys, read_publics, read_secret
 
@@ -92,6 +93,8 @@ def _server(arguments: argparse.Namespace) -> RaceServer:
         for agent in arguments.agents
     ]
     check_adapter(drivers, settings.adapter)
+    if not settings.inline:
+        say_what_is_missing(settings.sandbox)
     keys = ServerKeys(
         own=None if arguments.secret is None else read_secret(arguments.secret),
         allowed=None if arguments.allow is None else read_publics(arguments.allow),

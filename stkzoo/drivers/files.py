@@ -212,6 +212,12 @@ def _package(folder: Path, module: str) -> AgentPlace:
     )
 
 
+def unpacked_folder(place: AgentPlace) -> Path:
+    """The folder with all files of an agent that was a zip."""
+    folder = Path(place.package or place.first)
+    return folder.parent if folder.name == _PACKAGE else folder
+
+
 def _only_folder(folder: Path) -> Path:
     """The folder itself, or the one folder that all of it is in."""
     entries = [entry for entry in folder.iterdir() if entry.name != "__MACOSX"]

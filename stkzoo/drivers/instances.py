@@ -23,12 +23,15 @@ class DriverLimits:
     Attributes:
         action_timeout: time for one decision [s]; ``None`` for no limit.
         start_timeout: time until it is ready to drive [s].
-        memory: memory of its process [MB]; ``None`` for no limit.
+        memory: memory of its processes [MB]; ``None`` for no limit.
+        sandbox: when it runs in a sandbox: ``"auto"``, ``"on"`` or ``"off"``
+            (:func:`stkzoo.drivers.sandbox.sandbox_kind`).
     """
 
     action_timeout: float | None = 10.0
     start_timeout: float = 60.0
     memory: int | None = 4096
+    sandbox: str = "auto"
 
 
 @dataclass(frozen=True, slots=True)

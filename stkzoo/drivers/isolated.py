@@ -1,9 +1,8 @@
 """Agents that run in processes of their own.
 
-An error, an endless loop, a crash or too much memory costs such an agent only its own kart. It is
-no protection against malicious code: an agent can still read and write what the user who runs the
-race can. On Linux, a keeper (:mod:`stkzoo.drivers.keeper`) starts each agent and ends all that it
-has started.
+An error, an endless loop, a crash or too much memory costs such an agent only its own kart. What
+its process can reach is the matter of :mod:`stkzoo.drivers.sandbox`. On Linux, a keeper
+(:mod:`stkzoo.drivers.keeper`) starts each agent and ends all that it has started.
 """
 
 from __future__ import annotations
@@ -25,6 +24,7 @@ from stkzoo.drivers.failures import OutputTail, reported_error
 from stkzoo.drivers.files import AgentFiles
 from stkzoo.drivers.instances import Decision, DriverRequest, without_unused_paths
 from stkzoo.drivers.process import Channel
+from stkzoo.drivers.sandbox import Enclosure, enclose
 from stkzoo.engine.process import ONE_THREAD, describe_end
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError
 from stkzoo.mdp.spaces import extras_of
@@ -45,6 +45,9 @@ _GRACE = 0.5
 _END_TIMEOUT = 5.0
 _HAS_KEEPER = sys.platform == "linux"
 _MOST_REASON = 200
+#: Errors of agents that miss files because of their sandbox.
+_OUT_OF_REACH = ("FileNotFoundError", "PermissionError", "OSError: [Errno 30]")
+_HINT = " (in its sandbox it has only its own files; --sandbox off runs it without)"
 
 
 class IsolatedInstance:
@@ -73,7 +76,10 @@ class IsolatedInstance:
         self._resources = ExitStack()
         try:
             place = files.place(self._resources)
-            self._channel, self._life, self._process = self._spawn()
+            limits = request.limits
+            enclosure = enclose(limits.sandbox, files, place, adapter, self._resources)
+            self._is_enclosed = enclosure != Enclosure()
+            self._channel, self._life, self._process = self._spawn(enclosure)
         except (ConfigError, OSError) as error:
             self._resources.close()
             raise AgentError(str(error), self._agent) from error
@@ -86,6 +92,8 @@ class IsolatedInstance:
             "adapter": adapter,
             "seed": request.seed,
             "extras": sorted(extras_of(request.observation_space)),
+            "has_own_users": bool(enclosure.command),
+            "landlock": [*map(list, (enclosure.readable, enclosure.writable, enclosure.listable))],
         }
         try:
             self._send(order, "start", self._limits.start_timeout)
@@ -146,7 +154,9 @@ class IsolatedInstance:
             if not isinstance(reply, dict):
                 raise ProtocolError(f"{reply!r:.200}, expected a dict")
             if "error" in reply:
-                raise self._with_output(reported_error(reply["error"], self._agent))
+                error = self._with_output(reported_error(reply["error"], self._agent))
+                is_out_of_reach = self._is_enclosed and str(error).startswith(_OUT_OF_REACH)
+                raise type(error)(f"{error}{_HINT * is_out_of_reach}", self._agent, error.trace)
             return reply
 
     # ------------------------------------------------------------------ failures
@@ -183,7 +193,7 @@ class IsolatedInstance:
 
     # ------------------------------------------------------------------ the process
 
-    def _spawn(self) -> tuple[Channel, socket.socket, subprocess.Popen[bytes]]:
+    def _spawn(self, shell: Enclosure) -> tuple[Channel, socket.socket, subprocess.Popen[bytes]]:
         if sys.platform == "win32":
             raise ConfigError("agents cannot run in processes of their own here; use --inline")
         ours, theirs = socket.socketpair()
@@ -193,7 +203,8 @@ class IsolatedInstance:
         memory = (self._limits.memory or 0) << 20
         path = json.dumps([path or os.getcwd() for path in sys.path])
         with theirs, end:
-            command = [sys.executable, "-c", _CODE, path, str(theirs.fileno()), str(memory)]
+            code = [sys.executable, "-c", _CODE, path, str(theirs.fileno()), str(memory)]
+            command = [*shell.command, *code]
             if _HAS_KEEPER:
                 arguments = map(str, (os.getpid(), theirs.fileno(), memory))
                 command = [sys.executable, "-I", "-S", keeper.__file__, *arguments, *command]
@@ -204,7 +215,7 @@ class IsolatedInstance:
                 stderr=subprocess.STDOUT,
                 pass_fds=[theirs.fileno()],
                 start_new_session=True,
-                env={**os.environ, **ONE_THREAD, "PYTHONHASHSEED": "0"},
+                env={**shell.environment, **ONE_THREAD, "PYTHONHASHSEED": "0"},
             )
         return Channel(ours), life, process
 

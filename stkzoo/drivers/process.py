@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo.drivers import codec
+from stkzoo.drivers import codec, landlock
 from stkzoo.drivers.code import AgentCode, load_agent
 from stkzoo.drivers.failures import error_report
 from stkzoo.drivers.files import AgentPlace
@@ -28,6 +28,8 @@ from stkzoo.errors import AgentError, ProtocolError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 
 _LENGTH = struct.Struct("<I")
+#: Most threads of all processes of an agent together.
+_MAX_THREADS = 512
 
 
 class Channel:
@@ -103,7 +105,9 @@ def main(connection_fd: int, memory: int) -> None:
     channel = Channel(connection)
     try:
         order = channel.receive()
-        _limit_memory(memory)
+        _limit(memory, has_own_users=order["has_own_users"])
+        if any(order["landlock"]):
+            landlock.restrict(*order["landlock"])
         instance = _start(channel, order)
         while instance is not None:
             number, observation = channel.receive()
@@ -152,9 +156,18 @@ def _seed_everything(seed: int) -> None:
         sys.modules["torch"].manual_seed(seed)
 
 
-def _limit_memory(limit: int) -> None:
-    if limit and sys.platform != "win32":
+def _limit(memory: int, *, has_own_users: bool) -> None:
+    """Sets the system's limits of this process and all that it starts.
+
+    Args:
+        memory: data of each process [bytes]; 0 for no limit.
+        has_own_users: whether the limit of processes holds for this agent's alone.
+    """
+    if sys.platform != "win32":
         import resource
 
-        resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+        if memory:
+            resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
+        if has_own_users:
+            resource.setrlimit(resource.RLIMIT_NPROC, (_MAX_THREADS, _MAX_THREADS))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

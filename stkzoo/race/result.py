@@ -116,6 +116,8 @@ class RaceResult(Document):
         agents: one entry per agent, best rank first.
         versions: of the software.
         wall_time: real duration [s]; ignored when results are compared.
+        sandbox: of agents from files that ran here: ``"bubblewrap"``, ``"landlock"`` or
+            ``"none"``; ``None`` without such agents, and in old results. Ignored likewise.
     """
 
     kind: ClassVar[str] = "race-result"
@@ -134,6 +136,7 @@ class RaceResult(Document):
     agents: tuple[AgentResult, ...]
     versions: dict[str, str] = field(compare=False, default_factory=versions_now)
     wall_time: float = field(compare=False, default=0.0)
+    sandbox: str | None = field(compare=False, default=None)
 
     @property
     def is_finished(self) -> bool:

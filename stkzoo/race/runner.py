@@ -15,6 +15,7 @@ import numpy as np
 from stkzoo.config import AgentSpec
 from stkzoo.drivers.driver import Driver, check_adapter, find_driver
 from stkzoo.drivers.instances import DriverRequest
+from stkzoo.drivers.sandbox import NONE, sandbox_kind, say_what_is_missing
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import ActionError, ConfigError
 from stkzoo.race.listeners import RaceListener, RaceProgress
@@ -88,6 +89,7 @@ def run_race(
     found = [_driver(driver, chosen) for driver in drivers]
     check_adapter(found, chosen.adapter)
     chosen = _of_level(chosen, found)
+    _sandbox(chosen, found)  # refused or told before the race
     with ExitStack() as resources:
         for listener in listeners:
             resources.callback(listener.closed)
@@ -121,6 +123,16 @@ def _of_level(settings: RaceSettings, drivers: Sequence[Driver]) -> RaceSettings
             "per race; choose one"
         )
     return replace(settings, difficulty=levels.pop()) if levels else settings
+
+
+def _sandbox(settings: RaceSettings, drivers: Sequence[Driver]) -> str | None:
+    """The sandbox of the agents from files; ``None`` if there is no such agent."""
+    if not any(driver.is_from_files for driver in drivers):
+        return None
+    if settings.inline:
+        return NONE
+    say_what_is_missing(settings.sandbox)
+    return sandbox_kind(settings.sandbox)
 
 
 def _places(start_positions: Sequence[int] | None, count: int) -> list[int | None]:
@@ -351,6 +363,7 @@ class _RaceRun:
             race_time=self._race_time(),
             agents=tuple(sorted(rows, key=lambda row: row.rank)),
             wall_time=time.monotonic() - self._begin,
+            sandbox=_sandbox(self._settings, [*self._drivers.values()]),
         )
 
     def _agent_result(self, agent: str, start_position: int) -> AgentResult:

@@ -9,6 +9,7 @@ from typing import Any
 
 from stkzoo._arguments import option
 from stkzoo.drivers.instances import DriverLimits
+from stkzoo.drivers.sandbox import MODES
 from stkzoo.errors import ConfigError, check_arguments, check_number, check_whole, unknown_name
 
 #: What to do when an agent fails.
@@ -46,6 +47,7 @@ class RaceSettings:
         action_timeout: time limit for an agent's decision; 0 for no limit
         start_timeout: time limit for loading an agent
         agent_memory: memory limit of agents; 0 for no limit
+        sandbox: run agents in a sandbox: on refuses to race without; auto takes the best there is
         inline: run agents in this process: faster, but an agent can end the race
         show_output: show what agents print, on stderr
         adapter: Python file with create_actor(get_actor, module_dir, obs_space, act_space)
@@ -65,6 +67,7 @@ class RaceSettings:
     action_timeout: float | None = option(10.0, metavar="SECONDS", group=_AGENTS)
     start_timeout: float = option(60.0, metavar="SECONDS", group=_AGENTS)
     agent_memory: int | None = option(4096, metavar="MB", group=_AGENTS)
+    sandbox: str = option("auto", choices=MODES, group=_AGENTS)
     inline: bool = option(False, group=_AGENTS)
     show_output: bool = option(False, group=_AGENTS)
     adapter: str | None = option(metavar="FILE", group=_AGENTS)
@@ -86,6 +89,10 @@ class RaceSettings:
         check_number("start_timeout", self.start_timeout, unit="seconds")
         if self.agent_memory is not None:
             check_whole("agent_memory", self.agent_memory, 1)
+        if self.sandbox not in MODES:
+            raise ConfigError(f"sandbox is {self.sandbox!r}, expected one of {', '.join(MODES)}")
+        if self.sandbox == "on" and self.inline:
+            raise ConfigError("sandbox is 'on', but agents run inline; leave out one of the two")
         if not isinstance(self.error_handling, str) or self.error_handling not in ERROR_HANDLING:
             raise ConfigError(
                 f"error_handling is {self.error_handling!r}, expected one of "
@@ -120,4 +127,6 @@ class RaceSettings:
     @property
     def limits(self) -> DriverLimits:
         """The resources that each driver may use."""
-        return DriverLimits(self.action_timeout, self.start_timeout, self.agent_memory)
+        return DriverLimits(
+            self.action_timeout, self.start_timeout, self.agent_memory, self.sandbox
+        )

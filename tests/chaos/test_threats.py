@@ -44,11 +44,11 @@ def race(*drivers, **settings):
 
 
 def test_an_agent_reads_and_writes_what_the_user_can(tmp_path):
-    """It is no prison: the page says so, and so it is."""
+    """Without a sandbox: the page says so, and so it is."""
     (tmp_path / "diary.txt").write_text("dear diary")
     act = "open('diary.txt.copy', 'w').write(open('diary.txt').read())"
     stranger = agent(tmp_path / "a", f"import os; os.chdir({str(tmp_path)!r}); {act}")
-    assert not race(stranger, "ai").has_errors
+    assert not race(stranger, "ai", sandbox="off").has_errors
     assert (tmp_path / "diary.txt.copy").read_text() == "dear diary"
 
 

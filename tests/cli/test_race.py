@@ -60,6 +60,7 @@ def test_an_interrupt_ends_the_race_with_what_there_is(tmp_path):
         "    return act\n"
     )
     words = ["race", str(tmp_path), "--max-steps", "1000000", "--output", str(file)]
+    words += ["--sandbox", "off"]  # it writes into its folder
     with log.open("w") as output:
         program = subprocess.Popen(
             [sys.executable, "-m", "stkzoo", *words], stdout=output, stderr=output

@@ -78,7 +78,7 @@ def failures(tmp_path_factory):
     for name, (code, *_) in AGENTS.items():
         (folder / f"{name}.py").write_text(code)
     drivers = [str(folder / f"{name}.py") for name in AGENTS]
-    result = run_race(drivers, track="lighthouse", max_steps=5)
+    result = run_race(drivers, track="lighthouse", max_steps=5, sandbox="off")
     return {row.driver: row.errors[0] for row in result.agents}
 
 

@@ -184,7 +184,7 @@ def test_an_inline_agent_that_is_too_late_is_ended():
 def test_nothing_of_an_agent_outlives_its_race(monkeypatch, tmp_path):
     pids = tmp_path / "pids"
     monkeypatch.setenv("STKZOO_TEST_PIDS", str(pids))
-    assert not race(hostile("parent"), max_steps=3).has_errors
+    assert not race(hostile("parent"), sandbox="off", max_steps=3).has_errors
     for pid in map(int, pids.read_text().split()):
         assert wait_until(lambda pid=pid: not process_exists(pid))
 
@@ -194,7 +194,7 @@ def test_an_agent_dies_with_a_race_that_is_killed(tmp_path):
     pids = tmp_path / "pids"
     code = f"""
         from stkzoo.race import run_race
-        run_race([{hostile("parent")!r}], track={TRACK!r}, max_steps=10**6)
+        run_race([{hostile("parent")!r}], track={TRACK!r}, max_steps=10**6, sandbox="off")
     """
     program = subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(code)],
@@ -219,10 +219,10 @@ def test_a_daemon_of_an_agent_does_not_outlive_its_race(monkeypatch, tmp_path):
     """It leaves its session and its parents, and holds the agent's output open."""
     pids = tmp_path / "pids"
     monkeypatch.setenv("STKZOO_TEST_PIDS", str(pids))
-    race("ai", hostile("daemon"), max_steps=3)
+    race("ai", hostile("daemon"), sandbox="off", max_steps=3)
     before = left_by_this_program()
     for _ in range(3):
-        race("ai", hostile("daemon"), max_steps=3)
+        race("ai", hostile("daemon"), sandbox="off", max_steps=3)
     assert left_by_this_program() == before
     daemons = [int(pid) for pid in pids.read_text().split()]
     assert len(daemons) == 4
@@ -232,9 +232,11 @@ def test_a_daemon_of_an_agent_does_not_outlive_its_race(monkeypatch, tmp_path):
 @pytest.mark.slow
 def test_a_keeper_that_is_killed_leaves_no_thread_and_no_descriptor(monkeypatch, tmp_path):
     monkeypatch.setenv("STKZOO_TEST_PIDS", str(tmp_path / "pids"))
-    race("ai", hostile("escapes"), max_steps=3, start_timeout=2.0)
+    race("ai", hostile("escapes"), sandbox="off", max_steps=3, start_timeout=2.0)
     before = left_by_this_program()
-    row = by_driver(race("ai", hostile("escapes"), max_steps=3, start_timeout=2.0))["escapes"]
+    row = by_driver(race("ai", hostile("escapes"), sandbox="off", max_steps=3, start_timeout=2.0))[
+        "escapes"
+    ]
     assert row.status == "retired"
     assert left_by_this_program() == before
     for pid in map(int, (tmp_path / "pids").read_text().split()):

@@ -13,6 +13,7 @@ from stkzoo._os import file_digest
 from stkzoo.drivers.driver import declared_name, driver_names, find_driver
 from stkzoo.drivers.failures import printable
 from stkzoo.drivers.files import find_files, installed_module
+from stkzoo.drivers.sandbox import say_what_is_missing
 from stkzoo.errors import ConfigError
 from stkzoo.race.remote.drivers import ServedAgent
 from stkzoo.race.settings import RaceSettings
@@ -81,12 +82,14 @@ def find_entrants(
         taken: labels of other agents of the batch.
 
     Raises:
-        ConfigError: there is no such agent, or two were given the same name.
+        ConfigError: there is no such agent, two were given the same name, or there is no sandbox.
     """
     labels = [*taken]
     entrants = []
     for text in agents:
         driver = find_driver(text, inline=settings.inline, adapter=settings.adapter)
+        if driver.is_from_files and not settings.inline:
+            say_what_is_missing(settings.sandbox)
         given = text.rpartition(NAME_MARK)[2] if NAME_MARK in text else ""
         name = given or declared_name(driver.source) or _short(driver.source)
         labels.append(_unique(name, labels, is_fixed=bool(given) or driver.is_game_ai, text=text))

@@ -1,0 +1,208 @@
+"""What the process of an agent can reach: the sandboxes, and what is visible in them.
+
+With bubblewrap, an agent sees Python, its own files, no network, no other processes, and small
+folders of its own for temporary files. Where bubblewrap does not work, Landlock withholds what it
+can. A keeper (:mod:`stkzoo.drivers.keeper`) watches the agent's processes from outside.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+import os
+import shutil
+import site
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from stkzoo.drivers import landlock
+from stkzoo.drivers.files import (
+    ACTOR_MODULE,
+    AgentFiles,
+    AgentPlace,
+    installed_module,
+    unpacked_folder,
+)
+from stkzoo.errors import ConfigError
+
+#: When agents run in a sandbox.
+MODES = ("auto", "on", "off")
+BUBBLEWRAP, LANDLOCK, NONE = "bubblewrap", "landlock", "none"
+
+#: Size of each folder for temporary files in bubblewrap's sandbox [bytes].
+TEMPORARY_SIZE = 64 << 20
+_PACKAGE = Path(__file__).resolve().parents[1]
+#: What programs need of the system.
+_SYSTEM = (
+    *("/usr", "/lib", "/lib32", "/lib64", "/bin", "/nix/store"),
+    *("/etc/alternatives", "/etc/ld.so.cache", "/etc/localtime"),
+)
+#: What they need of the kernel, which bubblewrap mounts anew.
+_KERNEL = ("/proc/self", "/proc/cpuinfo", "/proc/meminfo", "/sys/devices/system", "/dev/urandom")
+_DEVICES = ("/dev/null", "/dev/zero")
+#: Environment variables that agents get; others may hold secrets.
+_VARIABLES = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "LD_LIBRARY_PATH", "STKZOO_KERNEL")
+_INSTALLED = {"site-packages", "dist-packages"}
+_TRIAL_TIMEOUT = 10.0
+
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Enclosure:
+    """How the process of one agent is started.
+
+    Attributes:
+        command: what comes before its own command; empty without bubblewrap.
+        environment: its environment variables.
+        readable: what it can read under Landlock; empty without Landlock ...
+        writable: ... and change ...
+        listable: ... and list.
+    """
+
+    command: Sequence[str] = ()
+    environment: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
+    readable: Sequence[str] = ()
+    writable: Sequence[str] = ()
+    listable: Sequence[str] = ()
+
+
+def enclose(
+    mode: str, files: AgentFiles, place: AgentPlace, adapter: str | None, resources: ExitStack
+) -> Enclosure:
+    """The sandbox of an agent, which can read its own files, and with an adapter change them.
+
+    Args:
+        mode: one of :data:`MODES`.
+        files: the agent's.
+        place: where it is imported from.
+        adapter: path of the adapter, if there is one.
+        resources: a folder for its temporary files lasts as long.
+
+    Raises:
+        ConfigError: ``mode`` is ``"on"`` and bubblewrap does not work here.
+    """
+    kind = sandbox_kind(mode)
+    if kind == NONE:
+        return Enclosure()
+    own = _agent_paths(files, place)
+    paths = [*_SYSTEM, *_python_paths(own), *own, *([adapter] if adapter else [])]
+    changed = own if adapter else []  # by its prepare_module_dir
+    home = "/tmp"  # noqa: S108 - of the sandbox
+    if kind == LANDLOCK:
+        home = resources.enter_context(tempfile.TemporaryDirectory(prefix="stkzoo-agent-"))
+    environment = {name: os.environ[name] for name in _VARIABLES if name in os.environ}
+    environment |= {"HOME": home, "TMPDIR": home, "USER": "agent"}
+    if kind == LANDLOCK:
+        searched = [folder for folder in (place.first, place.last) if folder]  # for modules
+        return Enclosure((), environment, [*paths, *_KERNEL], [home, *changed, *_DEVICES], searched)
+    return Enclosure(_bubblewrap_command(paths, changed), environment)
+
+
+def sandbox_kind(mode: str) -> str:
+    """The sandbox that agents get: ``"bubblewrap"``, ``"landlock"`` or ``"none"``.
+
+    Args:
+        mode: ``"on"`` for bubblewrap, ``"auto"`` for the best that works here, ``"off"``.
+
+    Raises:
+        ConfigError: ``mode`` is ``"on"`` and bubblewrap does not work here.
+    """
+    if mode == "off":
+        return NONE
+    if not (problem := bubblewrap_problem()):
+        return BUBBLEWRAP
+    if mode == "on":
+        raise ConfigError(f"there is no sandbox for agents: {problem}; or use --sandbox auto")
+    return LANDLOCK if landlock.version() else NONE
+
+
+@functools.cache
+def say_what_is_missing(mode: str) -> None:
+    """Warns, once in a program, if agents do not get the best sandbox.
+
+    Raises:
+        ConfigError: as for :func:`sandbox_kind`.
+    """
+    if mode == "off" or (kind := sandbox_kind(mode)) == BUBBLEWRAP:
+        return
+    how = "without a sandbox" if kind == NONE else "in a weaker sandbox (Landlock)"
+    _logger.warning("agents run %s: %s", how, bubblewrap_problem())
+
+
+@functools.cache
+def bubblewrap_problem() -> str:
+    """Why bubblewrap cannot be used here, and what to do; empty if it can."""
+    if sys.platform != "linux":
+        return "sandboxes need Linux"
+    if shutil.which("bwrap") is None:
+        return "bubblewrap is not installed; install it (Debian, Ubuntu: apt install bubblewrap)"
+    command = [*_bubblewrap_command([*_SYSTEM, *_python_paths([])]), sys.executable, "-I", "-S"]
+    try:
+        done = subprocess.run(  # noqa: S603 - our own interpreter
+            [*command, "-c", ""], capture_output=True, text=True, timeout=_TRIAL_TIMEOUT
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"bubblewrap does not work: {error}"
+    if not done.returncode:
+        return ""
+    said = (done.stderr.strip().splitlines() or ["no message"])[-1]
+    return f"bubblewrap does not work here ({said[:100]}); it needs version 0.8 and user namespaces"
+
+
+def _bubblewrap_command(paths: Sequence[str], writable: Sequence[str] = ()) -> list[str]:
+    """The command that runs another one where it sees only these paths."""
+    temporary = ["--size", str(TEMPORARY_SIZE), "--tmpfs"]
+    command = [
+        *(shutil.which("bwrap") or "bwrap", "--unshare-all", "--unshare-user", "--disable-userns"),
+        *("--die-with-parent", "--cap-drop", "ALL", "--dev", "/dev", "--proc", "/proc"),
+        *(*temporary, "/tmp", *temporary, "/dev/shm"),  # noqa: S108 - of the sandbox
+    ]
+    for path in dict.fromkeys(map(os.path.abspath, paths)):
+        command += ["--bind" if path in writable else "--ro-bind-try", path, path]
+    for place in ("/proc", "/dev", "/"):  # root could change the kernel's settings in the first
+        command += ["--remount-ro", place]
+    return [*command, "--"]
+
+
+def _agent_paths(files: AgentFiles, place: AgentPlace) -> list[str]:
+    if files.path is None:
+        top = files.source.partition(".")[0]
+        spec = installed_module(top)
+        found = [*(spec.submodule_search_locations or [spec.origin or ""])] if spec else []
+        return [
+            os.path.abspath(path) for path in (*found, top, f"{top}.py") if os.path.exists(path)
+        ]
+    if files.path.suffix == ".zip" and files.path.is_file():
+        return [str(unpacked_folder(place))]
+    if files.path.name == f"{ACTOR_MODULE}.py":
+        return [str(files.path.parent)]
+    return [str(files.path)]
+
+
+def _python_paths(own: Sequence[str]) -> Iterator[str]:
+    """Python, the installed packages, and stkzoo; no folder around the agent itself."""
+    yield from (sys.prefix, sys.base_prefix, sys.exec_prefix, str(_PACKAGE))
+    packages = {path for path in sys.path if _INSTALLED & {*Path(path).parts}}
+    yield from sorted(packages)
+    linked: set[str] = set()
+    for folder in {*packages, *site.getsitepackages(), str(_PACKAGE)}:
+        with suppress(OSError):
+            linked |= {
+                os.path.realpath(entry) for entry in os.scandir(folder) if entry.is_symlink()
+            }
+        for file in Path(folder).glob("*.pth"):
+            lines = map(str.strip, file.read_text(errors="replace").splitlines())
+            linked |= {os.path.realpath(os.path.join(folder, line)) for line in lines if line}
+    private = [*own, str(_PACKAGE)]
+    yield from sorted(path for path in linked if not _holds(Path(path), private))
+    yield from filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(":"))
+
+
+def _holds(folder: Path, paths: Sequence[str]) -> bool:
+    return any(Path(path).is_relative_to(folder) for path in paths)

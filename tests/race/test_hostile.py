@@ -1,0 +1,380 @@
+"""Agents that attack the machine, the race and each other, in each sandbox and without one."""
+
+import os
+import re
+import shutil
+import socket
+import threading
+from pathlib import Path
+
+import pytest
+
+from stkzoo.drivers import landlock, sandbox
+from stkzoo.errors import ConfigError
+from stkzoo.race import run_race
+from tests.support.paths import AGENTS
+from tests.support.processes import children_of, wait_until
+
+pytestmark = pytest.mark.slow
+
+SECRET = "the key of the house"
+
+#: Each attack is an expression that is true if it succeeds; what it raises is a failure.
+PROBES = {
+    "signal the race": "os.kill(RACE, 0) is None",
+    "stop the race": "os.kill(RACE, signal.SIGCONT) is None",
+    "signal its keeper": "os.getppid() > 2 and os.kill(os.getppid(), 0) is None",
+    "signal a rival": "any(os.kill(pid, 0) is None for pid in others())",
+    "see other processes": "bool(others())",
+    "read the race's environment": "SECRET in open(f'/proc/{RACE}/environ').read()",
+    "open the race's memory": "bool(open(f'/proc/{RACE}/mem', 'rb'))",
+    "read the race's memory": "read_memory(RACE) > 0",
+    "trace the race": "call(ptrace, 0x4206, RACE, 0, 0) == 0",
+    "take the race's descriptors": "call(438, call(434, RACE, 0), 0, 0) >= 0",
+    "read its own environment": "'STKZOO_TEST_SECRET' in os.environ",
+    "read a file": "SECRET in open(HOME + '/secret').read()",
+    "read a rival's file": "SECRET in open(HOME + '/rival/notes.txt').read()",
+    "read through a link": "SECRET in open(module_dir / 'link').read()",
+    "list the user's folder": "bool(os.listdir(HOME + '/secrets'))",
+    "write a file": "open(HOME + '/written', 'w').write('x') == 1",
+    "change itself": "(module_dir / 'more.py').write_text('x') == 1",
+    "change stkzoo": "bool(os.open(stkzoo.__file__, os.O_WRONLY))",
+    "change the installed packages": "bool(os.open(numpy.__file__, os.O_WRONLY))",
+    "change the kernel's settings": "bool(os.open('/proc/sys/kernel/core_pattern', os.O_WRONLY))",
+    "leave a temporary file": "open('/tmp/' + MARK, 'w').write('x') and os.path.exists('/tmp')",
+    "leave shared memory": "open('/dev/shm/' + MARK, 'w').write('x') == 1",
+    "fill the disk": "fill(os.environ.get('TMPDIR', '/tmp')) > 64",
+    "connect": "bool(socket.create_connection(('127.0.0.1', PORT), 1))",
+    "listen": "socket.create_server(('127.0.0.1', 0)) and PORT in ports()",
+    "send a packet": "datagram()",
+    "reach a local socket": "local(HOME + '/socket')",
+    "reach an abstract socket": "local(chr(0) + MARK)",
+    "make namespaces": "call(unshare, 0x10000000) == 0 and os.getuid() != UID",
+    "become another user": "UID != 0 and os.setuid(0) is None",
+    "take priority": "os.nice(-5) < 0",
+    "log to the kernel": "bool(os.open('/dev/kmsg', os.O_WRONLY))",
+}
+
+#: Where these succeed although the agent is in the weaker sandbox, with a kernel of version 6.12.
+LANDLOCK_ALLOWS = {"send a packet", "reach a local socket", "fill the disk", "make namespaces"}
+#: What succeeds inside of bubblewrap's sandbox, and is gone with it.
+INSIDE = {"leave a temporary file", "leave shared memory", "write a file", "send a packet"}
+#: What an agent without a sandbox can always do.
+ALWAYS = {
+    *("signal the race", "read a file", "read a rival's file", "write a file", "change itself"),
+    *("connect", "read its own environment", "leave shared memory", "see other processes"),
+}
+
+PRELUDE = """
+import ctypes, mmap, os, platform, signal, socket, struct, sys, time
+import numpy, stkzoo
+
+RACE, PORT, HOME, MARK, SECRET, UID = {values}
+libc = ctypes.CDLL(None, use_errno=True)
+ptrace, process_vm_readv, unshare = (
+    (101, 310, 272) if platform.machine() == "x86_64" else (117, 270, 97)
+)
+
+def call(number, *arguments):
+    result = libc.syscall(number, *arguments)
+    if result < 0:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+    return result
+
+def others():
+    mine = (os.getpid(), os.getppid())
+    pids = [int(name) for name in os.listdir("/proc") if name.isdigit()]
+    return [pid for pid in pids if pid not in mine and "drivers" in command(pid)]
+
+def command(pid):
+    try:
+        return open("/proc/%d/cmdline" % pid).read()
+    except OSError:
+        return ""
+
+def read_memory(pid):
+    place = id(libc) & ~4095
+    buffer = ctypes.create_string_buffer(8)
+    here = struct.pack("PN", ctypes.addressof(buffer), 8)
+    there = struct.pack("PN", ctypes.addressof(buffer), 8)
+    maps = [line.split() for line in open("/proc/%d/maps" % pid)]
+    start = next(int(line[0].split("-")[0], 16) for line in maps if line[1].startswith("rw"))
+    return call(process_vm_readv, pid, here, 1, struct.pack("PN", start, 8), 1, 0)
+
+def fill(folder):
+    with open(os.path.join(folder, MARK + "fill"), "wb") as file:
+        try:
+            for _ in range(100):
+                file.write(bytes(1 << 20))
+        finally:
+            os.unlink(file.name)
+    return 100
+
+def datagram():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+        return out.sendto(MARK.encode(), ("127.0.0.1", PORT)) > 0
+
+def ports():
+    return [int(line.split()[1].split(":")[1], 16) for line in list(open("/proc/net/tcp"))[1:]]
+
+def local(place):
+    with socket.socket(socket.AF_UNIX) as out:
+        out.connect(place)
+    return True
+"""
+
+REPORTER = """
+PROBES = {probes!r}
+
+def get_actor(module_dir, observation_space, action_space):
+    def actor(state, observation):
+        reached, why = [], []
+        for name, attack in PROBES.items():
+            try:
+                if eval(attack, globals() | {{"module_dir": module_dir}}):
+                    reached.append(name)
+            except Exception as error:
+                why.append(name + ": " + str(error))
+        raise RuntimeError("|".join(["reached", *reached]))
+    return actor
+"""
+
+#: What an agent does at its first step, and what its failure says.
+ASSAULTS = {
+    "kills everyone": (
+        "len(others()) or os.kill(-1, signal.SIGKILL)",
+        "No such process",
+    ),
+    "kills its parent": ("os.kill(os.getppid(), signal.SIGKILL); time.sleep(20)", ""),
+    "stops its parent": ("os.kill(os.getppid(), signal.SIGSTOP); time.sleep(20)", ""),
+    "leaves daemons": (
+        "os.fork() or os.setsid() or os.fork() or os.execlp('sleep', MARK, '3600'); "
+        "time.sleep(0.2); raise_()",
+        "ZeroDivision",
+    ),
+    "forks": (
+        "[os.fork() or time.sleep(99) for _ in range(200)]; time.sleep(20)",
+        "processes|temporarily",
+    ),
+    "shares memory": (
+        "[take(mmap.mmap(-1, 200 << 20), 200) for _ in range(3)]; time.sleep(20)",
+        "used more than 400 MB",
+    ),
+    "hides memory": (
+        "[hide(200) for _ in range(6)]; time.sleep(20)",
+        "used more than 400 MB|File too large",
+    ),
+    "spreads memory": (
+        "[os.fork() or (take(bytearray(150 << 20), 150), time.sleep(99)) for _ in range(4)]; "
+        "time.sleep(20)",
+        "used more than 400 MB",
+    ),
+    "prints": ("[os.write(1, bytes(1 << 16)) for _ in range(500)]; raise_()", "ZeroDivision"),
+    "closes everything": ("os.closerange(0, 4096)", "closed its connection|exited"),
+    "aborts": ("os.abort()", "was ended by SIGABRT"),
+    "exits": ("os._exit(7)", "exited with code 7"),
+    "never answers": ("time.sleep(99)", "took longer than"),
+}
+ASSAULT = """
+kept = []
+
+def raise_():
+    1 / 0
+
+def take(block, size):
+    for page in range(0, size << 20, 4096):
+        block[page] = 1
+    kept.append(block)
+
+def hide(size):
+    place = os.memfd_create("x")
+    kept.append(place)
+    for _ in range(size):
+        os.write(place, bytes(1 << 20))
+
+def get_actor(module_dir, observation_space, action_space):
+    def actor(state, observation):
+        {assault}
+        return action_space.sample()
+    return actor
+"""
+QUITTER = """
+def get_actor(module_dir, observation_space, action_space):
+    def actor(state, observation):
+        raise RuntimeError
+    return actor
+"""
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch):
+    """A folder with secrets, a rival and sockets; writes agents into folders of their own."""
+    shutil.copytree(AGENTS / "plain", tmp_path / "rival")
+    for name in ("secret", "rival/notes.txt", "secrets/one"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(SECRET)
+    monkeypatch.setenv("STKZOO_TEST_SECRET", SECRET)
+    mark = f"stkzoo-test-{os.getpid()}"
+    with (
+        socket.create_server(("127.0.0.1", 0)) as server,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as packets,
+        socket.socket(socket.AF_UNIX) as named,
+        socket.socket(socket.AF_UNIX) as abstract,
+    ):
+        named.bind(str(tmp_path / "socket"))
+        abstract.bind(f"\0{mark}")
+        named.listen()
+        abstract.listen()
+        port = server.getsockname()[1]
+        packets.bind(("127.0.0.1", port))
+        packets.setblocking(False)
+        values = (os.getpid(), port, str(tmp_path), mark, SECRET, os.getuid())
+
+        def write(name, code):
+            folder = tmp_path / name.replace(" ", "_")
+            folder.mkdir()
+            (folder / "pystk_actor.py").write_text(PRELUDE.format(values=values) + code)
+            (folder / "link").symlink_to(tmp_path / "secret")
+            return f"{folder}@:{name}"
+
+        yield tmp_path, mark, write, packets
+    for folder in ("/tmp", "/dev/shm"):
+        Path(folder, mark).unlink(missing_ok=True)
+
+
+def race(*drivers, **settings):
+    settings = {"action_timeout": 5.0, "agent_memory": 400, "max_steps": 30, **settings}
+    return run_race(list(drivers), track="lighthouse", seed=1, **settings)
+
+
+def by_driver(result):
+    return {row.driver: row for row in result.agents}
+
+
+def reached_in(result):
+    said = by_driver(result)["spy"].errors[0].message
+    assert "RuntimeError: reached" in said, said
+    return {*said.split("|")[1:]}
+
+
+needs_bubblewrap = pytest.mark.skipif(
+    bool(sandbox.bubblewrap_problem()), reason=sandbox.bubblewrap_problem()
+)
+needs_landlock = pytest.mark.skipif(landlock.version() < 6, reason="needs Landlock's version 6")
+
+
+@needs_bubblewrap
+def test_an_agent_in_the_sandbox_reaches_nothing(bench):
+    home, mark, write, packets = bench
+    spy = write("spy", REPORTER.format(probes=PROBES))
+    result = race(str(home / "rival"), spy, sandbox="on")
+    assert result.sandbox == "bubblewrap"
+    assert reached_in(result) <= INSIDE
+    places = (home / "written", Path("/tmp", mark), Path("/dev/shm", mark))
+    assert not any(place.exists() for place in places)
+    with pytest.raises(BlockingIOError):
+        packets.recv(100)
+    assert not by_driver(result)["Plain"].num_errors
+
+
+@needs_landlock
+def test_an_agent_in_the_weaker_sandbox_reaches_little(bench, monkeypatch):
+    home, _, write, _ = bench
+    monkeypatch.setattr(sandbox, "bubblewrap_problem", lambda: "a test")
+    sandbox.say_what_is_missing.cache_clear()
+    spy = write("spy", REPORTER.format(probes=PROBES))
+    result = race(str(home / "rival"), spy)
+    assert result.sandbox == "landlock"
+    assert reached_in(result) <= LANDLOCK_ALLOWS
+    sandbox.say_what_is_missing.cache_clear()
+
+
+def test_an_agent_without_a_sandbox_reaches_what_the_user_can(bench):
+    home, _, write, _ = bench
+    harmless = {name: probe for name, probe in PROBES.items() if name not in ("trace the race",)}
+    spy = write("spy", REPORTER.format(probes=harmless))
+    result = race(str(home / "rival"), spy, sandbox="off")
+    assert result.sandbox == "none"
+    assert reached_in(result) >= ALWAYS
+
+
+@needs_bubblewrap
+def test_assaults_cost_only_their_own_karts(bench):
+    """All at once, beside two who drive: their race is the same as beside agents that give up."""
+    home, mark, write, _ = bench
+    good = [str(home / "rival"), "heuristic"]
+    attackers = [write(name, ASSAULT.format(assault=act)) for name, (act, _) in ASSAULTS.items()]
+    race(*good, attackers[0], sandbox="on")  # what a program starts once
+    before = threading.active_count(), len(os.listdir("/proc/self/fd")), children_of(os.getpid())
+    result = race(*good, *attackers, sandbox="on", max_steps=60)
+    for name, (_, said) in ASSAULTS.items():
+        row = by_driver(result)[name]
+        assert row.status == "retired", name
+        message = row.errors[0].message
+        assert any(part in message for part in said.split("|")), f"{name}: {message}"
+    assert before == (
+        threading.active_count(),
+        len(os.listdir("/proc/self/fd")),
+        children_of(os.getpid()),
+    )
+    assert wait_until(lambda: not named(mark))
+    assert not [name for name in os.listdir("/tmp") + os.listdir("/dev/shm") if mark in name]
+    quitters = [write(f"{name} quietly", QUITTER) for name in ASSAULTS]
+    quiet = race(*good, *quitters, sandbox="on", max_steps=60)
+    for name in ("Plain", "heuristic"):
+        assert by_driver(result)[name] == by_driver(quiet)[name]
+
+
+@needs_bubblewrap
+def test_a_fork_bomb_is_ended(bench):
+    """It starves everyone until then, so it races alone."""
+    home, mark, write, _ = bench
+    bomb = write("bomb", ASSAULT.format(assault="exec('while True: os.fork()')"))
+    result = race(str(home / "rival"), bomb, sandbox="on", action_timeout=30.0)
+    assert not by_driver(result)["Plain"].num_errors
+    message = by_driver(result)["bomb"].errors[0].message
+    assert re.search("more than 128 processes|with all its processes|temporarily", message)
+    assert wait_until(lambda: not named(mark))
+
+
+def named(mark):
+    """Processes with a mark in their command line."""
+    lines = [folder / "cmdline" for folder in Path("/proc").glob("[0-9]*")]
+    return [line for line in lines if mark in _text(line)]
+
+
+def _text(file):
+    try:
+        return file.read_text(errors="replace")
+    except OSError:
+        return ""
+
+
+def test_a_sandbox_that_is_not_there_is_refused_before_the_race(monkeypatch):
+    monkeypatch.setattr(sandbox, "bubblewrap_problem", lambda: "bubblewrap is not installed")
+    with pytest.raises(ConfigError, match="no sandbox for agents: bubblewrap is not installed"):
+        race(str(AGENTS / "plain"), sandbox="on")
+    assert race("ai", sandbox="on").sandbox is None  # nobody needs one
+
+
+def test_what_is_missing_is_told_once(monkeypatch, caplog):
+    monkeypatch.setattr(sandbox, "bubblewrap_problem", lambda: "bubblewrap is not installed")
+    monkeypatch.setattr(landlock, "version", lambda: 0)
+    sandbox.say_what_is_missing.cache_clear()
+    for _ in range(2):
+        assert race(str(AGENTS / "plain"), max_steps=3).sandbox == "none"
+    told = [record.getMessage() for record in caplog.records]
+    assert told == ["agents run without a sandbox: bubblewrap is not installed"]
+    sandbox.say_what_is_missing.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"sandbox": "yes"}, "sandbox is 'yes', expected one of auto, on, off"),
+        ({"sandbox": "on", "inline": True}, "agents run inline; leave out one of the two"),
+    ],
+)
+def test_a_wrong_sandbox_is_told(settings, message):
+    with pytest.raises(ConfigError, match=message):
+        race("ai", **settings)
