@@ -104,6 +104,20 @@ class CommandParser(argparse.ArgumentParser):
             raise argparse.ArgumentError(action, f"{value!r} is not one of {known}")
 
 
+def _whole(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+
+
 def _unknown(kind: str, name: object, known: Collection[str]) -> str:
     """The error for an unknown name, without the list of all."""
     text = str(unknown_name(kind, name, known))
@@ -219,7 +233,7 @@ def _keywords(
     if typing.get_origin(kind) is tuple:
         kind = typing.get_args(kind)[0]
         keywords["nargs"] = "*" if is_positional and default is not MISSING else "+"
-    keywords.setdefault("type", kind)
+    keywords.setdefault("type", {int: _whole, float: _number}.get(kind, kind))
     if "choices" not in keywords:
         keywords.setdefault("metavar", "N" if kind is int else entry.name.upper())
     shown = " ".join(map(str, default)) if isinstance(default, tuple) else default

@@ -243,6 +243,11 @@ def import_extra(module: str, needs: str, extra: str, hint: str = "") -> Any:
         raise ConfigError(f"{needs} {library}, which {problem}: {remedy}") from error
 
 
+def reason(error: Exception) -> str:
+    """Why a file or an address cannot be used, without numbers and without the name again."""
+    return (getattr(error, "strerror", None) or str(error)).partition(" (while ")[0]
+
+
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> ConfigError:
     """Makes the error for an unknown name; it suggests the nearest known one, or lists them all.
 

@@ -134,8 +134,9 @@ class RaceVecEnv(VecEnv):
         ):
             self.races.close()
             raise ConfigError(
-                f"the view {view!r} acts by {actions}, and Stable-Baselines3 by one array; choose "
-                "flattened_discrete, flattened_multidiscrete or flattened_continuous_actions"
+                f"the view {view!r} acts by a {type(actions).__name__}; Stable-Baselines3 needs "
+                "an array: choose flattened_discrete, flattened_multidiscrete or "
+                "flattened_continuous_actions"
             )
         self._space = self.races.single_observation_space
         self._is_flat = flat_observations

@@ -1,6 +1,7 @@
 """Typical mistakes of newcomers: each message names the cause and the remedy in its first line."""
 
 import json
+import socket
 import zipfile
 
 import gymnasium
@@ -24,9 +25,9 @@ COMMANDS = [
     ("race ai --track moon", "unknown track 'moon'. Choose a name from the list:"),
     ("race ai --track", "--track: expected one argument; see `stkzoo race --help`"),
     ("race ai --laps 0", "laps is 0, expected a whole number from 1 to 1000"),
-    ("race ai --laps two", "--laps: invalid int value: 'two'"),
+    ("race ai --laps two", "--laps: 'two' is not a whole number"),
     ("race ai --difficulty 4", "difficulty is 4, expected a whole number from 0 to 3"),
-    ("race ai --difficulty hard", "--difficulty: invalid int value: 'hard'"),
+    ("race ai --difficulty hard", "--difficulty: 'hard' is not a whole number"),
     ("race ai:7", "ai:7"),
     ("race ai --seed -1", "seed is -1, expected a whole number of 0 or more"),
     ("race ai --races 0", "--races is 0, expected 1 or more"),
@@ -65,6 +66,68 @@ COMMANDS = [
     ("tracks lighthose", "Did you mean 'lighthouse'?"),
     ("tracks --map map.png", "lighthouse"),
     ("keys new open --folder {here}", "open.secret"),
+    ("keys new open/x", "expected letters, digits, _ . and -"),
+    ("keys show none.secret", "none.secret cannot be read: No such file or directory; make one"),
+    ("keys show text.zip", "has an invalid line, expected 'public' or 'secret'"),
+    ("race-server ai --secret none.secret", "make one with: stkzoo keys new"),
+    ("race-server ai --secret open.secret", "first: chmod 600 open.secret"),
+    ("race-server ai --secret text.zip", "has an invalid line, expected 'public' or 'secret'"),
+    ("race-server random --address 127.0.0.1:{port}", "choose another address, or end the program"),
+    ("race-server random --address *:5555", "give the server a key of its own (--secret)"),
+    ("race-server ai --threads 0", "threads is 0, expected a whole number of 1 or more"),
+    ("race-server ai", "name it at the client"),
+    ("race-server heuristik", "Did you mean 'heuristic'?"),
+    ("race-client", "no servers; give --server ADDRESS or --servers FILE"),
+    ("race-client --servers none.txt", "the list of servers none.txt cannot be read"),
+    ("race-client --server 127.0.0.1:1 --connect-timeout 0.1", "start it, or check its address"),
+    ("race ai --web --web-port {port}", "choose another port (0 takes a free one)"),
+    ("race ai --web --web-port 99999", "port is 99999, expected a whole number from 0 to 65535"),
+    ("race -track lighthouse ai", "Did you mean '--track'?"),
+    ("race ai --difficulty=2.5", "--difficulty: '2.5' is not a whole number"),
+    ("race ai --start-timeout soon", "--start-timeout: 'soon' is not a number"),
+    ("race ai --laps 99999999999999", "laps is 99999999999999, expected"),
+    ("race ai --max-paths -5", "max_paths is -5, expected a whole number"),
+    ("race ai --video a.mp4 --width 0", "expected (width, height) from 32 to 4096 pixels each"),
+    ("race ai --video a.mp4 --cameras 20", "cameras is 20, expected a whole number from 1 to 8"),
+    ("race ai:4", "expected ai:0, ai:1, ai:2, ai:3"),
+    ("race ai@:", "has no name after @:; write one or leave it out"),
+    (
+        "race {here}/args",
+        "get_actor takes (); expected (module_dir, observation_space, action_space",
+    ),
+    ("race {here}/empty.zip", "empty.zip"),
+    ("race {here}/extra", "install it, or put it into the agent's folder"),
+    ("tournament", "expected a list of at least two"),
+    ("tournament ai heuristik", "Did you mean 'heuristic'?"),
+    ("tournament ai random --track lighthose", "Did you mean 'lighthouse'?"),
+    ("tournament ai random --races 0", "races is 0, expected a whole number from 1 to 100000"),
+    ("tournament ai random --per-race 5", "per_race is 5, expected a whole number from 2 to 2"),
+    ("tournament ai random --output text.zip", "Not a directory; choose another --output"),
+    ("tournament --resume none", "none/plan.json has no tournament plan"),
+    ("tournament --resume measured", "choose the file or folder of a tournament"),
+    ("tournament --resume x --output y", "not allowed with argument --resume"),
+    ("report none", "none/plan.json has no tournament plan (No such file or directory)"),
+    ("report damaged", "damaged/plan.json has no tournament plan"),
+    ("benchmark", "no agent; name one, such as heuristic"),
+    ("benchmark heuristik", "Did you mean 'heuristic'?"),
+    ("benchmark ai --track lighthose", "Did you mean 'lighthouse'?"),
+    ("benchmark ai --seeds 0", "seeds is 0, expected a whole number from 1 to 10000"),
+    ("benchmark ai --forms PXA", "race form 'PXA' is unknown; expected P for each kart"),
+    ("benchmark --compare none", "expected the --output of `stkzoo benchmark`"),
+    ("benchmark --compare rated", "choose the file or folder of a benchmark"),
+    ("benchmark --compare damaged", "damaged/plan.json has no benchmark plan"),
+    ("demos heuristik", "Did you mean 'heuristic'?"),
+    ("demos ai --view racin", "Did you mean 'racing'?"),
+    ("demos ai --track lighthose", "Did you mean 'lighthouse'?"),
+    ("demos ai --output demos.csv", "expected a path that ends in .npz"),
+    ("play --dataset x.npz --view simpl", "Did you mean 'simple'?"),
+    ("play --rate 7", "rate is 7, expected one of 10, 12, 15, 20, 30, 60"),
+    ("replay {here}", "it is not a regular file"),
+    ("new agent --view simpel", "Did you mean 'simple'?"),
+    ("check ai --max-steps 0", "ai"),
+    ("league", "the following arguments are required: --output"),
+    ("tracks --sort speed", "--sort: 'speed' is not one of name, length, time, items"),
+    ("assets install --from none.tar.xz", "there is no file 'none.tar.xz'"),
     ("assets instal", "Did you mean 'install'?"),
     ("completion powershell", "'powershell' is not one of"),
 ]
@@ -76,6 +139,8 @@ def here(tmp_path_factory):
     sources = {
         "empty": None,
         "classless": "x = 1\n",
+        "args": "def get_actor(): pass\n",
+        "extra": "import torchvisionx\ndef get_actor(*_): return lambda state, obs: obs\n",
         "broken": "def get_actor(:\n",
         "no_view": "env_name = 'simpel'\ndef get_actor(*_): return lambda state, obs: obs\n",
     }
@@ -87,8 +152,15 @@ def here(tmp_path_factory):
     (folder / "pystk_actor.txt").write_text("")
     with zipfile.ZipFile(folder / "deep.zip", "w") as archive:
         archive.writestr("readme.txt", "")
-    (folder / "tournament").mkdir()
-    (folder / "tournament" / "result.json").write_text(json.dumps({"type": "tournament-result"}))
+    with zipfile.ZipFile(folder / "empty.zip", "w"):
+        pass
+    plans = {"rated": "tournament-plan", "measured": "benchmark-plan"}
+    for name, kind in plans.items():
+        (folder / name).mkdir()
+        plan = json.dumps({"type": kind, "schema_version": 1})
+        (folder / name / "plan.json").write_text(plan)
+    (folder / "damaged").mkdir()
+    (folder / "damaged" / "plan.json").write_text("{")
     assert main(["keys", "new", "open", "--folder", str(folder)]) == 0
     (folder / "open.secret").chmod(0o644)
     return folder
@@ -99,11 +171,19 @@ def is_legible(text):
     return len(first) <= MAX_LINE and "Traceback" not in text
 
 
+@pytest.fixture(scope="module")
+def port():
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        yield taken.getsockname()[1]
+
+
 @pytest.mark.parametrize(("words", "expected"), COMMANDS, ids=[words for words, _ in COMMANDS])
-def test_a_mistake_on_the_command_line_is_explained(words, expected, here, capsys, monkeypatch):
+def test_a_mistake_on_the_command_line_is_explained(
+    words, expected, here, port, capsys, monkeypatch
+):
     monkeypatch.chdir(here)
     monkeypatch.delenv("DISPLAY", raising=False)
-    code = main(words.format(here=here).split())
+    code = main(words.format(here=here, port=port).split())
     said = capsys.readouterr().err
     assert code in (1, 2, 3), said
     first = said.replace(str(here), "HERE").splitlines()[0]
@@ -139,6 +219,14 @@ CALLS = [
     (lambda: make(step_size=60), "step_size is 60"),
     (lambda: make(reverse="yes"), "reverse is 'yes', expected True or False"),
     (lambda: make().step({}), "reset"),
+    (lambda: make().reset(seed="x"), "seed is 'x', expected a whole number of 0 or more"),
+    (lambda: make().reset(seed=1.5), "seed is 1.5, expected a whole number of 0 or more"),
+    (lambda: make().action_space("Kart_0"), "Did you mean 'kart_0'?"),
+    (lambda: make(num_kart=300), "num_kart is 300, expected a whole number from 1 to 256"),
+    (lambda: make(laps=1.5), "laps is 1.5, expected a whole number"),
+    (lambda: race_v0.env(num_cart=1), "Did you mean 'num_kart'?"),
+    (lambda: run_race(["ai"], track="lighthose"), "Did you mean 'lighthouse'?"),
+    (lambda: run_race(["none/agent.zip"]), "there is no agent 'none/agent.zip'; expected a folder"),
     (lambda: make().reset(seed=-1), "seed is -1"),
     (lambda: make().reset(options={"trak": "lighthouse"}), "Did you mean 'track'?"),
     (lambda: make().reset(options={"num_kart": 5}), "make another environment"),
@@ -173,6 +261,10 @@ ACTIONS = [
     ({"kart_0": 1.5}, "1.5"),
     ({"kart_0": np.zeros(2)}, "kart_0"),
     ({"kart_0": None}, "None"),
+    ({"kart_0": "left"}, "is 'left'; expected"),
+    ({"kart_0": -1}, "is -1; expected"),
+    ({"kart_0": np.nan}, "is nan; expected"),
+    ({"kart_9": 0}, "no action for agent 'kart_0'; actions came for 'kart_9'"),
     ([0], "[0]"),
     (0, "0"),
 ]

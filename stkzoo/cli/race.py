@@ -51,10 +51,11 @@ if TYPE_CHECKING:
 
 _NEXT_STEPS = """\
 Where to go next:
-  another race        stkzoo race pretrained:ace ai:3 ai:3 ai:3 --seed 2 (it does not win all)
-  your own driver     stkzoo new my_agent
-  from Python         from stkzoo import race_v0; env = race_v0.parallel_env(num_kart=4)
-  more                README.md, stkzoo race --help, and stkzoo doctor if something fails
+  another race      stkzoo race pretrained:ace ai:3 ai:3 ai:3 --seed 2
+  your own driver   stkzoo new my_agent
+  from Python       from stkzoo import race_v0
+                    env = race_v0.parallel_env(num_kart=4)
+  more              stkzoo race --help; stkzoo doctor if something fails
 """
 
 _DEMO_DRIVERS = ("pretrained:ace", "ai:3", "ai:3", "ai:3")

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 
 from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
 from stkzoo.cli._arguments import usage_errors
+from stkzoo.errors import check_whole
 from stkzoo.race import RaceSettings
 
 if TYPE_CHECKING:
@@ -87,6 +88,7 @@ def _server(arguments: argparse.Namespace) -> RaceServer:
     from stkzoo.race import find_driver
     from stkzoo.race.remote import RaceServer, ServerKeys, read_publics, read_secret
 
+    check_whole("threads", arguments.threads, 1)
     settings = RaceSettings(**values_of(arguments, RaceSettings, only=_SETTINGS))
     drivers = [
         find_driver(agent, inline=settings.inline, adapter=settings.adapter)

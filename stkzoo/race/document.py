@@ -17,7 +17,7 @@ from typing import Any, ClassVar, cast
 from typing_extensions import Self  # a dependency of gymnasium
 
 from stkzoo.drivers.failures import printable
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, reason
 
 
 class Document(ABC):
@@ -83,7 +83,7 @@ class Document(ABC):
             text = file.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise ConfigError(
-                f"{file} has no {cls._name()} ({error}); expected {cls.origin}"
+                f"{file} has no {cls._name()} ({reason(error)}); expected {cls.origin}"
             ) from error
         return cls.from_json(text, str(file))
 
@@ -176,5 +176,10 @@ def check_document(document: Mapping[str, Any], kind: str, version: int) -> None
     if found != (kind, version):
         raise ConfigError(
             f"the file is a {found[0]} of version {found[1]}, expected a {kind} of version "
-            f"{version}; another version of stkzoo wrote it"
+            f"{version}; "
+            + (
+                "another version of stkzoo wrote it"
+                if found[0] == kind
+                else f"choose the file or folder of a {kind.rpartition('-')[0]}"
+            )
         )

@@ -125,7 +125,7 @@ def _complaint(space: spaces.Space[Any], value: Any, agent: str, name: str) -> s
             faults += [f"has unknown keys {', '.join(unknown)}"] if unknown else []
             return (
                 f"the {name} of agent {agent!r} {' and '.join(faults)}; expected exactly the "
-                f"keys {', '.join(space.spaces)}. Send all of them."
+                f"keys {', '.join(space.spaces)}."
             )
         for key, part in space.spaces.items():
             if _value(part, value[key]) is None:
@@ -134,8 +134,9 @@ def _complaint(space: spaces.Space[Any], value: Any, agent: str, name: str) -> s
 
 
 def _sentence(agent: str, name: str, value: object, expected: str) -> str:
+    shape = f" of shape {value.shape}" if isinstance(value, np.ndarray) else ""
     return (
-        f"the {name} of agent {agent!r} is {reprlib.repr(value)}; expected {expected}. "
+        f"the {name} of agent {agent!r} is {reprlib.repr(value)}{shape}; expected {expected}. "
         "env.action_space(agent).sample() shows the form."
     )
 

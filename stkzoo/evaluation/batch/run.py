@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from stkzoo._os import PART_FILES, cpu_count, try_lock, write_text
-from stkzoo.errors import ConfigError, StkzooError, check_number, check_whole
+from stkzoo.errors import ConfigError, StkzooError, check_number, check_whole, reason
 from stkzoo.evaluation.batch.order import RACES, RaceOrder, load_orders
 from stkzoo.evaluation.batch.plan import PLAN_FILE, RESULT_FILE, BatchPlan, Plan, Result
 from stkzoo.evaluation.batch.pool import run_in_parallel
@@ -180,7 +180,9 @@ def _locked(folder: Path, noun: str) -> Iterator[None]:
         (folder / RACES).mkdir(parents=True, exist_ok=True)
         lock = (folder / "lock").open("a")
     except OSError as error:
-        raise ConfigError(f"the {noun}'s folder {folder} cannot be used: {error}") from error
+        raise ConfigError(
+            f"the {noun}'s folder {folder} cannot be used: {reason(error)}; choose another --output"
+        ) from error
     with lock:
         if not try_lock(lock.fileno()):
             raise ConfigError(

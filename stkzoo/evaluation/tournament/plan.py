@@ -201,7 +201,9 @@ def plan_tournament(
     """
     served, access = _ask(servers)
     if isinstance(agents, str) or len(agents) + len(served) < 2:
-        raise ConfigError(f"agents is {agents!r}, expected a list of at least two")
+        raise ConfigError(
+            f"agents is {agents!r:.80}, expected a list of at least two, such as my_agent and ai"
+        )
     chosen = TournamentPlan.choose_settings(settings, changes)
     entrants = find_entrants(agents, chosen, served)
     return TournamentPlan(

@@ -330,6 +330,9 @@ def write_report(
     result, races = load_races(home)
     if not races:
         raise ConfigError(f"no race in {home} has ended yet; start or resume the tournament first")
+    for number in films or ():
+        if number not in races:
+            raise ConfigError(f"race {number} has not been run; choose numbers of races.csv")
     report = TournamentReport(home, result, races, publish is not None, title, films)
     place, page = (home, "report.html") if publish is None else (Path(publish), "index.html")
     place.mkdir(parents=True, exist_ok=True)

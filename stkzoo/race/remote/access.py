@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, reason
 from stkzoo.race.remote.drivers import RemoteDriverGroup, ServedAgent
 from stkzoo.race.remote.keys import read_public, read_secret
 
@@ -63,7 +63,7 @@ def read_servers(file: str | os.PathLike[str]) -> tuple[tuple[str, ...], tuple[s
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"the list of servers {path} cannot be read: {error}") from error
+        raise ConfigError(f"the list of servers {path} cannot be read: {reason(error)}") from error
     lines = [line.split() for line in text.splitlines() if line.strip() and line[0] != "#"]
     for words in lines:
         if len(words) > 2:

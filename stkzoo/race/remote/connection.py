@@ -187,7 +187,10 @@ class Connection:
             time_left = deadline - time.monotonic()
             events = self._poller.poll(max(0, math.ceil(time_left * 1000)))
             if time_left < -_READING or (time_left <= 0 and not events):
-                self._fail(f"{self.server.address} did not {what} in time")
+                remedy = (
+                    "; start it, or check its address and the keys" if what == "connect" else ""
+                )
+                self._fail(f"{self.server.address} did not {what} in time{remedy}")
             for socket, _ in events:
                 if socket is self._socket:
                     self._receive()

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, reason
 from stkzoo.race.remote.sockets import zmq_module
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
@@ -135,7 +135,9 @@ def _lines_of(path: Path) -> list[list[str]]:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"the key {path} cannot be read: {error}") from error
+        raise ConfigError(
+            f"the key {path} cannot be read: {reason(error)}; make one with: stkzoo keys new NAME"
+        ) from error
     lines = [line.split() for line in text.splitlines() if line and not line.startswith("# ")]
     for words in lines:
         if len(words) < 2 or words[0] not in ("public", "secret") or not _KEY.fullmatch(words[1]):

@@ -156,7 +156,9 @@ def _open_socket(
         error_type, attempt = (
             (ConfigError, "listen on") if is_server else (RemoteError, "connect to")
         )
-        raise error_type(f"cannot {attempt} {address}: {error}") from error
+        why = str(error).partition(" (addr=")[0]
+        remedy = "; choose another address, or end the program that uses it" if is_server else ""
+        raise error_type(f"cannot {attempt} {address}: {why}{remedy}") from error
     return socket
 
 

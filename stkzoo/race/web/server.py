@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 from aiohttp import web
 
 from stkzoo._os import ip_address_of, is_loopback
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, reason
 from stkzoo.race.web.control import RaceControl
 from stkzoo.race.web.feed import RaceNews
 from stkzoo.race.web.viewer import PROTOCOL_VERSION, Viewer
@@ -208,8 +208,8 @@ def _listener(host: str, port: int) -> socket.socket:
         return socket.create_server(address[:2], family=family)
     except (OSError, OverflowError) as error:
         raise ConfigError(
-            f"the live page cannot use {host}, port {port}: {error}; choose another port (0 "
-            "takes a free one), or end the program that uses it"
+            f"the live page cannot use {host}, port {port}: {reason(error)}; choose another "
+            "port (0 takes a free one), or end the program that uses it"
         ) from error
 
 
