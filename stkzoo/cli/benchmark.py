@@ -199,10 +199,11 @@ def _show_results(results: Sequence[BenchmarkResult]) -> None:
     for result in results:
         plan = result.plan
         errors = f"; the agent failed {result.errors} times" if result.errors else ""
+        interval = "with" if plan.seeds > 1 else "--seeds 2 or more gives"
         say(
             f"{result.label}: {len(result.races)} of {len(plan.races())} races on "
-            f"{', '.join(plan.tracks)}; AI difficulty {plan.settings.difficulty}; with 95 % "
-            f"intervals{errors}."
+            f"{', '.join(plan.tracks)}; AI difficulty {plan.settings.difficulty}; {interval} "
+            f"95 % intervals{errors}."
         )
 
 

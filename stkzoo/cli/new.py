@@ -1,7 +1,7 @@
 """Create a starter agent.
 
-Writes a small commented driver into a new folder. It finishes a race as it is; change it from
-there. With another view than simple, it acts at random until you put a policy in.
+Writes a small commented driver into a new folder. It finishes easy tracks such as lighthouse;
+improve it from there. With another view than simple, it acts at random until you add a policy.
 Existing files are never overwritten.
 
 Examples:
@@ -56,6 +56,8 @@ def get_actor(module_dir, observation_space, action_space):
         speed = np.linalg.norm(observation["velocity"])  # [m/s]
         state.slow_steps = state.slow_steps + 1 if speed < 1 else 0
         is_stuck = state.slow_steps > 50  # 5 s; the countdown before the start is shorter
+        if is_stuck:
+            state.slow_steps = 0
 
         # To see what the agent sees, uncomment this line and race with --show-output.
         # print(f"angle {{angle:.2f}} rad, speed {{speed:.1f}} m/s")
