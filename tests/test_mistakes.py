@@ -2,6 +2,7 @@
 
 import json
 import socket
+import sys
 import zipfile
 
 import gymnasium
@@ -189,6 +190,63 @@ def test_a_mistake_on_the_command_line_is_explained(
     first = said.replace(str(here), "HERE").splitlines()[0]
     assert expected.format(here="HERE") in first
     assert is_legible(said.replace(str(here), "HERE"))
+
+
+#: Command line, the library that is missing, and what the message says.
+EXTRAS = [
+    ("race ai --video film.mp4", "imageio_ffmpeg", "videos need ffmpeg"),
+    ("race ai --web", "aiohttp", "the live page needs aiohttp"),
+    ("race-client --server 127.0.0.1:1", "zmq", "networked races need zmq"),
+    ("tournament ai random --output new", "openskill", "ratings need openskill"),
+    ("benchmark random --output new", "matplotlib", "or leave the plot out (--no-plot)"),
+    ("demos ai --format minari", "minari", "or write --format npz"),
+    ("league --output new", "torch", "learning needs torch"),
+    ("play", "pygame", "the window needs pygame"),
+    ("completion bash", "shtab", "completion needs shtab"),
+]
+
+
+@pytest.mark.parametrize(("words", "module", "expected"), EXTRAS, ids=[e[2] for e in EXTRAS])
+def test_a_missing_library_is_explained(words, module, expected, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    for name in [m for m in sys.modules if m.partition(".")[0] == module] + [module]:
+        monkeypatch.setitem(sys.modules, name, None)
+    assert main(words.split()) in (1, 2)
+    first = capsys.readouterr().err.splitlines()[0]
+    assert expected in first
+    assert "pip install" in first
+
+
+def test_missing_data_of_the_game_are_explained(capsys, monkeypatch, tmp_path):
+    monkeypatch.setenv("SUPERTUXKART_DATADIR", str(tmp_path))
+    assert main(["race", "ai"]) == 1
+    said = capsys.readouterr().err.replace(str(tmp_path), "HERE")
+    assert "Unset it and run `stkzoo assets install`" in said.splitlines()[0]
+    assert is_legible(said)
+
+
+#: What an agent returns, and what the report of its race says.
+RETURNED = [
+    ("None", "is None; expected a dict with the keys acceleration, brake"),
+    ("{'steer': 0.0}", "lacks acceleration, brake"),
+    ("{**space.sample(), 'jump': 1}", "has unknown keys jump"),
+    ("{**space.sample(), 'steer': float('nan')}", "action['steer'] of agent 'kart_0' is nan"),
+    ("{**space.sample(), 'brake': 7}", "action['brake'] of agent 'kart_0' is 7"),
+]
+
+
+@pytest.mark.parametrize(("returned", "expected"), RETURNED, ids=[r for r, _ in RETURNED])
+def test_a_wrong_action_of_an_agent_is_explained(returned, expected, tmp_path, capsys):
+    source = f"""
+env_name = "supertuxkart/simple-v0"
+def get_actor(module_dir, observation_space, space):
+    return lambda state, observation: {returned}
+"""
+    (tmp_path / "pystk_actor.py").write_text(source)
+    assert main(["race", str(tmp_path), "--inline", "--track", "lighthouse"]) == 3
+    (line,) = [text for text in capsys.readouterr().out.splitlines() if "failed at step 0" in text]
+    assert expected in line
 
 
 def make(**options):

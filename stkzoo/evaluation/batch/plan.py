@@ -79,7 +79,7 @@ class BatchPlan(Document, Generic[Result]):
             ConfigError: one is not.
         """
         if plot and self.is_gradual:
-            require_matplotlib(self.noun, "leave the plot out (--no-plot)")
+            require_matplotlib(self.noun, "or leave the plot out (--no-plot)")
 
     @property
     def agents(self) -> tuple[Entrant, ...]:

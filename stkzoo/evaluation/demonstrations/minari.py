@@ -21,7 +21,7 @@ def require_minari() -> Any:
     Raises:
         ConfigError: Minari is not installed.
     """
-    return import_extra("minari", "this format needs", "demos", "or write npz")
+    return import_extra("minari", "this format needs", "demos", "or write --format npz")
 
 
 def to_minari(demos: Demonstrations, dataset_id: str) -> Any:
