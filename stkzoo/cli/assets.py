@@ -56,7 +56,9 @@ def add_arguments(parser: CommandParser) -> None:
     status, install, pack, clean = add_actions(parser, _status, _install, _pack, _clean)
     status.add_argument("--names", action="store_true", help="list the tracks and karts by name")
     add_options(install, InstallArguments)
-    pack.add_argument("--output", type=Path, metavar="FILE", help="a .tar.xz file to write")
+    pack.add_argument(
+        "--output", type=Path, metavar="FILE", help="write the pack into FILE, a .tar.xz"
+    )
     pack.add_argument("--force", action="store_true", help="replace an existing pack")
     clean.add_argument("--yes", action="store_true", help="do not ask")
 

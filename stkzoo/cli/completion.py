@@ -42,5 +42,5 @@ def _complete_files(parser: argparse.ArgumentParser, files: Any) -> None:
         if isinstance(action, argparse._SubParsersAction):
             for child in action.choices.values():
                 _complete_files(child, files)
-        elif action.metavar in ("FILE", "FOLDER", "DIR", "DRIVER", "AGENT", "REPLAY"):
+        elif action.metavar in ("FILE", "FOLDER", "PATH", "RESULT", "DRIVER", "AGENT"):
             action.complete = files  # type: ignore[attr-defined]

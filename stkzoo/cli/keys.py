@@ -22,9 +22,13 @@ from stkzoo.cli._arguments import add_actions
 def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     new, show = add_actions(parser, _new, _show)
-    new.add_argument("name", metavar="NAME", help="of the two files")
+    new.add_argument("name", metavar="NAME", help="name of the two files, without the ending")
     new.add_argument(
-        "--folder", type=Path, default=Path(), metavar="DIR", help="default: the current folder"
+        "--folder",
+        type=Path,
+        default=Path(),
+        metavar="FOLDER",
+        help="folder of the two files (default: the current one)",
     )
     show.add_argument("file", type=Path, metavar="FILE", help="a .secret or .public file")
 
