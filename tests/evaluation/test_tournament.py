@@ -275,16 +275,35 @@ def cmdline(pid):
     return Path(f"/proc/{pid}/cmdline").read_text()
 
 
+KILLER = """
+import os, re, signal
+
+def get_actor(module_dir, observation_space, action_space):
+    def actor(state, observation):
+        keeper = open(f"/proc/{os.getppid()}/status").read()
+        os.kill(int(re.search(r"PPid:\\s+(\\d+)", keeper)[1]), signal.SIGKILL)
+    return actor
+"""
+
+
 @pytest.mark.slow
-def test_an_agent_that_ends_its_race_process_is_told_and_the_others_go_on(tmp_path):
-    """With --inline an agent can do that."""
-    settings = {**SMALL, "inline": True, "races": 3, "per_race": 2}
-    agents = ["ai", "heuristic", str(AGENTS / "hostile" / "exits.py")]
-    with pytest.raises(BatchError, match="2 of 3 races could not be run") as caught:
-        run_tournament(agents, output=tmp_path / "cup", **settings)
-    assert "its process ended with code" in str(caught.value)
-    assert not caught.value.result.is_complete
-    assert len(races_in(tmp_path / "cup")) == 1
+@pytest.mark.parametrize("settings", [{"inline": True}, {"sandbox": "off"}, {}])
+def test_an_agent_that_ends_the_process_of_its_races_loses_them(tmp_path, settings):
+    """A race that it voids would not count against it."""
+    killer = AGENTS / "hostile" / "exits.py"
+    if not settings.get("inline"):
+        killer = tmp_path / "killer.py"
+        killer.write_text(KILLER)
+    settings = {**SMALL, **settings, "races": 3, "per_race": 2}
+    agents = [str(AGENTS / "plain"), "heuristic", str(killer)]
+    result = run_tournament(agents, output=tmp_path / "cup", **settings)
+    assert result.is_complete
+    assert all(race.order[-1] == killer.stem for race in result.races if killer.stem in race.order)
+    row = next(row for row in result.standings if row.label == killer.stem)
+    assert (row.races, row.retired, row.wins) == (2, 2, 0)
+    if {"inline", "sandbox"} & {*settings}:
+        assert row.reason == "it ended the process of this race whenever it took part"
+    assert sum(row.errors for row in result.standings if row.label != killer.stem) == 0
 
 
 @pytest.mark.slow

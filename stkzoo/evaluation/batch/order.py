@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NoReturn
 
 from stkzoo._os import write_text
-from stkzoo.errors import ConfigError
+from stkzoo.drivers.driver import Driver, find_driver
+from stkzoo.drivers.instances import DriverRequest
+from stkzoo.errors import AgentError, ConfigError
 from stkzoo.evaluation.batch.entrants import NAME_MARK
 from stkzoo.race.result import RaceResult
 from stkzoo.race.runner import run_race
@@ -26,12 +29,14 @@ class RaceOrder:
         drivers: texts for :func:`~stkzoo.race.find_driver`, one per kart.
         settings: of the race, with its track and seed.
         wait_for: see :func:`~stkzoo.race.run_race`.
+        absent: drivers, by index, that do not start: they fail, and their karts stand still.
     """
 
     number: int
     drivers: tuple[str, ...]
     settings: RaceSettings
     wait_for: tuple[int, ...] | None = None
+    absent: tuple[int, ...] = field(default=(), kw_only=True)
 
     def run(self, folder: Path) -> RaceResult:  # noqa: ARG002 - orders may write more files
         """Runs the race, in a worker process.
@@ -40,11 +45,24 @@ class RaceOrder:
             folder: of the batch.
         """
         return run_race(
-            list(self.drivers),
+            self.without_absent(self.drivers),
             start_positions=range(1, len(self.drivers) + 1),
             wait_for=self.wait_for,
             settings=self.settings,
         )
+
+    def suspects(self) -> tuple[int, ...]:
+        """The drivers, by index, whose own code runs here and may have ended the race's process."""
+        return tuple(
+            number for number, text in enumerate(self.drivers) if find_driver(text).is_from_files
+        )
+
+    def without_absent(self, drivers: Sequence[str | Driver]) -> list[str | Driver]:
+        """Drivers of the race in which those that are absent do not start."""
+        return [
+            _absent(driver) if number in self.absent else driver
+            for number, driver in enumerate(drivers)
+        ]
 
     def load(self, folder: Path) -> RaceResult | None:
         """The stored result; ``None`` if the race has not been run.
@@ -90,6 +108,15 @@ class RaceOrder:
             getattr(result, name) == getattr(self.settings, name)
             for name in ("seed", "track", "reverse", "difficulty")
         )
+
+
+def _absent(driver: str | Driver) -> Driver:
+    known = find_driver(driver) if isinstance(driver, str) else driver
+    return replace(known, start=_refuse)
+
+
+def _refuse(request: DriverRequest) -> NoReturn:
+    raise AgentError("it ended the process of this race whenever it took part", request.agent)
 
 
 def load_orders(orders: Sequence[RaceOrder], folder: Path) -> dict[int, RaceResult]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import subprocess
@@ -11,7 +12,7 @@ import threading
 import traceback
 from collections.abc import Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from queue import SimpleQueue
@@ -25,6 +26,8 @@ from stkzoo.race.document import typed
 
 #: How often a race is tried whose process dies.
 _TRIES = 2
+#: Most races that are run without some agents to find out who ends the process of one.
+_MAX_TRIALS = 32
 _END_TIMEOUT = 5.0  # [s]
 _WAIT_INTERVAL = 0.5  # [s]
 _WORKER = "from stkzoo.evaluation.batch.pool import serve; serve()"
@@ -90,37 +93,54 @@ class _Worker:
         self._folder, self._timeout = str(folder.absolute()), race_timeout
         self._lock = threading.Lock()
         self._running: tuple[subprocess.Popen[bytes], OutputTail] | None = None
-        self._is_closed = False
+        self._is_closed = self._was_late = False
 
     def run(self, order: RaceOrder) -> OrderOutcome:
-        """Runs a race, again if its process dies."""
+        """Runs a race, again if its process dies, and then without those who may have ended it.
+
+        The race counts without the fewest agents whose absence lets it end; they fail in it.
+        Without this rule, an agent could void the races that it is going to lose.
+        """
+        for _ in range(_TRIES):
+            outcome, is_over = self._run_once(order)
+            if is_over or self._was_late:
+                break
+        suspects = () if is_over else order.suspects()
+        most = 1 if self._was_late else len(suspects)
+        groups = (itertools.combinations(suspects, size) for size in range(1, most + 1))
+        for absent in itertools.islice(itertools.chain.from_iterable(groups), _MAX_TRIALS):
+            without, is_over = self._run_once(replace(order, absent=absent))
+            if is_over:
+                return replace(without, order=order)
+        return outcome
+
+    def _run_once(self, order: RaceOrder) -> tuple[OrderOutcome, bool]:
+        """The outcome, and whether the process has survived the race."""
+        self._was_late = False
         kind = type(order)
         line = {"module": kind.__module__, "class": kind.__name__, "order": asdict(order)}
         text = json.dumps({**line, "folder": self._folder}).encode()
-        error = ""
-        for _ in range(_TRIES):
-            with self._lock:
-                if self._is_closed:
-                    return OrderOutcome(order, error="the batch was ended")
-                process, said = self._running = self._running or _start()
-            said.show_as(f"race {order.number}" if order.settings.show_output else "")
-            assert process.stdin is not None  # noqa: S101 - opened as pipes
-            assert process.stdout is not None  # noqa: S101 - opened as pipes
-            watch = threading.Timer(self._timeout, process.kill)
-            watch.start()
-            try:
-                process.stdin.write(text + b"\n")
-                process.stdin.flush()
-                return OrderOutcome(order, **json.loads(process.stdout.readline()))
-            except (OSError, ValueError):  # its output is closed, or cut off
-                was_late = watch.finished.is_set()
-            finally:
-                watch.cancel()
-            self._running = None
-            error = _end(process, said, _END_TIMEOUT)
-            if was_late:
-                return OrderOutcome(order, error=f"it was not over after {self._timeout:g} s")
-        return OrderOutcome(order, error=error)
+        with self._lock:
+            if self._is_closed:
+                return OrderOutcome(order, error="the batch was ended"), True
+            process, said = self._running = self._running or _start()
+        assert process.stdin is not None  # noqa: S101 - opened as pipes
+        assert process.stdout is not None  # noqa: S101 - opened as pipes
+        watch = threading.Timer(self._timeout, process.kill)
+        watch.start()
+        try:
+            process.stdin.write(text + b"\n")
+            process.stdin.flush()
+            return OrderOutcome(order, **json.loads(process.stdout.readline())), True
+        except (OSError, ValueError):  # its output is closed, or cut off
+            self._was_late = watch.finished.is_set()
+        finally:
+            watch.cancel()
+        self._running = None
+        error = _end(process, said, _END_TIMEOUT)
+        if self._was_late:
+            error = f"it was not over after {self._timeout:g} s"
+        return OrderOutcome(order, error=error), False
 
     def close(self) -> None:
         """Ends the process, also during a race."""

@@ -67,6 +67,10 @@ class DemoOrder(RaceOrder):
         save_demonstrations(episodes, self.file(folder, _ENDING))
         return result
 
+    def suspects(self) -> tuple[int, ...]:
+        """None: a race without an agent is not the race to record."""
+        return ()
+
     def load(self, folder: Path) -> RaceResult | None:
         """The stored result; ``None`` if the race has not been recorded."""
         return RaceOrder.load(self, folder) if self.file(folder, _ENDING).exists() else None

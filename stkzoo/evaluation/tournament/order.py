@@ -37,13 +37,24 @@ class TournamentOrder(RaceOrder):
         recorder = FilmRecorder()
         with ExitStack() as resources:
             result = run_race(
-                self._all_drivers(resources),
+                self.without_absent(self._all_drivers(resources)),
                 listeners=[recorder, ReplayWriter(replay)],
                 start_positions=range(1, len(self.drivers) + 1),
                 settings=self.settings,
             )
         write_text(film, recorder.film().to_json())
         return result
+
+    def suspects(self) -> tuple[int, ...]:
+        """See :class:`RaceOrder`; agents of servers run elsewhere."""
+        here = replace(
+            self,
+            drivers=tuple(
+                "ai" if agent else text
+                for text, agent in zip(self.drivers, self.served, strict=True)
+            ),
+        )
+        return RaceOrder.suspects(here)
 
     def _all_drivers(self, resources: ExitStack) -> list[str | Driver]:
         """The drivers, connected as long as ``resources`` lasts."""
