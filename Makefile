@@ -12,11 +12,14 @@ unexport PYTHONDONTWRITEBYTECODE
 
 GRAPHICS_PACKAGES := libegl1 libgl1 libgl1-mesa-dri xvfb
 BROWSER_PACKAGES := chromium chromium-driver
+# $(call apt_install,PACKAGES): the lists of packages are updated only if they are too old.
+apt_install = { apt-get install -y -q $(1) >/dev/null 2>&1 || \
+	{ apt-get update -q && apt-get install -y -q $(1); }; }
 
 # What people read: checked for typing errors and for words to avoid.
 PROSE := README.md CHANGELOG.md CONTRIBUTING.md docs stkzoo wrappers agents examples benchmarks
 
-.PHONY: browser graphics help race test test-fast check bench docs pictures site wheel clean
+.PHONY: browser graphics sandbox help race test test-fast check bench docs pictures site wheel clean
 
 help:
 	@echo "make race    set everything up; a learned driver races the hardest bots"
@@ -35,7 +38,7 @@ race: $(VENV)/.core
 	$(BIN)/stkzoo assets install
 	$(BIN)/stkzoo race --demo
 
-test: $(VENV)/.dev graphics browser
+test: $(VENV)/.dev graphics browser sandbox
 	$(BIN)/stkzoo assets install
 	$(PYTEST) $(ARGS)
 
@@ -81,8 +84,7 @@ graphics:
 		ls /usr/lib/*/dri/*_dri.so /usr/lib64/dri/*_dri.so /usr/lib/*/libnvidia-eglcore* \
 		2>/dev/null | grep -q . && command -v Xvfb >/dev/null; then :; \
 	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
-		{ apt-get install -y -q $(GRAPHICS_PACKAGES) >/dev/null 2>&1 || \
-		{ apt-get update -q && apt-get install -y -q $(GRAPHICS_PACKAGES); }; } || \
+		$(call apt_install,$(GRAPHICS_PACKAGES)) || \
 		echo "the game's own pictures cannot be drawn here; the map is drawn instead"; \
 	else \
 		echo "for the game's own pictures and window: sudo apt install $(GRAPHICS_PACKAGES)"; \
@@ -93,11 +95,20 @@ browser:
 	@if command -v chromedriver >/dev/null && \
 		{ command -v chromium || command -v google-chrome; } >/dev/null; then :; \
 	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
-		{ apt-get install -y -q $(BROWSER_PACKAGES) >/dev/null 2>&1 || \
-		{ apt-get update -q && apt-get install -y -q $(BROWSER_PACKAGES); }; } || \
+		$(call apt_install,$(BROWSER_PACKAGES)) || \
 		echo "no browser is available; tests of the live page are skipped"; \
 	else \
 		echo "to try the live page in a browser: sudo apt install $(BROWSER_PACKAGES)"; \
+	fi
+
+# Agents are raced in bubblewrap's sandbox. Where it cannot be installed, its tests are skipped.
+sandbox:
+	@if command -v bwrap >/dev/null; then :; \
+	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+		$(call apt_install,bubblewrap) || \
+		echo "bubblewrap is not available; tests of the sandbox are skipped"; \
+	else \
+		echo "to test the sandbox for agents: sudo apt install bubblewrap"; \
 	fi
 
 clean:

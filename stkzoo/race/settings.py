@@ -89,7 +89,7 @@ class RaceSettings:
         check_number("start_timeout", self.start_timeout, unit="seconds")
         if self.agent_memory is not None:
             check_whole("agent_memory", self.agent_memory, 1)
-        if self.sandbox not in MODES:
+        if not isinstance(self.sandbox, str) or self.sandbox not in MODES:
             raise ConfigError(f"sandbox is {self.sandbox!r}, expected one of {', '.join(MODES)}")
         if self.sandbox == "on" and self.inline:
             raise ConfigError("sandbox is 'on', but agents run inline; leave out one of the two")

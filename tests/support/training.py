@@ -11,7 +11,8 @@ def words_of(folder, settings, **more):
     """The command line for a folder and settings by name."""
     words = [f"--output={folder}"]
     for name, value in {**settings, **more}.items():
-        words.append("--" + name.replace("_", "-"))
+        option = name.removesuffix("s") if name.endswith("tracks") else name
+        words.append("--" + option.replace("_", "-"))
         if value is not True:
             words += map(str, value) if isinstance(value, tuple) else [str(value)]
     return words

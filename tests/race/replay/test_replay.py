@@ -358,18 +358,24 @@ def test_a_race_that_never_started_leaves_the_older_file(small):
 def test_an_interrupted_race_leaves_a_partial_replay(tmp_path):
     path, agent = tmp_path / "race.stkz", tmp_path / "pystk_actor.py"
     agent.write_text(
-        "import pathlib\n"
         "def get_actor(folder, _, space):\n"
         "    def act(state, observation):\n"
-        "        (folder / 'driving').touch()\n"
+        "        print('driving')\n"
         "        return space.sample()\n"
         "    return act\n"
     )
     words = ["race", str(tmp_path), "--max-steps", "1000000", "--replay", str(path)]
-    program = subprocess.Popen([sys.executable, "-m", "stkzoo", *words], stderr=subprocess.DEVNULL)
-    assert wait_until((tmp_path / "driving").exists, seconds=60)
-    program.send_signal(signal.SIGINT)
-    assert program.wait(60) == 130
+    words += ["--show-output"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "stkzoo", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as program:
+        assert any("driving" in line for line in program.stdout)
+        program.send_signal(signal.SIGINT)
+        program.communicate(timeout=60)
+    assert program.returncode == 130
     replay = load_replay(path)
     assert replay.is_partial
     assert play_replay(replay).is_exact
