@@ -38,20 +38,22 @@ The game has 21 race tracks. Each can also be driven in reverse (`reverse=True`)
 ## Training and test
 
 `track="train"` and `track="test"` draw a track from a fixed list
-([`stkzoo/tracks.py`](../../stkzoo/tracks.py)). Do not train or tune on the six test tracks, in either
-direction. They resemble the training tracks: short and long, with and without forks, with few and many items,
-easy and hard for drivers that follow the line. *black_forest*, the longest, is a training track; a lap
-there takes as long as two on most others.
+([`stkzoo/tracks.py`](../../stkzoo/tracks.py)). Do not train or tune on the six test tracks, in
+either direction. They resemble the training tracks: short and long, with and without forks, with
+few and many items, easy and hard for drivers that follow the line. *black_forest*, the longest,
+is a training track; a lap there takes as long as two on most others.
 
 """
 
 _ABOUT = """\
-*Nodes* are the segments of the driving line, *forks* the segments with more than one successor. *Items* are
-those on the track at the start. *AI times* are the medians in seconds at difficulty 0 / 1 / 2 / 3, of {karts} karts in
-races of five AI karts. [`stkzoo benchmark`](benchmark-protocol.md) divides by them.
-`stkzoo/evaluation/benchmark/ai_times.json` also has the best and worst times.
+*Nodes* are the segments of the driving line, *forks* the segments with more than one successor.
+*Items* are those on the track at the start. *AI times* are the medians in seconds at difficulty
+0 / 1 / 2 / 3, of {karts} karts in races of five AI karts.
+[`stkzoo benchmark`](benchmark-protocol.md) divides by them. The best and worst times are in
+`stkzoo/evaluation/benchmark/ai_times.json`.
 
-The AI is faster at higher difficulties partly because all karts, also those of agents, have stronger engines.
+The AI is faster at higher difficulties partly because all karts, also those of agents, have
+stronger engines.
 
 """
 
@@ -59,8 +61,8 @@ _GROUND = """\
 
 ## Ground
 
-`env.ground` gives the kind of ground at any place of the track, read from the game's meshes. The driving line (between
-the black lines) only approximates it. Moving objects are not included.
+`env.ground` gives the kind of ground at any place of the track, read from the game's meshes. The
+driving line (between the black lines) only approximates it. Moving objects are not included.
 
 | colour | ground |
 | --- | --- |
@@ -166,8 +168,8 @@ def page(facts: dict[str, Facts], times: AiTimes) -> str:
             _ABOUT.format(karts=karts),
             _table(facts, times),
             f"\n{_unfinished(times)} Measured with {versions}.\n\n## Maps\n\n",
-            "The kart is at the start and points ahead. Squares are gift boxes; discs are bananas, nitro\n",
-            "and other items. Brighter road is higher.\n\n",
+            "The kart is at the start and points ahead. Squares are gift boxes; discs are\n",
+            "bananas, nitro and other items. Brighter road is higher.\n\n",
             _maps(list(facts), ""),
             _GROUND,
             _maps(list(facts), "-ground"),
