@@ -32,33 +32,28 @@ _DIFFICULTIES = (0, 1, 2, 3)
 _HEAD = """\
 # Tracks
 
-This page is written by `python -m benchmarks.track_atlas`.
-
-The game has 21 race tracks. Each can be driven the other way round too (`reverse=True`), and
-the game's AI finds its way there as well.
+The game has 21 race tracks. Each can also be driven in reverse (`reverse=True`).
+`python -m benchmarks.track_atlas` writes this page.
 
 ## Training and test
 
-`track="train"` and `track="test"` draw one of a fixed list
-([`stkzoo/tracks.py`](../../stkzoo/tracks.py)). Nothing that learns may be trained or tuned on the
-six test tracks. They are fixed by name so that "unseen tracks" means the same to everybody, and
-chosen so that they are like the others: short and long ones, with and without forks, with few
-and many items, easy and hard for drivers that just follow the line. *black_forest* is a
-training track although it is the longest: a lap there takes the time of two on most others, and
-far more work. A track driven the other way round belongs to the same list as forwards, because
-its road, its jumps and its scenery are the same.
+`track="train"` and `track="test"` draw a track from a fixed list
+([`stkzoo/tracks.py`](../../stkzoo/tracks.py)). Do not train or tune on the six test tracks, in
+either direction. They resemble the training tracks: short and long, with and without forks, with
+few and many items, easy and hard for drivers that follow the line. *black_forest*, the longest,
+is a training track; a lap there takes as long as two on most others.
 
 """
 
 _ABOUT = """\
-*Length* is that of a lap; *nodes* are the segments of the driving line, *forks* those after
-which it parts; *items* lie there at the start. *AI times* are medians [s] of {karts} karts
-in races of five, all driven by the game, forwards and reversed, by difficulty 0 to 3; those at
-one's own difficulty are what [`stkzoo benchmark`](benchmark-protocol.md) divides by. With best
-and worst they are in `stkzoo/evaluation/benchmark/ai_times.json`.
+*Nodes* are the segments of the driving line, *forks* the segments with more than one successor.
+*Items* are those on the track at the start. *AI times* are the medians in seconds at difficulty
+0 / 1 / 2 / 3, of {karts} karts in races of five AI karts.
+[`stkzoo benchmark`](benchmark-protocol.md) divides by them. The best and worst times are in
+`stkzoo/evaluation/benchmark/ai_times.json`.
 
-Higher difficulties are faster because the game gives its AI more, not only because it drives
-better: at 3 all karts, an agent's too, have stronger engines than at 2.
+The AI is faster at higher difficulties partly because all karts, also those of agents, have
+stronger engines.
 
 """
 
@@ -66,10 +61,16 @@ _GROUND = """\
 
 ## Ground
 
-What is really there, as `env.ground` has it: read from the game's own meshes, which the driving
-line with its width (between the black lines) only tells roughly. Grey can be driven on, sand
-slows, green throws ahead, red are walls, blue is nothing, or puts back who falls there. Things
-that move are not in it.
+`env.ground` gives the kind of ground at any place of the track, read from the game's meshes. The
+driving line (between the black lines) only approximates it. Moving objects are not included.
+
+| colour | ground |
+| --- | --- |
+| grey | drivable |
+| sand | slows karts |
+| green | zipper: speeds karts up |
+| red | wall |
+| blue | nothing, or a surface that triggers a rescue |
 
 ```python
 from stkzoo import race_v0
@@ -167,7 +168,7 @@ def page(facts: dict[str, Facts], times: AiTimes) -> str:
             _ABOUT.format(karts=karts),
             _table(facts, times),
             f"\n{_unfinished(times)} Measured with {versions}.\n\n## Maps\n\n",
-            "The kart stands at the start and looks ahead. Squares are gift boxes, discs are\n",
+            "The kart is at the start and points ahead. Squares are gift boxes; discs are\n",
             "bananas, nitro and other items. Brighter road is higher.\n\n",
             _maps(list(facts), ""),
             _GROUND,
