@@ -73,7 +73,7 @@ class FrameRecorder(RaceListener):
 
     def __init__(self) -> None:
         self.frame: Array | None = None
-        self._renderer = RaceRenderer("engine", _FRAME_SIZE, "hd")
+        self._renderer = RaceRenderer("engine", _FRAME_SIZE)
 
     def stepped(self, race: RaceProgress) -> None:
         """Draws the frame at its step."""
