@@ -364,6 +364,7 @@ class _RaceRun:
             agents=tuple(sorted(rows, key=lambda row: row.rank)),
             wall_time=time.monotonic() - self._begin,
             sandbox=_sandbox(self._settings, [*self._drivers.values()]),
+            time_budget=self._settings.time_budget,
         )
 
     def _agent_result(self, agent: str, start_position: int) -> AgentResult:
@@ -388,5 +389,5 @@ class _RaceRun:
             num_errors=member.num_failures if member else 0,
             num_clipped=member.num_clipped if member else 0,
             errors=tuple(member.failures) if member else (),
-            action_time=ActionTime.of(member.seconds) if member else None,
+            action_time=ActionTime.of(member.seconds, member.clock.used) if member else None,
         )
