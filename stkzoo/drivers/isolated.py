@@ -93,6 +93,8 @@ class IsolatedInstance:
             "adapter": adapter,
             "seed": request.seed,
             "extras": sorted(extras_of(request.observation_space)),
+            "cpu_time": self._cpu_time(),
+            "is_enclosed": self._is_enclosed,
             "has_own_users": bool(enclosure.command),
             "landlock": [*map(list, (enclosure.readable, enclosure.writable, enclosure.listable))],
         }
@@ -228,6 +230,11 @@ class IsolatedInstance:
                 env={**shell.environment, **ONE_THREAD, "PYTHONHASHSEED": "0"},
             )
         return ReplyChannel(ours), life, process
+
+    def _cpu_time(self) -> float | None:
+        """Processor time that each process of the agent may use [s]; ``None`` for no limit."""
+        budget = self._clock.budget
+        return None if budget is None else self._limits.start_timeout + budget
 
     def _has_ended(self, seconds: float) -> bool:
         """Waits for the process to end by itself; leaves its id reserved for :meth:`_end`."""

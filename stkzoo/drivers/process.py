@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo.drivers import codec, landlock
+from stkzoo.drivers import codec, landlock, seccomp
 from stkzoo.drivers.code import AgentCode, load_agent
 from stkzoo.drivers.failures import error_report
 from stkzoo.drivers.files import AgentPlace
@@ -29,6 +29,8 @@ from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 
 #: Most threads of all processes of an agent together.
 _MAX_THREADS = 512
+#: In a sandbox, most open files of each process, and the size of each file [bytes].
+_MAX_OPEN_FILES, _MAX_FILE_SIZE = 1024, 64 << 20
 
 
 class Channel:
@@ -84,9 +86,9 @@ def main(connection_fd: int, memory: int) -> None:
     channel = Channel(connection)
     try:
         order = channel.receive()
-        _limit(memory, has_own_users=order["has_own_users"])
-        if any(order["landlock"]):
-            landlock.restrict(*order["landlock"])
+        _limit(memory, order["cpu_time"])
+        if order["is_enclosed"]:
+            _enclose(order)
         instance = _start(channel, order)
         while instance is not None:
             number, observation = channel.receive()
@@ -135,18 +137,39 @@ def _seed_everything(seed: int) -> None:
         sys.modules["torch"].manual_seed(seed)
 
 
-def _limit(memory: int, *, has_own_users: bool) -> None:
+def _limit(memory: int, cpu_time: float | None) -> None:
     """Sets the system's limits of this process and all that it starts.
 
     Args:
         memory: data of each process [bytes]; 0 for no limit.
-        has_own_users: whether the limit of processes holds for this agent's alone.
+        cpu_time: processor time of each process [s]; ``None`` for no limit.
     """
     if sys.platform != "win32":
         import resource
 
         if memory:
             resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
-        if has_own_users:
-            resource.setrlimit(resource.RLIMIT_NPROC, (_MAX_THREADS, _MAX_THREADS))
+        if cpu_time is not None:
+            most = math.ceil(cpu_time)
+            resource.setrlimit(resource.RLIMIT_CPU, (most, most))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def _enclose(order: dict[str, Any]) -> None:
+    """Gives up what is left to give up in a sandbox, for good."""
+    if sys.platform == "win32":
+        return
+    import resource
+
+    is_alone: bool = order["has_own_users"]  # so that the limit of processes holds for it alone
+    if is_alone:
+        resource.setrlimit(resource.RLIMIT_NPROC, (_MAX_THREADS, _MAX_THREADS))
+    for limit, most in (
+        (resource.RLIMIT_NOFILE, _MAX_OPEN_FILES),
+        (resource.RLIMIT_FSIZE, _MAX_FILE_SIZE),
+        (resource.RLIMIT_MSGQUEUE, 0),
+    ):
+        resource.setrlimit(limit, (most, most))
+    if any(order["landlock"]):
+        landlock.restrict(*order["landlock"])
+    seccomp.restrict(has_own_network=is_alone)

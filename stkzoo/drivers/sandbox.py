@@ -20,7 +20,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from stkzoo.drivers import landlock
+from stkzoo.drivers import landlock, seccomp
 from stkzoo.drivers.files import (
     ACTOR_MODULE,
     AgentFiles,
@@ -120,6 +120,27 @@ def sandbox_kind(mode: str) -> str:
     if mode == "on":
         raise ConfigError(f"there is no sandbox for agents: {problem}; or use --sandbox auto")
     return LANDLOCK if landlock.version() else NONE
+
+
+def protections(kind: str) -> tuple[str, ...]:
+    """What a sandbox withholds on this system.
+
+    Args:
+        kind: as :func:`sandbox_kind` returns it.
+    """
+    version = landlock.version() if kind == LANDLOCK else 0
+    active = {
+        "files": kind != NONE,
+        "environment variables": kind != NONE,
+        "tracing": kind != NONE,
+        "network": kind == BUBBLEWRAP,
+        "TCP": landlock.has_tcp(version),
+        "signals": kind == BUBBLEWRAP or landlock.has_scopes(version),
+        "temporary files": kind == BUBBLEWRAP,
+        "system calls": kind != NONE and seccomp.is_available(),
+        "memory and processes of the group": sys.platform == "linux",
+    }
+    return tuple(name for name, is_active in active.items() if is_active)
 
 
 @functools.cache

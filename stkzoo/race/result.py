@@ -134,6 +134,8 @@ class RaceResult(Document):
         wall_time: real duration [s]; ignored when results are compared.
         sandbox: of agents from files that ran here: ``"bubblewrap"``, ``"landlock"`` or
             ``"none"``; ``None`` without such agents, and in old results. Ignored likewise.
+        protections: what the sandbox withheld, and what the race limited for each agent from files
+            (:func:`stkzoo.drivers.sandbox.protections`). Ignored likewise.
         time_budget: time that each agent could spend on its decisions [s]; ``None`` for no limit.
             Ignored likewise.
     """
@@ -155,6 +157,7 @@ class RaceResult(Document):
     versions: dict[str, str] = field(compare=False, default_factory=versions_now)
     wall_time: float = field(compare=False, default=0.0)
     sandbox: str | None = field(compare=False, default=None)
+    protections: tuple[str, ...] = field(compare=False, default=())
     time_budget: float | None = field(compare=False, default=None)
 
     @property

@@ -15,7 +15,7 @@ import numpy as np
 from stkzoo.config import AgentSpec
 from stkzoo.drivers.driver import Driver, check_adapter, find_driver
 from stkzoo.drivers.instances import DriverRequest
-from stkzoo.drivers.sandbox import NONE, sandbox_kind, say_what_is_missing
+from stkzoo.drivers.sandbox import NONE, protections, sandbox_kind, say_what_is_missing
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import ActionError, ConfigError
 from stkzoo.race.listeners import RaceListener, RaceProgress
@@ -351,6 +351,8 @@ class _RaceRun:
         assert race is not None  # noqa: S101 - since reset
         places = dict(zip(self._env.possible_agents, race.kart_indices, strict=True))
         rows = [self._agent_result(agent, places[agent] + 1) for agent in places]
+        sandbox = _sandbox(self._settings, [*self._drivers.values()])
+        is_isolated = sandbox is not None and not self._settings.inline
         return RaceResult(
             status=status,
             track=race.track,
@@ -363,7 +365,8 @@ class _RaceRun:
             race_time=self._race_time(),
             agents=tuple(sorted(rows, key=lambda row: row.rank)),
             wall_time=time.monotonic() - self._begin,
-            sandbox=_sandbox(self._settings, [*self._drivers.values()]),
+            sandbox=sandbox,
+            protections=protections(sandbox) if sandbox and is_isolated else (),
             time_budget=self._settings.time_budget,
         )
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from stkzoo.drivers import landlock, sandbox
+from stkzoo.drivers import landlock, sandbox, seccomp
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
 from tests.support.paths import AGENTS
@@ -53,26 +53,49 @@ PROBES = {
     "become another user": "UID != 0 and os.setuid(0) is None",
     "take priority": "os.nice(-5) < 0",
     "log to the kernel": "bool(os.open('/dev/kmsg', os.O_WRONLY))",
+    "trace itself": "call(ptrace, 0, 0, 0, 0) == 0",
+    "use io_uring": "call(425, 1, ctypes.create_string_buffer(256)) >= 0",
+    "join a keyring": "call(keyctl, 1, 0) >= 0",
+    "hide memory in System V segments": "call(shmget, 0, 1 << 20, 0o1600) >= 0",
+    "hide memory in message queues": "call(mq_open, b'stkzoo', 0o102, 0o600, 0) >= 0",
+    "take other cores": "os.sched_setaffinity(0, range(os.cpu_count())) is None",
+    "reach the host of a virtual machine": "socket.socket(40, 1) is not None",
+    "use the kernel's cryptography": "socket.socket(38, 5) is not None",
+    "leave its session": "leave_session()",
+    "open many files": "bool([os.open('/dev/null', 0) for _ in range(5000)])",
+    "raise its limits": "resource.setrlimit(resource.RLIMIT_NOFILE, (1 << 20,) * 2) is None",
+    "write a large file": "write_large(os.environ.get('TMPDIR', '/tmp')) > 0",
+    "get capabilities": "int(status('CapEff'), 16) or int(status('CapPrm'), 16)",
+    "get new privileges": "status('NoNewPrivs') == '0'",
+    "dump its memory": "resource.getrlimit(resource.RLIMIT_CORE)[1] != 0",
 }
 
 #: Where these succeed although the agent is in the weaker sandbox, with a kernel of version 6.12.
-LANDLOCK_ALLOWS = {"send a packet", "reach a local socket", "fill the disk", "make namespaces"}
+LANDLOCK_ALLOWS = {"reach a local socket", "fill the disk"}
 #: What succeeds inside of bubblewrap's sandbox, and is gone with it.
 INSIDE = {"leave a temporary file", "leave shared memory", "write a file", "send a packet"}
+#: What would stop the test or outlive it without a sandbox.
+HARMFUL = {
+    *("trace the race", "trace itself"),
+    *("hide memory in System V segments", "hide memory in message queues"),
+}
 #: What an agent without a sandbox can always do.
 ALWAYS = {
     *("signal the race", "read a file", "read a rival's file", "write a file", "change itself"),
     *("connect", "read its own environment", "leave shared memory", "see other processes"),
+    *("leave its session", "take other cores", "join a keyring"),
 }
 
 PRELUDE = """
-import ctypes, mmap, os, platform, signal, socket, struct, sys, time
+import ctypes, mmap, os, platform, resource, signal, socket, struct, sys, time
 import numpy, stkzoo
 
 RACE, PORT, HOME, MARK, SECRET, UID = {values}
 libc = ctypes.CDLL(None, use_errno=True)
-ptrace, process_vm_readv, unshare = (
-    (101, 310, 272) if platform.machine() == "x86_64" else (117, 270, 97)
+ptrace, process_vm_readv, unshare, keyctl, shmget, mq_open = (
+    (101, 310, 272, 250, 29, 240)
+    if platform.machine() == "x86_64"
+    else (117, 270, 97, 219, 194, 180)
 )
 
 def call(number, *arguments):
@@ -109,6 +132,25 @@ def fill(folder):
         finally:
             os.unlink(file.name)
     return 100
+
+def write_large(folder):
+    path = os.path.join(folder, MARK + "large")
+    try:
+        with open(path, "wb") as file:
+            return file.truncate(65 << 20)
+    finally:
+        os.unlink(path)
+
+def leave_session():
+    child = os.fork()
+    if child == 0:
+        os.setsid()
+        os._exit(os.getsid(0) != os.getpid())
+    return os.waitpid(child, 0)[1] == 0
+
+def status(name):
+    lines = [line.split() for line in open("/proc/self/status")]
+    return next(line[1] for line in lines if line and line[0] == name + ":")
 
 def datagram():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
@@ -260,15 +302,18 @@ def reached_in(result):
 needs_bubblewrap = pytest.mark.skipif(
     bool(sandbox.bubblewrap_problem()), reason=sandbox.bubblewrap_problem()
 )
+needs_seccomp = pytest.mark.skipif(not seccomp.is_available(), reason="needs libseccomp")
 needs_landlock = pytest.mark.skipif(landlock.version() < 6, reason="needs Landlock's version 6")
 
 
+@needs_seccomp
 @needs_bubblewrap
 def test_an_agent_in_the_sandbox_reaches_nothing(bench):
     home, mark, write, packets = bench
     spy = write("spy", REPORTER.format(probes=PROBES))
     result = race(str(home / "rival"), spy, sandbox="on")
     assert result.sandbox == "bubblewrap"
+    assert {"files", "network", "signals", "tracing"} <= {*result.protections}
     assert reached_in(result) <= INSIDE
     places = (home / "written", Path("/tmp", mark), Path("/dev/shm", mark))
     assert not any(place.exists() for place in places)
@@ -277,6 +322,7 @@ def test_an_agent_in_the_sandbox_reaches_nothing(bench):
     assert not by_driver(result)["Plain"].num_errors
 
 
+@needs_seccomp
 @needs_landlock
 def test_an_agent_in_the_weaker_sandbox_reaches_little(bench, monkeypatch):
     home, _, write, _ = bench
@@ -285,16 +331,18 @@ def test_an_agent_in_the_weaker_sandbox_reaches_little(bench, monkeypatch):
     spy = write("spy", REPORTER.format(probes=PROBES))
     result = race(str(home / "rival"), spy)
     assert result.sandbox == "landlock"
+    assert "network" not in result.protections
     assert reached_in(result) <= LANDLOCK_ALLOWS
     sandbox.say_what_is_missing.cache_clear()
 
 
 def test_an_agent_without_a_sandbox_reaches_what_the_user_can(bench):
     home, _, write, _ = bench
-    harmless = {name: probe for name, probe in PROBES.items() if name not in ("trace the race",)}
+    harmless = {name: probe for name, probe in PROBES.items() if name not in HARMFUL}
     spy = write("spy", REPORTER.format(probes=harmless))
     result = race(str(home / "rival"), spy, sandbox="off")
     assert result.sandbox == "none"
+    assert not {"files", "network", "signals", "system calls"} & {*result.protections}
     assert reached_in(result) >= ALWAYS
 
 
