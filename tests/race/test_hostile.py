@@ -4,16 +4,17 @@ import os
 import re
 import shutil
 import socket
-import threading
 from pathlib import Path
 
 import pytest
 
+from benchmarks import adversaries as attacks
 from stkzoo.drivers import landlock, sandbox, seccomp
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
+from tests.support import adversaries
 from tests.support.paths import AGENTS
-from tests.support.processes import children_of, wait_until
+from tests.support.processes import wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -181,69 +182,11 @@ def get_actor(module_dir, observation_space, action_space):
     return actor
 """
 
-#: What an agent does at its first step, and what its failure says.
-ASSAULTS = {
-    "kills everyone": (
-        "len(others()) or os.kill(-1, signal.SIGKILL)",
-        "No such process",
-    ),
-    "kills its parent": ("os.kill(os.getppid(), signal.SIGKILL); time.sleep(20)", ""),
-    "stops its parent": ("os.kill(os.getppid(), signal.SIGSTOP); time.sleep(20)", ""),
-    "leaves daemons": (
-        "os.fork() or os.setsid() or os.fork() or os.execlp('sleep', MARK, '3600'); "
-        "time.sleep(0.2); raise_()",
-        "ZeroDivision",
-    ),
-    "forks": (
-        "[os.fork() or time.sleep(99) for _ in range(200)]; time.sleep(20)",
-        "processes|temporarily",
-    ),
-    "shares memory": (
-        "[take(mmap.mmap(-1, 200 << 20), 200) for _ in range(3)]; time.sleep(20)",
-        "used more than 400 MB",
-    ),
-    "hides memory": (
-        "[hide(200) for _ in range(6)]; time.sleep(20)",
-        "used more than 400 MB|File too large",
-    ),
-    "spreads memory": (
-        "[os.fork() or (take(bytearray(150 << 20), 150), time.sleep(99)) for _ in range(4)]; "
-        "time.sleep(20)",
-        "used more than 400 MB",
-    ),
-    "prints": ("[os.write(1, bytes(1 << 16)) for _ in range(500)]; raise_()", "ZeroDivision"),
-    "closes everything": ("os.closerange(0, 4096)", "closed its connection|exited"),
-    "aborts": ("os.abort()", "was ended by SIGABRT"),
-    "exits": ("os._exit(7)", "exited with code 7"),
-    "never answers": ("time.sleep(99)", "took longer than"),
-}
-ASSAULT = """
-kept = []
-
-def raise_():
-    1 / 0
-
-def take(block, size):
-    for page in range(0, size << 20, 4096):
-        block[page] = 1
-    kept.append(block)
-
-def hide(size):
-    place = os.memfd_create("x")
-    kept.append(place)
-    for _ in range(size):
-        os.write(place, bytes(1 << 20))
-
+FORK_BOMB = """
 def get_actor(module_dir, observation_space, action_space):
     def actor(state, observation):
-        {assault}
-        return action_space.sample()
-    return actor
-"""
-QUITTER = """
-def get_actor(module_dir, observation_space, action_space):
-    def actor(state, observation):
-        raise RuntimeError
+        while True:
+            os.fork()
     return actor
 """
 
@@ -347,37 +290,21 @@ def test_an_agent_without_a_sandbox_reaches_what_the_user_can(bench):
 
 
 @needs_bubblewrap
-def test_assaults_cost_only_their_own_karts(bench):
-    """All at once, beside two who drive: their race is the same as beside agents that give up."""
-    home, mark, write, _ = bench
-    good = [str(home / "rival"), "heuristic"]
-    attackers = [write(name, ASSAULT.format(assault=act)) for name, (act, _) in ASSAULTS.items()]
-    race(*good, attackers[0], sandbox="on")  # what a program starts once
-    before = threading.active_count(), len(os.listdir("/proc/self/fd")), children_of(os.getpid())
-    result = race(*good, *attackers, sandbox="on", max_steps=60)
-    for name, (_, said) in ASSAULTS.items():
-        row = by_driver(result)[name]
-        assert row.status == "retired", name
-        message = row.errors[0].message
-        assert any(part in message for part in said.split("|")), f"{name}: {message}"
-    assert before == (
-        threading.active_count(),
-        len(os.listdir("/proc/self/fd")),
-        children_of(os.getpid()),
-    )
-    assert wait_until(lambda: not named(mark))
-    assert not [name for name in os.listdir("/tmp") + os.listdir("/dev/shm") if mark in name]
-    quitters = [write(f"{name} quietly", QUITTER) for name in ASSAULTS]
-    quiet = race(*good, *quitters, sandbox="on", max_steps=60)
-    for name in ("Plain", "heuristic"):
-        assert by_driver(result)[name] == by_driver(quiet)[name]
+def test_assaults_cost_only_their_own_karts(tmp_path):
+    """27 at once, beside two who drive. All 54, 200 times: ``python -m benchmarks.adversaries``."""
+    names, mark = [*adversaries.ADVERSARIES][::2], f"stkzoo-test-{os.getpid()}"
+    quiet = attacks.race([adversaries.write_quitter(tmp_path, name) for name in names])
+    before = attacks.left_behind(mark)
+    result = attacks.race([adversaries.write_adversary(tmp_path, name, mark) for name in names])
+    assert attacks.problems_of(result, quiet) == []
+    assert wait_until(lambda: attacks.left_behind(mark) == before)
 
 
 @needs_bubblewrap
 def test_a_fork_bomb_is_ended(bench):
     """It starves everyone until then, so it races alone."""
     home, mark, write, _ = bench
-    bomb = write("bomb", ASSAULT.format(assault="exec('while True: os.fork()')"))
+    bomb = write("bomb", FORK_BOMB)
     result = race(str(home / "rival"), bomb, sandbox="on", action_timeout=30.0)
     assert not by_driver(result)["Plain"].num_errors
     message = by_driver(result)["bomb"].errors[0].message
