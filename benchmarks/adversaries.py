@@ -2,10 +2,14 @@
 
     python -m benchmarks.adversaries               # 200 races, about 40 minutes
     python -m benchmarks.adversaries --races 6     # each adversary twice
+    python -m benchmarks.adversaries --cup 100     # a tournament instead
 
 Each race has two drivers that must not notice, beside adversaries in bubblewrap's sandbox. Their
 results must be those of a race beside agents that only fail at the same steps. At the end, no
 process, file, descriptor or thread of any race may be left.
+
+In the tournament, one agent kills, stops, floods or bombs its race whenever it is behind. No race
+may be void, and the agent must be rated last.
 """
 
 from __future__ import annotations
@@ -21,8 +25,15 @@ from collections.abc import Sequence
 from itertools import cycle, islice
 from pathlib import Path
 
+from stkzoo.evaluation import TournamentResult, run_tournament
 from stkzoo.race import AgentResult, RaceResult, run_race
-from tests.support.adversaries import ADVERSARIES, groups, write_adversary, write_quitter
+from tests.support.adversaries import (
+    ADVERSARIES,
+    groups,
+    write_adversary,
+    write_quitter,
+    write_sore_loser,
+)
 from tests.support.processes import children_of, wait_until
 
 GOOD = (str(Path(__file__).parents[1] / "tests" / "data" / "agents" / "plain"), "heuristic")
@@ -89,6 +100,43 @@ def _text(file: Path) -> str:
         return ""
 
 
+def cup(folder: Path, races: int, action_timeout: float = 5.0) -> TournamentResult:
+    """A tournament with an agent that attacks its race whenever it is behind.
+
+    Args:
+        folder: for the agent and the tournament.
+        races: how many races that agent has.
+        action_timeout: of each agent [s].
+    """
+    loser = write_sore_loser(folder, f"stkzoo-adversary-{os.getpid()}")
+    return run_tournament(
+        [GOOD[0], loser],
+        output=folder / "cup",
+        tracks=["lighthouse"],
+        races=races,
+        per_race=2,
+        max_steps=60,
+        action_timeout=action_timeout,
+        sandbox="on",
+        plot=False,
+    )
+
+
+def _run_cup(races: int) -> int:
+    begin = time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        result = cup(Path(folder), races)
+    ranks = [race.order.index("sore loser") + 1 for race in result.races]
+    for row in result.standings:
+        print(
+            f"{row.label:12} rating {row.rating.value:5.1f}, {row.races} races, {row.errors} errors"
+        )
+    print(f"{len(ranks)} of {races} races counted; it was last in {ranks.count(2)}")
+    print(f"{time.monotonic() - begin:.0f} s")
+    is_last = result.standings[-1].label == "sore loser"
+    return 0 if result.is_complete and is_last else 1
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the races; the exit code is 1 if an adversary has done more than to fail."""
     parser = argparse.ArgumentParser(
@@ -97,7 +145,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--races", type=int, default=200, help="races in turn (default: 200)")
+    parser.add_argument("--cup", type=int, metavar="RACES", help="run a tournament instead")
     arguments = parser.parse_args(argv)
+    if arguments.cup:
+        return _run_cup(arguments.cup)
     mark, failed = f"stkzoo-adversary-{os.getpid()}", 0
     begin = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:

@@ -280,3 +280,32 @@ def _write(folder, name, code):
     place.mkdir(exist_ok=True)
     (place / "pystk_actor.py").write_text(textwrap.dedent(code))
     return f"{place}@:{name}"
+
+
+#: What an agent does when it is behind.
+VOIDS = {
+    "kills": "os.kill(-1, signal.SIGKILL); os.kill(os.getppid(), signal.SIGKILL)",
+    "stops": "os.kill(os.getppid(), signal.SIGSTOP); os.kill(os.getpid(), signal.SIGSTOP)",
+    "floods": "[os.write(1, bytes(1 << 16)) for _ in range(500)]; raw(frame(bytes(1 << 20)))",
+    "bombs": "[os.fork() for _ in range(12)]; time.sleep(99)",
+}
+_SORE_LOSER = """
+import random
+
+def get_actor(module_dir, observation_space, action_space):
+    attack = random.choice({attacks!r})
+    steps = []
+    def actor(state, observation):
+        steps.append(1)
+        rivals = [place for place in observation["karts_position"] if abs(place).max() > 0]
+        if len(steps) > 20 and any(place[2] > 0 for place in rivals):
+            exec(attack, globals())
+        return dict.fromkeys(action_space, 0) | {{"acceleration": [0.9], "steer": [0.0]}}
+    return actor
+"""
+
+
+def write_sore_loser(folder, mark):
+    """Writes an agent that attacks its race in one of several ways when it is behind."""
+    code = _PRELUDE.format(mark=mark) + _SORE_LOSER.format(attacks=[*VOIDS.values()])
+    return _write(folder, "sore loser", code)

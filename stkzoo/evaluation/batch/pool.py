@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
+import logging
 import os
 import subprocess
 import sys
@@ -24,12 +25,11 @@ from stkzoo.errors import StkzooError
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.race.document import typed
 
-#: How often a race is tried whose process dies.
-_TRIES = 2
 #: Most races that are run without some agents to find out who ends the process of one.
 _MAX_TRIALS = 32
 _END_TIMEOUT = 5.0  # [s]
 _WAIT_INTERVAL = 0.5  # [s]
+_logger = logging.getLogger(__name__)
 _WORKER = "from stkzoo.evaluation.batch.pool import serve; serve()"
 
 
@@ -98,21 +98,62 @@ class _Worker:
     def run(self, order: RaceOrder) -> OrderOutcome:
         """Runs a race, again if its process dies, and then without those who may have ended it.
 
-        The race counts without the fewest agents whose absence lets it end; they fail in it.
-        Without this rule, an agent could void the races that it is going to lose.
+        The second time, each agent is isolated as far as possible. If the race ends only then, or
+        not even then, it is run without some agents: those whose absence lets it end fail in it.
+        Without this rule, an agent could void the races that it is going to lose. If the absence
+        of any of several agents lets it end, an agent may have behaved to put the blame on
+        another one; then the race with isolated agents counts.
         """
-        for _ in range(_TRIES):
-            outcome, is_over = self._run_once(order)
-            if is_over or self._was_late:
-                break
-        suspects = () if is_over else order.suspects()
-        most = 1 if self._was_late else len(suspects)
-        groups = (itertools.combinations(suspects, size) for size in range(1, most + 1))
-        for absent in itertools.islice(itertools.chain.from_iterable(groups), _MAX_TRIALS):
-            without, is_over = self._run_once(replace(order, absent=absent))
-            if is_over:
-                return replace(without, order=order)
-        return outcome
+        outcome, is_over = self._run_once(order)
+        if is_over:
+            return outcome
+        suspects, was_late = order.suspects(), self._was_late
+        self._report(order, outcome, suspects)
+        chosen = None
+        if not was_late:
+            isolated = order.isolated()
+            again, is_over = self._run_once(isolated)
+            if is_over and (isolated == order or not suspects):
+                return replace(again, order=order)
+            chosen = isolated if is_over else None
+        sizes = range(1, 2) if was_late else range(len(suspects) + 1)
+        absent = self._culprits(order, suspects, sizes, is_unique=chosen is not None)
+        if absent is not None:
+            chosen = replace(order, absent=absent)
+        if chosen is None:
+            return outcome
+        final, is_over = self._run_once(chosen)  # the last run writes the race's other files
+        return replace(final, order=order) if is_over else outcome
+
+    def _culprits(
+        self, order: RaceOrder, suspects: tuple[int, ...], sizes: range, *, is_unique: bool
+    ) -> tuple[int, ...] | None:
+        """The fewest agents whose absence lets a race end; ``None`` if none are found.
+
+        Args:
+            order: the race.
+            suspects: the agents that may end its process.
+            sizes: how many of them are absent at a time.
+            is_unique: whether to find none if the race also ends with all, or without others.
+        """
+        left = _MAX_TRIALS
+        for size in sizes:
+            groups = [*itertools.combinations(suspects, size)][:left]
+            left -= len(groups)
+            found = []
+            for absent in groups:
+                _, is_over = self._run_once(replace(order, absent=absent))
+                if is_over and not is_unique:
+                    return absent
+                found += [absent] if is_over else []
+            if found:
+                return found[0] if len(found) == 1 and found[0] else None
+        return None
+
+    def _report(self, order: RaceOrder, outcome: OrderOutcome, suspects: Sequence[int]) -> None:
+        names = ", ".join(order.drivers[number] for number in suspects) or "none"
+        reason = outcome.error.partition("\n")[0]
+        _logger.warning("race %d: %s; it is repeated; suspects: %s", order.number, reason, names)
 
     def _run_once(self, order: RaceOrder) -> tuple[OrderOutcome, bool]:
         """The outcome, and whether the process has survived the race."""
