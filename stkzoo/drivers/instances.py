@@ -72,6 +72,7 @@ class DriverRequest:
         output_label: shows what an agent in a process of its own prints, with this before each
             line; empty to show nothing.
         clock: limits the time for all decisions together; the runner stops it.
+        cores: the cores that an agent in a process of its own runs on; empty for all.
     """
 
     agent: str
@@ -81,6 +82,7 @@ class DriverRequest:
     limits: DriverLimits = field(default_factory=DriverLimits)
     output_label: str = ""
     clock: ThinkingClock = field(default_factory=ThinkingClock)
+    cores: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

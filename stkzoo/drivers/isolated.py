@@ -69,6 +69,7 @@ class IsolatedInstance:
         self, request: DriverRequest, files: AgentFiles, adapter: str | None = None
     ) -> None:
         self._agent, self._limits, self._clock = request.agent, request.limits, request.clock
+        self._cores = request.cores
         self._limit: float | None = None  # of the decision
         self._number = 0
         self.is_usable = True
@@ -219,7 +220,8 @@ class IsolatedInstance:
             command = [*shell.command, *code]
             if _HAS_KEEPER:
                 arguments = map(str, (os.getpid(), theirs.fileno(), memory))
-                command = [sys.executable, "-I", "-S", keeper.__file__, *arguments, *command]
+                cores = ",".join(map(str, self._cores))
+                command = [sys.executable, "-I", "-S", keeper.__file__, *arguments, cores, *command]
             process = subprocess.Popen(  # noqa: S603 - our own interpreter on our own code
                 command,
                 stdin=end.fileno() if _HAS_KEEPER else subprocess.DEVNULL,

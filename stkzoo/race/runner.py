@@ -15,7 +15,13 @@ import numpy as np
 from stkzoo.config import AgentSpec
 from stkzoo.drivers.driver import Driver, check_adapter, find_driver
 from stkzoo.drivers.instances import DriverRequest
-from stkzoo.drivers.sandbox import NONE, protections, sandbox_kind, say_what_is_missing
+from stkzoo.drivers.sandbox import (
+    NONE,
+    own_cores,
+    protections,
+    sandbox_kind,
+    say_what_is_missing,
+)
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import ActionError, ConfigError
 from stkzoo.race.listeners import RaceListener, RaceProgress
@@ -200,6 +206,10 @@ class _RaceRun:
         self._drivers = dict(zip(env.possible_agents, drivers, strict=True))
         self._awaited = awaited
         self._rescues = RescueCounter(len(self._drivers), env.options.step_size)
+        from_files = [agent for agent, driver in self._drivers.items() if driver.is_from_files]
+        self._cores = {
+            agent: own_cores(number, len(from_files)) for number, agent in enumerate(from_files)
+        }
         self.members = {
             agent: RacingDriver(
                 driver,
@@ -209,6 +219,7 @@ class _RaceRun:
                     env.action_spaces[agent],
                     settings.seed + number,
                     settings.limits,
+                    cores=self._cores.get(agent, ()),
                 ),
                 settings,
             )
@@ -352,7 +363,6 @@ class _RaceRun:
         places = dict(zip(self._env.possible_agents, race.kart_indices, strict=True))
         rows = [self._agent_result(agent, places[agent] + 1) for agent in places]
         sandbox = _sandbox(self._settings, [*self._drivers.values()])
-        is_isolated = sandbox is not None and not self._settings.inline
         return RaceResult(
             status=status,
             track=race.track,
@@ -366,9 +376,14 @@ class _RaceRun:
             agents=tuple(sorted(rows, key=lambda row: row.rank)),
             wall_time=time.monotonic() - self._begin,
             sandbox=sandbox,
-            protections=protections(sandbox) if sandbox and is_isolated else (),
+            protections=self._protections(sandbox),
             time_budget=self._settings.time_budget,
         )
+
+    def _protections(self, sandbox: str | None) -> tuple[str, ...]:
+        if sandbox is None or self._settings.inline:
+            return ()
+        return (*protections(sandbox), *(("cores",) if any(self._cores.values()) else ()))
 
     def _agent_result(self, agent: str, start_position: int) -> AgentResult:
         info: Mapping[str, Any] = self._infos[agent]

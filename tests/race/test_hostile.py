@@ -353,3 +353,35 @@ def test_what_is_missing_is_told_once(monkeypatch, caplog):
 def test_a_wrong_sandbox_is_told(settings, message):
     with pytest.raises(ConfigError, match=message):
         race("ai", **settings)
+
+
+SPINNER = """
+import json
+
+def get_actor(module_dir, observation_space, action_space):
+    def actor(state, observation):
+        try:
+            os.sched_setaffinity(0, range(os.cpu_count()))
+        except OSError:
+            pass
+        raise RuntimeError(json.dumps(sorted(os.sched_getaffinity(0))))
+    return actor
+"""
+
+
+def test_each_agent_has_cores_of_its_own_where_there_are_enough(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {*range(8)})
+    assert [sandbox.own_cores(number, 3) for number in range(3)] == [(1, 2), (3, 4), (5, 6)]
+    assert sandbox.own_cores(0, 8) == ()
+
+
+@needs_seccomp
+@needs_bubblewrap
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs two cores")
+def test_an_agent_in_the_sandbox_keeps_to_its_cores(bench):
+    _, _, write, _ = bench
+    result = race(write("spinner", SPINNER), "ai", sandbox="on")
+    message = by_driver(result)["spinner"].errors[0].message
+    allowed = str(sorted(os.sched_getaffinity(0))[1:])
+    assert message == f"RuntimeError: {allowed}"
+    assert "cores" in result.protections

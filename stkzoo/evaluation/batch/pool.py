@@ -21,6 +21,7 @@ from typing import Any
 
 from stkzoo._os import remove_stale_directories
 from stkzoo.drivers.failures import OutputTail
+from stkzoo.drivers.sandbox import SHARED_CORES
 from stkzoo.errors import StkzooError
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.race.document import typed
@@ -59,7 +60,8 @@ def run_in_parallel(
         jobs: races at a time.
         race_timeout: for one race [s]; its process is ended then.
     """
-    workers = [_Worker(folder, race_timeout) for _ in range(min(jobs, len(orders)))]
+    count = min(jobs, len(orders))
+    workers = [_Worker(folder, race_timeout, is_alone=count == 1) for _ in range(count)]
     idle: SimpleQueue[_Worker] = SimpleQueue()
     for worker in workers:
         idle.put(worker)
@@ -89,7 +91,8 @@ def run_in_parallel(
 class _Worker:
     """Runs races one after another in a process of its own, and in a new one if that dies."""
 
-    def __init__(self, folder: Path, race_timeout: float) -> None:
+    def __init__(self, folder: Path, race_timeout: float, *, is_alone: bool) -> None:
+        self._is_alone = is_alone
         self._folder, self._timeout = str(folder.absolute()), race_timeout
         self._lock = threading.Lock()
         self._running: tuple[subprocess.Popen[bytes], OutputTail] | None = None
@@ -164,7 +167,7 @@ class _Worker:
         with self._lock:
             if self._is_closed:
                 return OrderOutcome(order, error="the batch was ended"), True
-            process, said = self._running = self._running or _start()
+            process, said = self._running = self._running or _start(is_alone=self._is_alone)
         assert process.stdin is not None  # noqa: S101 - opened as pipes
         assert process.stdout is not None  # noqa: S101 - opened as pipes
         watch = threading.Timer(self._timeout, process.kill)
@@ -191,7 +194,8 @@ class _Worker:
             _end(*running)
 
 
-def _start() -> tuple[subprocess.Popen[bytes], OutputTail]:
+def _start(*, is_alone: bool) -> tuple[subprocess.Popen[bytes], OutputTail]:
+    cores = {} if is_alone else {SHARED_CORES: "1"}  # races at a time would take the same ones
     paths = [path for path in sys.path if path]
     process = subprocess.Popen(  # noqa: S603 - our own program
         [sys.executable, "-c", _WORKER],
@@ -199,7 +203,7 @@ def _start() -> tuple[subprocess.Popen[bytes], OutputTail]:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         # Modules that this program finds are found there too.
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        env={**os.environ, **cores, "PYTHONPATH": os.pathsep.join(paths)},
         start_new_session=True,  # Ctrl-C is for this program, which ends its workers
     )
     return process, OutputTail(process.stderr)
