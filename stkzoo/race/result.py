@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from typing import Any, ClassVar
@@ -110,6 +110,16 @@ def versions_now() -> dict[str, str]:
     packages = {"stkzoo": "stkzoo", "pystk2": "PySuperTuxKart2", "numpy": "numpy"}
     found = {name: version(package) for name, package in packages.items()}
     return {**found, "python": platform.python_version()}
+
+
+def shared_protections(
+    results: Iterable[RaceResult],
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The sandboxes of some races, and what was withheld in all races with agents from files."""
+    foreign = [result for result in results if result.sandbox is not None]
+    sandboxes = sorted({str(result.sandbox) for result in foreign})
+    active = [set(result.protections) for result in foreign]
+    return tuple(sandboxes), tuple(sorted(set.intersection(*active))) if active else ()
 
 
 @dataclass(frozen=True, slots=True)

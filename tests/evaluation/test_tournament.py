@@ -342,6 +342,8 @@ def test_an_agent_that_attacks_whenever_it_is_behind_voids_nothing_and_is_last(t
     result = attacks.cup(tmp_path, races=3, action_timeout=2.0)
     assert result.is_complete
     assert result.standings[-1].label == "sore loser"
+    assert result.sandboxes == ("bubblewrap",)
+    assert {"files", "network", "signals"} <= {*result.protections}
     assert all(race.order[-1] == "sore loser" for race in result.races)
     assert sum(row.errors for row in result.standings[:-1]) == 0
 
