@@ -149,15 +149,16 @@ def protections(kind: str) -> tuple[str, ...]:
         kind: as :func:`sandbox_kind` returns it.
     """
     version = landlock.version() if kind == LANDLOCK else 0
+    has_filter = kind != NONE and seccomp.is_available()
     active = {
         "files": kind != NONE,
         "environment variables": kind != NONE,
         "tracing": kind != NONE,
-        "network": kind == BUBBLEWRAP,
+        "network": kind == BUBBLEWRAP or has_filter,
         "TCP": landlock.has_tcp(version),
         "signals": kind == BUBBLEWRAP or landlock.has_scopes(version),
         "temporary files": kind == BUBBLEWRAP,
-        "system calls": kind != NONE and seccomp.is_available(),
+        "system calls": has_filter,
         "memory and processes of the group": sys.platform == "linux",
     }
     return tuple(name for name, is_active in active.items() if is_active)

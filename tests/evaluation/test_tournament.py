@@ -15,6 +15,7 @@ import pytest
 from benchmarks import adversaries as attacks
 from stkzoo._installation import install_command
 from stkzoo.cli import main
+from stkzoo.drivers.sandbox import bubblewrap_problem
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import (
     BatchError,
@@ -337,6 +338,7 @@ def test_an_agent_cannot_put_the_blame_on_another(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(bool(bubblewrap_problem()), reason=bubblewrap_problem())
 def test_an_agent_that_attacks_whenever_it_is_behind_voids_nothing_and_is_last(tmp_path):
     """100 races: ``python -m benchmarks.adversaries --cup 100``."""
     result = attacks.cup(tmp_path, races=3, action_timeout=2.0)
