@@ -118,12 +118,14 @@ class AgentError(StkzooError):
         key: id of the agent; empty if unknown.
         trace: the traceback in the agent's own code, or the last lines that its process
             wrote; may be empty.
+        seconds: how long the decision took that failed [s]; 0 if unknown.
     """
 
-    def __init__(self, message: str, key: str = "", trace: str = "") -> None:
+    def __init__(self, message: str, key: str = "", trace: str = "", seconds: float = 0.0) -> None:
         super().__init__(message)
         self.key = key
         self.trace = trace
+        self.seconds = seconds
 
 
 class AgentException(AgentError):

@@ -32,6 +32,7 @@ from stkzoo.race import RaceSettings
 if TYPE_CHECKING:
     from stkzoo.race.remote import RaceServer
 
+_log = logging.getLogger(__name__)
 _SETTINGS = ("action_timeout", "start_timeout", "agent_memory", "sandbox", "inline", "adapter")
 
 
@@ -75,11 +76,23 @@ def run(arguments: argparse.Namespace) -> int:
     with _server(arguments) as server:
         signal.signal(signal.SIGTERM, lambda *_: server.stop())
         print(f"serving {', '.join(arguments.agents)} at {server.address}", flush=True)
+        _log.info("%s", _sandbox_of(arguments))
         try:
             server.serve()
         except KeyboardInterrupt:
             print("stkzoo: server stopped", file=sys.stderr)
     return 0
+
+
+def _sandbox_of(arguments: argparse.Namespace) -> str:
+    """What protects this machine from the agents."""
+    from stkzoo.drivers.sandbox import NONE, protections, sandbox_kind
+
+    kind = NONE if arguments.inline else sandbox_kind(arguments.sandbox)
+    active = () if arguments.inline else protections(kind)
+    return (
+        f"sandbox of agents from files: {kind}; it withholds or limits: {', '.join(active) or '-'}"
+    )
 
 
 def _server(arguments: argparse.Namespace) -> RaceServer:

@@ -16,6 +16,7 @@ from gymnasium.wrappers.utils import create_zero_array
 from stkzoo.drivers.code import AgentCode
 from stkzoo.drivers.failures import agent_trace, in_words, value_in_words
 from stkzoo.drivers.instances import Decision, DriverRequest
+from stkzoo.drivers.replies import receive_pending
 from stkzoo.errors import ActionError, AgentError, AgentTimeout
 from stkzoo.views.agent_chain import AgentChain
 
@@ -74,15 +75,21 @@ class InlineInstance:
         agent = self._request.agent
         if not self._is_ready:
             raise AgentError(f"{agent} was asked before it was ready", agent)
+        receive_pending()  # other drivers' replies that arrive before this one thinks
         begin, clipped = time.perf_counter(), self._chain.num_clipped
-        with self._guarded("action", self._request.limits.action_timeout), self._code.scope:
-            seen = self._see(self._observation)
-            try:
-                action = self._checked(self._actor(seen))
-            except BaseException:
-                self._skip_step()
-                raise
-            self._is_begun = True
+        limit = self._request.clock.limit(self._request.limits.action_timeout)
+        try:
+            with self._guarded("action", limit), self._code.scope:
+                seen = self._see(self._observation)
+                try:
+                    action = self._checked(self._actor(seen))
+                except BaseException:
+                    self._skip_step()
+                    raise
+                self._is_begun = True
+        except AgentError as error:
+            error.seconds = time.perf_counter() - begin
+            raise
         seconds = time.perf_counter() - begin
         return Decision(action, seconds, is_clipped=self._chain.num_clipped != clipped)
 

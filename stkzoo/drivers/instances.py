@@ -34,6 +34,31 @@ class DriverLimits:
     sandbox: str = "auto"
 
 
+@dataclass(slots=True)
+class ThinkingClock:
+    """The time that a driver has spent on its decisions in one race, across restarts.
+
+    Attributes:
+        budget: the time that it may spend [s]; ``None`` for no limit.
+        used: the time that it has spent [s].
+    """
+
+    budget: float | None = None
+    used: float = 0.0
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the budget is used up."""
+        return self.budget is not None and self.used >= self.budget
+
+    def limit(self, action_timeout: float | None) -> float | None:
+        """The time for the next decision [s]: the shorter one of a time limit and what is left."""
+        if self.budget is None:
+            return action_timeout
+        left = max(self.budget - self.used, 1e-3)
+        return left if action_timeout is None else min(left, action_timeout)
+
+
 @dataclass(frozen=True, slots=True)
 class DriverRequest:
     """The arguments that a driver is started with.
@@ -46,6 +71,8 @@ class DriverRequest:
         limits: the resources that the driver may use.
         output_label: shows what an agent in a process of its own prints, with this before each
             line; empty to show nothing.
+        clock: limits the time for all decisions together; the runner stops it.
+        cores: the cores that an agent in a process of its own runs on; empty for all.
     """
 
     agent: str
@@ -54,6 +81,8 @@ class DriverRequest:
     seed: int
     limits: DriverLimits = field(default_factory=DriverLimits)
     output_label: str = ""
+    clock: ThinkingClock = field(default_factory=ThinkingClock)
+    cores: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +91,8 @@ class Decision:
 
     Attributes:
         action: in the action space of the request; the runner checks it.
-        seconds: how long the driver took, measured where its code runs.
+        seconds: how long the driver took, from the observation to the answer. The race measures
+            it with its own clock; an agent cannot set it.
         is_clipped: whether a number was outside its ``Box`` and was clipped.
     """
 

@@ -23,7 +23,7 @@ from stkzoo.drivers import keeper
 from stkzoo.drivers.failures import OutputTail, reported_error
 from stkzoo.drivers.files import AgentFiles
 from stkzoo.drivers.instances import Decision, DriverRequest, without_unused_paths
-from stkzoo.drivers.process import Channel
+from stkzoo.drivers.replies import ReplyChannel
 from stkzoo.drivers.sandbox import Enclosure, enclose
 from stkzoo.engine.process import ONE_THREAD, describe_end
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError
@@ -68,7 +68,9 @@ class IsolatedInstance:
     def __init__(
         self, request: DriverRequest, files: AgentFiles, adapter: str | None = None
     ) -> None:
-        self._agent, self._limits = request.agent, request.limits
+        self._agent, self._limits, self._clock = request.agent, request.limits, request.clock
+        self._cores = request.cores
+        self._limit: float | None = None  # of the decision
         self._number = 0
         self.is_usable = True
         #: How many track segments the agent uses; ``None`` for all. Known when ready.
@@ -92,6 +94,8 @@ class IsolatedInstance:
             "adapter": adapter,
             "seed": request.seed,
             "extras": sorted(extras_of(request.observation_space)),
+            "cpu_time": self._cpu_time(),
+            "is_enclosed": self._is_enclosed,
             "has_own_users": bool(enclosure.command),
             "landlock": [*map(list, (enclosure.readable, enclosure.writable, enclosure.listable))],
         }
@@ -114,14 +118,15 @@ class IsolatedInstance:
         """Sends the observation."""
         self._number += 1
         seen = without_unused_paths(observation, self.paths_used)
-        self._send((self._number, seen), "action", self._limits.action_timeout)
+        self._limit = self._clock.limit(self._limits.action_timeout)
+        self._send((self._number, seen), "action", self._limit)
 
     def answer(self) -> Decision:
         """Waits for the action; ends the process of an agent that is too late."""
         reply = self._receive("action")
-        seconds = reply.get("seconds")
-        if reply.get("number") != self._number or not isinstance(seconds, float):
+        if reply.get("number") != self._number:
             self._fail(f"its process answered with {reply!r:.200}; expected an action")
+        seconds = self._channel.seconds
         return Decision(reply.get("action"), seconds, reply.get("is_clipped") is True)
 
     def peak_memory(self) -> float | None:
@@ -156,7 +161,12 @@ class IsolatedInstance:
             if "error" in reply:
                 error = self._with_output(reported_error(reply["error"], self._agent))
                 is_out_of_reach = self._is_enclosed and str(error).startswith(_OUT_OF_REACH)
-                raise type(error)(f"{error}{_HINT * is_out_of_reach}", self._agent, error.trace)
+                raise type(error)(
+                    f"{error}{_HINT * is_out_of_reach}",
+                    self._agent,
+                    error.trace,
+                    self._channel.seconds,
+                )
             return reply
 
     # ------------------------------------------------------------------ failures
@@ -167,7 +177,7 @@ class IsolatedInstance:
         try:
             yield
         except TimeoutError:
-            limit = self._limits.start_timeout if phase == "start" else self._limits.action_timeout
+            limit = self._limits.start_timeout if phase == "start" else self._limit
             seconds = f"{limit or _SEND_TIMEOUT:g} s"
             self._fail(
                 f"its {phase} took longer than {seconds}; its process was ended", AgentTimeout
@@ -188,12 +198,15 @@ class IsolatedInstance:
         return error
 
     def _fail(self, message: str, kind: type[AgentError] = AgentError) -> NoReturn:
+        seconds = self._channel.seconds
         self._end()
-        raise kind(message, self._agent, self._output.text())
+        raise kind(message, self._agent, self._output.text(), seconds)
 
     # ------------------------------------------------------------------ the process
 
-    def _spawn(self, shell: Enclosure) -> tuple[Channel, socket.socket, subprocess.Popen[bytes]]:
+    def _spawn(
+        self, shell: Enclosure
+    ) -> tuple[ReplyChannel, socket.socket, subprocess.Popen[bytes]]:
         if sys.platform == "win32":
             raise ConfigError("agents cannot run in processes of their own here; use --inline")
         ours, theirs = socket.socketpair()
@@ -207,7 +220,8 @@ class IsolatedInstance:
             command = [*shell.command, *code]
             if _HAS_KEEPER:
                 arguments = map(str, (os.getpid(), theirs.fileno(), memory))
-                command = [sys.executable, "-I", "-S", keeper.__file__, *arguments, *command]
+                cores = ",".join(map(str, self._cores))
+                command = [sys.executable, "-I", "-S", keeper.__file__, *arguments, cores, *command]
             process = subprocess.Popen(  # noqa: S603 - our own interpreter on our own code
                 command,
                 stdin=end.fileno() if _HAS_KEEPER else subprocess.DEVNULL,
@@ -217,7 +231,12 @@ class IsolatedInstance:
                 start_new_session=True,
                 env={**shell.environment, **ONE_THREAD, "PYTHONHASHSEED": "0"},
             )
-        return Channel(ours), life, process
+        return ReplyChannel(ours), life, process
+
+    def _cpu_time(self) -> float | None:
+        """Processor time that each process of the agent may use [s]; ``None`` for no limit."""
+        budget = self._clock.budget
+        return None if budget is None else self._limits.start_timeout + budget
 
     def _has_ended(self, seconds: float) -> bool:
         """Waits for the process to end by itself; leaves its id reserved for :meth:`_end`."""

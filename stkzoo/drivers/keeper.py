@@ -28,13 +28,14 @@ _MEASURE_TIMEOUT, _MEASURE_TRIES = 0.05, 10
 _PR_SET_PDEATHSIG, _PR_SET_DUMPABLE, _PR_SET_CHILD_SUBREAPER = 1, 4, 36
 
 
-def main(race: int, connection: int, memory: int, command: list[str]) -> int:
+def main(race: int, connection: int, memory: int, cores: list[int], command: list[str]) -> int:
     """Runs until the agent or the race has ended.
 
     Args:
         race: process id of the race.
         connection: descriptor of the agent's socket, for the agent alone.
         memory: memory of all processes of the agent together [bytes]; 0 for no limit.
+        cores: those that the agent runs on; empty for all.
         command: starts the agent.
 
     Returns:
@@ -48,7 +49,7 @@ def main(race: int, connection: int, memory: int, command: list[str]) -> int:
     os.set_blocking(wake, False)
     signal.signal(signal.SIGCHLD, lambda *_: None)
     signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
-    agent = _start(command)
+    agent = _start(command, cores)
     os.close(connection)
     poller = select.poll()
     for descriptor in (0, woken):
@@ -69,7 +70,7 @@ def main(race: int, connection: int, memory: int, command: list[str]) -> int:
     return 1 if status is None else status if status >= 0 else 128 - status
 
 
-def _start(command: list[str]) -> int:
+def _start(command: list[str], cores: list[int]) -> int:
     keeper = os.getpid()
     agent = os.fork()
     if agent:
@@ -78,6 +79,8 @@ def _start(command: list[str]) -> int:
     if os.getppid() != keeper:
         os._exit(1)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    if cores:
+        os.sched_setaffinity(0, cores)
     os.setsid()  # a signal to its own group does not reach the keeper
     with contextlib.suppress(OSError):
         os.execv(command[0], command)  # noqa: S606 - the program that it is for
@@ -191,5 +194,6 @@ def memory_of(process: int, file: str, names: tuple[str, ...]) -> int:
 
 
 if __name__ == "__main__":
-    race_, connection_, memory_, *command_ = sys.argv[1:]
-    sys.exit(main(int(race_), int(connection_), int(memory_), command_))
+    race_, connection_, memory_, cores_, *command_ = sys.argv[1:]
+    allowed = [*map(int, filter(None, cores_.split(",")))]
+    sys.exit(main(int(race_), int(connection_), int(memory_), allowed, command_))

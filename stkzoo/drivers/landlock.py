@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import platform
 import struct
 import sys
 from collections.abc import Iterable
@@ -19,6 +20,7 @@ _ASK_VERSION, _PATH_BENEATH, _PR_SET_NO_NEW_PRIVS = 1, 1, 38
 #: Rights to files that each version can withhold, as bits.
 _FILE_RIGHTS = {1: 0x1FFF, 2: 0x3FFF, 3: 0x7FFF, 4: 0x7FFF, 5: 0xFFFF}
 _EXECUTE, _WRITE_FILE, _READ_FILE, _READ_DIR, _TRUNCATE = 1, 2, 4, 8, 1 << 14
+_CAPSET, _CAPABILITIES_VERSION = {"x86_64": 126, "aarch64": 91}, 0x20080522
 _TCP, _SCOPES = 3, 3  # bind and connect; abstract sockets and signals
 _WITH_TCP, _WITH_SCOPES = 4, 6  # the versions that have them
 
@@ -31,10 +33,22 @@ def version() -> int:
     return max(known, 0)
 
 
+def has_tcp(known: int) -> bool:
+    """Whether a version withholds TCP connections."""
+    return known >= _WITH_TCP
+
+
+def has_scopes(known: int) -> bool:
+    """Whether a version withholds signals and abstract sockets."""
+    return known >= _WITH_SCOPES
+
+
 def restrict(
     readable: Iterable[str], writable: Iterable[str], listable: Iterable[str] = ()
 ) -> None:
     """Leaves this thread, and all that it starts, with nothing but these files.
+
+    Root loses its capabilities too.
 
     Args:
         readable: folders and files to read and run.
@@ -47,8 +61,8 @@ def restrict(
     known = version()
     rights = _FILE_RIGHTS[min(known, max(_FILE_RIGHTS))]
     attributes = [rights]
-    attributes += [_TCP] if known >= _WITH_TCP else []
-    attributes += [_SCOPES] if known >= _WITH_SCOPES else []
+    attributes += [_TCP] if has_tcp(known) else []
+    attributes += [_SCOPES] if has_scopes(known) else []
     packed = struct.pack(f"{len(attributes)}Q", *attributes)
     ruleset = _call(_CREATE_RULESET, packed, len(packed), 0)
     try:
@@ -61,8 +75,17 @@ def restrict(
                 _allow(ruleset, path, allowed)
         _libc().prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
         _call(_RESTRICT_SELF, ruleset, 0)
+        _drop_capabilities()
     finally:
         os.close(ruleset)
+
+
+def _drop_capabilities() -> None:
+    """Drops all capabilities; no program that is started later gets them back."""
+    header = struct.pack("=Ii", _CAPABILITIES_VERSION, 0)
+    number = _CAPSET.get(platform.machine())
+    if number is not None:
+        _call(number, header, bytes(24))
 
 
 def _allow(ruleset: int, path: str, rights: int) -> None:

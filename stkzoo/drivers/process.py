@@ -1,6 +1,7 @@
 """The process of one agent: loads the agent and answers observations with actions.
 
-Messages on the socket are a length and that many bytes of :mod:`stkzoo.drivers.codec`. The first
+Messages on the socket are a length and that many bytes of :mod:`stkzoo.drivers.codec`; the race's
+end is :class:`~stkzoo.drivers.replies.ReplyChannel`. The first
 message says what to load; each later one has an observation. The agent's own input and output go
 elsewhere (``docs/reference/agents.md``).
 """
@@ -10,86 +11,66 @@ from __future__ import annotations
 import math
 import random
 import socket
-import struct
 import sys
-import time
 from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
 
-from stkzoo.drivers import codec, landlock
+from stkzoo.drivers import codec, landlock, seccomp
 from stkzoo.drivers.code import AgentCode, load_agent
 from stkzoo.drivers.failures import error_report
 from stkzoo.drivers.files import AgentPlace
 from stkzoo.drivers.inline import InlineInstance
 from stkzoo.drivers.instances import DriverLimits, DriverRequest
-from stkzoo.errors import AgentError, ProtocolError
+from stkzoo.drivers.replies import LENGTH, length_in
+from stkzoo.errors import AgentError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 
-_LENGTH = struct.Struct("<I")
 #: Most threads of all processes of an agent together.
 _MAX_THREADS = 512
+#: In a sandbox, most open files of each process, and the size of each file [bytes].
+_MAX_OPEN_FILES, _MAX_FILE_SIZE = 1024, 64 << 20
 
 
 class Channel:
-    """Messages over a socket. A deadline holds for a whole message, however it trickles in.
+    """The agent's end of the socket to the race.
 
     Args:
         connection: the socket.
-
-    Attributes:
-        deadline: when the next message must be sent or received, as
-            :func:`time.monotonic`; ``None`` for no limit.
     """
 
     def __init__(self, connection: socket.socket) -> None:
         self._connection = connection
-        self.deadline: float | None = None
 
     def send(self, message: Any) -> None:
         """Sends one message.
 
         Raises:
-            OSError: the other end is gone, or the deadline has passed (``TimeoutError``).
+            OSError: the other end is gone.
             ProtocolError: the message is not plain data.
         """
         data = codec.encode(message)
-        self._set_timeout()
-        self._connection.sendall(_LENGTH.pack(len(data)) + data)
+        self._connection.sendall(LENGTH.pack(len(data)) + data)
 
     def receive(self) -> Any:
         """Waits for one message.
 
         Raises:
             EOFError: the other end is gone.
-            OSError: the connection broke, or the deadline has passed (``TimeoutError``).
+            OSError: the connection broke.
             ProtocolError: the bytes are not a message.
         """
-        (length,) = _LENGTH.unpack(self._exactly(_LENGTH.size))
-        if length > codec.LIMITS.max_bytes:
-            raise ProtocolError(
-                f"a message of {length} bytes, expected at most {codec.LIMITS.max_bytes}"
-            )
-        return codec.decode(self._exactly(length))
-
-    def close(self) -> None:
-        """Closes the socket; may be called again."""
-        self._connection.close()
+        return codec.decode(self._exactly(length_in(self._exactly(LENGTH.size))))
 
     def _exactly(self, size: int) -> bytes:
         data = bytearray()
         while len(data) < size:
-            self._set_timeout()
             block = self._connection.recv(size - len(data))
             if not block:
                 raise EOFError("the connection was closed")
             data += block
         return bytes(data)
-
-    def _set_timeout(self) -> None:
-        left = None if self.deadline is None else max(self.deadline - time.monotonic(), 1e-4)
-        self._connection.settimeout(left)
 
 
 def main(connection_fd: int, memory: int) -> None:
@@ -105,9 +86,9 @@ def main(connection_fd: int, memory: int) -> None:
     channel = Channel(connection)
     try:
         order = channel.receive()
-        _limit(memory, has_own_users=order["has_own_users"])
-        if any(order["landlock"]):
-            landlock.restrict(*order["landlock"])
+        _limit(memory, order["cpu_time"])
+        if order["is_enclosed"]:
+            _enclose(order)
         instance = _start(channel, order)
         while instance is not None:
             number, observation = channel.receive()
@@ -145,7 +126,7 @@ def _decide(instance: InlineInstance, observation: Any) -> dict[str, Any]:
         decision = instance.answer()
     except AgentError as error:
         return {"error": error_report(error)}
-    return {name: getattr(decision, name) for name in ("action", "seconds", "is_clipped")}
+    return {"action": decision.action, "is_clipped": decision.is_clipped}
 
 
 def _seed_everything(seed: int) -> None:
@@ -156,18 +137,39 @@ def _seed_everything(seed: int) -> None:
         sys.modules["torch"].manual_seed(seed)
 
 
-def _limit(memory: int, *, has_own_users: bool) -> None:
+def _limit(memory: int, cpu_time: float | None) -> None:
     """Sets the system's limits of this process and all that it starts.
 
     Args:
         memory: data of each process [bytes]; 0 for no limit.
-        has_own_users: whether the limit of processes holds for this agent's alone.
+        cpu_time: processor time of each process [s]; ``None`` for no limit.
     """
     if sys.platform != "win32":
         import resource
 
         if memory:
             resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
-        if has_own_users:
-            resource.setrlimit(resource.RLIMIT_NPROC, (_MAX_THREADS, _MAX_THREADS))
+        if cpu_time is not None:
+            most = math.ceil(cpu_time)
+            resource.setrlimit(resource.RLIMIT_CPU, (most, most))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def _enclose(order: dict[str, Any]) -> None:
+    """Gives up what is left to give up in a sandbox, for good."""
+    if sys.platform == "win32":
+        return
+    import resource
+
+    is_alone: bool = order["has_own_users"]  # so that the limit of processes holds for it alone
+    if is_alone:
+        resource.setrlimit(resource.RLIMIT_NPROC, (_MAX_THREADS, _MAX_THREADS))
+    for limit, most in (
+        (resource.RLIMIT_NOFILE, _MAX_OPEN_FILES),
+        (resource.RLIMIT_FSIZE, _MAX_FILE_SIZE),
+        (resource.RLIMIT_MSGQUEUE, 0),
+    ):
+        resource.setrlimit(limit, (most, most))
+    if any(order["landlock"]):
+        landlock.restrict(*order["landlock"])
+    seccomp.restrict(has_own_network=is_alone)

@@ -12,7 +12,7 @@ from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.failures import in_words, printable
-from stkzoo.drivers.instances import DriverInstance, DriverRequest
+from stkzoo.drivers.instances import DriverInstance, DriverRequest, ThinkingClock
 from stkzoo.errors import AgentError, AgentTimeout
 from stkzoo.race.result import AgentFailure
 from stkzoo.race.settings import RaceSettings
@@ -44,6 +44,7 @@ class RacingDriver:
         num_failures: number of all failures.
         num_clipped: decisions with a number outside its ``Box``, which was clipped.
         seconds: duration of each decision [s].
+        clock: the time for all decisions.
         is_retired: whether it has been taken out of the race.
     """
 
@@ -53,12 +54,13 @@ class RacingDriver:
         self.failures: list[AgentFailure] = []
         self.num_failures = self.num_clipped = 0
         self.seconds: list[float] = []
+        self.clock = ThinkingClock(settings.time_budget)
         self.is_retired = False
         self._driver, self._settings = driver, settings
         label = (
             f"{self.name or self._default_name()} ({self.agent})" if settings.show_output else ""
         )
-        self._request = replace(request, output_label=label)
+        self._request = replace(request, output_label=label, clock=self.clock)
         self._instance: DriverInstance | None = None
         self._start_error: Exception | None = None
         self._is_ready = self._is_asked = False
@@ -110,6 +112,10 @@ class RacingDriver:
             self._handle(error, step)
             return self._replacement()
         self.seconds.append(decision.seconds)
+        self.clock.used += decision.seconds
+        if self.clock.is_over:
+            self._end_for_time(step)
+            return self._replacement()
         if decision.is_clipped:
             if not self.num_clipped:
                 logger.warning("%s", _CLIPPED.format(self.name, self.agent, step))
@@ -134,6 +140,10 @@ class RacingDriver:
 
     def _handle(self, error: Exception, step: int) -> None:
         """Records a failure while driving, then keeps, restarts or retires the driver."""
+        self.clock.used += error.seconds if isinstance(error, AgentError) else 0.0
+        if self.clock.is_over:
+            self._end_for_time(step)
+            return
         self._record(error, step, "timeout" if isinstance(error, AgentTimeout) else "error")
         handling = self._settings.error_handling
         if handling == "catch" and self._started().is_usable:
@@ -144,6 +154,13 @@ class RacingDriver:
         self._restarts += 1
         self.close()
         self.start()
+
+    def _end_for_time(self, step: int) -> None:
+        """Retires a driver that has used up its time budget, however errors are handled."""
+        budget = f"its time budget of {self.clock.budget:g} s"
+        problem = AgentTimeout(f"it has used up {budget} for decisions", self.agent)
+        self._record(problem, step, "timeout")
+        self._retire()
 
     def _record(self, error: Exception, step: int, kind: str) -> None:
         """Keeps a failure, or raises it if ``error_handling`` is ``"raise"``."""

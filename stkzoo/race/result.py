@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from typing import Any, ClassVar
@@ -36,18 +36,34 @@ class AgentFailure:
 
 @dataclass(frozen=True, slots=True)
 class ActionTime:
-    """Duration of an agent's decisions, where its code runs [s]."""
+    """Duration of an agent's decisions, from its observation to its answer [s].
+
+    The race's own clock measures it. For an agent on a server, the network counts too.
+
+    Attributes:
+        mean: mean of the decisions.
+        p99: 99th percentile.
+        max: of the longest.
+        total: of all, with those that failed; ``None`` in old results.
+    """
 
     mean: float
     p99: float
     max: float
+    total: float | None = None
 
     @classmethod
-    def of(cls, seconds: Sequence[float]) -> ActionTime | None:
-        """The statistics of some durations; ``None`` if there are none."""
+    def of(cls, seconds: Sequence[float], total: float) -> ActionTime | None:
+        """The statistics of some durations; ``None`` if there are none.
+
+        Args:
+            seconds: of decisions that succeeded.
+            total: of all.
+        """
         if not seconds:
             return None
-        return cls(float(np.mean(seconds)), float(np.percentile(seconds, 99)), max(seconds))
+        p99 = float(np.percentile(seconds, 99))
+        return cls(float(np.mean(seconds)), p99, max(seconds), total)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +112,16 @@ def versions_now() -> dict[str, str]:
     return {**found, "python": platform.python_version()}
 
 
+def shared_protections(
+    results: Iterable[RaceResult],
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The sandboxes of some races, and what was withheld in all races with agents from files."""
+    foreign = [result for result in results if result.sandbox is not None]
+    sandboxes = sorted({str(result.sandbox) for result in foreign})
+    active = [set(result.protections) for result in foreign]
+    return tuple(sandboxes), tuple(sorted(set.intersection(*active))) if active else ()
+
+
 @dataclass(frozen=True, slots=True)
 class RaceResult(Document):
     """The result of a race.
@@ -118,6 +144,10 @@ class RaceResult(Document):
         wall_time: real duration [s]; ignored when results are compared.
         sandbox: of agents from files that ran here: ``"bubblewrap"``, ``"landlock"`` or
             ``"none"``; ``None`` without such agents, and in old results. Ignored likewise.
+        protections: what the sandbox withheld, and what the race limited for each agent from files
+            (:func:`stkzoo.drivers.sandbox.protections`). Ignored likewise.
+        time_budget: time that each agent could spend on its decisions [s]; ``None`` for no limit.
+            Ignored likewise.
     """
 
     kind: ClassVar[str] = "race-result"
@@ -137,6 +167,8 @@ class RaceResult(Document):
     versions: dict[str, str] = field(compare=False, default_factory=versions_now)
     wall_time: float = field(compare=False, default=0.0)
     sandbox: str | None = field(compare=False, default=None)
+    protections: tuple[str, ...] = field(compare=False, default=())
+    time_budget: float | None = field(compare=False, default=None)
 
     @property
     def is_finished(self) -> bool:

@@ -15,7 +15,13 @@ import numpy as np
 from stkzoo.config import AgentSpec
 from stkzoo.drivers.driver import Driver, check_adapter, find_driver
 from stkzoo.drivers.instances import DriverRequest
-from stkzoo.drivers.sandbox import NONE, sandbox_kind, say_what_is_missing
+from stkzoo.drivers.sandbox import (
+    NONE,
+    own_cores,
+    protections,
+    sandbox_kind,
+    say_what_is_missing,
+)
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import ActionError, ConfigError
 from stkzoo.race.listeners import RaceListener, RaceProgress
@@ -200,6 +206,10 @@ class _RaceRun:
         self._drivers = dict(zip(env.possible_agents, drivers, strict=True))
         self._awaited = awaited
         self._rescues = RescueCounter(len(self._drivers), env.options.step_size)
+        from_files = [agent for agent, driver in self._drivers.items() if driver.is_from_files]
+        self._cores = {
+            agent: own_cores(number, len(from_files)) for number, agent in enumerate(from_files)
+        }
         self.members = {
             agent: RacingDriver(
                 driver,
@@ -209,6 +219,7 @@ class _RaceRun:
                     env.action_spaces[agent],
                     settings.seed + number,
                     settings.limits,
+                    cores=self._cores.get(agent, ()),
                 ),
                 settings,
             )
@@ -351,6 +362,7 @@ class _RaceRun:
         assert race is not None  # noqa: S101 - since reset
         places = dict(zip(self._env.possible_agents, race.kart_indices, strict=True))
         rows = [self._agent_result(agent, places[agent] + 1) for agent in places]
+        sandbox = _sandbox(self._settings, [*self._drivers.values()])
         return RaceResult(
             status=status,
             track=race.track,
@@ -363,8 +375,15 @@ class _RaceRun:
             race_time=self._race_time(),
             agents=tuple(sorted(rows, key=lambda row: row.rank)),
             wall_time=time.monotonic() - self._begin,
-            sandbox=_sandbox(self._settings, [*self._drivers.values()]),
+            sandbox=sandbox,
+            protections=self._protections(sandbox),
+            time_budget=self._settings.time_budget,
         )
+
+    def _protections(self, sandbox: str | None) -> tuple[str, ...]:
+        if sandbox is None or self._settings.inline:
+            return ()
+        return (*protections(sandbox), *(("cores",) if any(self._cores.values()) else ()))
 
     def _agent_result(self, agent: str, start_position: int) -> AgentResult:
         info: Mapping[str, Any] = self._infos[agent]
@@ -388,5 +407,5 @@ class _RaceRun:
             num_errors=member.num_failures if member else 0,
             num_clipped=member.num_clipped if member else 0,
             errors=tuple(member.failures) if member else (),
-            action_time=ActionTime.of(member.seconds) if member else None,
+            action_time=ActionTime.of(member.seconds, member.clock.used) if member else None,
         )

@@ -46,6 +46,7 @@ class RaceSettings:
         max_restarts: restarts of an agent that fails
         action_timeout: time limit for an agent's decision; 0 for no limit
         start_timeout: time limit for loading an agent
+        time_budget: retire an agent after this total time for decisions (default: no limit)
         agent_memory: memory limit of agents; 0 for no limit
         sandbox: run agents in a sandbox: on refuses to race without; auto takes the best there is
         inline: run agents in this process: faster, but an agent can end the race
@@ -66,6 +67,7 @@ class RaceSettings:
     max_restarts: int = option(3, group=_AGENTS)
     action_timeout: float | None = option(10.0, metavar="SECONDS", group=_AGENTS)
     start_timeout: float = option(60.0, metavar="SECONDS", group=_AGENTS)
+    time_budget: float | None = option(metavar="SECONDS", group=_AGENTS)
     agent_memory: int | None = option(4096, metavar="MB", group=_AGENTS)
     sandbox: str = option("auto", choices=MODES, group=_AGENTS)
     inline: bool = option(False, group=_AGENTS)
@@ -80,13 +82,15 @@ class RaceSettings:
         for name in ("max_steps", "max_steps_after_first", "karts_finished"):
             if getattr(self, name) is not None:
                 check_whole(name, getattr(self, name), 1)
-        for name in ("action_timeout", "agent_memory"):
+        for name in ("action_timeout", "time_budget", "agent_memory"):
             value = getattr(self, name)
             if isinstance(value, (int, float)) and value == 0:
                 object.__setattr__(self, name, None)
         if self.action_timeout is not None:
             check_number("action_timeout", self.action_timeout, unit="seconds")
         check_number("start_timeout", self.start_timeout, unit="seconds")
+        if self.time_budget is not None:
+            check_number("time_budget", self.time_budget, unit="seconds")
         if self.agent_memory is not None:
             check_whole("agent_memory", self.agent_memory, 1)
         if not isinstance(self.sandbox, str) or self.sandbox not in MODES:

@@ -12,8 +12,10 @@ from pathlib import Path
 import jsonschema
 import pytest
 
+from benchmarks import adversaries as attacks
 from stkzoo._installation import install_command
 from stkzoo.cli import main
+from stkzoo.drivers.sandbox import bubblewrap_problem
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import (
     BatchError,
@@ -304,6 +306,48 @@ def test_an_agent_that_ends_the_process_of_its_races_loses_them(tmp_path, settin
     if {"inline", "sandbox"} & {*settings}:
         assert row.reason == "it ended the process of this race whenever it took part"
     assert sum(row.errors for row in result.standings if row.label != killer.stem) == 0
+
+
+FRAMER = """
+import os, re, signal
+
+def get_actor(module_dir, observation_space, action_space):
+    first = []
+    def actor(state, observation):
+        places = observation["karts_position"][0]
+        first.append(places)
+        if len(first) > 30 and abs(places - first[0]).max() > 1:  # its rival is there
+            keeper = open(f"/proc/{os.getppid()}/status").read()
+            os.kill(int(re.search(r"PPid:\\s+(\\d+)", keeper)[1]), signal.SIGKILL)
+        return dict.fromkeys(action_space, 0) | {"acceleration": [0.0], "steer": [0.0]}
+    return actor
+"""
+
+
+@pytest.mark.slow
+def test_an_agent_cannot_put_the_blame_on_another(tmp_path):
+    """It ends the process of a race only if its rival takes part."""
+    framer = tmp_path / "framer.py"
+    framer.write_text(FRAMER)
+    settings = {**SMALL, "races": 1, "per_race": 2, "max_steps": 40, "sandbox": "off"}
+    result = run_tournament(
+        [str(AGENTS / "plain"), str(framer)], output=tmp_path / "cup", **settings
+    )
+    assert [race.order for race in result.races] == [("Plain", "framer")]
+    assert [row.errors for row in result.standings] == [0, 1]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(bool(bubblewrap_problem()), reason=bubblewrap_problem())
+def test_an_agent_that_attacks_whenever_it_is_behind_voids_nothing_and_is_last(tmp_path):
+    """100 races: ``python -m benchmarks.adversaries --cup 100``."""
+    result = attacks.cup(tmp_path, races=3, action_timeout=2.0)
+    assert result.is_complete
+    assert result.standings[-1].label == "sore loser"
+    assert result.sandboxes == ("bubblewrap",)
+    assert {"files", "network", "signals"} <= {*result.protections}
+    assert all(race.order[-1] == "sore loser" for race in result.races)
+    assert sum(row.errors for row in result.standings[:-1]) == 0
 
 
 @pytest.mark.slow

@@ -4,16 +4,17 @@ import os
 import re
 import shutil
 import socket
-import threading
 from pathlib import Path
 
 import pytest
 
-from stkzoo.drivers import landlock, sandbox
+from benchmarks import adversaries as attacks
+from stkzoo.drivers import landlock, sandbox, seccomp
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
+from tests.support import adversaries
 from tests.support.paths import AGENTS
-from tests.support.processes import children_of, wait_until
+from tests.support.processes import wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -53,26 +54,49 @@ PROBES = {
     "become another user": "UID != 0 and os.setuid(0) is None",
     "take priority": "os.nice(-5) < 0",
     "log to the kernel": "bool(os.open('/dev/kmsg', os.O_WRONLY))",
+    "trace itself": "call(ptrace, 0, 0, 0, 0) == 0",
+    "use io_uring": "call(425, 1, ctypes.create_string_buffer(256)) >= 0",
+    "join a keyring": "call(keyctl, 1, 0) >= 0",
+    "hide memory in System V segments": "call(shmget, 0, 1 << 20, 0o1600) >= 0",
+    "hide memory in message queues": "call(mq_open, b'stkzoo', 0o102, 0o600, 0) >= 0",
+    "take other cores": "os.sched_setaffinity(0, range(os.cpu_count())) is None",
+    "reach the host of a virtual machine": "socket.socket(40, 1) is not None",
+    "use the kernel's cryptography": "socket.socket(38, 5) is not None",
+    "leave its session": "leave_session()",
+    "open many files": "bool([os.open('/dev/null', 0) for _ in range(5000)])",
+    "raise its limits": "resource.setrlimit(resource.RLIMIT_NOFILE, (1 << 20,) * 2) is None",
+    "write a large file": "write_large(os.environ.get('TMPDIR', '/tmp')) > 0",
+    "get capabilities": "int(status('CapEff'), 16) or int(status('CapPrm'), 16)",
+    "get new privileges": "status('NoNewPrivs') == '0'",
+    "dump its memory": "resource.getrlimit(resource.RLIMIT_CORE)[1] != 0",
 }
 
 #: Where these succeed although the agent is in the weaker sandbox, with a kernel of version 6.12.
-LANDLOCK_ALLOWS = {"send a packet", "reach a local socket", "fill the disk", "make namespaces"}
+LANDLOCK_ALLOWS = {"reach a local socket", "fill the disk"}
 #: What succeeds inside of bubblewrap's sandbox, and is gone with it.
 INSIDE = {"leave a temporary file", "leave shared memory", "write a file", "send a packet"}
+#: What would stop the test or outlive it without a sandbox.
+HARMFUL = {
+    *("trace the race", "trace itself"),
+    *("hide memory in System V segments", "hide memory in message queues"),
+}
 #: What an agent without a sandbox can always do.
 ALWAYS = {
     *("signal the race", "read a file", "read a rival's file", "write a file", "change itself"),
     *("connect", "read its own environment", "leave shared memory", "see other processes"),
+    *("leave its session", "take other cores", "join a keyring"),
 }
 
 PRELUDE = """
-import ctypes, mmap, os, platform, signal, socket, struct, sys, time
+import ctypes, mmap, os, platform, resource, signal, socket, struct, sys, time
 import numpy, stkzoo
 
 RACE, PORT, HOME, MARK, SECRET, UID = {values}
 libc = ctypes.CDLL(None, use_errno=True)
-ptrace, process_vm_readv, unshare = (
-    (101, 310, 272) if platform.machine() == "x86_64" else (117, 270, 97)
+ptrace, process_vm_readv, unshare, keyctl, shmget, mq_open = (
+    (101, 310, 272, 250, 29, 240)
+    if platform.machine() == "x86_64"
+    else (117, 270, 97, 219, 194, 180)
 )
 
 def call(number, *arguments):
@@ -110,6 +134,25 @@ def fill(folder):
             os.unlink(file.name)
     return 100
 
+def write_large(folder):
+    path = os.path.join(folder, MARK + "large")
+    try:
+        with open(path, "wb") as file:
+            return file.truncate(65 << 20)
+    finally:
+        os.unlink(path)
+
+def leave_session():
+    child = os.fork()
+    if child == 0:
+        os.setsid()
+        os._exit(os.getsid(0) != os.getpid())
+    return os.waitpid(child, 0)[1] == 0
+
+def status(name):
+    lines = [line.split() for line in open("/proc/self/status")]
+    return next(line[1] for line in lines if line and line[0] == name + ":")
+
 def datagram():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
         return out.sendto(MARK.encode(), ("127.0.0.1", PORT)) > 0
@@ -139,69 +182,11 @@ def get_actor(module_dir, observation_space, action_space):
     return actor
 """
 
-#: What an agent does at its first step, and what its failure says.
-ASSAULTS = {
-    "kills everyone": (
-        "len(others()) or os.kill(-1, signal.SIGKILL)",
-        "No such process",
-    ),
-    "kills its parent": ("os.kill(os.getppid(), signal.SIGKILL); time.sleep(20)", ""),
-    "stops its parent": ("os.kill(os.getppid(), signal.SIGSTOP); time.sleep(20)", ""),
-    "leaves daemons": (
-        "os.fork() or os.setsid() or os.fork() or os.execlp('sleep', MARK, '3600'); "
-        "time.sleep(0.2); raise_()",
-        "ZeroDivision",
-    ),
-    "forks": (
-        "[os.fork() or time.sleep(99) for _ in range(200)]; time.sleep(20)",
-        "processes|temporarily",
-    ),
-    "shares memory": (
-        "[take(mmap.mmap(-1, 200 << 20), 200) for _ in range(3)]; time.sleep(20)",
-        "used more than 400 MB",
-    ),
-    "hides memory": (
-        "[hide(200) for _ in range(6)]; time.sleep(20)",
-        "used more than 400 MB|File too large",
-    ),
-    "spreads memory": (
-        "[os.fork() or (take(bytearray(150 << 20), 150), time.sleep(99)) for _ in range(4)]; "
-        "time.sleep(20)",
-        "used more than 400 MB",
-    ),
-    "prints": ("[os.write(1, bytes(1 << 16)) for _ in range(500)]; raise_()", "ZeroDivision"),
-    "closes everything": ("os.closerange(0, 4096)", "closed its connection|exited"),
-    "aborts": ("os.abort()", "was ended by SIGABRT"),
-    "exits": ("os._exit(7)", "exited with code 7"),
-    "never answers": ("time.sleep(99)", "took longer than"),
-}
-ASSAULT = """
-kept = []
-
-def raise_():
-    1 / 0
-
-def take(block, size):
-    for page in range(0, size << 20, 4096):
-        block[page] = 1
-    kept.append(block)
-
-def hide(size):
-    place = os.memfd_create("x")
-    kept.append(place)
-    for _ in range(size):
-        os.write(place, bytes(1 << 20))
-
+FORK_BOMB = """
 def get_actor(module_dir, observation_space, action_space):
     def actor(state, observation):
-        {assault}
-        return action_space.sample()
-    return actor
-"""
-QUITTER = """
-def get_actor(module_dir, observation_space, action_space):
-    def actor(state, observation):
-        raise RuntimeError
+        while True:
+            os.fork()
     return actor
 """
 
@@ -260,15 +245,18 @@ def reached_in(result):
 needs_bubblewrap = pytest.mark.skipif(
     bool(sandbox.bubblewrap_problem()), reason=sandbox.bubblewrap_problem()
 )
+needs_seccomp = pytest.mark.skipif(not seccomp.is_available(), reason="needs libseccomp")
 needs_landlock = pytest.mark.skipif(landlock.version() < 6, reason="needs Landlock's version 6")
 
 
+@needs_seccomp
 @needs_bubblewrap
 def test_an_agent_in_the_sandbox_reaches_nothing(bench):
     home, mark, write, packets = bench
     spy = write("spy", REPORTER.format(probes=PROBES))
     result = race(str(home / "rival"), spy, sandbox="on")
     assert result.sandbox == "bubblewrap"
+    assert {"files", "network", "signals", "tracing"} <= {*result.protections}
     assert reached_in(result) <= INSIDE
     places = (home / "written", Path("/tmp", mark), Path("/dev/shm", mark))
     assert not any(place.exists() for place in places)
@@ -277,6 +265,7 @@ def test_an_agent_in_the_sandbox_reaches_nothing(bench):
     assert not by_driver(result)["Plain"].num_errors
 
 
+@needs_seccomp
 @needs_landlock
 def test_an_agent_in_the_weaker_sandbox_reaches_little(bench, monkeypatch):
     home, _, write, _ = bench
@@ -285,51 +274,37 @@ def test_an_agent_in_the_weaker_sandbox_reaches_little(bench, monkeypatch):
     spy = write("spy", REPORTER.format(probes=PROBES))
     result = race(str(home / "rival"), spy)
     assert result.sandbox == "landlock"
+    assert "temporary files" not in result.protections
     assert reached_in(result) <= LANDLOCK_ALLOWS
     sandbox.say_what_is_missing.cache_clear()
 
 
 def test_an_agent_without_a_sandbox_reaches_what_the_user_can(bench):
     home, _, write, _ = bench
-    harmless = {name: probe for name, probe in PROBES.items() if name not in ("trace the race",)}
+    harmless = {name: probe for name, probe in PROBES.items() if name not in HARMFUL}
     spy = write("spy", REPORTER.format(probes=harmless))
     result = race(str(home / "rival"), spy, sandbox="off")
     assert result.sandbox == "none"
+    assert not {"files", "network", "signals", "system calls"} & {*result.protections}
     assert reached_in(result) >= ALWAYS
 
 
 @needs_bubblewrap
-def test_assaults_cost_only_their_own_karts(bench):
-    """All at once, beside two who drive: their race is the same as beside agents that give up."""
-    home, mark, write, _ = bench
-    good = [str(home / "rival"), "heuristic"]
-    attackers = [write(name, ASSAULT.format(assault=act)) for name, (act, _) in ASSAULTS.items()]
-    race(*good, attackers[0], sandbox="on")  # what a program starts once
-    before = threading.active_count(), len(os.listdir("/proc/self/fd")), children_of(os.getpid())
-    result = race(*good, *attackers, sandbox="on", max_steps=60)
-    for name, (_, said) in ASSAULTS.items():
-        row = by_driver(result)[name]
-        assert row.status == "retired", name
-        message = row.errors[0].message
-        assert any(part in message for part in said.split("|")), f"{name}: {message}"
-    assert before == (
-        threading.active_count(),
-        len(os.listdir("/proc/self/fd")),
-        children_of(os.getpid()),
-    )
-    assert wait_until(lambda: not named(mark))
-    assert not [name for name in os.listdir("/tmp") + os.listdir("/dev/shm") if mark in name]
-    quitters = [write(f"{name} quietly", QUITTER) for name in ASSAULTS]
-    quiet = race(*good, *quitters, sandbox="on", max_steps=60)
-    for name in ("Plain", "heuristic"):
-        assert by_driver(result)[name] == by_driver(quiet)[name]
+def test_assaults_cost_only_their_own_karts(tmp_path):
+    """27 at once, beside two who drive. All 54, 200 times: ``python -m benchmarks.adversaries``."""
+    names, mark = [*adversaries.ADVERSARIES][::2], f"stkzoo-test-{os.getpid()}"
+    quiet = attacks.race([adversaries.write_quitter(tmp_path, name) for name in names])
+    before = attacks.left_behind(mark)
+    result = attacks.race([adversaries.write_adversary(tmp_path, name, mark) for name in names])
+    assert attacks.problems_of(result, quiet) == []
+    assert wait_until(lambda: attacks.left_behind(mark) == before)
 
 
 @needs_bubblewrap
 def test_a_fork_bomb_is_ended(bench):
     """It starves everyone until then, so it races alone."""
     home, mark, write, _ = bench
-    bomb = write("bomb", ASSAULT.format(assault="exec('while True: os.fork()')"))
+    bomb = write("bomb", FORK_BOMB)
     result = race(str(home / "rival"), bomb, sandbox="on", action_timeout=30.0)
     assert not by_driver(result)["Plain"].num_errors
     message = by_driver(result)["bomb"].errors[0].message
@@ -378,3 +353,35 @@ def test_what_is_missing_is_told_once(monkeypatch, caplog):
 def test_a_wrong_sandbox_is_told(settings, message):
     with pytest.raises(ConfigError, match=message):
         race("ai", **settings)
+
+
+SPINNER = """
+import json
+
+def get_actor(module_dir, observation_space, action_space):
+    def actor(state, observation):
+        try:
+            os.sched_setaffinity(0, range(os.cpu_count()))
+        except OSError:
+            pass
+        raise RuntimeError(json.dumps(sorted(os.sched_getaffinity(0))))
+    return actor
+"""
+
+
+def test_each_agent_has_cores_of_its_own_where_there_are_enough(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {*range(8)})
+    assert [sandbox.own_cores(number, 3) for number in range(3)] == [(1, 2), (3, 4), (5, 6)]
+    assert sandbox.own_cores(0, 8) == ()
+
+
+@needs_seccomp
+@needs_bubblewrap
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs two cores")
+def test_an_agent_in_the_sandbox_keeps_to_its_cores(bench):
+    _, _, write, _ = bench
+    result = race(write("spinner", SPINNER), "ai", sandbox="on")
+    message = by_driver(result)["spinner"].errors[0].message
+    allowed = str(sorted(os.sched_getaffinity(0))[1:])
+    assert message == f"RuntimeError: {allowed}"
+    assert "cores" in result.protections

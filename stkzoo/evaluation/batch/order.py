@@ -57,6 +57,10 @@ class RaceOrder:
             number for number, text in enumerate(self.drivers) if find_driver(text).is_from_files
         )
 
+    def isolated(self) -> RaceOrder:
+        """The same race, with each agent isolated as far as this system allows."""
+        return replace(self, settings=replace(self.settings, inline=False, sandbox="auto"))
+
     def without_absent(self, drivers: Sequence[str | Driver]) -> list[str | Driver]:
         """Drivers of the race in which those that are absent do not start."""
         return [

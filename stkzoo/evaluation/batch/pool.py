@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
+import logging
 import os
 import subprocess
 import sys
@@ -20,16 +21,16 @@ from typing import Any
 
 from stkzoo._os import remove_stale_directories
 from stkzoo.drivers.failures import OutputTail
+from stkzoo.drivers.sandbox import SHARED_CORES
 from stkzoo.errors import StkzooError
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.race.document import typed
 
-#: How often a race is tried whose process dies.
-_TRIES = 2
 #: Most races that are run without some agents to find out who ends the process of one.
 _MAX_TRIALS = 32
 _END_TIMEOUT = 5.0  # [s]
 _WAIT_INTERVAL = 0.5  # [s]
+_logger = logging.getLogger(__name__)
 _WORKER = "from stkzoo.evaluation.batch.pool import serve; serve()"
 
 
@@ -59,7 +60,8 @@ def run_in_parallel(
         jobs: races at a time.
         race_timeout: for one race [s]; its process is ended then.
     """
-    workers = [_Worker(folder, race_timeout) for _ in range(min(jobs, len(orders)))]
+    count = min(jobs, len(orders))
+    workers = [_Worker(folder, race_timeout, is_alone=count == 1) for _ in range(count)]
     idle: SimpleQueue[_Worker] = SimpleQueue()
     for worker in workers:
         idle.put(worker)
@@ -89,7 +91,8 @@ def run_in_parallel(
 class _Worker:
     """Runs races one after another in a process of its own, and in a new one if that dies."""
 
-    def __init__(self, folder: Path, race_timeout: float) -> None:
+    def __init__(self, folder: Path, race_timeout: float, *, is_alone: bool) -> None:
+        self._is_alone = is_alone
         self._folder, self._timeout = str(folder.absolute()), race_timeout
         self._lock = threading.Lock()
         self._running: tuple[subprocess.Popen[bytes], OutputTail] | None = None
@@ -98,21 +101,62 @@ class _Worker:
     def run(self, order: RaceOrder) -> OrderOutcome:
         """Runs a race, again if its process dies, and then without those who may have ended it.
 
-        The race counts without the fewest agents whose absence lets it end; they fail in it.
-        Without this rule, an agent could void the races that it is going to lose.
+        The second time, each agent is isolated as far as possible. If the race ends only then, or
+        not even then, it is run without some agents: those whose absence lets it end fail in it.
+        Without this rule, an agent could void the races that it is going to lose. If the absence
+        of any of several agents lets it end, an agent may have behaved to put the blame on
+        another one; then the race with isolated agents counts.
         """
-        for _ in range(_TRIES):
-            outcome, is_over = self._run_once(order)
-            if is_over or self._was_late:
-                break
-        suspects = () if is_over else order.suspects()
-        most = 1 if self._was_late else len(suspects)
-        groups = (itertools.combinations(suspects, size) for size in range(1, most + 1))
-        for absent in itertools.islice(itertools.chain.from_iterable(groups), _MAX_TRIALS):
-            without, is_over = self._run_once(replace(order, absent=absent))
-            if is_over:
-                return replace(without, order=order)
-        return outcome
+        outcome, is_over = self._run_once(order)
+        if is_over:
+            return outcome
+        suspects, was_late = order.suspects(), self._was_late
+        self._report(order, outcome, suspects)
+        chosen = None
+        if not was_late:
+            isolated = order.isolated()
+            again, is_over = self._run_once(isolated)
+            if is_over and (isolated == order or not suspects):
+                return replace(again, order=order)
+            chosen = isolated if is_over else None
+        sizes = range(1, 2) if was_late else range(len(suspects) + 1)
+        absent = self._culprits(order, suspects, sizes, is_unique=chosen is not None)
+        if absent is not None:
+            chosen = replace(order, absent=absent)
+        if chosen is None:
+            return outcome
+        final, is_over = self._run_once(chosen)  # the last run writes the race's other files
+        return replace(final, order=order) if is_over else outcome
+
+    def _culprits(
+        self, order: RaceOrder, suspects: tuple[int, ...], sizes: range, *, is_unique: bool
+    ) -> tuple[int, ...] | None:
+        """The fewest agents whose absence lets a race end; ``None`` if none are found.
+
+        Args:
+            order: the race.
+            suspects: the agents that may end its process.
+            sizes: how many of them are absent at a time.
+            is_unique: whether to find none if the race also ends with all, or without others.
+        """
+        left = _MAX_TRIALS
+        for size in sizes:
+            groups = [*itertools.combinations(suspects, size)][:left]
+            left -= len(groups)
+            found = []
+            for absent in groups:
+                _, is_over = self._run_once(replace(order, absent=absent))
+                if is_over and not is_unique:
+                    return absent
+                found += [absent] if is_over else []
+            if found:
+                return found[0] if len(found) == 1 and found[0] else None
+        return None
+
+    def _report(self, order: RaceOrder, outcome: OrderOutcome, suspects: Sequence[int]) -> None:
+        names = ", ".join(order.drivers[number] for number in suspects) or "none"
+        reason = outcome.error.partition("\n")[0]
+        _logger.warning("race %d: %s; it is repeated; suspects: %s", order.number, reason, names)
 
     def _run_once(self, order: RaceOrder) -> tuple[OrderOutcome, bool]:
         """The outcome, and whether the process has survived the race."""
@@ -123,7 +167,7 @@ class _Worker:
         with self._lock:
             if self._is_closed:
                 return OrderOutcome(order, error="the batch was ended"), True
-            process, said = self._running = self._running or _start()
+            process, said = self._running = self._running or _start(is_alone=self._is_alone)
         assert process.stdin is not None  # noqa: S101 - opened as pipes
         assert process.stdout is not None  # noqa: S101 - opened as pipes
         watch = threading.Timer(self._timeout, process.kill)
@@ -150,7 +194,8 @@ class _Worker:
             _end(*running)
 
 
-def _start() -> tuple[subprocess.Popen[bytes], OutputTail]:
+def _start(*, is_alone: bool) -> tuple[subprocess.Popen[bytes], OutputTail]:
+    cores = {} if is_alone else {SHARED_CORES: "1"}  # races at a time would take the same ones
     paths = [path for path in sys.path if path]
     process = subprocess.Popen(  # noqa: S603 - our own program
         [sys.executable, "-c", _WORKER],
@@ -158,7 +203,7 @@ def _start() -> tuple[subprocess.Popen[bytes], OutputTail]:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         # Modules that this program finds are found there too.
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        env={**os.environ, **cores, "PYTHONPATH": os.pathsep.join(paths)},
         start_new_session=True,  # Ctrl-C is for this program, which ends its workers
     )
     return process, OutputTail(process.stderr)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
@@ -37,7 +37,7 @@ from stkzoo.evaluation.benchmark.races import (
 )
 from stkzoo.evaluation.statistics import CONFIDENCE
 from stkzoo.race.document import Document
-from stkzoo.race.result import RaceResult
+from stkzoo.race.result import RaceResult, shared_protections
 from stkzoo.race.settings import RaceSettings
 
 #: A race ends after this multiple of the AI's median time.
@@ -125,7 +125,7 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
             for race in self.races()
             if race.number in results
         )
-        return BenchmarkResult(self, tuple(outcomes))
+        return BenchmarkResult(self, tuple(outcomes), *shared_protections(results.values()))
 
     def draw(self, result: BenchmarkResult, path: Path) -> None:
         """Plots the result into a file."""
@@ -231,6 +231,9 @@ class BenchmarkResult(Document):
     Attributes:
         plan: the benchmark.
         races: the races that have been run.
+        sandboxes: of the agents from files in these races.
+        protections: what was withheld or limited in all of them
+            (:func:`stkzoo.drivers.sandbox.protections`).
     """
 
     # docs/schemas/benchmark-result.schema.json
@@ -240,6 +243,8 @@ class BenchmarkResult(Document):
 
     plan: BenchmarkPlan
     races: tuple[RaceOutcome, ...]
+    sandboxes: tuple[str, ...] = field(compare=False, default=())
+    protections: tuple[str, ...] = field(compare=False, default=())
 
     def __post_init__(self) -> None:
         planned = {race.number: (*race.key, race.seed) for race in self.plan.races()}

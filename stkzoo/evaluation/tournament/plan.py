@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -28,7 +28,7 @@ from stkzoo.evaluation.tournament.schedule import (
 from stkzoo.evaluation.tournament.standings import RaceSummary, Standing
 from stkzoo.race.document import Document
 from stkzoo.race.remote import ServedAgent, ServerAccess
-from stkzoo.race.result import RaceResult, versions_now
+from stkzoo.race.result import RaceResult, shared_protections, versions_now
 from stkzoo.race.settings import RaceSettings
 
 _MAX_RACES, _MAX_PER_RACE = 100_000, 20
@@ -136,6 +136,7 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
         number_of = {entrant.label: number for number, entrant in enumerate(self.entrants)}
         orders = [[number_of[label] for label in race.order] for race in races]
         ratings = rate(orders, len(self.entrants), self.seed)
+        sandboxes, protections = shared_protections(results.values())
         best_first = sorted(number_of.values(), key=lambda number: -ratings[number].value)
         return TournamentResult(
             plan=self,
@@ -151,6 +152,8 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
                 for one in best_first
             ),
             races=races,
+            sandboxes=sandboxes,
+            protections=protections,
         )
 
     def draw(self, result: TournamentResult, path: Path) -> None:
@@ -235,6 +238,9 @@ class TournamentResult(Document):
         ahead: ``ahead[i][j]``: in how many races the agent of ``standings[i]`` finished ahead
             of that of ``standings[j]``.
         races: the races that have been run.
+        sandboxes: of the agents from files in these races.
+        protections: what was withheld or limited in all of them
+            (:func:`stkzoo.drivers.sandbox.protections`).
     """
 
     # docs/schemas/tournament-result.schema.json
@@ -245,6 +251,8 @@ class TournamentResult(Document):
     standings: tuple[Standing, ...]
     ahead: tuple[tuple[int, ...], ...]
     races: tuple[RaceSummary, ...]
+    sandboxes: tuple[str, ...] = field(compare=False, default=())
+    protections: tuple[str, ...] = field(compare=False, default=())
 
     @property
     def is_complete(self) -> bool:

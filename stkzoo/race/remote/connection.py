@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Any
 
 from stkzoo.drivers.codec import decode, encode
 from stkzoo.drivers.failures import printable, reported_error
 from stkzoo.drivers.instances import Decision
+from stkzoo.drivers.replies import pending_replies
 from stkzoo.errors import AgentError, ProtocolError, RemoteError
 from stkzoo.race.remote import protocol
 from stkzoo.race.remote.keys import KeyPair
@@ -82,6 +83,8 @@ class Connection:
         self._asked: set[int] = set()
         self._answers: dict[int, tuple[str, int | None] | Decision | Failure] = {}
         self._seats: set[int] = set()
+        self._pending = pending_replies()
+        self._flushed = time.monotonic()
         self._send(protocol.HELLO, protocol=protocol.VERSION, stkzoo=version("stkzoo"))
 
     # ------------------------------------------------------------------ requests
@@ -136,6 +139,8 @@ class Connection:
         observations, self._observations = self._observations, []
         self._step += 1
         self._asked = {seat for seat, _ in observations}
+        self._flushed = time.monotonic()
+        self._pending.add(self)
         try:
             self._send(protocol.ACT, step=self._step, observations=observations)
         except (ProtocolError, RemoteError) as error:
@@ -153,6 +158,7 @@ class Connection:
 
     def close(self) -> None:
         """Tells the server and ends; may be called twice."""
+        self._pending.discard(self)
         if self._socket.closed:
             return
         if not self.failure:
@@ -185,7 +191,7 @@ class Connection:
         while not is_there():
             self._require()
             time_left = deadline - time.monotonic()
-            events = self._poller.poll(max(0, math.ceil(time_left * 1000)))
+            events = self._poll(max(0, math.ceil(time_left * 1000)))
             if time_left < -_READING or (time_left <= 0 and not events):
                 remedy = (
                     "; start it, or check its address and the keys" if what == "connect" else ""
@@ -196,6 +202,31 @@ class Connection:
                     self._receive()
                 elif not self._has_mail():
                     self._receive_event()
+
+    def _poll(self, milliseconds: int) -> list[tuple[Any, int]]:
+        """Waits for events of this connection; receives other drivers' replies meanwhile."""
+        others = {other.fileno(): other for other in self._pending - {self}}
+        if not others:
+            return list(self._poller.poll(milliseconds))
+        poller = self._zmq.Poller()
+        for source in (self._socket, self._monitor, *others):
+            poller.register(source, self._zmq.POLLIN)
+        events = list(poller.poll(milliseconds))
+        for source, _ in events:
+            if source in others:
+                others[source].receive_available()
+        return [event for event in events if event[0] not in others]
+
+    def fileno(self) -> int:
+        """The descriptor that becomes readable when a message may have come."""
+        return int(self._socket.getsockopt(self._zmq.FD))
+
+    def receive_available(self) -> None:
+        """Receives the messages that have come, without waiting; never raises."""
+        while not self.failure and self._has_mail():
+            self._receive()
+        if self.failure:
+            self._pending.discard(self)
 
     def _has_mail(self) -> bool:
         """Whether a message that the server sent before it disconnected is still unread."""
@@ -226,6 +257,7 @@ class Connection:
     def _fail(self, text: str) -> None:
         self.failure = self.failure or text
         self._observations = []
+        self._pending.discard(self)
 
     # ------------------------------------------------------------------ incoming messages
 
@@ -275,27 +307,43 @@ class Connection:
         self._answers[seat] = printable(protocol.field(fields, "name", str), 100), paths
 
     def _handle_acted(self, fields: dict[str, Any]) -> None:
+        """Keeps the decisions and failures of a step.
+
+        The server says how long each driver took. The time until its answer came that this does
+        not explain counts for each of its drivers, so a server cannot hide time.
+        """
         if protocol.field(fields, "step", int) != self._step:
             raise ProtocolError(f"an answer to step {fields['step']}, expected {self._step}")
-        for entry in protocol.field(fields, "decisions", list):
-            match entry:
-                case [int(seat), bytes(action), float(seconds), bool(is_clipped)] if (
-                    0 <= seconds < 1e9
-                ):
-                    self._decide(seat, Decision(decode(action), seconds, is_clipped))
-                case _:
-                    raise ProtocolError(f"a decision {entry!r:.100}")
-        for entry in protocol.field(fields, "failures", list):
+        elapsed = time.monotonic() - self._flushed
+        failures = protocol.field(fields, "failures", list)
+        for entry in failures:
             match entry:
                 case [int(seat), error, bool(is_usable)]:
-                    self._decide(seat, Failure(reported_error(error, ""), is_usable))
+                    reported = reported_error(error, "")
+                    reported.seconds = elapsed
+                    self._decide(seat, Failure(reported, is_usable))
                 case _:
                     raise ProtocolError(f"a failure {entry!r:.100}")
+        decisions = [*map(_decision, protocol.field(fields, "decisions", list))]
+        longest = max((decision.seconds for _, decision in decisions), default=0.0)
+        unexplained = 0.0 if failures else max(elapsed - longest, 0.0)
+        for seat, decision in decisions:
+            seconds = min(decision.seconds + unexplained, elapsed)
+            self._decide(seat, replace(decision, seconds=seconds))
         if self._asked:
             raise ProtocolError(f"no answer for seats {sorted(self._asked)}")
+        self._pending.discard(self)
 
     def _decide(self, seat: int, outcome: Decision | Failure) -> None:
         if seat not in self._asked:
             raise ProtocolError(f"an answer of seat {seat}, which was not asked")
         self._asked.discard(seat)
         self._answers[seat] = outcome
+
+
+def _decision(entry: Any) -> tuple[int, Decision]:
+    """A seat and its decision; the server says how long it took."""
+    match entry:
+        case [int(seat), bytes(action), float(seconds), bool(is_clipped)] if 0 <= seconds < 1e9:
+            return seat, Decision(decode(action), seconds, is_clipped)
+    raise ProtocolError(f"a decision {entry!r:.100}")

@@ -256,4 +256,6 @@ class RemoteInstance:
             self.is_usable = False
             self._group.record(self._server, is_there=False)
             is_late = "in time" in str(error)
-            raise (AgentTimeout if is_late else AgentError)(str(error), self._agent) from error
+            kind = AgentTimeout if is_late else AgentError
+            seconds = time.monotonic() - self._begin
+            raise kind(str(error), self._agent, seconds=seconds) from error

@@ -3,6 +3,7 @@
 import os
 import random
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -169,6 +170,19 @@ def test_a_lying_server_costs_its_own_kart_only(name):
     rows = {row.agent: row for row in result.agents}
     assert text in rows["kart_0"].errors[0].message
     assert not rows["kart_1"].errors
+
+
+@pytest.mark.parametrize("claimed", [0.0, 1e8])
+def test_a_server_cannot_hide_or_invent_the_time_of_its_agents(claimed):
+    def slowly(kind, asked):
+        if kind == b"A":
+            time.sleep(0.1)
+        return lies(decisions=[[0, encode(ACTION), claimed, False]])(kind, asked)
+
+    with LyingServer(slowly) as liar, RemoteDriverGroup([liar.address]) as group:
+        result = run_race(group.drivers, max_steps=5, **TRACK)
+    times = result.agents[0].action_time
+    assert 0.1 <= times.mean <= times.max < 30
 
 
 @pytest.mark.parametrize(

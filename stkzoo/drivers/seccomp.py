@@ -1,0 +1,122 @@
+"""Seccomp: a process of Linux gives up system calls that no agent needs.
+
+They reach into other processes, make namespaces, keep memory that nobody measures, take other
+cores, or are known for holes in the kernel. The library libseccomp makes the filter; Debian and
+Ubuntu have it (package ``libseccomp2``).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import functools
+import sys
+from typing import Any
+
+_LIBRARY = "libseccomp.so.2"
+_ALLOW, _ERRNO = 0x7FFF0000, 0x00050000
+_NOT_EQUAL, _EQUAL, _MASKED_EQUAL = 1, 4, 7  # comparisons of an argument
+_REFUSED = (
+    # other processes
+    *("ptrace", "process_vm_readv", "process_vm_writev", "process_madvise", "pidfd_getfd", "kcmp"),
+    # namespaces and mounts
+    *("unshare", "setns", "mount", "umount2", "pivot_root", "chroot", "move_mount", "open_tree"),
+    *("fsopen", "fsmount", "fspick", "mount_setattr"),
+    # memory that belongs to no process
+    *("shmget", "semget", "msgget", "mq_open", "add_key", "request_key", "keyctl"),
+    # wide interfaces of the kernel
+    *("bpf", "perf_event_open", "userfaultfd", "io_uring_setup", "io_uring_enter"),
+    *("io_uring_register", "fanotify_init", "name_to_handle_at", "open_by_handle_at"),
+    # cores of other agents
+    "sched_setaffinity",
+)
+#: ``CLONE_NEW*``: each makes a namespace.
+_NAMESPACES = (1 << 7, *(1 << bit for bit in (17, 25, 26, 27, 28, 29, 30)))
+_AF_UNIX, _AF_PACKET, _AF_ALG, _AF_VSOCK = 1, 17, 38, 40
+
+
+class _ArgumentRule(ctypes.Structure):
+    _fields_ = (
+        ("argument", ctypes.c_uint),
+        ("operator", ctypes.c_int),
+        ("first", ctypes.c_uint64),
+        ("second", ctypes.c_uint64),
+    )
+
+
+@functools.cache
+def is_available() -> bool:
+    """Whether this system has the library."""
+    return _library() is not None
+
+
+def restrict(*, has_own_network: bool) -> None:
+    """Leaves this thread, and all that it starts, without these system calls.
+
+    Does nothing without the library. The process has given up new privileges before.
+
+    Args:
+        has_own_network: whether its sandbox has a network of its own; otherwise it gets local
+            sockets only.
+
+    Raises:
+        OSError: the kernel refuses.
+    """
+    library = _library()
+    if library is None:
+        return
+    context = library.seccomp_init(ctypes.c_uint32(_ALLOW))
+    try:
+        for name in _REFUSED:
+            _refuse(library, context, name)
+        for flag in _NAMESPACES:
+            _refuse(library, context, "clone", _ArgumentRule(0, _MASKED_EQUAL, flag, flag))
+        # Its flags are in memory, which a filter cannot read; libraries use clone() then.
+        _refuse(library, context, "clone3", result=errno.ENOSYS)
+        # The system shares the cores among sessions, so an agent has one; 0 pretends success.
+        _refuse(library, context, "setsid", result=0)
+        for comparison in (
+            [_ArgumentRule(0, _EQUAL, family, 0) for family in (_AF_PACKET, _AF_ALG, _AF_VSOCK)]
+            if has_own_network
+            else [_ArgumentRule(0, _NOT_EQUAL, _AF_UNIX, 0)]
+        ):
+            _refuse(library, context, "socket", comparison)
+        _check(library.seccomp_load(context))
+    finally:
+        library.seccomp_release(context)
+
+
+def _refuse(
+    library: Any, context: Any, name: str, *comparisons: _ArgumentRule, result: int = errno.EPERM
+) -> None:
+    number = library.seccomp_syscall_resolve_name(name.encode())
+    if number == -1:  # unknown to an older library
+        return
+    rules = (_ArgumentRule * len(comparisons))(*comparisons)
+    action = ctypes.c_uint32(_ERRNO | result)
+    _check(library.seccomp_rule_add_array(context, action, number, len(comparisons), rules))
+
+
+def _check(result: int) -> None:
+    if result < 0:
+        raise OSError(-result, "seccomp refuses its filter")
+
+
+@functools.cache
+def _library() -> Any:
+    if sys.platform != "linux":
+        return None
+    try:
+        library = ctypes.CDLL(_LIBRARY)
+    except OSError:
+        return None
+    library.seccomp_init.restype = ctypes.c_void_p
+    library.seccomp_rule_add_array.argtypes = (
+        ctypes.c_void_p,
+        ctypes.c_uint32,
+        ctypes.c_int,
+        ctypes.c_uint,
+        ctypes.c_void_p,
+    )
+    library.seccomp_load.argtypes = library.seccomp_release.argtypes = (ctypes.c_void_p,)
+    return library

@@ -1,0 +1,100 @@
+"""The time of agents' decisions, which the race measures with its own clock."""
+
+import json
+import math
+import socket
+import threading
+import time
+
+import jsonschema
+import pytest
+
+from stkzoo.drivers.replies import ReplyChannel
+from stkzoo.race import run_race
+from tests.support.paths import AGENTS, ROOT
+
+SCHEMA = ROOT / "docs" / "schemas" / "race-result.schema.json"
+PLAIN = str(AGENTS / "plain")
+
+
+def hostile(name):
+    return str(AGENTS / "hostile" / f"{name}.py")
+
+
+def race(*drivers, **settings):
+    return run_race(list(drivers), track="lighthouse", seed=1, **{"max_steps": 5, **settings})
+
+
+def times(result):
+    return {row.driver: row.action_time for row in result.agents}
+
+
+@pytest.mark.slow
+def test_the_time_that_an_agent_reports_is_ignored():
+    result = race(hostile("liar"), "ai")
+    found = times(result)["liar"]
+    assert not result.has_errors
+    assert all(0 < time < 60 for time in (found.mean, found.p99, found.max, found.total))
+    jsonschema.validate(json.loads(result.to_json()), json.loads(SCHEMA.read_text()))
+
+
+@pytest.mark.slow
+def test_a_slow_agent_does_not_spend_the_time_of_another():
+    """The race waits for a slow one first."""
+    found = times(race(hostile("slow"), PLAIN, hostile("trickles"), max_steps=6))
+    assert found["Plain"].mean < 0.15
+    assert min(found["slow"].mean, found["trickles"].mean) > 0.25
+
+
+@pytest.fixture
+def channel():
+    """A channel, and the other end of its socket."""
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        channel = ReplyChannel(ours)
+        yield channel, theirs
+        channel.close()
+
+
+def test_a_reply_that_was_sent_before_the_question_takes_no_time(channel):
+    ours, theirs = channel
+    theirs.sendall(b"\1\0\0\0\x07")
+    time.sleep(0.05)
+    ours.send("now")
+    assert ours.receive() == 7
+    assert 0 <= ours.seconds < 0.04
+
+
+def test_a_reply_in_single_bytes_does_not_extend_its_deadline(channel):
+    ours, theirs = channel
+    ours.send("now")
+    ours.deadline = time.monotonic() + 0.3
+
+    over = threading.Event()
+
+    def trickle():
+        theirs.sendall(b"\xff\0\0\0")
+        while not over.wait(0.02):
+            theirs.sendall(b"\1")
+
+    sender = threading.Thread(target=trickle)
+    sender.start()
+    begin = time.monotonic()
+    with pytest.raises(TimeoutError):
+        ours.receive()
+    assert time.monotonic() - begin < 1.5
+    over.set()
+    sender.join()
+
+
+def test_a_process_that_reads_nothing_does_not_delay_its_race_past_the_deadline(channel):
+    ours, _ = channel
+    ours.deadline = time.monotonic() + 0.2
+    with pytest.raises(TimeoutError):
+        ours.send("x" * (4 << 20))
+
+
+def test_time_is_finite_without_a_reply(channel):
+    ours, _ = channel
+    ours.send("now")
+    assert math.isfinite(ours.seconds)

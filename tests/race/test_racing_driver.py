@@ -1,0 +1,68 @@
+"""The time budget of drivers: all their decisions together."""
+
+import time
+
+import pytest
+
+from stkzoo.errors import AgentTimeout, ConfigError
+from stkzoo.race import Driver, run_race
+from tests.support.paths import AGENTS
+
+SLOW = str(AGENTS / "hostile" / "slow.py")
+
+
+def race(*drivers, **settings):
+    return run_race(list(drivers), track="lighthouse", seed=1, **{"max_steps": 12, **settings})
+
+
+def by_driver(result):
+    return {row.driver: row for row in result.agents}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("handling", ["retire", "catch"])
+def test_an_agent_that_uses_up_its_time_budget_is_retired(handling):
+    result = race(SLOW, str(AGENTS / "plain"), time_budget=1.0, error_handling=handling)
+    rows = by_driver(result)
+    assert result.time_budget == 1.0
+    assert [rows[name].status for name in ("slow", "Plain")] == ["retired", "racing"]
+    (failure,) = rows["slow"].errors
+    assert (failure.kind, failure.step) == ("timeout", 3)
+    assert failure.message == "it has used up its time budget of 1 s for decisions"
+    assert rows["slow"].action_time.total > 1.0
+
+
+@pytest.mark.slow
+def test_a_budget_ends_a_decision_without_a_limit():
+    result = race(str(AGENTS / "hostile" / "loop.py"), time_budget=0.5, action_timeout=0)
+    assert result.agents[0].errors[0].message.startswith("it has used up its time budget")
+
+
+def test_failed_decisions_count():
+    def make(*_):
+        def actor(_):
+            time.sleep(0.2)
+            raise ValueError
+
+        return actor
+
+    driver = Driver.of_actor("failing", make)
+    result = race(driver, time_budget=0.5, error_handling="catch", max_steps=9)
+    assert [failure.step for failure in result.agents[0].errors] == [0, 1, 2]
+    assert "time budget" in result.agents[0].errors[-1].message
+
+
+def test_raise_ends_the_race_when_a_time_budget_is_used_up():
+    driver = Driver.of_actor("slow", lambda *_: lambda _: time.sleep(0.2))
+    with pytest.raises(AgentTimeout, match=r"time budget of 0.1 s"):
+        race(driver, time_budget=0.1, error_handling="raise")
+
+
+def test_a_time_budget_of_0_is_no_limit():
+    assert race("heuristic", time_budget=0, max_steps=2).time_budget is None
+
+
+@pytest.mark.parametrize("value", [-1, float("nan"), float("inf"), "long"])
+def test_an_invalid_time_budget_is_refused(value):
+    with pytest.raises(ConfigError, match="time_budget is"):
+        race("heuristic", time_budget=value)

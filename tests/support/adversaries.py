@@ -1,0 +1,313 @@
+"""Agents that attack their race, for tests and ``python -m benchmarks.adversaries``."""
+
+import textwrap
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Adversary:
+    """An agent that attacks at its first step.
+
+    Attributes:
+        act: its statements, in the actor.
+        says: regular expression of the message of its failure.
+        step: at which it fails.
+    """
+
+    act: str
+    says: str = "ZeroDivision"
+    step: int = 0
+
+
+FAIL = "; 1 / 0"
+SLEEP = "; time.sleep(99)"
+LATE = "took longer than"
+INVALID = "sent an invalid message"
+
+ADVERSARIES = {
+    # processes and signals
+    "kills everyone": Adversary("os.kill(-1, signal.SIGKILL)", "No such process"),
+    "kills its parent": Adversary("os.kill(os.getppid(), signal.SIGKILL)" + SLEEP, ""),
+    "stops its parent": Adversary("os.kill(os.getppid(), signal.SIGSTOP)" + SLEEP, ""),
+    "stops itself": Adversary("os.kill(os.getpid(), signal.SIGSTOP)" + SLEEP, LATE),
+    "ignores signals": Adversary(
+        "[signal.signal(n, signal.SIG_IGN) for n in (1, 2, 3, 13, 14, 15, 17)]" + FAIL
+    ),
+    "leaves daemons": Adversary(
+        "os.fork() or os.setsid() or os.fork() or os.execlp('sleep', MARK, '3600'); "
+        "time.sleep(0.2)" + FAIL
+    ),
+    "forks": Adversary(
+        "[os.fork() or time.sleep(99) for _ in range(200)]" + SLEEP, "processes|temporarily"
+    ),
+    "starts programs": Adversary("[subprocess.run(['true']) for _ in range(20)]" + FAIL),
+    "spins threads": Adversary(
+        "[thread(spin) for _ in range(16)]; time.sleep(0.2)" + FAIL, "ZeroDivision|" + LATE
+    ),
+    "storms itself with alarms": Adversary(
+        "signal.signal(signal.SIGALRM, lambda *_: None); "
+        "signal.setitimer(signal.ITIMER_REAL, 1e-5, 1e-5); time.sleep(0.2)" + FAIL
+    ),
+    "makes namespaces": Adversary(
+        "[libc.syscall(n, 0x10000000, 0, 0, 0, 0) for n in (272, 56, 97, 220)]; "
+        "[libc.syscall(n, 1, 0) for n in (425, 250, 219)]" + FAIL,
+        "ZeroDivision|exited",
+    ),
+    "aborts": Adversary("os.abort()", "was ended by SIGABRT"),
+    "exits": Adversary("os._exit(7)", "exited with code 7"),
+    "never answers": Adversary("time.sleep(99)", LATE),
+    # memory, files and output
+    "shares memory": Adversary(
+        "[take(mmap.mmap(-1, 200 << 20), 200) for _ in range(3)]" + SLEEP, "used more than 400 MB"
+    ),
+    "hides memory": Adversary(
+        "[hide(60) for _ in range(20)]" + SLEEP, "used more than 400 MB|File too large"
+    ),
+    "spreads memory": Adversary(
+        "[os.fork() or (take(bytearray(150 << 20), 150), time.sleep(99)) for _ in range(4)]"
+        + SLEEP,
+        "used more than 400 MB",
+    ),
+    "fills its folders": Adversary("fill('/tmp'); fill('/dev/shm')" + FAIL, "No space"),
+    "writes sparse files": Adversary("open('/tmp/x', 'wb').truncate(10 << 30)", "too large"),
+    "nests folders": Adversary("nest(2000)" + FAIL),
+    "makes many files": Adversary(
+        "[open(f'/tmp/{n}', 'w').close() or os.link(f'/tmp/{n}', f'/tmp/l{n}') "
+        "for n in range(5000)]" + FAIL
+    ),
+    "opens many files": Adversary(
+        "[kept.append((os.eventfd(0), select.epoll())) for _ in range(5000)]", "Too many open"
+    ),
+    "deletes its code": Adversary("os.unlink(__file__)", "Read-only|Permission"),
+    "raises its limits": Adversary(
+        "resource.setrlimit(resource.RLIMIT_DATA, (-1, -1))", "not allowed|exceeds"
+    ),
+    "prints": Adversary("[os.write(1, bytes(1 << 16)) for _ in range(500)]" + FAIL),
+    "prints escape codes": Adversary(
+        "[os.write(2, b'\\x1b[2J\\x1b]0;x\\x07\\n' * 4096) for _ in range(100)]" + FAIL
+    ),
+    "swaps its output": Adversary("sys.stdout = sys.stderr = None; os.close(1)" + FAIL),
+    # Python
+    "recurses": Adversary(
+        "sys.setrecursionlimit(10**9); recurse()",
+        "SIGSEGV|Recursion|exited|Memory|took longer than",
+    ),
+    "leaves finalizers": Adversary(
+        "atexit.register(time.sleep, 60); kept.append(Immortal())" + FAIL
+    ),
+    "replaces modules": Adversary(
+        "sys.modules.update(numpy=None, msgpack=None, traceback=None); sys.meta_path.clear(); "
+        "sys.path_hooks.clear()" + FAIL,
+        "ZeroDivision|exited",
+    ),
+    "traces its host": Adversary("sys.settrace(trace); sys.setprofile(trace)" + FAIL),
+    "changes what it sees": Adversary("ruin(observation)" + FAIL),
+    "raises SystemExit": Adversary("sys.exit('x' * 10**6)", "SystemExit"),
+    "raises KeyboardInterrupt": Adversary("raise KeyboardInterrupt", "exited|SIGINT"),
+    "raises its own base": Adversary("raise type('E', (BaseException,), {})", "exited"),
+    "raises an error without end": Adversary("raise Endless", LATE),
+    "raises a long error": Adversary("raise Exception('\\x1b[2J\\ud800' * 10**6)", "left out"),
+    "returns an endless array": Adversary("return dict.fromkeys(action_space, Array())", LATE),
+    # the connection
+    "closes everything": Adversary("os.closerange(0, 4096)", "closed its connection|exited"),
+    "replaces its descriptors": Adversary(
+        "[os.dup2(os.open('/dev/zero', 0), n) for n in range(3, 64)]" + FAIL,
+        "closed its connection|exited",
+    ),
+    "is its own echo": Adversary(
+        "os.dup2(fd(), 0); os.dup2(fd(), 1); os.execlp('cat', 'cat')", LATE
+    ),
+    "forges bytes": Adversary("raw(b'\\x05\\0\\0\\0\\xc1\\xc1\\xc1\\xc1\\xc1')" + SLEEP, INVALID),
+    "announces too much": Adversary("raw(b'\\xf0\\xff\\xff\\xff')" + SLEEP, "a message of"),
+    "nests its reply": Adversary("raw(frame(b'\\x91' * 65536))" + SLEEP, INVALID),
+    "sends half a reply": Adversary("raw(b'\\0\\1\\0\\0half')" + SLEEP, LATE),
+    "trickles": Adversary("raw(b'\\0\\0\\x10\\0'); [trickle() for _ in range(10**6)]", LATE),
+    "sends 8 MiB": Adversary(
+        "channel().send({'number': 1, 'action': bytes(8 << 20)[:-99]})" + SLEEP, "action"
+    ),
+    "lets its debugger answer": Adversary(
+        "faulthandler.dump_traceback_later(0.05, repeat=True, file=fd())" + SLEEP, "a message of"
+    ),
+    "forges an error": Adversary(
+        "channel().send({'error': ['error', 'x' * 10**6, 'y' * 10**6]})" + SLEEP, "^x+"
+    ),
+    "answers for another step": Adversary("channel().send({'number': 77})" + SLEEP, "expected"),
+    "lies about its time": Adversary(
+        "channel().send({'number': 1, 'seconds': float('nan'), 'action': None})" + SLEEP, "action"
+    ),
+    "answers twice": Adversary("twice()", "expected", step=2),
+    "answers ahead": Adversary("channel().send({'number': 2})", "expected", step=0),
+    "stalls at its second step": Adversary("later(time.sleep, 99)", LATE, step=1),
+}
+
+_PRELUDE = """
+import atexit, ctypes, faulthandler, gc, mmap, os, resource, select, signal, struct, subprocess
+import sys, threading, time
+from stkzoo.drivers.process import Channel
+
+MARK = {mark!r}
+libc = ctypes.CDLL(None, use_errno=True)
+kept = []
+
+def take(block, size):
+    for page in range(0, size << 20, 4096):
+        block[page] = 1
+    kept.append(block)
+
+def hide(size):
+    place = os.memfd_create("x")
+    kept.append(place)
+    for _ in range(size):
+        os.write(place, bytes(1 << 20))
+
+def fill(folder):
+    while True:
+        path = os.path.join(folder, MARK + str(len(kept)))
+        kept.append(path)
+        with open(path, "wb") as file:
+            file.write(bytes(1 << 20))
+
+def nest(depth):
+    os.chdir("/tmp")
+    for _ in range(depth):
+        os.mkdir("x")
+        os.chdir("x")
+
+def thread(target):
+    threading.Thread(target=target, daemon=True).start()
+
+def spin():
+    while True:
+        pass
+
+def recurse():
+    return [recurse()]
+
+def trace(*_):
+    return trace
+
+def ruin(observation):
+    for value in observation.values():
+        try:
+            value.fill(0)
+        except Exception:
+            pass
+
+class Immortal:
+    def __del__(self):
+        kept.append(self)
+        time.sleep(60)
+
+class Endless(Exception):
+    def __str__(self):
+        while True:
+            pass
+
+class Array:
+    def __array__(self, *_, **__):
+        spin()
+
+def channel():
+    return next(item for item in gc.get_objects() if isinstance(item, Channel))
+
+def fd():
+    return channel()._connection.fileno()
+
+def raw(data):
+    channel()._connection.sendall(data)
+
+def frame(data):
+    return struct.pack("<I", len(data)) + data
+
+def trickle():
+    raw(b"x")
+    time.sleep(0.001)
+
+def twice():
+    send = Channel.send
+    Channel.send = lambda self, message: (send(self, message), send(self, message))
+
+def later(function, *arguments):
+    receive = Channel.receive
+    Channel.receive = lambda self: (receive(self), function(*arguments))
+"""
+_ACTOR = """
+def get_actor(module_dir, observation_space, action_space):
+    calls = []
+    def actor(state, observation):
+        calls.append(1)
+        if len(calls) == 1:
+            {act}
+        return action_space.sample()
+    return actor
+"""
+_QUITTER = """
+def get_actor(module_dir, observation_space, action_space):
+    calls = []
+    def actor(state, observation):
+        if len(calls) == {step}:
+            raise RuntimeError
+        calls.append(1)
+        return action_space.sample()
+    return actor
+"""
+
+
+def write_adversary(folder, name, mark):
+    """Writes an adversary; returns it as a driver.
+
+    Args:
+        folder: of all agents.
+        name: its name in :data:`ADVERSARIES`.
+        mark: is in the names of its files and programs.
+    """
+    code = _PRELUDE.format(mark=mark) + _ACTOR.format(act=ADVERSARIES[name].act)
+    return _write(folder, name, code)
+
+
+def write_quitter(folder, name):
+    """Writes an agent that fails at the same step as an adversary, and does nothing else."""
+    return _write(folder, f"{name} quietly", _QUITTER.format(step=ADVERSARIES[name].step))
+
+
+def groups(size):
+    """The names of all adversaries in groups, the last one filled up with the first ones."""
+    names = [*ADVERSARIES]
+    names += names[: -len(names) % size]
+    return [names[start : start + size] for start in range(0, len(names), size)]
+
+
+def _write(folder, name, code):
+    place = folder / name.replace(" ", "_")
+    place.mkdir(exist_ok=True)
+    (place / "pystk_actor.py").write_text(textwrap.dedent(code))
+    return f"{place}@:{name}"
+
+
+#: What an agent does when it is behind.
+VOIDS = {
+    "kills": "os.kill(-1, signal.SIGKILL); os.kill(os.getppid(), signal.SIGKILL)",
+    "stops": "os.kill(os.getppid(), signal.SIGSTOP); os.kill(os.getpid(), signal.SIGSTOP)",
+    "floods": "[os.write(1, bytes(1 << 16)) for _ in range(500)]; raw(frame(bytes(1 << 20)))",
+    "bombs": "[os.fork() for _ in range(12)]; time.sleep(99)",
+}
+_SORE_LOSER = """
+import random
+
+def get_actor(module_dir, observation_space, action_space):
+    attack = random.choice({attacks!r})
+    steps = []
+    def actor(state, observation):
+        steps.append(1)
+        rivals = [place for place in observation["karts_position"] if abs(place).max() > 0]
+        if len(steps) > 20 and any(place[2] > 0 for place in rivals):
+            exec(attack, globals())
+        return dict.fromkeys(action_space, 0) | {{"acceleration": [0.9], "steer": [0.0]}}
+    return actor
+"""
+
+
+def write_sore_loser(folder, mark):
+    """Writes an agent that attacks its race in one of several ways when it is behind."""
+    code = _PRELUDE.format(mark=mark) + _SORE_LOSER.format(attacks=[*VOIDS.values()])
+    return _write(folder, "sore loser", code)
