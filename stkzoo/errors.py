@@ -29,6 +29,7 @@ import inspect
 import math
 import numbers
 import operator
+import reprlib
 from collections.abc import Hashable, Iterable
 from typing import Any, TypeVar
 
@@ -58,6 +59,11 @@ Kind = TypeVar("Kind", bound=type)
 
 #: The longest first line of a message, in characters.
 MAX_LINE = 200
+
+#: Writes the beginning of a value; a whole one may be large.
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = 100
+_SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = 30
 
 
 class StkzooError(Exception):
@@ -144,7 +150,7 @@ class ProtocolError(RemoteError):
 
 def shortened(value: object) -> str:
     """The value as Python writes it, at most 60 characters long."""
-    text = repr(value)
+    text = _SHORT.repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
