@@ -19,10 +19,10 @@ from queue import SimpleQueue
 from typing import Any
 
 from stkzoo._os import remove_stale_directories
+from stkzoo._schema import typed
 from stkzoo.drivers.failures import OutputTail
 from stkzoo.errors import StkzooError
 from stkzoo.evaluation.batch.order import RaceOrder
-from stkzoo.race.document import typed
 
 #: How often a race is tried whose process dies.
 _TRIES = 2

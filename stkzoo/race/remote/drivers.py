@@ -10,6 +10,7 @@ from functools import partial
 from itertools import zip_longest
 from typing import Any
 
+from stkzoo._schema import Count
 from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.instances import Decision, DriverRequest, without_unused_paths
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError, RemoteError
@@ -39,7 +40,7 @@ class ServedAgent:
     """
 
     server: Server
-    number: int
+    number: Count
     name: str
     source: str
     extras: tuple[str, ...] = ()
