@@ -44,7 +44,9 @@ SHARES = {
     "scenarios": 7,
     "replays": 6,
     "agent zips": 7,
-    "keys": 10,
+    "keys": 6,
+    "demonstrations": 2,
+    "cards": 2,
     "asset archives": 1,
 }
 _CHUNK = 20_000

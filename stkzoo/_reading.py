@@ -111,20 +111,23 @@ def read_file(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> bytes
         OSError: it is missing or cannot be read.
     """
     file = Path(path)
-    _check_size(file, max_bytes)
+    size = _checked_size(file, max_bytes)
     with file.open("rb") as stream:
-        data = stream.read(max_bytes + 1)
-    if len(data) > max_bytes:  # it has grown, or its system reports no size
+        data = stream.read(size + 1)  # Python makes room for all that it is asked to read
+        if len(data) > size:  # it has grown, or its system reports no size
+            data += stream.read(max_bytes + 1 - len(data))
+    if len(data) > max_bytes:
         raise Unreadable(f"it has more than {max_bytes:,} bytes")
     return data
 
 
-def _check_size(file: Path, max_bytes: int) -> None:
+def _checked_size(file: Path, max_bytes: int) -> int:
     about = file.stat()
     if not stat.S_ISREG(about.st_mode):
         raise Unreadable("it is not a regular file")
     if about.st_size > max_bytes:
         raise Unreadable(f"it has {about.st_size:,} bytes, expected at most {max_bytes:,}")
+    return about.st_size
 
 
 def read_text(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> str:
@@ -188,7 +191,7 @@ def read_lines(path: str | os.PathLike[str], max_bytes: int = 64 << 20) -> Itera
         Unreadable: it is too large, or a line is not JSON.
         OSError: it is missing or cannot be read.
     """
-    _check_size(Path(path), max_bytes)
+    _checked_size(Path(path), max_bytes)
     with Path(path).open("rb") as stream:
         for number, line in enumerate(iter(lambda: stream.readline(MAX_BYTES + 1), b""), 1):
             yield _line(line, number)
@@ -241,7 +244,7 @@ def open_zip(
         Exception: it is damaged; zipfile and zlib report that in many ways.
     """
     file = Path(path)
-    _check_size(file, max_unpacked if max_bytes is None else max_bytes)
+    _checked_size(file, max_unpacked if max_bytes is None else max_bytes)
     with _ZipFile(file, max_files) as stream, zipfile.ZipFile(stream) as archive:
         stream.max_files = None
         members = archive.infolist()

@@ -22,6 +22,8 @@ from functools import cache
 from pathlib import Path
 
 from stkzoo import kernel
+from stkzoo.agents import pretrained
+from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, read_numbers, read_policy
 from stkzoo.drivers.codec import Limits, decode, encode
 from stkzoo.drivers.files import find_files, unpack
 from stkzoo.engine.assets.headless import read_archive
@@ -33,8 +35,10 @@ from stkzoo.evaluation import (
     BenchmarkResult,
     TournamentPlan,
     TournamentResult,
+    load_demonstrations,
     plan_benchmark,
     plan_tournament,
+    record_demonstrations,
 )
 from stkzoo.kernel.reference import messages
 from stkzoo.race import RaceResult, run_race
@@ -47,6 +51,7 @@ __all__ = ["TARGETS", "Target"]
 
 _LIMITS = Limits(max_bytes=1 << 16)
 _MEMORY = Path("/dev/shm")
+_SCOUT = Path(pretrained.__file__).parent / "scout"
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,6 +274,44 @@ def _key_seeds() -> list[bytes]:
         return [*(file.read_bytes() for file in files), servers.encode()]
 
 
+# ---------------------------------------------------------------------- demonstrations and cards
+
+
+def _feed_demonstrations(data: bytes) -> None:
+    """A data set is read or refused."""
+    with _folder() as folder:
+        (folder / "a.npz").write_bytes(_with_member(_demonstrations(), data))
+        with suppress(ConfigError):
+            load_demonstrations(folder / "a.npz")
+
+
+@cache
+def _demonstrations() -> bytes:
+    with _folder() as folder:
+        short = {"tracks": "lighthouse", "karts": 1, "max_steps": 5, "jobs": 1, "seeds": (1,)}
+        record_demonstrations("heuristic", output=folder / "a.npz", **short)
+        return (folder / "a.npz").read_bytes()
+
+
+def _demonstration_seeds() -> list[bytes]:
+    return [b"\0" + _demonstrations(), *_member_seeds(_demonstrations())]
+
+
+def _feed_card(data: bytes) -> None:
+    """The card or the weights of a learned agent are read or refused."""
+    with _folder() as folder:
+        name = WEIGHTS if data[:1] == b"\1" else CARD
+        shutil.copytree(_SCOUT, folder / "scout")
+        (folder / "scout" / name).write_bytes(data[1:])
+        for read in (read_policy, read_numbers):
+            with suppress(ConfigError):
+                read(folder / "scout")
+
+
+def _card_seeds() -> list[bytes]:
+    return [b"\0" + (_SCOUT / CARD).read_bytes(), b"\1" + b"\x08" + bytes(7) + b"{}      "]
+
+
 # ---------------------------------------------------------------------- archives of game data
 
 
@@ -370,6 +413,8 @@ TARGETS: dict[str, Target] = {
         Target("results", _feed_result, _result_seeds),
         Target("plans", _feed_plans, _plan_seeds),
         Target("keys", _feed_keys, _key_seeds),
+        Target("demonstrations", _feed_demonstrations, _demonstration_seeds),
+        Target("cards", _feed_card, _card_seeds),
         Target("asset archives", _feed_archive, _archive_seeds),
     )
 }
