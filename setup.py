@@ -12,6 +12,7 @@ _PARTS = (
     "event_counter",
     "game_stepper",
     "kart_observer",
+    "messages",
     "plan_weigher",
     "racing_observer",
     "rows",

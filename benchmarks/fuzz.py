@@ -1,9 +1,11 @@
 """Fuzzes every reader of what comes from outside: messages, replays, agents, results, archives.
 
-Whatever the bytes, a reader may end well or with its own error; anything else is a finding, is
-kept beside the results with the bytes that did it, and ends the run of that reader. atheris
-(`pip install atheris`) looks for inputs that reach new lines; without it, inputs are changed
-at random. Counts are kept as they come, and the same command goes on where it was.
+Whatever the bytes, a reader may end well or with its own error. Each input is measured: a message
+may take 16 bytes of memory for each of its own and 1 MiB more, another input 64 MiB, and each 1 s
+of CPU time. Anything else is a finding: it is kept beside the results with the bytes that did it,
+and ends the run of that reader. atheris (`pip install atheris`) looks for inputs that reach new
+lines; without it, inputs are changed at random. Counts are kept as they come, and the same command
+goes on where it was.
 
     python -m benchmarks.fuzz                          # 1,000,000 inputs, an hour
     python -m benchmarks.fuzz --inputs 20000 --readers replays results
@@ -37,18 +39,24 @@ RESULTS = Path(__file__).parent / "results" / "robustness" / "fuzz.json"
 #: How the inputs are shared out: the quick readers get more.
 SHARES = {
     "messages": 40,
-    "results": 20,
-    "plans": 15,
-    "scenarios": 8,
-    "replays": 8,
-    "agent zips": 8,
+    "results": 17,
+    "plans": 12,
+    "scenarios": 7,
+    "replays": 6,
+    "agent zips": 7,
+    "keys": 6,
+    "demonstrations": 2,
+    "cards": 2,
     "asset archives": 1,
 }
 _CHUNK = 20_000
 #: Longer inputs than this are not made [bytes].
 _MAX_LENGTH = 1 << 14
-#: Seconds and megabytes that one input may take.
+#: Seconds and megabytes after which atheris ends the process of an input.
 _PATIENCE, _MEMORY = 30, 3000
+_COLUMNS = ("reader", "inputs", "findings", "how", "a second", "memory [MB]", "CPU [s]")
+#: Where a process keeps the most that an input took.
+_WORST = "worst.json"
 _INSTRUMENTED = [
     "stkzoo.engine.assets.headless",
     "stkzoo.env.scenario",
@@ -56,6 +64,7 @@ _INSTRUMENTED = [
     "stkzoo.evaluation.batch.plan",
     "stkzoo.evaluation.benchmark",
     "stkzoo.drivers.codec",
+    "stkzoo.kernel.reference.messages",
     "stkzoo.race.replay.file",
     "stkzoo.race.result",
     "stkzoo.evaluation.tournament.plan",
@@ -107,11 +116,12 @@ def _run_reader(
     name: str, goal: int, corpus: Path, plain: bool, output: Path, state: dict[str, Any]
 ) -> None:
     row = state.setdefault(name, {"inputs": 0, "findings": [], "seconds": 0.0, "how": ""})
+    worst = row.setdefault("worst", {"memory": 0, "seconds": 0.0})
     while row["inputs"] < goal and not row["findings"]:
         count = min(_CHUNK, goal - row["inputs"])
         begin = time.monotonic()
         seed = row["inputs"] + 1
-        done, finding = _run_chunk(name, count, seed, corpus, plain, output.parent)
+        done, finding = _run_chunk(name, count, seed, corpus, plain, output.parent, worst)
         row["inputs"] += done
         row["seconds"] = round(row["seconds"] + time.monotonic() - begin, 1)
         row["how"] = "at random" if plain else "atheris"
@@ -123,19 +133,30 @@ def _run_reader(
 
 
 def _run_chunk(
-    name: str, count: int, seed: int, corpus: Path, plain: bool, folder: Path
+    name: str,
+    count: int,
+    seed: int,
+    corpus: Path,
+    plain: bool,
+    folder: Path,
+    worst: dict[str, float],
 ) -> tuple[int, dict[str, str] | None]:
     """Feeds a reader in a process of its own; how many inputs it took, and what was found."""
     corpus = corpus / name.replace(" ", "-")
     (corpus / "found").mkdir(parents=True, exist_ok=True)
+    (corpus / "found" / _WORST).unlink(missing_ok=True)
     words = [*(["--plain"] if plain else []), "--feed", name, str(count), str(seed), str(corpus)]
     command = [sys.executable, "-m", "benchmarks.fuzz", *words]
     done = subprocess.run(  # noqa: S603 - this module itself
         command, capture_output=True, text=True, errors="replace", check=False, env=_quiet()
     )
+    if (corpus / "found" / _WORST).exists():
+        found = json.loads((corpus / "found" / _WORST).read_text())
+        worst.update({key: max(worst[key], value) for key, value in found.items()})
     if done.returncode == 0:
         return count, None
-    crashes = sorted((corpus / "found").glob("*"), key=lambda file: file.stat().st_mtime)
+    files = [file for file in (corpus / "found").iterdir() if file.name != _WORST]
+    crashes = sorted(files, key=lambda file: file.stat().st_mtime)
     told = re.findall(r"#(\d+)", done.stderr)
     finding = {"what": done.stderr[-2000:], "input": ""}
     if crashes:
@@ -151,6 +172,29 @@ def _quiet() -> dict[str, str]:
 
 
 # ---------------------------------------------------------------------- in the process that feeds
+
+
+class _Meter:
+    """Feeds a target, and keeps the most that an input took in a file.
+
+    Args:
+        target: what to feed.
+        file: where the most is kept; written whenever there is more.
+    """
+
+    def __init__(self, target: Any, file: Path) -> None:
+        from tests.chaos.cost import feed_measured
+
+        self._feed, self._target, self._file = feed_measured, target, file
+        self._worst = {"memory": 0.0, "seconds": 0.0}
+
+    def feed(self, data: bytes) -> None:
+        cost = self._feed(self._target, data)
+        worst = self._worst
+        if cost.memory > 1.1 * worst["memory"] or cost.seconds > 1.1 * worst["seconds"]:
+            worst["memory"] = max(worst["memory"], cost.memory)
+            worst["seconds"] = max(worst["seconds"], round(cost.seconds, 4))
+            self._file.write_text(json.dumps(worst))
 
 
 def _feed(name: str, count: int, seed: int, corpus: Path, plain: bool) -> int:
@@ -171,7 +215,8 @@ def _feed(name: str, count: int, seed: int, corpus: Path, plain: bool) -> int:
         f"-rss_limit_mb={_MEMORY}",
         f"-artifact_prefix={corpus}/found/",
     )
-    atheris.Setup([sys.argv[0], *how, str(corpus)], target.feed)
+    meter = _Meter(target, corpus / "found" / _WORST)
+    atheris.Setup([sys.argv[0], *how, str(corpus)], meter.feed)
     atheris.Fuzz()
     return 0
 
@@ -182,10 +227,11 @@ def _feed_plain(name: str, count: int, seed: int, corpus: Path) -> int:
 
     target = TARGETS[name]
     inputs = mutated(random.Random(seed), target.seeds())
+    meter = _Meter(target, corpus / "found" / _WORST)
     for number in range(count):
         data = next(inputs)
         try:
-            target.feed(data)
+            meter.feed(data)
         except BaseException:
             (corpus / "found" / f"plain-{seed}-{number}").write_bytes(data)
             print(f"#{number}", file=sys.stderr)
@@ -194,11 +240,12 @@ def _feed_plain(name: str, count: int, seed: int, corpus: Path) -> int:
 
 
 def _again(finding: Path) -> int:
+    from tests.chaos.cost import feed_measured
     from tests.chaos.targets import TARGETS
 
     for name, target in TARGETS.items():
         if finding.name.startswith(f"finding-{name.replace(' ', '-')}-"):
-            target.feed(finding.read_bytes())
+            feed_measured(target, finding.read_bytes())
             print(f"{name}: all is well")
             return 0
     print(f"{finding.name} is of no reader", file=sys.stderr)
@@ -207,13 +254,16 @@ def _again(finding: Path) -> int:
 
 def _show(state: Mapping[str, Any]) -> None:
     table = Table(box=box.SIMPLE)
-    for name in ("reader", "inputs", "findings", "how", "a second"):
-        table.add_column(name, justify="left" if name in ("reader", "how") else "right")
+    for name in _COLUMNS:
+        is_text = name in ("reader", "how")
+        table.add_column(name, justify="left" if is_text else "right", no_wrap=True)
     for name, row in state.items():
         speed = row["inputs"] / row["seconds"] if row["seconds"] else 0.0
         counts = (f"{row['inputs']:,}", str(len(row["findings"])))
-        table.add_row(name, *counts, row["how"], f"{speed:.0f}")
-    table.add_row("all", f"{sum(row['inputs'] for row in state.values()):,}", "", "", "")
+        worst = row.get("worst", {"memory": 0, "seconds": 0})
+        most = (f"{worst['memory'] / 2**20:.2f}", f"{worst['seconds']:.3f}")
+        table.add_row(name, *counts, row["how"], f"{speed:.0f}", *most)
+    table.add_row("all", f"{sum(row['inputs'] for row in state.values()):,}")
     Console(width=120).print(table)
     for name, row in state.items():
         for finding in row["findings"]:

@@ -223,7 +223,7 @@ def _keywords(
     """The keywords of ``add_argument`` for a field."""
     is_positional, default = metadata.get("flag") == "", entry.default
     keywords: dict[str, Any] = {"help": texts.get(entry.name, ""), **metadata}
-    if isinstance(kind, types.UnionType):  # with None
+    if typing.get_origin(kind) in (types.UnionType, typing.Union):  # with None
         kind = next(part for part in typing.get_args(kind) if part is not types.NoneType)
         keywords |= {"nargs": "?"} if is_positional else {}
     if default is not MISSING:

@@ -8,7 +8,6 @@ import hashlib
 import ipaddress
 import os
 import shutil
-import stat
 import sys
 import tempfile
 import zipfile
@@ -33,7 +32,6 @@ __all__ = [
     "has_display",
     "ip_address_of",
     "is_loopback",
-    "read_zip",
     "remove_stale_directories",
     "try_lock",
     "write_text",
@@ -165,38 +163,6 @@ def write_zip(path: Path, members: Mapping[str, bytes]) -> None:
             entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
             entry.compress_type = zipfile.ZIP_DEFLATED
             archive.writestr(entry, data)
-
-
-def read_zip(path: Path, limits: Mapping[str, int], max_size: int = 64 << 20) -> dict[str, bytes]:
-    """Reads a zip that anyone may have made, in bounded time and memory.
-
-    Args:
-        path: the file.
-        limits: the largest size of each member to read [bytes], by name.
-        max_size: the largest size of the file [bytes].
-
-    Raises:
-        ValueError: it is no regular file, too large, or packed by a method without a bound.
-        Exception: it is damaged; zipfile and zlib report that in many ways.
-    """
-    about = path.stat()
-    if not stat.S_ISREG(about.st_mode):  # for example a pipe, which would block
-        raise ValueError("it is not a regular file")
-    if about.st_size > max_size:
-        raise ValueError(f"it has {about.st_size} bytes, expected at most {max_size}")
-    members = {}
-    with zipfile.ZipFile(path) as archive:
-        for name, limit in limits.items():
-            if archive.getinfo(name).compress_type not in (
-                zipfile.ZIP_STORED,
-                zipfile.ZIP_DEFLATED,
-            ):
-                raise ValueError(f"{name} has another compression method")
-            with archive.open(name) as stream:
-                members[name] = stream.read(limit + 1)
-            if len(members[name]) > limit:
-                raise ValueError(f"{name} has more than {limit} bytes")
-    return members
 
 
 def try_lock(descriptor: int) -> bool:

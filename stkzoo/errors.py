@@ -29,7 +29,7 @@ import inspect
 import math
 import numbers
 import operator
-from collections.abc import Hashable, Iterable
+from collections.abc import Collection, Hashable, Iterable, Iterator
 from typing import Any, TypeVar
 
 __all__ = [
@@ -58,6 +58,11 @@ Kind = TypeVar("Kind", bound=type)
 
 #: The longest first line of a message, in characters.
 MAX_LINE = 200
+
+#: Containers that :func:`shortened` writes element by element ...
+_BRACKETS: dict[type, tuple[str, str]] = {list: "[]", tuple: "()", dict: "{}", set: "{}"}  # type: ignore[dict-item]
+#: ... to this depth, and the most elements of an array that it shows.
+_MAX_DEPTH, _MAX_SHOWN = 20, 1000
 
 
 class StkzooError(Exception):
@@ -144,10 +149,47 @@ class ProtocolError(RemoteError):
     """The other end of a network connection sent an invalid message."""
 
 
-def shortened(value: object) -> str:
-    """The value as Python writes it, at most 60 characters long."""
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+def shortened(value: object, limit: int = 60) -> str:
+    """The value as Python writes it, cut to a number of characters.
+
+    The cost depends on the limit, not on the value: of a list, tuple, dict or text only what is
+    shown is written, and an array of many elements is described. (The standard library's
+    ``reprlib`` sorts dicts, and shows only the first few elements of everything.) Other values
+    are written by their own ``__repr__``.
+    """
+    text = ""
+    for part in _parts_of(value, limit, 0):
+        text += part
+        if len(text) > limit:
+            return f"{text[: limit - 3]}..."
+    return text
+
+
+def _parts_of(value: object, limit: int, depth: int) -> Iterator[str]:
+    """The text of a value piece by piece, each of bounded length for plain data."""
+    kind = type(value)
+    if kind in _BRACKETS and depth < _MAX_DEPTH and value:
+        opening, closing = _BRACKETS[kind]
+        yield opening
+        items: Collection[Any] = value  # type: ignore[assignment]
+        for number, item in enumerate(items):
+            yield ", " if number else ""
+            yield from _parts_of(item, limit, depth + 1)
+            if kind is dict:
+                yield ": "
+                yield from _parts_of(items[item], limit, depth + 1)  # type: ignore[index]
+        yield ",)" if kind is tuple and len(items) == 1 else closing
+    elif kind in _BRACKETS and value:
+        yield "..."
+    elif kind in (str, bytes, bytearray):
+        yield repr(value[: limit + 1])  # type: ignore[index]
+    elif kind.__name__ == "ndarray" and getattr(value, "size", 0) > _MAX_SHOWN:
+        yield f"an array of shape {value.shape} and dtype {value.dtype}"  # type: ignore[attr-defined]
+    else:
+        try:
+            yield repr(value)
+        except Exception:  # noqa: BLE001 - of any class
+            yield f"({kind.__name__}: its __repr__ failed)"
 
 
 def check_whole(name: str, value: object, low: int, high: int | None = None) -> int:

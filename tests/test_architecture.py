@@ -29,6 +29,8 @@ LAYERS = [
             "stkzoo._installation",
             "stkzoo._lazy",
             "stkzoo._os",
+            "stkzoo._reading",
+            "stkzoo._schema",
             "stkzoo.kernel",
             "stkzoo.agent_names",
         ],
@@ -65,6 +67,8 @@ LAYERS = [
 NOT_EXPORTED = {
     "stkzoo._arguments": "training declares its options in the same way as the commands",
     "stkzoo._os": "training writes its files whole, as the rest of the package does",
+    "stkzoo._reading": "training reads its files in bounds, as the rest of the package does",
+    "stkzoo._schema": "training declares the bounds of its files in the same way",
 }
 
 #: Class names that are used twice, and why.

@@ -3,9 +3,11 @@
 import importlib
 import pickle
 import re
+import tracemalloc
 from pathlib import Path
 
 import gymnasium as gym
+import numpy as np
 import pytest
 
 import stkzoo
@@ -88,6 +90,57 @@ def test_a_number_out_of_its_bounds_is_refused(value):
 def test_a_number_within_bounds_is_given_as_a_float():
     assert [errors.check_number("share", value, 0, 1) for value in (0, 0.5, 1)] == [0.0, 0.5, 1.0]
     assert errors.check_number("reach", float("inf"), is_finite=False) == float("inf")
+
+
+class Broken:
+    def __repr__(self):
+        raise ValueError
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        *(None, 1.5, "it's", b"x", [], (), {}, set(), (1,), [1, "a", (2, [None])]),
+        *({"b": 1, "a": [b"x"]}, np.zeros(3), np.float32(1), {1}, range(3)),
+    ],
+    ids=repr,
+)
+def test_a_short_value_is_shown_as_python_writes_it(value):
+    assert errors.shortened(value) == repr(value)
+
+
+HUGE = {
+    "text": "x" * 10_000_000,
+    "bytes": bytes(10_000_000),
+    "list": [0] * 1_000_000,
+    "tuple of texts": ("x" * 10_000_000,) * 100,
+    "dict": {str(number): [0] * 1000 for number in range(10_000)},
+    "long key": {"x" * 10_000_000: 1},
+    "nested": [[[["x" * 100_000] * 1000] * 1000] * 1000],
+    "array": np.zeros(1_000_000, np.int8),
+    "array of many axes": np.zeros([7] * 8, np.int8),
+}
+
+
+@pytest.mark.parametrize("name", HUGE)
+def test_showing_a_huge_value_costs_little(name):
+    tracemalloc.start()
+    text = errors.shortened(HUGE[name], 200)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(text) <= 200
+    assert peak < 50_000
+
+
+def test_a_deep_value_is_shown_to_some_depth():
+    value = []
+    for _ in range(100_000):
+        value = [value]
+    assert errors.shortened(value, 1000) == f"{'[' * 20}...{']' * 20}"
+
+
+def test_a_value_whose_repr_fails_is_named():
+    assert errors.shortened([1, Broken()]) == "[1, (Broken: its __repr__ failed)]"
 
 
 @pytest.mark.parametrize(

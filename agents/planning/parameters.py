@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Annotated, Any
+
+from stkzoo._reading import Unreadable
+from stkzoo._schema import Count, Whole, Within, typed
+
+_LARGEST = 1e6
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +71,7 @@ class DriverParameters:
     aim_distance: float = 4.67
     aim_time: float = 0.31
     margin: float = 1.13
-    lane_changes: int = 4
+    lane_changes: Annotated[int, Within(0, 20)] = 4
     greatest_room: float = 4.37
     over_cost: float = 17.4
     late_time: float = 0.05
@@ -91,7 +98,7 @@ class DriverParameters:
     straight_time: float = 1.2
     straight_aim: float = 0.3
     switch_reach: float = 30.0
-    fire_every: int = 3
+    fire_every: Whole = 3
     crash_drop: float = 6.0
     caution_time: float = 3.0
     caution_room: float = 1.76
@@ -100,10 +107,25 @@ class DriverParameters:
     crawl_speed: float = 6.0
     crawl_time: float = 2.5
     reverse_time: float = 1.0
-    rescue_reverses: int = 0
-    rescued_reverses: int = 1
+    rescue_reverses: Count = 0
+    rescued_reverses: Count = 1
     free_time: float = 6.0
     lost_room: float = 6.0
     lost_time: float = 1.0
     bump_cost: float = 1.0
     bump_width: float = 1.5
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> DriverParameters:
+        """The parameters of a JSON object; those that it leaves out are the default ones.
+
+        Raises:
+            Unreadable: it is no object, or has other parameters or invalid values.
+        """
+        parameters = typed(cls, values)
+        if unknown := set(values) - {entry.name for entry in fields(cls)}:
+            raise Unreadable(f"this version of stkzoo has no parameter {min(unknown)[:60]!r}")
+        for name, value in asdict(parameters).items():
+            if abs(value) > _LARGEST:
+                raise Unreadable(f"is {value}, expected at most {_LARGEST:,.0f}", name)
+        return parameters

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from stkzoo._reading import Unreadable, load_json, reading
+from stkzoo._schema import Matching, typed
 from stkzoo.agents.planning.arrays import FloatArray
 from stkzoo.agents.planning.driver import PlanDriver
 from stkzoo.agents.planning.parameters import DriverParameters
@@ -34,9 +37,10 @@ def read_policy(folder: str | Path) -> Policy:
         ConfigError: a file is missing or broken, or the weights are no policy's.
     """
     file = Path(folder) / WEIGHTS
-    weights = load_weights(file, str(_on_card(folder, "sha256")))
+    card = read_card(folder)
+    weights = load_weights(file, card.sha256)
     if networks := networks_of(weights, repr(str(file))):
-        return EnsemblePolicy(networks, _on_card(folder, "ensemble_weight"))
+        return EnsemblePolicy(networks, card.ensemble_weight)
     return policy_of(weights, str(file))
 
 
@@ -62,7 +66,7 @@ def check_shapes(weights: Mapping[str, FloatArray], name: str) -> None:
     Raises:
         ConfigError: they are not.
     """
-    hidden = [weights[key].shape[-1] if key in weights else 0 for key in ("b0", "b1")]
+    hidden = [weights[key].size if key in weights else 0 for key in ("b0", "b1")]
     wanted = network_shapes(hidden)
     found = {key: array.shape for key, array in weights.items()}
     if found != wanted or not all(np.isfinite(array).all() for array in weights.values()):
@@ -90,27 +94,45 @@ def read_numbers(folder: str | Path) -> DriverParameters:
     Raises:
         ConfigError: the card is missing or broken.
     """
-    rules = _on_card(folder, "rules")
-    try:
-        return DriverParameters(**rules)
-    except TypeError as error:
-        raise ConfigError(
-            f"the rules on {str(Path(folder) / CARD)!r} are not those of this version: {error}"
-        ) from error
+    file, rules = str(Path(folder) / CARD), read_card(folder).rules
+    what = f"the rules on {file!r} are not those of this version"
+    with reading(what, "a card that this version of stkzoo wrote"):
+        return DriverParameters.from_json(rules)
 
 
-def _on_card(folder: str | Path, name: str) -> Any:
-    file = Path(folder) / CARD
-    try:
-        card = json.loads(file.read_text())
-        if name == "ensemble_weight" and name not in card and "trust" in card:
-            raise ConfigError(
-                f"{str(file)!r} is from another version of stkzoo; "
-                "rename its entry trust to ensemble_weight"
-            )
-        return card[name]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ConfigError(f"{str(file)!r} is no card of a learned agent: {error!r}") from error
+@dataclass(frozen=True, slots=True)
+class AgentCard:
+    """What a driver needs from the ``card.json`` of its folder.
+
+    Attributes:
+        sha256: digest of the weights.
+        ensemble_weight: the weight of networks that choose among plans; anything, as
+            :class:`~stkzoo.agents.pretrained.ensemble.EnsemblePolicy` checks it.
+        rules: the parameters of its plans.
+    """
+
+    sha256: Annotated[str, Matching("[0-9a-f]{64}", "64 hexadecimal digits")]
+    ensemble_weight: Any = None
+    rules: Any = None
+
+
+def read_card(folder: str | Path) -> AgentCard:
+    """The card of an agent's folder.
+
+    Raises:
+        ConfigError: it is missing or broken.
+    """
+    with _reading_card(folder):
+        values = load_json(Path(folder) / CARD)
+        card = typed(AgentCard, values)
+        if "trust" in values and "ensemble_weight" not in values:
+            raise Unreadable("another version wrote it; rename its entry trust to ensemble_weight")
+        return card
+
+
+def _reading_card(folder: str | Path) -> AbstractContextManager[None]:
+    file = str(Path(folder) / CARD)
+    return reading(f"{file!r} is no card of a learned agent", "a card of this version of stkzoo")
 
 
 def make_actor(

@@ -24,6 +24,7 @@ _LAST = "action_net.{}"
 SPLITS = np.cumsum(CHOICES)[:-1].tolist()
 #: Under this name a file says for how many steps a drift is held.
 HOLD = "drift_hold"
+_MAX_HOLD = 1000
 
 
 class MlpDriver:
@@ -42,7 +43,10 @@ class MlpDriver:
     """
 
     def __init__(self, weights: Mapping[str, FloatArray], name: str = "the weights") -> None:
-        self.hold = int(np.asarray(weights.get(HOLD, np.zeros(1))).sum())
+        held = float(np.asarray(weights.get(HOLD, np.zeros(1))).sum())
+        if not 0 <= held <= _MAX_HOLD:
+            raise ConfigError(f"{name} have {HOLD} {held}, expected 0 to {_MAX_HOLD} steps")
+        self.hold = int(held)
         self._layers: list[tuple[FloatArray, FloatArray]] = []
         number = 0
         while _LAYER.format(number, "weight") in weights:
@@ -110,6 +114,8 @@ def _layer(
 ) -> tuple[FloatArray, FloatArray]:
     names = [pattern.format(number, part) for part in ("weight", "bias")]
     matrix, bias = (np.asarray(weights.get(name, np.zeros((0, 0))), np.float32) for name in names)
+    if matrix.ndim != 2:
+        matrix = np.zeros((0, 0), np.float32)
     return matrix, bias.reshape(-1)
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import safetensors.numpy
-from safetensors import SafetensorError
 
 from stkzoo._os import atomic_write
+from stkzoo._reading import read_file, reading
 from stkzoo.agents.planning.arrays import FloatArray
 from stkzoo.errors import ConfigError
 
@@ -40,24 +40,16 @@ def load_weights(path: str | os.PathLike[str], digest: str | None = None) -> dic
     Raises:
         ConfigError: the file is missing, broken, or not the one that the digest names.
     """
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise ConfigError(f"the weights {str(path)!r} cannot be read: {error}") from error
+    with reading(f"the weights {str(path)!r} cannot be read", "a safetensors file of an agent"):
+        data = read_file(path, _MOST_BYTES)
     found = hashlib.sha256(data).hexdigest()
     if digest is not None and found != digest:
         raise ConfigError(
             f"the weights {str(path)!r} are not those of the card: their SHA-256 is {found}, "
             f"expected {digest}; get the file again"
         )
-    if len(data) > _MOST_BYTES:
-        raise ConfigError(
-            f"{str(path)!r} has {len(data):,} bytes, expected at most {_MOST_BYTES:,}"
-        )
-    try:
+    with reading(f"{str(path)!r} is no safetensors file", "the weights of an agent"):
         weights = safetensors.numpy.load(data)
-    except (SafetensorError, KeyError) as error:
-        raise ConfigError(f"{str(path)!r} is no safetensors file: {error}") from error
     types = sorted({str(array.dtype) for array in weights.values()})
     if types != ["float32"]:
         raise ConfigError(f"{str(path)!r} has numbers of {types}, expected float32")

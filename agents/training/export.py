@@ -16,7 +16,6 @@ stkzoo's own.
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -29,6 +28,8 @@ import numpy.typing as npt
 import stkzoo
 from stkzoo._arguments import option, positional
 from stkzoo._os import write_text
+from stkzoo._reading import reading
+from stkzoo._schema import typed
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, check_shapes
 from stkzoo.agents.pretrained.ensemble import check_ensemble_weight, join_networks
@@ -37,7 +38,7 @@ from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weigh
 from stkzoo.errors import ConfigError
 
 from .common.command import run_command
-from .common.run_folder import ARGUMENTS, run_parameters, write_json
+from .common.run_folder import ARGUMENTS, read_run_file, run_parameters, write_json
 
 #: Part of the names of a value network's arrays.
 _VALUES = "value"
@@ -168,19 +169,37 @@ def _run_of(source: Path) -> dict[str, Any]:
     """How weights were learned."""
     arguments = source.with_name(ARGUMENTS)
     digits = source.stem.rpartition("-")[2]
-    history = json.loads(arguments.read_text()) if arguments.exists() else []
+    history: Any = read_run_file(Any, arguments) if arguments.exists() else []
     if isinstance(history, dict):  # a run whose arguments never change
         history = [{"from": 0, "arguments": history}]
+    with reading(f"{str(arguments)!r} cannot be read", "the file that the run wrote"):
+        typed(tuple[_Learned, ...], history)
     return {"kart_steps": int(digits) if digits.isdigit() else None, "history": history}
 
 
 def _describe(run: dict[str, Any]) -> str:
     arguments = run["history"][-1]["arguments"] if run["history"] else {}
+    facts = typed(_LearnedArguments, arguments)
     return _RUN.format(
         kart_steps=f"{run['kart_steps']:,}" if run["kart_steps"] else "unknown",
-        tracks=", ".join(arguments.get("tracks", ["unknown"])),
-        seed=arguments.get("seed", "unknown"),
+        tracks=", ".join(facts.tracks),
+        seed="unknown" if facts.seed is None else facts.seed,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _LearnedArguments:
+    """The arguments of a run that a card shows."""
+
+    tracks: tuple[str, ...] = ("unknown",)
+    seed: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Learned:
+    """A part of a run's history."""
+
+    arguments: _LearnedArguments
 
 
 @dataclass(frozen=True, slots=True)

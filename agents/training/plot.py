@@ -8,21 +8,22 @@ the ratings of evaluations beside the training.
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo._arguments import option, positional
+from stkzoo._schema import Count, Positive, Within
+from stkzoo.errors import ConfigError, shortened
 from stkzoo.evaluation import GREY, INK, new_figure, save_figure, style_axes
 
 from .common.command import run_command
-from .common.run_folder import require_log
+from .common.run_folder import read_run_file, require_log
 
 #: A rating: its value, and both ends of its interval.
 Interval = Sequence[float]
@@ -68,6 +69,43 @@ _PANELS: tuple[tuple[str, dict[str, str]], ...] = (
 )
 
 
+@dataclass(frozen=True, slots=True)
+class PolicyRating:
+    """The rating of a policy that a run has kept.
+
+    Attributes:
+        name: the policy's.
+        kart_steps: that it has learned from.
+        time_ratio: its mean time over the AI's.
+        rating: its rating.
+        rating_low: lower end of the interval.
+        rating_high: upper end.
+    """
+
+    name: str
+    kart_steps: Count
+    time_ratio: Positive
+    rating: float
+    rating_low: float
+    rating_high: float
+
+
+@dataclass(frozen=True, slots=True)
+class OtherRating:
+    """The rating of a driver that does not learn."""
+
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class RunRatings:
+    """The ``ratings.json`` of a run: its policies, by kart-steps, other drivers, and a table."""
+
+    policies: Annotated[tuple[PolicyRating, ...], Within(1)]
+    others: dict[str, OtherRating]
+    table: tuple[str, ...]
+
+
 def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
     """Plots the curves of runs.
 
@@ -79,10 +117,13 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
         ConfigError: a run has no log, or matplotlib is missing.
     """
     logs = [(Path(folder).name, require_log(folder)) for folder in folders]
+    for _, log in logs:
+        for line in log:
+            _check_line(line)
     names = {name for _, log in logs for line in log for name in line}
     panels = [panel for panel in _PANELS if names & set(panel[1])]
     files = [Path(folder) / "ratings.json" for folder in folders]
-    ratings = [(f.parent.name, json.loads(f.read_text())) for f in files if f.exists()]
+    ratings = [(f.parent.name, read_run_file(RunRatings, f)) for f in files if f.exists()]
     count = len(panels) + 2 * bool(ratings)
     rows = max(-(-count // 2), 1)
     figure = new_figure(10, 2.8 * rows)
@@ -118,6 +159,22 @@ def _x(line: Mapping[str, Any]) -> float:
     return float(line["kart_steps"] / 1e6 if "kart_steps" in line else line["round"])
 
 
+def _check_line(line: Mapping[str, Any]) -> None:
+    """Checks the figures of a line of a log.
+
+    Raises:
+        ConfigError: one is no number.
+    """
+    if "kart_steps" not in line and "round" not in line:
+        raise ConfigError("a line of the log has neither kart_steps nor round")
+    drawn = ("kart_steps", "round", "error", *(name for _, names in _PANELS for name in names))
+    for name in drawn:
+        if not isinstance(line.get(name, 0), (int, float, type(None))):
+            raise ConfigError(f"{name} of the log is {shortened(line[name])}, expected a number")
+    if "time_ratio" in line and "error" not in line:
+        raise ConfigError("a line of the log has a time_ratio and no error")
+
+
 def _smooth(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """A running mean of up to nine values; shorter at the ends, and none of few values."""
     window = np.ones(min(1 + len(values) // 10, 9))
@@ -125,17 +182,19 @@ def _smooth(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return sums / np.convolve(np.ones_like(values), window, mode="same")
 
 
-def _draw_evaluations(rating_axis: Any, time_axis: Any, run: str, ratings: dict[str, Any]) -> None:
+def _draw_evaluations(rating_axis: Any, time_axis: Any, run: str, ratings: RunRatings) -> None:
     """Ratings and time ratios of a run's kept policies."""
-    policies = ratings["policies"]
-    steps = [policy["kart_steps"] / 1e6 for policy in policies]
+    policies = ratings.policies
+    steps = [policy.kart_steps / 1e6 for policy in policies]
     names = ("rating", "rating_low", "rating_high")
     style_axes(rating_axis, "Rating, with 95 % interval")
-    draw_ratings(rating_axis, run, steps, [[policy[n] for n in names] for policy in policies])
-    others = {n: r["value"] for n, r in ratings["others"].items() if not n.startswith("policy-")}
+    draw_ratings(
+        rating_axis, run, steps, [[getattr(policy, n) for n in names] for policy in policies]
+    )
+    others = {n: r.value for n, r in ratings.others.items() if not n.startswith("policy-")}
     draw_levels(rating_axis, others)
     style_axes(time_axis, "Time over that of the game's AI, evaluated")
-    ratios = [policy["time_ratio"] for policy in policies]
+    ratios = [policy.time_ratio for policy in policies]
     time_axis.plot(steps, ratios, marker="o", markersize=3, label=run)
     time_axis.set_yscale("log")
     ticks = [0.8, 1, 1.5, 2, 3, 5, 10]

@@ -29,6 +29,7 @@ from pathlib import Path
 import numpy as np
 
 from stkzoo._arguments import option, positional
+from stkzoo._schema import Count, Positive
 from stkzoo.agents.pretrained.mlp import is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
@@ -50,7 +51,7 @@ from .common.matches import (
     random_driver,
     rate_orders,
 )
-from .common.run_folder import read_json_lines, run_parameters, write_json
+from .common.run_folder import read_json_lines, read_run_file, run_parameters, write_json
 from .plot import rating_figure
 
 #: The policy that runs start from, and one that chooses at random.
@@ -182,7 +183,9 @@ def _rate_runs(runs: Sequence[Path], folder: Path, wanted: int, every: int) -> N
         raise ConfigError(f"there are {len(names)} policies, expected {SEATS} or more; see --every")
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / _MATCHES
-    records = [MatchRecord(**line) for line in read_json_lines(file)]
+    records = read_json_lines(file, MatchRecord)
+    if unknown := {name for r in records for name in r.order} - {*names, AI}:
+        raise ConfigError(f"{file} has matches of {min(unknown)[:60]!r}; give another --output")
     while len(records) < wanted:
         numbers = range(len(records), min(wanted, len(records) + _AT_ONCE))
         played = play_records([draw_match(names, number) for number in numbers], drivers)
@@ -233,9 +236,9 @@ class PolicyEvaluation:
     """
 
     name: str
-    kart_steps: int
+    kart_steps: Count
     orders: list[list[str]]
-    ratios: dict[str, list[float]]
+    ratios: dict[str, list[Positive]]
 
 
 def evaluate_policy(run: Path, name: str, tracks: Sequence[str], races: int) -> PolicyEvaluation:
@@ -278,7 +281,11 @@ def evaluate_policy(run: Path, name: str, tracks: Sequence[str], races: int) -> 
 def read_evaluations(run: Path) -> list[PolicyEvaluation]:
     """All evaluations of a run, by kart-steps."""
     files = sorted((run / EVALUATIONS).glob("policy-*.json"))
-    return [PolicyEvaluation(**json.loads(file.read_text())) for file in files]
+    found = [read_run_file(PolicyEvaluation, file) for file in files]
+    for file, each in zip(files, found, strict=True):
+        if not each.ratios.get(each.name) or not any(each.name in order for order in each.orders):
+            raise ConfigError(f"{file} has no race of {each.name!r}; delete it to race again")
+    return found
 
 
 def write_ratings(run: Path) -> list[str]:

@@ -24,14 +24,15 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from stkzoo._arguments import option
+from stkzoo._schema import Within
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
-from stkzoo.errors import unknown_name
+from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.tracks import TRAIN_TRACKS
 
 from .common.arguments import QUICK_TRACKS, RunArguments
@@ -142,6 +143,18 @@ class TuningArguments(RunArguments):
                 raise unknown_name("training track", track, TRAIN_TRACKS)
 
 
+#: As many numbers as are tuned.
+_Point = Annotated[list[float], Within(len(BOUNDS), len(BOUNDS))]
+
+
+@dataclass(frozen=True, slots=True)
+class Generation:
+    """A line of the log: what a generation proposed, and how well it drove."""
+
+    asked: list[_Point]
+    told: list[float]
+
+
 def tune(options: TuningOptions, arguments: TuningArguments) -> None:
     """Searches, or continues a search.
 
@@ -157,10 +170,11 @@ def tune(options: TuningOptions, arguments: TuningArguments) -> None:
     strategy = cma.CMAEvolutionStrategy(
         present, arguments.sigma, {"bounds": [0.0, 1.0], "verbose": -9, **settings}
     )
-    log = read_json_lines(folder / LOG)
-    for line in log:
-        strategy.ask()
-        strategy.tell(line["asked"], line["told"])
+    log = read_json_lines(folder / LOG, Generation)
+    for past in log:
+        if {len(past.asked), len(past.told)} != {len(strategy.ask())}:
+            raise ConfigError(f"{folder / LOG} has another population; give another --output")
+        strategy.tell(past.asked, past.told)
     for generation in range(len(log), arguments.generations):
         begin = time.perf_counter()
         number = _FIRST_NUMBER + 1000 * arguments.seed + generation

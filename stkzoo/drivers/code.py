@@ -20,7 +20,7 @@ from gymnasium import spaces
 from gymnasium.envs.registration import load_env_creator
 
 from stkzoo.drivers.files import AgentFiles, AgentPlace, declared
-from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.errors import ConfigError, shortened, unknown_name
 from stkzoo.views import VIEWS, View, ViewFactory, extras_for, find_view
 
 #: Picks an action for an observation.
@@ -120,7 +120,8 @@ def read_module(
         actor = get_actor(folder, observation_space, action_space)
         if not callable(actor):
             raise ConfigError(
-                f"get_actor returned {actor!r:.200}; expected a function (state, observation)"
+                f"get_actor returned {shortened(actor, 200)}; expected a function "
+                "(state, observation)"
             )
         _check_call(actor, "the actor", "state", "observation")
         return partial(actor, create_state())

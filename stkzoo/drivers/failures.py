@@ -15,13 +15,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
-from stkzoo.errors import AgentError, AgentTimeout, ProtocolError, StkzooError
+from stkzoo.errors import AgentError, AgentTimeout, ProtocolError, StkzooError, shortened
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _IMPORTLIB = Path(importlib.__file__).parent
 _LIBRARIES = {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
 _MAX_FRAMES = 30
 _MAX_TEXT = 4000
+#: Characters of an agent's value in an error: more than an action of a usual space has.
+_MAX_VALUE = 1000
 _KEPT_BYTES, _KEPT_LINES = 8192, 20
 #: Escape sequences of terminals, such as colors and window titles.
 _ESCAPES = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)?)")
@@ -61,15 +63,13 @@ def bounded(text: str, limit: int = _MAX_TEXT) -> str:
 
 def value_in_words(value: object) -> str:
     """The ``repr`` of an agent's value, of bounded length."""
-    try:
-        return bounded(repr(value), 1000)
-    except Exception:  # noqa: BLE001 - the agent's own class
-        return f"a {type(value).__name__} whose __repr__ failed"
+    return shortened(value, _MAX_VALUE)
 
 
 def printable(text: object, limit: int | None = None) -> str:
     """Text from outside, safe for a terminal: no control codes, at most ``limit`` characters."""
-    plain = _ESCAPES.sub("", str(text))[:limit]
+    beginning = str(text)[: None if limit is None else 4 * limit]
+    plain = _ESCAPES.sub("", beginning)[:limit]
     return "".join(letter if letter.isprintable() or letter in "\n\t" else "?" for letter in plain)
 
 
@@ -128,7 +128,7 @@ def error_report(error: BaseException) -> list[str]:
     """An agent's error as a part of a message: its kind, its text and its traceback."""
     kind = "timeout" if isinstance(error, AgentTimeout) else "error"
     trace = error.trace if isinstance(error, AgentError) else agent_trace(error)
-    return [kind, printable(in_words(error), _MAX_TEXT), printable(bounded(trace))]
+    return [kind, printable(in_words(error), _MAX_TEXT), printable(bounded(str(trace)))]
 
 
 def reported_error(report: Any, agent: str) -> AgentError:
@@ -141,7 +141,7 @@ def reported_error(report: Any, agent: str) -> AgentError:
         case [str(kind), str(text), str(trace)]:
             error = AgentTimeout if kind == "timeout" else AgentError
             return error(printable(text, _MAX_TEXT), agent, printable(trace, _MAX_TEXT))
-    raise ProtocolError(f"an error {report!r:.100}, expected its kind, text and traceback")
+    raise ProtocolError(f"an error {shortened(report, 100)}, expected its kind, text and traceback")
 
 
 class OutputTail:

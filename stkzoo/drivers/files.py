@@ -15,6 +15,7 @@ from importlib.machinery import ModuleSpec
 from pathlib import Path, PurePosixPath
 
 from stkzoo._os import LockedTemporaryDirectory
+from stkzoo._reading import Unreadable, open_zip
 from stkzoo.errors import ConfigError
 
 #: Name of an agent's module.
@@ -33,6 +34,7 @@ MAX_FILES = 10_000
 #: ... and largest compression ratio of files above a megabyte.
 MAX_RATIO = 200
 _SMALL = 1 << 20
+_MAX_DEPTH = 32  # of folders
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,19 +246,15 @@ def unpack(path: Path, folder: Path) -> None:
             target.chmod(stat.S_IRUSR | stat.S_IWUSR)
 
 
-class _Rejected(Exception):
-    """Says why a zip is not unpacked."""
-
-
 @contextmanager
 def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
     """The zip; any error in reading it is a :class:`ConfigError`."""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_zip(path, MAX_FILES, MAX_BYTES) as archive:
             yield archive
     except MemoryError:
         raise
-    except _Rejected as error:
+    except Unreadable as error:
         raise ConfigError(
             f"agent {str(path)!r} is not unpacked: {error}. Zip plain files only."
         ) from None
@@ -268,10 +266,6 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
 def _checked(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
     """The zip's files, after a check of their list."""
     members = archive.infolist()
-    if len(members) > MAX_FILES:
-        raise _Rejected(f"it holds {len(members)} files, at most {MAX_FILES} are allowed")
-    if sum(member.file_size for member in members) > MAX_BYTES:
-        raise _Rejected(f"unpacked it is larger than {MAX_BYTES >> 20} MB")
     for member in members:
         _check(member)
     return [member for member in members if not member.is_dir()]
@@ -281,11 +275,11 @@ def _check(member: zipfile.ZipInfo) -> None:
     name = PurePosixPath(member.filename)
     outside = name.is_absolute() or ".." in name.parts or "\\" in member.filename
     if outside or not name.parts or ":" in name.parts[0]:
-        raise _Rejected(f"{member.filename!r} leads out of it")
+        raise Unreadable(f"{member.filename!r} leads out of it")
     kind = stat.S_IFMT(member.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
-        raise _Rejected(f"{member.filename!r} is a link or a device, not a file")
-    if member.flag_bits & 1:
-        raise _Rejected(f"{member.filename!r} is encrypted")
+        raise Unreadable(f"{member.filename!r} is a link or a device, not a file")
+    if len(name.parts) > _MAX_DEPTH:
+        raise Unreadable(f"{member.filename[:60]!r} lies more than {_MAX_DEPTH} folders deep")
     if member.file_size > max(_SMALL, MAX_RATIO * member.compress_size):
-        raise _Rejected(f"{member.filename!r} would grow to {member.file_size} bytes")
+        raise Unreadable(f"{member.filename!r} would grow to {member.file_size} bytes")

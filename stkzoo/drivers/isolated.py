@@ -26,7 +26,7 @@ from stkzoo.drivers.instances import Decision, DriverRequest, without_unused_pat
 from stkzoo.drivers.replies import ReplyChannel
 from stkzoo.drivers.sandbox import Enclosure, enclose
 from stkzoo.engine.process import ONE_THREAD, describe_end
-from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError
+from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError, shortened
 from stkzoo.mdp.spaces import extras_of
 
 _CODE = """\
@@ -110,7 +110,7 @@ class IsolatedInstance:
         reply = self._receive("start")
         name, paths = reply.get("name"), reply.get("paths_used")
         if not isinstance(name, str) or not (paths is None or isinstance(paths, int)):
-            self._fail(f"its process answered with {reply!r:.200}; expected its name")
+            self._fail(f"its process answered with {shortened(reply, 200)}; expected its name")
         self.paths_used = paths
         return name[:100]
 
@@ -119,13 +119,14 @@ class IsolatedInstance:
         self._number += 1
         seen = without_unused_paths(observation, self.paths_used)
         self._limit = self._clock.limit(self._limits.action_timeout)
-        self._send((self._number, seen), "action", self._limit)
+        self._send([self._number, seen], "action", self._limit)
 
     def answer(self) -> Decision:
         """Waits for the action; ends the process of an agent that is too late."""
         reply = self._receive("action")
-        if reply.get("number") != self._number:
-            self._fail(f"its process answered with {reply!r:.200}; expected an action")
+        number = reply.get("number")
+        if not isinstance(number, int) or number != self._number:
+            self._fail(f"its process answered with {shortened(reply, 200)}; expected an action")
         seconds = self._channel.seconds
         return Decision(reply.get("action"), seconds, reply.get("is_clipped") is True)
 
@@ -157,7 +158,7 @@ class IsolatedInstance:
         with self._talking(phase):
             reply = self._channel.receive()
             if not isinstance(reply, dict):
-                raise ProtocolError(f"{reply!r:.200}, expected a dict")
+                raise ProtocolError(f"{shortened(reply, 200)}, expected a dict")
             if "error" in reply:
                 error = self._with_output(reported_error(reply["error"], self._agent))
                 is_out_of_reach = self._is_enclosed and str(error).startswith(_OUT_OF_REACH)

@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium import spaces
 
 from stkzoo.drivers.code import Actor
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, shortened
 
 
 def plain_policy(policy: object) -> Any:
@@ -26,8 +26,8 @@ def plain_policy(policy: object) -> Any:
     if callable(policy) and not isinstance(policy, type):
         return policy
     raise ConfigError(
-        f"a policy is {policy!r:.200}, expected a function from an observation to an action, or an "
-        "object with Stable-Baselines3's predict"
+        f"a policy is {shortened(policy, 200)}, expected a function from an observation to an "
+        "action, or an object with Stable-Baselines3's predict"
     )
 
 
@@ -44,8 +44,8 @@ def frozen_policy(policy: object) -> Any:
         return pickle.loads(pickle.dumps(policy))  # noqa: S301 - just made
     except Exception as error:
         raise ConfigError(
-            f"the policy {policy!r:.200} cannot be copied ({error}); give a function from an "
-            "observation to an action that needs nothing that still learns"
+            f"the policy {shortened(policy, 200)} cannot be copied ({error}); give a function "
+            "from an observation to an action that needs nothing that still learns"
         ) from error
 
 

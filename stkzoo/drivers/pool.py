@@ -11,7 +11,7 @@ import numpy as np
 
 from stkzoo.drivers.driver import Driver, find_driver
 from stkzoo.drivers.policy import frozen_policy
-from stkzoo.errors import ConfigError, check_arguments, check_number
+from stkzoo.errors import ConfigError, check_arguments, check_number, shortened
 
 
 def as_driver(opponent: object) -> Driver:
@@ -31,9 +31,9 @@ def as_driver(opponent: object) -> Driver:
     if callable(opponent) or hasattr(opponent, "predict"):
         return Driver.of_policy(opponent)
     raise ConfigError(
-        f"an opponent is {opponent!r:.200}, expected a driver's name such as 'pretrained:ace' or "
-        "'ai:3', a Driver, a function from an observation to an action, or an object with "
-        "Stable-Baselines3's predict"
+        f"an opponent is {shortened(opponent, 200)}, expected a driver's name such as "
+        "'pretrained:ace' or 'ai:3', a Driver, a function from an observation to an action, or "
+        "an object with Stable-Baselines3's predict"
     )
 
 

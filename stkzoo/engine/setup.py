@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
+from typing import Annotated
 
+from stkzoo._schema import Matching, OneOf, Share, Within
 from stkzoo.config import Start
+from stkzoo.names import CameraMode
+
+_FOLDER = Matching(r"[^/\\\0]*", "the name of a folder in the game's data")
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,10 +28,10 @@ class KartSetup:
 
     is_bot: bool = True
     reports_control: bool = False
-    kart: str = ""
+    kart: Annotated[str, _FOLDER] = ""
     name: str = ""
-    color: float = 0.0
-    camera_mode: int = 0
+    color: Share = 0.0
+    camera_mode: Annotated[int, OneOf(tuple(map(int, CameraMode)))] = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,14 +41,14 @@ class RaceSetup:
     ``starts`` says where each kart starts; by default all start on the grid.
     """
 
-    track: str
-    karts: tuple[KartSetup, ...]
+    track: Annotated[str, _FOLDER]
+    karts: Annotated[tuple[KartSetup, ...], Within(1, 256)]
     laps: int = 1
     reverse: bool = False
     difficulty: int = 2
     seed: int = 0
     step_size: float = 0.1
-    num_cameras: int = 0
+    num_cameras: Annotated[int, Within(0, 8)] = 0
     starts: tuple[Start, ...] = ()
 
     def to_json(self) -> bytes:

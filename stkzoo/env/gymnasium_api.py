@@ -22,7 +22,7 @@ from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.env.rendering import RENDER_MODES
 from stkzoo.env.state import RaceState
 from stkzoo.env.world import WorldView
-from stkzoo.errors import ActionError, ApiOrderError, unknown_name
+from stkzoo.errors import ActionError, ApiOrderError, shortened, unknown_name
 from stkzoo.mdp.rewards import RewardOver
 from stkzoo.views import find_view, options_of, views_of_agents
 from stkzoo.views.walker import StepParts
@@ -334,7 +334,7 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
         if not isinstance(action, Mapping):
             raise ActionError(
                 f"the actions have to be a dict by agent: {', '.join(self._names)}; found "
-                f"{action!r:.200}"
+                f"{shortened(action, 200)}"
             )
         try:
             actions = {self._names[key]: value for key, value in action.items()}

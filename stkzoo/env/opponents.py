@@ -29,7 +29,7 @@ from stkzoo.drivers.failures import in_words, printable
 from stkzoo.drivers.pool import as_driver
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.env.episode import Episode
-from stkzoo.errors import ActionError, AgentError, AgentException, ConfigError
+from stkzoo.errors import ActionError, AgentError, AgentException, ConfigError, shortened
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.names import CameraMode
 from stkzoo.views import AgentChains, ViewFactory, base_space, full_with
@@ -61,8 +61,8 @@ class OpponentChoice:
         choice = OpponentPool(choice) if isinstance(choice, Mapping) else choice
         if isinstance(choice, str) or not isinstance(choice, (Sequence, OpponentPool)):
             raise ConfigError(
-                f"opponents is {choice!r:.200}, expected a list such as ['pretrained:ace', "
-                "'ai:3'], or an OpponentPool"
+                f"opponents is {shortened(choice, 200)}, expected a list such as "
+                "['pretrained:ace', 'ai:3'], or an OpponentPool"
             )
         self._pool = choice if isinstance(choice, OpponentPool) else None
         members = [] if isinstance(choice, OpponentPool) else list(choice)

@@ -7,23 +7,24 @@ import json
 import os
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._os import read_zip, write_whole, write_zip
+from stkzoo._os import write_whole, write_zip
+from stkzoo._reading import Unreadable, read_json, read_zip, reading
+from stkzoo._schema import Count, typed
 from stkzoo.engine.race import RaceStart
 from stkzoo.engine.session import Session
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.env.grid import RaceRoster
 from stkzoo.env.options import RaceOptions
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo.errors import ConfigError, check_whole, shortened
 
 _TYPE, _FORMAT = "stkzoo-scenario", 1
 _ABOUT, _CONTROLS = "scenario.json", "controls.f4"
-_MAX_BYTES = 256 << 20
+_MAX_MEMBER = {_ABOUT: 1 << 20, _CONTROLS: 256 << 20}
 _MAX_STEPS = 1_000_000
 _ENGINE = "PySuperTuxKart2"
 
@@ -47,12 +48,12 @@ class Scenario:
     """
 
     setup: RaceSetup
-    kart_indices: tuple[int, ...]
+    kart_indices: tuple[Count, ...]
     agents: tuple[str, ...]
     controls: npt.NDArray[np.float32] = field(repr=False)
     digest: str
     engine: str = field(default_factory=lambda: version(_ENGINE))
-    opponents: tuple[int, ...] = ()
+    opponents: tuple[Count, ...] = ()
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the scenario to a file atomically.
@@ -83,20 +84,11 @@ class Scenario:
         Raises:
             ConfigError: the file does not exist, is damaged or is not a scenario.
         """
-        file = Path(path)
-        try:
-            members = read_zip(file, dict.fromkeys((_ABOUT, _CONTROLS), _MAX_BYTES))
+        expected = "a file that env.scenario().save(path) wrote"
+        with reading(f"the scenario {path} cannot be read", expected):
+            members = read_zip(path, _MAX_MEMBER)
             scenario = _read(members[_ABOUT], members[_CONTROLS])
             _check(scenario)
-        except OSError as error:
-            raise ConfigError(f"the scenario {file} cannot be read: {error}") from error
-        except MemoryError:
-            raise
-        except Exception as error:  # zipfile, json and numpy raise many types
-            raise ConfigError(
-                f"{file} is no scenario or is damaged ({type(error).__name__}: {error!s:.200}); "
-                "expected what env.scenario().save(path) wrote"
-            ) from error
         return scenario
 
     def reach(self, session: Session) -> RaceStart:
@@ -138,38 +130,33 @@ def digest_of(snapshot: Snapshot) -> str:
 
 
 def _read(text: bytes, numbers: bytes) -> Scenario:
-    about = json.loads(text)
-    if (about["type"], about["format"]) != (_TYPE, _FORMAT):
-        raise ValueError(f"it is {about['type']!r} of format {about['format']!r}")
-    setup = RaceSetup.from_json(json.dumps(about["setup"]).encode())
-    players = sum(not kart.is_bot for kart in setup.karts)
+    about = read_json(text)
+    if not isinstance(about, dict) or (about.get("type"), about.get("format")) != (_TYPE, _FORMAT):
+        raise Unreadable(f"it is {shortened(about)}, expected a {_TYPE} of format {_FORMAT}")
+    controls = np.frombuffer(numbers, "<f4").astype(np.float32)
+    scenario = typed(Scenario, about | {"controls": controls})
+    players = sum(not kart.is_bot for kart in scenario.setup.karts)
+    if len(controls) % max(players * len(CONTROLS), 1) or (len(controls) and not players):
+        raise Unreadable(f"{_CONTROLS} has {len(controls)} numbers, with {players} players")
     shape = -1 if players else 0, players, len(CONTROLS)
-    return Scenario(
-        setup=setup,
-        kart_indices=tuple(map(int, about["kart_indices"])),
-        agents=tuple(map(str, about["agents"])),
-        controls=np.frombuffer(numbers, "<f4").astype(np.float32).reshape(shape),
-        digest=str(about["digest"]),
-        engine=str(about["engine"]),
-        opponents=tuple(map(int, about.get("opponents", ()))),
-    )
+    return replace(scenario, controls=controls.reshape(shape))
 
 
 def _check(scenario: Scenario) -> None:
     """Rejects values that an environment would not send to the engine."""
     setup, controls = scenario.setup, scenario.controls
     if len(controls) > _MAX_STEPS or not np.isfinite(controls).all():
-        raise ValueError("controls are too many or not finite")
+        raise Unreadable("controls are too many or not finite")
     low = np.array([0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     if (controls < low).any() or (controls > 1.0).any():
-        raise ValueError("controls are out of range")
+        raise Unreadable("controls are out of range")
     options = {
         name: getattr(setup, name) for name in ("laps", "difficulty", "reverse", "step_size")
     }
     RaceOptions(num_kart=len(setup.karts), **options)
     if len(setup.starts) not in (0, len(setup.karts)):
-        raise ValueError("karts and starts do not fit")
+        raise Unreadable("karts and starts do not fit")
     check_whole("seed", setup.seed, 0, 2**31 - 1)
     indices = (*scenario.kart_indices, *scenario.opponents)
     if len(set(indices)) != len(indices) or not set(indices) <= set(range(len(setup.karts))):
-        raise ValueError("the karts of agents or opponents are invalid")
+        raise Unreadable("the karts of agents or opponents are invalid")

@@ -35,6 +35,7 @@ _TWINS = {
     "TrackGraph": "track_graph",
     "join_rows": "rows",
     "layouts": "rows",
+    "measure_message": "messages",
     "weigh_plans": "plan_weigher",
 }
 

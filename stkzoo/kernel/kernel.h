@@ -119,6 +119,7 @@ void free_object(PyObject *self);
     };
 
 PyObject *join_rows(PyObject *module, PyObject *rows);
+PyObject *measure_message(PyObject *module, PyObject *args);
 PyObject *weigh_plans(PyObject *module, PyObject *args);
 
 extern PyTypeObject CarControllerType, EventCounterType, GameStepperType, TrackGraphType, KartObserverType, RacingObserverType, ActionReaderType, StepScorerType;

@@ -148,6 +148,7 @@ static PyObject *layouts(PyObject *Py_UNUSED(module), PyObject *Py_UNUSED(none))
 static PyMethodDef methods[] = {
     {"join_rows", join_rows, METH_O, "The bytes of arrays that are alike."},
     {"layouts", layouts, METH_NOARGS, "Where the fields of the records are."},
+    {"measure_message", measure_message, METH_VARARGS, "The memory that decoding a message takes."},
     {"weigh_plans", weigh_plans, METH_VARARGS, "The best plan of each manoeuvre, for some karts."},
     {NULL, NULL, 0, NULL},
 };

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import json
-import math
-import types
-import typing
 from abc import ABC
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import asdict, is_dataclass
-from functools import cache
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 from typing_extensions import Self  # a dependency of gymnasium
 
-from stkzoo.drivers.failures import printable
-from stkzoo.errors import ConfigError, reason
+from stkzoo._reading import MAX_BYTES, Unreadable, read_json, read_text, reading
+from stkzoo._schema import typed
+from stkzoo.errors import ConfigError, shortened
 
 
 class Document(ABC):
-    """A dataclass that is kept as a JSON file."""
+    """A dataclass that is kept as a JSON file; :mod:`stkzoo._schema` says how it is checked."""
 
     __slots__ = ()
 
@@ -30,6 +27,8 @@ class Document(ABC):
     version: ClassVar[int] = 1
     #: Where such a file comes from, for errors.
     origin: ClassVar[str]
+    #: The largest size of the file [bytes].
+    max_bytes: ClassVar[int] = MAX_BYTES
     #: A list to write last, with one entry per line.
     rows: ClassVar[str] = ""
 
@@ -55,12 +54,13 @@ class Document(ABC):
             place: where it was found, for errors.
 
         Raises:
-            ConfigError: the text is something else, or has another version.
+            ConfigError: the text is something else, has another version, or a field of it is
+                missing or invalid.
         """
         with cls._reading(place):
-            values = read_json(text)
+            values = read_json(text, cls.max_bytes)
             check_document(values, cls.kind, cls.version)
-            return cls._decode(values)
+            return typed(cls, values)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any], place: str = "the text") -> Self:
@@ -70,7 +70,7 @@ class Document(ABC):
             ConfigError: the values are no such document.
         """
         with cls._reading(place):
-            return cls._decode(values)
+            return typed(cls, values)
 
     @classmethod
     def load(cls, file: Path) -> Self:
@@ -79,107 +79,35 @@ class Document(ABC):
         Raises:
             ConfigError: there is none, or it cannot be read.
         """
-        try:
-            text = file.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigError(
-                f"{file} has no {cls._name()} ({reason(error)}); expected {cls.origin}"
-            ) from error
+        with cls._reading(str(file)):
+            text = read_text(file, cls.max_bytes)
         return cls.from_json(text, str(file))
 
     @classmethod
-    def _decode(cls, values: Mapping[str, Any]) -> Self:
-        return cast("Self", typed(cls, values))
-
-    @classmethod
-    @contextmanager
-    def _reading(cls, place: str) -> Iterator[None]:
+    def _reading(cls, place: str) -> AbstractContextManager[None]:
         """Explains the error of a block that reads a document."""
-        try:
-            yield
-        except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
-            raise ConfigError(
-                f"{place} has no {cls._name()} ({type(error).__name__}: {error}); expected "
-                f"{cls.origin}"
-            ) from error
-
-    @classmethod
-    def _name(cls) -> str:
-        return cls.kind.replace("-", " ")
+        return reading(f"{place} has no {cls.kind.replace('-', ' ')}", cls.origin)
 
 
-def read_json(text: str) -> Any:
-    """The value of a JSON text. Unlike Python's own reader, it accepts only finite numbers.
-
-    Raises:
-        json.JSONDecodeError: the text is not JSON, too deep, or has numbers that are too long.
-    """
-    try:
-        return json.loads(text, parse_constant=_finite, parse_float=_finite)
-    except json.JSONDecodeError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise json.JSONDecodeError(str(error)[:200], "", 0) from None
-
-
-def _finite(text: str) -> float:
-    number = float(text)
-    if not math.isfinite(number):
-        raise ValueError(f"{text[:20]} is not a finite number")
-    return number
-
-
-def typed(hint: Any, value: Any, name: str = "the document") -> Any:
-    """A JSON value as the type of a dataclass's field.
-
-    Objects become dataclasses, without entries that are no fields: later versions may have
-    others. Lists become tuples. Texts lose control codes, which a terminal would obey.
-
-    Args:
-        hint: the type: a dataclass, a tuple, a dict, a plain type, or one of these or ``None``.
-        value: the value.
-        name: what it is, for the error.
-
-    Raises:
-        TypeError: it has another type, or an entry is missing.
-    """
-    if isinstance(hint, types.UnionType):
-        return None if value is None else typed(typing.get_args(hint)[0], value, name)
-    kind: Any = typing.get_origin(hint) or hint
-    parts = typing.get_args(hint)
-    if isinstance(kind, type) and is_dataclass(kind) and type(value) is dict:
-        hints = _hints(kind)
-        return kind(**{key: typed(hints[key], value[key], key) for key in value if key in hints})
-    if kind is tuple and type(value) is list:
-        return tuple(typed(parts[0], entry, name) for entry in value)
-    if kind in (dict, Mapping) and type(value) is dict:
-        return {printable(key): typed(parts[1], value[key], key) for key in value}
-    is_number = kind in (int, float) and type(value) is int
-    if (is_number and abs(value) >= 2**63) or (type(value) is not kind and kind is not float):
-        raise TypeError(f"{name} is {value!r:.60}, expected {kind.__name__}")
-    return printable(value) if kind is str else value
-
-
-@cache
-def _hints(kind: Any) -> dict[str, Any]:
-    return typing.get_type_hints(kind)
-
-
-def check_document(document: Mapping[str, Any], kind: str, version: int) -> None:
+def check_document(document: Any, kind: str, version: int) -> None:
     """Checks the type and version of a document.
 
     Raises:
+        Unreadable: it has no type or version.
         ConfigError: it is something else, or of another version.
-        KeyError: it has no type or version.
     """
-    found = document["type"], document["schema_version"]
-    if found != (kind, version):
+    if not isinstance(document, dict):
+        raise Unreadable(f"it is {shortened(document)}, expected an object")
+    found, number = document.get("type"), document.get("schema_version")
+    if not isinstance(found, str) or type(number) is not int:
+        raise Unreadable("it has no type and schema_version")
+    if (found, number) != (kind, version):
         raise ConfigError(
-            f"the file is a {found[0]} of version {found[1]}, expected a {kind} of version "
-            f"{version}; "
+            f"the file is a {found[:40]} of version {shortened(number)}, expected a {kind} of "
+            f"version {version}; "
             + (
                 "another version of stkzoo wrote it"
-                if found[0] == kind
+                if found == kind
                 else f"choose the file or folder of a {kind.rpartition('-')[0]}"
             )
         )

@@ -6,10 +6,22 @@ import platform
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
+from stkzoo._schema import (
+    Count,
+    Level,
+    Matching,
+    OneOf,
+    Place,
+    Positive,
+    Seconds,
+    Whole,
+    Within,
+)
+from stkzoo.drivers.sandbox import BUBBLEWRAP, LANDLOCK, NONE
 from stkzoo.race.document import Document
 
 #: Version of the JSON schema (``docs/schemas/race-result.schema.json``); grows when an older
@@ -28,9 +40,9 @@ class AgentFailure:
         trace: the traceback in the agent's code, or the last output of its process.
     """
 
-    step: int
-    kind: str
-    message: str
+    step: Count
+    kind: Annotated[str, OneOf(("start", "timeout", "error"))]
+    message: Annotated[str, Within(1)]
     trace: str = field(compare=False, default="")
 
 
@@ -47,10 +59,10 @@ class ActionTime:
         total: of all, with those that failed; ``None`` in old results.
     """
 
-    mean: float
-    p99: float
-    max: float
-    total: float | None = None
+    mean: Seconds
+    p99: Seconds
+    max: Seconds
+    total: Seconds | None = None
 
     @classmethod
     def of(cls, seconds: Sequence[float], total: float) -> ActionTime | None:
@@ -88,20 +100,20 @@ class AgentResult:
         action_time: duration of its decisions; ``None`` for the game's AI.
     """
 
-    agent: str
+    agent: Annotated[str, Matching("kart_[0-9]+", "an agent's id such as kart_0")]
     driver: str
     source: str
-    status: str
-    start_position: int
-    rank: int
-    finish_time: float | None
-    laps: int
+    status: Annotated[str, OneOf(("finished", "racing", "retired"))]
+    start_position: Place
+    rank: Place
+    finish_time: Positive | None
+    laps: Count
     distance: float
     reward: float
-    rescues: int | None = None
-    num_errors: int = 0
-    num_clipped: int = 0
-    errors: tuple[AgentFailure, ...] = ()
+    rescues: Count | None = None
+    num_errors: Count = 0
+    num_clipped: Count = 0
+    errors: Annotated[tuple[AgentFailure, ...], Within(0, 20)] = ()
     action_time: ActionTime | None = field(compare=False, default=None)
 
 
@@ -154,21 +166,23 @@ class RaceResult(Document):
     version: ClassVar[int] = SCHEMA_VERSION
     origin: ClassVar[str] = "a file from `stkzoo race --output`"
 
-    status: str
+    status: Annotated[str, Within(1)]
     track: str
     reverse: bool
-    laps: int
-    difficulty: int
-    seed: int
-    race_length: float
-    steps: int
-    race_time: float
-    agents: tuple[AgentResult, ...]
+    laps: Whole
+    difficulty: Level
+    seed: Count
+    race_length: Positive
+    steps: Count
+    race_time: Seconds
+    agents: Annotated[tuple[AgentResult, ...], Within(1, 256)]
     versions: dict[str, str] = field(compare=False, default_factory=versions_now)
-    wall_time: float = field(compare=False, default=0.0)
-    sandbox: str | None = field(compare=False, default=None)
+    wall_time: Seconds = field(compare=False, default=0.0)
+    sandbox: Annotated[str, OneOf((BUBBLEWRAP, LANDLOCK, NONE))] | None = field(
+        compare=False, default=None
+    )
     protections: tuple[str, ...] = field(compare=False, default=())
-    time_budget: float | None = field(compare=False, default=None)
+    time_budget: Seconds | None = field(compare=False, default=None)
 
     @property
     def is_finished(self) -> bool:

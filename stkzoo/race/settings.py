@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Annotated, Any
 
 from stkzoo._arguments import option
+from stkzoo._schema import Level, Whole, Within
 from stkzoo.drivers.instances import DriverLimits
 from stkzoo.drivers.sandbox import MODES
 from stkzoo.errors import ConfigError, check_arguments, check_number, check_whole, unknown_name
@@ -55,11 +56,11 @@ class RaceSettings:
     """
 
     track: str | None = None
-    laps: int = 1
-    difficulty: int = 2
+    laps: Annotated[int, Within(1, 1000)] = 1
+    difficulty: Level = 2
     reverse: bool = False
     seed: int = 0
-    max_paths: int | None = None
+    max_paths: Whole | None = None
     max_steps: int | None = option(group=_END)
     max_steps_after_first: int | None = option(group=_END)
     karts_finished: int | None = option(group=_END)

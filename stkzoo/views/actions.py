@@ -7,17 +7,18 @@ is taken strictly: nothing infinite, undefined, out of range or of another shape
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
-from stkzoo.errors import ActionError
+from stkzoo.errors import ActionError, shortened
 
 #: A number may miss a bound of its ``Box`` by this much (rounding); it is then clipped.
 BOUND_TOLERANCE = 1e-6
+#: Unknown keys that an error names, and the most characters of one.
+_MAX_KEYS, _MAX_KEY = 8, 40
 
 
 def read_action(space: spaces.Space[Any], action: object, agent: str, name: str = "action") -> Any:
@@ -76,6 +77,8 @@ def _value(space: spaces.Space[Any], action: Any) -> Any:
 def _number_or_array(
     space: spaces.Box | spaces.Discrete | spaces.MultiDiscrete, action: Any
 ) -> Any:
+    if not _is_small(action, max(1, *space.shape or (1,))):
+        return None
     try:
         array = np.asarray(action)
     except (TypeError, ValueError, OverflowError, RuntimeError):
@@ -101,6 +104,16 @@ def _number_or_array(
     return int(value) if isinstance(space, spaces.Discrete) else value
 
 
+def _is_small(action: Any, length: int) -> bool:
+    """Whether no list in an action is longer than its space, and none has text in it.
+
+    Of a list of texts, numpy would make an array in which each is as wide as the longest.
+    """
+    if not isinstance(action, (list, tuple)):
+        return not isinstance(action, (str, bytes))
+    return len(action) <= length and all(_is_small(item, length) for item in action)
+
+
 def _bounds(space: spaces.Box | spaces.Discrete | spaces.MultiDiscrete) -> tuple[Any, Any]:
     """Lowest and highest value of each entry, both included."""
     if isinstance(space, spaces.Box):
@@ -119,7 +132,7 @@ def _complaint(space: spaces.Space[Any], value: Any, agent: str, name: str) -> s
         if not isinstance(value, Mapping):
             return _sentence(agent, name, value, f"a dict with the keys {', '.join(space.spaces)}")
         missing = [key for key in space.spaces if key not in value]
-        unknown = [str(key) for key in value if key not in space.spaces]
+        unknown = [str(key)[:_MAX_KEY] for key in value if key not in space.spaces][:_MAX_KEYS]
         if missing or unknown:
             faults = [f"lacks {', '.join(missing)}"] if missing else []
             faults += [f"has unknown keys {', '.join(unknown)}"] if unknown else []
@@ -136,7 +149,7 @@ def _complaint(space: spaces.Space[Any], value: Any, agent: str, name: str) -> s
 def _sentence(agent: str, name: str, value: object, expected: str) -> str:
     shape = f" of shape {value.shape}" if isinstance(value, np.ndarray) else ""
     return (
-        f"the {name} of agent {agent!r} is {reprlib.repr(value)}{shape}; expected {expected}. "
+        f"the {name} of agent {agent!r} is {shortened(value, 100)}{shape}; expected {expected}. "
         "env.action_space(agent).sample() shows the form."
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo.errors import ActionError, AgentException
+from stkzoo.errors import ActionError, AgentException, shortened
 from stkzoo.kernel import ActionReader, CarController
 from stkzoo.views.agent_chain import WrapperMemory
 from stkzoo.views.plan import ObservationSource, Observer, ViewPlan
@@ -338,7 +338,7 @@ class AgentChains:
         if not isinstance(actions, Mapping):
             raise ActionError(
                 f"the actions have to be a dict by agent: {', '.join(agents)}; found "
-                f"{actions!r:.200}",
+                f"{shortened(actions, 200)}",
                 agents[0] if agents else "",
             )
         missing = [a for a in agents if a not in actions and a not in self._ignored]

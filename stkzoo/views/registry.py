@@ -12,7 +12,7 @@ import gymnasium as gym
 from gymnasium import spaces
 
 from stkzoo.agent_names import by_agent
-from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.errors import ConfigError, shortened, unknown_name
 from stkzoo.mdp.spaces import EXTRAS, extras_of, kart_observation_space
 
 #: Wraps the environment of one kart. :class:`View` values, wrapper classes and functions do.
@@ -60,7 +60,7 @@ class View:
                 f"the {self.name} view goes around an environment that {tells}. Choose "
                 f"view={self._with_its_options(self.name)!r}, and write in an agent's module "
                 f"env_name = {self._with_its_options(env_id)!r} as it stands here. Found "
-                f"{env.observation_space!r:.200}"
+                f"{shortened(env.observation_space, 200)}"
             )
         for wrapper in self.wrappers:
             names = self.options.keys() & options_of(wrapper)
@@ -154,8 +154,9 @@ def find_view(choice: object) -> ViewFactory:
     if callable(choice):
         return choice
     raise ConfigError(
-        f"view is {choice!r:.200}, expected one of {', '.join(VIEWS)}, a function that wraps a "
-        "gym.Env, a pair such as ('simple', {'state_items': 3}), or a mapping from agents to these"
+        f"view is {shortened(choice, 200)}, expected one of {', '.join(VIEWS)}, a function that "
+        "wraps a gym.Env, a pair such as ('simple', {'state_items': 3}), or a mapping from agents "
+        "to these"
     )
 
 
@@ -183,8 +184,8 @@ def _with_options(view: ViewFactory, options: object) -> ViewFactory:
         view = View(name, "A function with options.", (view,))
     if not isinstance(options, Mapping):
         raise ConfigError(
-            f"the options of the {view.name} view are {options!r:.200}, expected a mapping such as "
-            "{'state_items': 3}"
+            f"the options of the {view.name} view are {shortened(options, 200)}, expected a "
+            "mapping such as {'state_items': 3}"
         )
     known = options_of(view)
     for name in options:

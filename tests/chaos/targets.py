@@ -21,6 +21,9 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from stkzoo import kernel
+from stkzoo.agents import pretrained
+from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, read_numbers, read_policy
 from stkzoo.drivers.codec import Limits, decode, encode
 from stkzoo.drivers.files import find_files, unpack
 from stkzoo.engine.assets.headless import read_archive
@@ -31,16 +34,24 @@ from stkzoo.evaluation import (
     BenchmarkPlan,
     BenchmarkResult,
     TournamentPlan,
+    TournamentResult,
+    load_demonstrations,
     plan_benchmark,
     plan_tournament,
+    record_demonstrations,
 )
+from stkzoo.kernel.reference import messages
 from stkzoo.race import RaceResult, run_race
+from stkzoo.race.remote.access import read_servers
+from stkzoo.race.remote.keys import new_key_files, read_public, read_secret
 from stkzoo.race.replay import ReplayError, ReplayWriter, load_replay, save_replay
+from tests.support.bombs import BOMBS, bomb
 
 __all__ = ["TARGETS", "Target"]
 
 _LIMITS = Limits(max_bytes=1 << 16)
 _MEMORY = Path("/dev/shm")
+_SCOUT = Path(pretrained.__file__).parent / "scout"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,22 +62,46 @@ class Target:
         name: what it reads.
         feed: gives it some bytes; raises what should not be.
         seeds: bytes to begin with.
+        max_memory: memory that an input of a length may take [bytes].
+        read: reads the bytes and nothing else, where only that has to keep to the bound.
     """
 
     name: str
     feed: Callable[[bytes], None]
     seeds: Callable[[], list[bytes]]
+    max_memory: Callable[[int], int] = lambda _: 64 << 20
+    read: Callable[[bytes], None] | None = None
 
 
 # ---------------------------------------------------------------------- messages
 
 
 def _feed_codec(data: bytes) -> None:
-    """What can be decoded can be encoded, and comes out the same again."""
+    """What can be decoded can be encoded, and comes out the same again.
+
+    The twin of the kernel measures the same. Under atheris, it shows which inputs are new.
+    """
+    assert _measured(kernel.measure_message, data) == _measured(messages.measure_message, data)
     with suppress(ProtocolError):
         message = decode(data, _LIMITS)
         again = encode(message)
         assert encode(decode(again)) == again
+
+
+def _measured(measure: Callable[..., int], data: bytes) -> int | str:
+    try:
+        return measure(data, (16, 8192, 1 << 17, _codec_memory(len(data))))
+    except ValueError as error:
+        return str(error)
+
+
+def _read_codec(data: bytes) -> None:
+    with suppress(ProtocolError):
+        decode(data, _LIMITS)
+
+
+def _codec_memory(length: int) -> int:
+    return 16 * length + (1 << 20)
 
 
 def _codec_seeds() -> list[bytes]:
@@ -80,6 +115,7 @@ def _codec_seeds() -> list[bytes]:
     return [
         encode(space.sample()),
         encode({"protocol": 1, "rows": rows, "pair": (1, "a"), "more": [b"x", None, np.int8(3)]}),
+        *(bomb(name, length) for name in BOMBS for length in (50, 2000)),
     ]
 
 
@@ -204,9 +240,9 @@ def _result_seeds() -> list[bytes]:
 def _feed_plans(data: bytes) -> None:
     """Plans and results of tournaments and benchmarks are read or refused."""
     text = data.decode(errors="replace")
-    for read in (TournamentPlan.from_json, BenchmarkPlan.from_json, BenchmarkResult.from_json):
+    for kind in (TournamentPlan, TournamentResult, BenchmarkPlan, BenchmarkResult):
         with suppress(ConfigError):
-            read(text).to_json()
+            kind.from_json(text).to_json()
 
 
 def _plan_seeds() -> list[bytes]:
@@ -214,6 +250,66 @@ def _plan_seeds() -> list[bytes]:
     benchmark = plan_benchmark("heuristic", split=["lighthouse"], forms=["PA"], seeds=1)
     forms = (tournament, benchmark, benchmark.summarize({}, Path()))
     return [form.to_json().encode() for form in forms]
+
+
+# ---------------------------------------------------------------------- keys and lists of servers
+
+
+def _feed_keys(data: bytes) -> None:
+    """A file of keys or servers is read or refused."""
+    with _folder() as folder:
+        file = folder / "a.secret"
+        file.write_bytes(data)
+        file.chmod(0o600)
+        for read in (read_secret, read_public, read_servers):
+            with suppress(ConfigError):
+                read(file)
+
+
+def _key_seeds() -> list[bytes]:
+    with _folder() as folder:
+        files = new_key_files("ada", folder)
+        key = files[1].read_text().split()[1]
+        servers = f"# mine\ntcp://127.0.0.1:5555 {key}\n127.0.0.1:* ada.public\n"
+        return [*(file.read_bytes() for file in files), servers.encode()]
+
+
+# ---------------------------------------------------------------------- demonstrations and cards
+
+
+def _feed_demonstrations(data: bytes) -> None:
+    """A data set is read or refused."""
+    with _folder() as folder:
+        (folder / "a.npz").write_bytes(_with_member(_demonstrations(), data))
+        with suppress(ConfigError):
+            load_demonstrations(folder / "a.npz")
+
+
+@cache
+def _demonstrations() -> bytes:
+    with _folder() as folder:
+        short = {"tracks": "lighthouse", "karts": 1, "max_steps": 5, "jobs": 1, "seeds": (1,)}
+        record_demonstrations("heuristic", output=folder / "a.npz", **short)
+        return (folder / "a.npz").read_bytes()
+
+
+def _demonstration_seeds() -> list[bytes]:
+    return [b"\0" + _demonstrations(), *_member_seeds(_demonstrations())]
+
+
+def _feed_card(data: bytes) -> None:
+    """The card or the weights of a learned agent are read or refused."""
+    with _folder() as folder:
+        name = WEIGHTS if data[:1] == b"\1" else CARD
+        shutil.copytree(_SCOUT, folder / "scout")
+        (folder / "scout" / name).write_bytes(data[1:])
+        for read in (read_policy, read_numbers):
+            with suppress(ConfigError):
+                read(folder / "scout")
+
+
+def _card_seeds() -> list[bytes]:
+    return [b"\0" + (_SCOUT / CARD).read_bytes(), b"\1" + b"\x08" + bytes(7) + b"{}      "]
 
 
 # ---------------------------------------------------------------------- archives of game data
@@ -310,12 +406,15 @@ def _members(whole: bytes) -> dict[str, bytes]:
 TARGETS: dict[str, Target] = {
     target.name: target
     for target in (
-        Target("messages", _feed_codec, _codec_seeds),
+        Target("messages", _feed_codec, _codec_seeds, _codec_memory, _read_codec),
         Target("replays", _feed_replay, _replay_seeds),
         Target("scenarios", _feed_scenario, _scenario_seeds),
         Target("agent zips", _feed_agent_zip, _agent_zip_seeds),
         Target("results", _feed_result, _result_seeds),
         Target("plans", _feed_plans, _plan_seeds),
+        Target("keys", _feed_keys, _key_seeds),
+        Target("demonstrations", _feed_demonstrations, _demonstration_seeds),
+        Target("cards", _feed_card, _card_seeds),
         Target("asset archives", _feed_archive, _archive_seeds),
     )
 }

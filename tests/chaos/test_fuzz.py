@@ -24,8 +24,10 @@ from stkzoo.errors import AssetError, ConfigError
 from stkzoo.evaluation import BenchmarkPlan, TournamentPlan, plan_benchmark, plan_tournament
 from stkzoo.race import RaceResult
 from stkzoo.race.replay import ReplayError, load_replay
+from tests.chaos import cost
+from tests.chaos.cost import feed_measured
 from tests.chaos.mutation import mutated
-from tests.chaos.targets import TARGETS
+from tests.chaos.targets import TARGETS, Target
 
 #: How many changed inputs each reader gets; the quick readers get more.
 _INPUTS = dict.fromkeys(TARGETS, 1000) | dict.fromkeys(("messages", "results", "plans"), 10_000)
@@ -35,10 +37,9 @@ _INPUTS = dict.fromkeys(TARGETS, 1000) | dict.fromkeys(("messages", "results", "
 def test_changed_bytes_end_well_or_with_the_readers_own_error(name):
     target = TARGETS[name]
     seeds = target.seeds()
-    for data in seeds:
-        target.feed(data)
-    for data in itertools.islice(mutated(random.Random(1), seeds), _INPUTS[name]):
-        target.feed(data)
+    inputs = itertools.islice(mutated(random.Random(1), seeds), _INPUTS[name])
+    for data in itertools.chain(seeds, inputs):
+        feed_measured(target, data)
 
 
 def test_every_reader_has_its_share_of_a_long_run():
@@ -71,6 +72,20 @@ def test_a_finding_is_kept_with_its_bytes_and_found_again(tmp_path):
     assert done.returncode == 1
     assert "ZeroDivisionError" in done.stderr
     assert list((corpus / "found").iterdir())
+
+
+def test_an_input_that_takes_much_memory_is_a_finding():
+    blocks = []
+    target = Target("bad", lambda data: blocks.append(bytes(len(data))), list, lambda n: n // 2)
+    with pytest.raises(AssertionError, match="100000 bytes took 100"):
+        feed_measured(target, bytes(100_000))
+
+
+def test_an_input_that_takes_long_is_a_finding(monkeypatch):
+    monkeypatch.setattr(cost, "MAX_SECONDS", 0.01)
+    target = Target("bad", lambda _: sum(range(1_000_000)), list)
+    with pytest.raises(AssertionError, match=r"at most 67108864 bytes and 0\.01 s"):
+        feed_measured(target, b"")
 
 
 # ---------------------------------------------------------------------- what it has found

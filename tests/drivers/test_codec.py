@@ -1,7 +1,8 @@
 """Messages of plain data as bytes."""
 
+import contextlib
 import enum
-import struct
+import time
 import tracemalloc
 from collections import OrderedDict
 
@@ -13,8 +14,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from stkzoo import race_v0
-from stkzoo.drivers.codec import Encoded, Limits, decode, encode
+from stkzoo.drivers import codec
+from stkzoo.drivers.codec import LIMITS, Encoded, Limits, decode, encode
 from stkzoo.errors import ProtocolError
+from stkzoo.kernel.reference import messages as twin
+from tests.support.bombs import BOMBS, array_bytes, bomb
 
 DTYPES = (
     *(np.bool_, np.int8, np.int16, np.int32, np.int64),
@@ -159,10 +163,6 @@ def test_what_cannot_be_sent_is_a_protocol_error_that_says_why(value, text):
         encode(value)
 
 
-def array_bytes(code, *shape, content=b""):
-    return struct.pack(f"<BB{len(shape)}I", code, len(shape), *shape) + content
-
-
 BAD = {
     "nothing": b"",
     "truncated": encode({"a": np.zeros(100)})[:-1],
@@ -190,6 +190,8 @@ BAD = {
     "rows without axis": msgpack.packb(msgpack.ExtType(4, array_bytes(1, content=b"1"))),
     "scalar too short": msgpack.packb(msgpack.ExtType(3, b"\x0b1234")),
     "tuple of no list": msgpack.packb(msgpack.ExtType(1, b"\x01")),
+    "tuple with more": msgpack.packb(msgpack.ExtType(1, b"\x90\xc0")),
+    "empty array of a long shape": msgpack.packb(msgpack.ExtType(2, array_bytes(1, 2**32 - 1, 0))),
 }
 
 
@@ -213,6 +215,79 @@ def test_a_small_message_takes_little_memory():
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 64 << 20
+
+
+def peak_memory(data):
+    """Memory that decoding takes [bytes]; the message, or ``None`` if it is refused.
+
+    The least of three: at any key of a dict, Python may grow its table of all interned texts.
+    """
+    peaks = []
+    for _ in range(3):
+        message = None
+        tracemalloc.start()
+        with contextlib.suppress(ProtocolError):
+            message = decode(data)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        if peaks[-1] <= memory_bound(data):
+            break
+    return min(peaks), message
+
+
+def memory_bound(data):
+    return 16 * len(data) + (1 << 20 if len(data) < 1 << 16 else 0)
+
+
+@pytest.fixture(params=["kernel", "twin"])
+def either_kernel(request, monkeypatch):
+    if request.param == "twin":
+        monkeypatch.setattr(codec, "measure_message", twin.measure_message)
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_decoding_takes_at_most_16_bytes_of_memory_for_each_byte(name):
+    for length in (60, 1000, 65_000, 66_000, 1 << 18):
+        data = bomb(name, length)
+        assert peak_memory(data)[0] <= memory_bound(data)
+
+
+@pytest.mark.usefixtures("either_kernel")
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_message_of_8_mib_takes_at_most_a_second(name):
+    data = bomb(name, LIMITS.max_bytes)
+    begin = time.process_time()
+    try:
+        decode(data)
+    except ProtocolError:
+        assert len(data) <= LIMITS.max_bytes
+    assert time.process_time() - begin < 1
+
+
+@settings(deadline=None, max_examples=60)
+@given(messages)
+def test_a_message_is_measured_before_it_is_made(message):
+    data = encode([message] * 50)
+    bounds = LIMITS.max_depth, LIMITS.max_length, LIMITS.max_elements, memory_bound(data)
+    try:
+        assert peak_memory(data)[0] <= codec.measure_message(data, bounds)
+    except ValueError as error:
+        assert "memory" in str(error)  # noqa: PT017 - both ends are right
+
+
+def test_the_observation_of_the_longest_track_passes():
+    with race_v0.parallel_env(num_kart=20, track="black_forest") as env:
+        observation = env.reset(seed=1)[0]["kart_0"]
+    data = encode([1, Encoded(encode(observation))])
+    peak, message = peak_memory(data)
+    assert peak <= memory_bound(data)
+    assert_same(message, [1, observation])
+
+
+def test_elements_are_limited_in_all():
+    with pytest.raises(ProtocolError, match="too many elements"):
+        decode(encode([[0] * 6, [0] * 6]), Limits(max_elements=13))
+    assert decode(encode([[0] * 6, [0] * 6]), Limits(max_elements=14))
 
 
 def test_truth_values_are_0_or_1():

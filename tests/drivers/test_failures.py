@@ -18,13 +18,13 @@ AGENTS = {
     "huge_value": (
         ACT.format("        return {'steer': 'x' * 1_000_000}"),
         "lacks acceleration",
-        "characters left out",
+        "xxx...\nits action space:   Dict(",
     ),
     "bad_repr": (
         "class Odd:\n    def __repr__(self): raise ValueError\n"
         + ACT.format("        return {'steer': Odd()}"),
         "lacks acceleration",
-        "the agent returned: a dict whose __repr__ failed\nits action space:   Dict(",
+        "the agent returned: {'steer': (Odd: its __repr__ failed)}\nits action space:   Dict(",
     ),
     "huge_message": (
         ACT.format("        raise ValueError('y' * 1_000_000)"),

@@ -13,7 +13,7 @@ import pytest
 from stkzoo.errors import AgentError, AgentTimeout
 from stkzoo.race import run_race
 from tests.support.paths import AGENTS
-from tests.support.processes import children_of, process_exists, wait_until
+from tests.support.processes import children_of, measured, process_exists, wait_until
 
 HOSTILE = AGENTS / "hostile"
 TRACK = "lighthouse"
@@ -114,6 +114,28 @@ def test_what_an_agent_prints_disturbs_nothing():
 def test_an_agent_that_breaks_its_connection_is_out(name):
     result = race(hostile(name), "ai", max_steps=5)
     assert by_driver(result)[name].num_errors == 1
+
+
+@pytest.mark.slow
+def test_a_bomb_in_an_answer_is_not_decoded():
+    """It would take 1 GB and minutes."""
+    with measured() as cost:
+        result = race(hostile("bomber"), str(AGENTS / "plain"), max_steps=5)
+    rows = by_driver(result)
+    assert "too much memory" in rows["bomber"].errors[0].message
+    assert not rows["Plain"].num_errors
+    assert cost["memory"] < 200 << 20
+    assert cost["seconds"] < 20
+
+
+@pytest.mark.slow
+def test_a_long_error_report_is_cut():
+    result = race(hostile("talker"), "ai", max_steps=5)
+    row = next(row for row in result.agents if row.num_errors)
+    assert row.driver == "y" * 100
+    assert len(row.errors[0].message) <= 4000
+    assert len(row.errors[0].trace) <= 8000
+    assert len(result.to_json()) < 50_000
 
 
 @pytest.mark.slow

@@ -31,8 +31,16 @@ from stkzoo.kernel import (
     StepScorer,
     TrackGraph,
     join_rows,
+    measure_message,
 )
-from stkzoo.kernel.reference import action_reader, car_controller, game_stepper, rows, track_graph
+from stkzoo.kernel.reference import (
+    action_reader,
+    car_controller,
+    game_stepper,
+    messages,
+    rows,
+    track_graph,
+)
 from stkzoo.kernel.reference.kart_observer import KartObserver as KartObserverTwin
 from stkzoo.mdp.rewards import KERNEL_TERMS
 from stkzoo.mdp.spaces import extras_of, kart_action_space, kart_observation_space
@@ -46,6 +54,7 @@ from stkzoo.wrappers.racing import SIZE, BatchedRacingView, RoadTable, racing_fe
 from stkzoo.wrappers.racing.features import KERNEL_TABLES
 from stkzoo.wrappers.racing.road import NUM_POINTS
 from stkzoo.wrappers.racing.wrapper import racing_view_of
+from tests.support.bombs import BOMBS, bomb
 
 pytestmark = pytest.mark.skipif(not IS_COMPILED, reason="nothing was compiled here to compare")
 
@@ -132,7 +141,7 @@ USERS = {
     "engine.track": ["TrackGraph"],
     "env.episode": ["StepScorer"],
     "mdp.events": ["EventCounter"],
-    "drivers.codec": ["join_rows"],
+    "drivers.codec": ["join_rows", "measure_message"],
     "views.plan": ["ActionReader", "KartObserver"],
     "wrappers.control.car_action": ["CarController"],
     "wrappers.racing.wrapper": ["RacingObserver"],
@@ -673,6 +682,29 @@ def test_an_engine_without_the_kernel_steps_the_same(numpy_only):
 )
 def test_rows_are_joined_as_in_numpy(parts):
     assert join_rows(parts) == rows.join_rows(parts)
+
+
+def measured(measure, data, limits=(16, 8192, 1 << 17, 1 << 21)):
+    try:
+        return measure(data, limits)
+    except ValueError as error:
+        return str(error)
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_bombs_are_measured_as_in_python(name):
+    for length in (8, 100, 5000, 70_000):
+        data = bomb(name, length)
+        assert measured(measure_message, data) == measured(messages.measure_message, data)
+
+
+@settings(deadline=None, max_examples=1000)
+@given(st.sampled_from(list(BOMBS)), st.integers(1, 300), st.data())
+def test_damaged_messages_are_measured_as_in_python(name, length, data):
+    good = bomb(name, length)[:400]
+    place = data.draw(st.integers(0, len(good)))
+    bad = good[:place] + data.draw(st.binary(max_size=6)) + good[place + 1 :]
+    assert measured(measure_message, bad) == measured(messages.measure_message, bad)
 
 
 def test_both_refuse_what_the_twin_refuses():

@@ -283,7 +283,7 @@ def test_what_is_no_result_is_refused(text):
 
 def test_a_field_of_a_result_with_another_type_is_refused_and_named(result):
     text = result.to_json().replace('"rank": 1', '"rank": "first"')
-    with pytest.raises(ConfigError, match="rank is 'first', expected int"):
+    with pytest.raises(ConfigError, match="rank is 'first', expected a whole number"):
         RaceResult.from_json(text)
 
 

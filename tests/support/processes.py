@@ -1,6 +1,8 @@
 """What tests of processes share: programs of their own, and who still lives."""
 
 import contextlib
+import os
+import re
 import subprocess
 import sys
 import textwrap
@@ -43,3 +45,23 @@ def wait_until(condition, seconds=5.0):
     while not condition() and time.monotonic() < deadline:
         time.sleep(0.01)
     return condition()
+
+
+@contextlib.contextmanager
+def measured(pid="self"):
+    """Measures a process in its body: peak of its memory above the start [bytes], CPU seconds."""
+    cost = {}
+    Path(f"/proc/{pid}/clear_refs").write_text("5")  # makes the peak what it is now
+    memory, seconds = _peak_memory(pid), _cpu_seconds(pid)
+    yield cost
+    cost["memory"], cost["seconds"] = _peak_memory(pid) - memory, _cpu_seconds(pid) - seconds
+
+
+def _peak_memory(pid):
+    (line,) = re.findall(r"VmHWM:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text())
+    return int(line) << 10
+
+
+def _cpu_seconds(pid):
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from stkzoo._schema import Place
 from stkzoo.agents.planning.arrays import BoolArray, FloatArray, IntArray
 from stkzoo.agents.planning.driver import (
     ALL_LOOKS,
@@ -133,7 +134,7 @@ class Finish:
     lineup: Lineup
     ratio: float | None
     estimate: float
-    rank: int
+    rank: Place
 
     @property
     def counted_ratio(self) -> float:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._schema import Count
 from stkzoo.agents.planning.arrays import FloatArray
 from stkzoo.agents.planning.driver import PlanDriver
 from stkzoo.agents.planning.parameters import DriverParameters
@@ -181,7 +182,7 @@ class MatchRecord:
         order: names in the order of finish.
     """
 
-    turn: int
+    turn: Count
     track: str
     reverse: bool
     order: list[str]

@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from stkzoo._schema import Count, Share, typed
+
 #: Weight of one race in an opponent's share of wins.
 _RATE = 0.1
 #: Keeps every opponent in the draw.
@@ -35,8 +37,8 @@ class Rival:
     """
 
     name: str
-    beaten: float = 0.5
-    races: int = 0
+    beaten: Share = 0.5
+    races: Count = 0
 
     def update(self, beaten: float) -> None:
         """Updates with the share of the duels that the learner won in a race."""
@@ -91,5 +93,10 @@ class RivalPool:
         return [asdict(opponent) for opponent in self.opponents]
 
     def restore(self, state: Sequence[Mapping[str, Any]]) -> None:
-        """Restores a :meth:`state`."""
-        self._opponents = {kept["name"]: Rival(**kept) for kept in state}
+        """Restores a :meth:`state`.
+
+        Raises:
+            Unreadable: it is damaged.
+        """
+        rivals = typed(tuple[Rival, ...], [dict(kept) for kept in state])
+        self._opponents = {rival.name: rival for rival in rivals}

@@ -9,11 +9,14 @@ from __future__ import annotations
 import importlib
 import json
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
 from stkzoo._os import atomic_write, write_text
+from stkzoo._reading import load_json, open_zip, read_json, read_lines, reading
+from stkzoo._schema import Count, Within, typed
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.errors import ConfigError
 
@@ -21,6 +24,25 @@ from .command import training_library
 
 #: The files in a run's folder.
 ARGUMENTS, CHECKPOINT, LOG = "arguments.json", "checkpoint.pt", "log.jsonl"
+
+#: Largest size of a file of a run, and of a checkpoint [bytes].
+_MAX_BYTES, _MAX_CHECKPOINT = 64 << 20, 4 << 30
+
+T = TypeVar("T")
+
+
+def read_run_file(kind: type[T], file: Path) -> T:
+    """The content of a JSON file in a run's folder.
+
+    Args:
+        kind: its type, see :func:`stkzoo._schema.typed`.
+        file: the file.
+
+    Raises:
+        ConfigError: it is missing or damaged.
+    """
+    with reading(f"{str(file)!r} cannot be read", "the file that the run wrote"):
+        return typed(kind, load_json(file, _MAX_BYTES))
 
 
 # ---------------------------------------------------------------------- arguments
@@ -86,7 +108,7 @@ def keep_arguments(
     now = {name: value for name, value in asdict(arguments).items() if name not in free}
     file = folder / ARGUMENTS
     if file.exists():
-        check_resumed(folder, json.loads(file.read_text()), now, remedy)
+        check_resumed(folder, read_run_file(dict[str, Any], file), now, remedy)
         return
     folder.mkdir(parents=True, exist_ok=True)
     write_json(file, now)
@@ -106,14 +128,21 @@ def plan_parameters(file: str | Path) -> DriverParameters:
     """
     if not file:
         return DriverParameters()
-    try:
-        content = json.loads(Path(file).read_text())
-        return DriverParameters(**(content[-1]["rules"] if isinstance(content, list) else content))
-    except (OSError, ValueError, LookupError, TypeError) as error:
-        raise ConfigError(
-            f"{str(file)!r} has no parameters of plans as this version of stkzoo has them "
-            f"({error}); give another file, or the version that wrote it"
-        ) from None
+    with reading(f"{str(file)!r} has no parameters of plans", "a best.json or arguments.json"):
+        content = load_json(file)
+        if isinstance(content, list):
+            content = typed(_Chapters, content)[-1].rules
+        return DriverParameters.from_json(content)
+
+
+@dataclass(frozen=True, slots=True)
+class _Chapter:
+    """The parameters of a part of a run."""
+
+    rules: dict[str, Any]
+
+
+_Chapters = Annotated[tuple[_Chapter, ...], Within(1)]
 
 
 def run_parameters(folder: Path) -> DriverParameters:
@@ -141,20 +170,66 @@ def save_checkpoint(folder: Path, facts: Mapping[str, Any], state: Mapping[str, 
         training_library("torch").save({"facts": json.dumps(facts), **state}, part)
 
 
-def load_checkpoint(folder: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
-    """Facts and state of a run's checkpoint; ``None`` if there is none."""
-    if not (folder / CHECKPOINT).exists():
+def load_checkpoint(folder: Path, kind: type[T]) -> tuple[T, dict[str, Any]] | None:
+    """Facts and state of a run's checkpoint; ``None`` if there is none.
+
+    Args:
+        folder: the run's.
+        kind: the type of the facts.
+
+    Raises:
+        ConfigError: it is damaged.
+    """
+    file = folder / CHECKPOINT
+    if not file.exists():
         return None
-    state = training_library("torch").load(folder / CHECKPOINT, weights_only=True)
-    return json.loads(state["facts"]), state
+    with reading_checkpoint(folder):
+        with open_zip(file, 100_000, _MAX_CHECKPOINT):
+            pass  # its list is valid
+        state = training_library("torch").load(file, weights_only=True, map_location="cpu")
+        return typed(kind, read_json(state["facts"], _MAX_BYTES)), state
+
+
+def reading_checkpoint(folder: Path) -> AbstractContextManager[None]:
+    """Explains the errors of a block that uses a run's checkpoint."""
+    what = f"the checkpoint {str(folder / CHECKPOINT)!r} cannot be read"
+    return reading(what, "the file that the run wrote; give another --output to start again")
 
 
 # ---------------------------------------------------------------------- log
 
 
-def read_json_lines(file: Path) -> list[dict[str, Any]]:
-    """The lines of a file of JSON lines; none if there is no such file."""
-    return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+def read_json_lines(file: Path, kind: type[T]) -> list[T]:
+    """The lines of a file of JSON lines; none if there is no such file.
+
+    Args:
+        file: the file.
+        kind: the type of a line, see :func:`stkzoo._schema.typed`.
+
+    Raises:
+        ConfigError: it is damaged.
+    """
+    if not file.exists():
+        return []
+    with reading(f"{str(file)!r} cannot be read", "the lines that the run wrote"):
+        return [typed(kind, line) for line in read_lines(file, _MAX_BYTES)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Iteration:
+    """What a line of a training log has at least."""
+
+    iteration: Count
+    kart_steps: Count = 0
+
+
+def read_log(folder: Path) -> list[dict[str, Any]]:
+    """The lines of a run's log; none if there is no log.
+
+    Raises:
+        ConfigError: it is damaged.
+    """
+    return read_json_lines(folder / LOG, dict[str, Any])
 
 
 def require_log(folder: str | Path) -> list[dict[str, Any]]:
@@ -166,7 +241,7 @@ def require_log(folder: str | Path) -> list[dict[str, Any]]:
     file = Path(folder) / LOG
     if not file.is_file():
         raise ConfigError(f"{str(folder)!r} is not the folder of a run: it has no {LOG}")
-    return read_json_lines(file)
+    return read_log(Path(folder))
 
 
 def write_log(folder: Path, log: Sequence[Mapping[str, Any]]) -> None:
@@ -187,7 +262,8 @@ class TrainingLog:
 
     def __init__(self, folder: Path, iteration: int) -> None:
         self._file = folder / LOG
-        kept = [line for line in read_json_lines(self._file) if line["iteration"] <= iteration]
+        lines = zip(read_log(folder), read_json_lines(self._file, _Iteration), strict=True)
+        kept = [line for line, known in lines if known.iteration <= iteration]
         write_log(folder, kept)
         self.last: dict[str, Any] = kept[-1] if kept else {}
         self._writer: Any = None

@@ -10,7 +10,7 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
@@ -18,20 +18,24 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._os import atomic_write
+from stkzoo._reading import Unreadable, read_arrays, reading
+from stkzoo._schema import Count, typed
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
-from stkzoo.errors import ConfigError
-from stkzoo.wrappers.racing import SIZE
+from stkzoo.wrappers.racing import CHOICES, SIZE
 
 from ..common.arguments import NetworkArguments, ScriptOptions
 from ..common.command import ProgressBar
 from ..common.network_policy import save_driver
-from ..common.run_folder import LOG, keep_arguments, read_json_lines, write_log
+from ..common.run_folder import keep_arguments, read_log, write_log
 from ..export import export_policy
 from ..plot import plot_runs
 from .network import fit, load_weights_into, make_network
 
 A = TypeVar("A")
 Numbers = npt.NDArray[Any]
+
+#: Largest size of a round's lessons [bytes].
+_MAX_BYTES = 8 << 30
 
 _POLICY, _PLOT = "policy.safetensors", "imitation.png"
 
@@ -97,14 +101,22 @@ class Lesson:
         Raises:
             ConfigError: the file is damaged.
         """
-        try:
-            with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-                ratios, finished = tuple(file["ratios"].tolist()), int(file["finished"])
-                return cls(file["observations"], file["actions"], ratios, finished)
-        except (OSError, ValueError, KeyError, TypeError, EOFError) as error:
-            raise ConfigError(
-                f"{path} is unreadable ({error}); delete it to drive the round again"
-            ) from error
+        with reading(f"{path} is unreadable", "a round's lessons; delete it to drive it again"):
+            found = read_arrays(path, _MAX_BYTES)
+            for entry in fields(cls):
+                if entry.name not in found:
+                    raise Unreadable(f"it has no {entry.name}")
+            actions, seen = found["actions"], found["observations"]
+            if actions.shape != (len(seen), len(CHOICES)) or actions.dtype != np.int8:
+                raise Unreadable(
+                    f"actions has the shape {actions.shape}, expected {len(seen)} rows"
+                )
+            if seen.ndim != 2 or seen.dtype != np.float32 or not np.isfinite(seen).all():
+                raise Unreadable("observations are no finite numbers")
+            if (actions < 0).any() or (actions >= CHOICES).any():
+                raise Unreadable("actions are no choices")
+            ratios = typed(tuple[float, ...], found["ratios"].tolist())
+            return cls(seen, actions, ratios, typed(Count, found["finished"].tolist()))
 
 
 def run_rounds(
@@ -139,7 +151,7 @@ def run_rounds(
         ConfigError: torch is not installed, or the folder has another run.
     """
     keep_arguments(folder, arguments, arguments.free)
-    log = [line for line in read_json_lines(folder / LOG) if "loss" in line]
+    log = [line for line in read_log(folder) if "loss" in line]
     network = make_network(arguments.hidden, arguments.seed, inputs)
     if log:
         load_weights_into(network, _policy(folder, len(log) - 1))

@@ -20,18 +20,18 @@ which ``python -m stkzoo.agents.training.export`` makes agents of) and a run's f
 from __future__ import annotations
 
 import functools
-import json
 import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from stkzoo._arguments import option
 from stkzoo._os import write_text
+from stkzoo._schema import Count, Matching, Within, typed
 from stkzoo.agents.pretrained.driver import check_shapes
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
@@ -40,12 +40,20 @@ from stkzoo.evaluation import require_openskill
 
 from ..common.arguments import PPOArguments, ScriptOptions
 from ..common.command import ProgressBar, run_command
-from ..common.matches import MatchRecord, plan_match_driver, play_records, rate_orders
-from ..common.run_folder import TrainingLog, check_resumed, write_json
+from ..common.matches import AI, MatchRecord, plan_match_driver, play_records, rate_orders
+from ..common.opponents import Rival
+from ..common.run_folder import TrainingLog, check_resumed, read_run_file, write_json
 from ..ppo.selfplay import SelfPlayArguments
 from .learner import LeagueLearner
 from .page import page
-from .players import START, Player, PlayerMatchmaker, draw_matches, new_players
+from .players import (
+    START,
+    DuelResults,
+    Player,
+    PlayerMatchmaker,
+    draw_matches,
+    new_players,
+)
 
 _STATE, _PAGE, _MEMBERS, _DUELS = "league.json", "league.html", "members", "duels.json"
 _VERSION = 2
@@ -115,6 +123,38 @@ class _LeagueState:
     members: list[dict[str, Any]] = field(default_factory=list)
     matches: list[MatchRecord] = field(default_factory=list)
     ratings: dict[str, list[float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class _Member:
+    """A past self in the file."""
+
+    name: Annotated[str, Matching(r"[a-z0-9-]+", "the name of a member")]
+    player: str
+    turn: Count
+    kart_steps: Count
+    league_steps: Count
+
+
+@dataclass(frozen=True, slots=True)
+class _LeagueFile:
+    """The content of ``league.json``; see :class:`_LeagueState`."""
+
+    arguments: dict[str, Any]
+    turn: Count
+    kart_steps: Count
+    players: Annotated[list[Player], Within(1, 100)]
+    members: Annotated[list[_Member], Within(1)]
+    matches: list[MatchRecord]
+    ratings: dict[str, tuple[float, float, float]]
+
+    def __post_init__(self) -> None:
+        names = {member.name for member in self.members}
+        for player in self.players:
+            typed(list[Rival], player.pool)
+        met = {name for match in self.matches for name in match.order} | set(self.ratings)
+        if unknown := met - names - {AI}:
+            raise ConfigError(f"there is no member {min(unknown)[:60]!r}")
 
 
 class League:
@@ -205,7 +245,7 @@ class League:
                     done = state.kart_steps + learner.kart_steps - player.kart_steps
                     report(done, player.name, line)
             if is_played:  # the program ended between the checkpoint and the league's state
-                matchmaker.restore(json.loads((folder / _DUELS).read_text()))
+                matchmaker.restore(asdict(read_run_file(DuelResults, folder / _DUELS)))
             else:
                 write_json(folder / _DUELS, matchmaker.state())
                 learner.save_checkpoint()
@@ -255,12 +295,16 @@ class League:
         write_json(self.folder / _STATE, content)
 
     def _restore(self) -> None:
-        found = json.loads((self.folder / _STATE).read_text())
-        check_resumed(self.folder, found["arguments"], asdict(self.arguments))
-        found["players"] = [Player(**player) for player in found["players"]]
-        found["matches"] = [MatchRecord(**match) for match in found["matches"]]
-        names = [entry.name for entry in fields(_LeagueState)]
-        self._state = _LeagueState(**{name: found[name] for name in names})
+        found = read_run_file(_LeagueFile, self.folder / _STATE)
+        check_resumed(self.folder, found.arguments, asdict(self.arguments))
+        self._state = _LeagueState(
+            found.turn,
+            found.kart_steps,
+            found.players,
+            [asdict(member) for member in found.members],
+            found.matches,
+            {name: list(rating) for name, rating in found.ratings.items()},
+        )
 
 
 def _start_weights(arguments: LeagueArguments) -> Mapping[str, Any]:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from stkzoo._schema import Count, Matching, OneOf, Share
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.errors import ConfigError
 
 from ..common.matches import SEATS, Match, MatchRecord
-from ..common.opponents import RivalPool
+from ..common.opponents import Rival, RivalPool
 
 #: Kinds of players.
 MAIN, EXPLOITER, LEAGUE_EXPLOITER = "main", "exploiter", "league-exploiter"
@@ -43,12 +44,12 @@ class Player:
         pool: how its duels went, of :class:`~stkzoo.agents.training.common.opponents.RivalPool`.
     """
 
-    name: str
-    kind: str
-    generation: int = 0
-    turns: int = 0
-    past_turns: int = 0
-    kart_steps: int = 0
+    name: Annotated[str, Matching(r"[a-z-]+", "the name of a player")]
+    kind: Annotated[str, OneOf((MAIN, EXPLOITER, LEAGUE_EXPLOITER))]
+    generation: Count = 0
+    turns: Count = 0
+    past_turns: Count = 0
+    kart_steps: Count = 0
     pool: list[dict[str, Any]] = field(default_factory=list)
 
     @property
@@ -76,6 +77,14 @@ class Player:
         self.past_turns += self.turns
         self.turns = self.kart_steps = 0
         self.pool = []
+
+
+@dataclass(frozen=True, slots=True)
+class DuelResults:
+    """How the duels of a turn went, as its file has them; see :meth:`PlayerMatchmaker.state`."""
+
+    pool: list[Rival]
+    reported: list[Share]
 
 
 def new_players(mains: int, exploiters: int, league_exploiters: int) -> list[Player]:

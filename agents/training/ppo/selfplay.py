@@ -26,16 +26,18 @@ from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo._arguments import option
+from stkzoo._schema import Count, Within
 from stkzoo.agents.planning.arrays import FloatArray
 from stkzoo.agents.planning.driver import CHOICES, INPUT_SIZE, PolicyInput
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
+from stkzoo.errors import ConfigError
 
 from ..common.arguments import QUICK_TRACKS, PPOArguments, ScriptOptions
 from ..common.command import ProgressBar, run_command
@@ -46,6 +48,7 @@ from ..common.run_folder import (
     check_resumed,
     load_checkpoint,
     plan_parameters,
+    reading_checkpoint,
     save_checkpoint,
     write_json,
 )
@@ -143,6 +146,29 @@ def advantages_of(
 # ---------------------------------------------------------------------- the algorithm
 
 
+@dataclass(frozen=True, slots=True)
+class _Facts:
+    """The facts in a checkpoint.
+
+    Attributes:
+        history: the arguments, each with the kart-steps from which on they hold.
+        kart_steps: driven by then.
+        iteration: number of iterations by then.
+        recent: the latest finishes.
+    """
+
+    history: Annotated[list[dict[str, Any]], Within(1)]
+    kart_steps: Count
+    iteration: Count
+    recent: tuple[Finish, ...]
+
+    def __post_init__(self) -> None:
+        for chapter in self.history:
+            parts = chapter.get("arguments"), chapter.get("rules", {})
+            if not all(isinstance(part, dict) for part in parts):
+                raise ConfigError("history has no arguments or rules")
+
+
 class PPOLearner:
     """A run: its races, networks and files.
 
@@ -182,7 +208,7 @@ class PPOLearner:
         self.kart_steps = self.iteration = 0
         self._history: list[dict[str, Any]] = [self._chapter()]
         self._recent: deque[Finish] = deque(maxlen=_RECENT)
-        if checkpoint := load_checkpoint(self.folder):
+        if checkpoint := load_checkpoint(self.folder, _Facts):
             self._restore(*checkpoint, may_change)
         write_json(self.folder / ARGUMENTS, self._history)
         self.begin_races()
@@ -384,9 +410,9 @@ class PPOLearner:
         rules = asdict(self._rules)
         return {"from": kart_steps, "arguments": asdict(self.arguments), "rules": rules}
 
-    def _restore(self, facts: dict[str, Any], state: dict[str, Any], may_change: bool) -> None:
-        self._history = facts["history"]
-        now, last = self._chapter(facts["kart_steps"]), self._history[-1]
+    def _restore(self, facts: _Facts, state: dict[str, Any], may_change: bool) -> None:
+        self._history = facts.history
+        now, last = self._chapter(facts.kart_steps), self._history[-1]
         rules = {name: last.get("rules", {}).get(name) for name in now["rules"]}
         if check_resumed(
             self.folder,
@@ -396,10 +422,10 @@ class PPOLearner:
             may_change=may_change,
         ):
             self._history.append(now)
-        self.kart_steps, self.iteration = facts["kart_steps"], facts["iteration"]
-        for finish in facts["recent"]:
-            self._recent.append(Finish(**{**finish, "lineup": Lineup(**finish["lineup"])}))
-        self._network.restore(state["network"])
+        self.kart_steps, self.iteration = facts.kart_steps, facts.iteration
+        self._recent.extend(facts.recent)
+        with reading_checkpoint(self.folder):
+            self._network.restore(state["network"])
 
 
 def _company(lineup: Lineup) -> str:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
+
+from stkzoo._schema import Count, Within, typed
 
 #: The training tracks in the order of how well a simple driver does on them, beside the AI.
 EASY_TO_HARD = (
@@ -93,7 +96,20 @@ class Curriculum:
         return {"stage": self.stage, "paces": list(self._paces)}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Restores a :meth:`state`."""
-        self.stage = int(state["stage"])
+        """Restores a :meth:`state`.
+
+        Raises:
+            Unreadable: it is damaged.
+        """
+        known = typed(_CurriculumState, state)
+        self.stage = min(known.stage, len(self.tracks))
         self._paces.clear()
-        self._paces.extend(state["paces"])
+        self._paces.extend(known.paces)
+
+
+@dataclass(frozen=True, slots=True)
+class _CurriculumState:
+    """A state of a curriculum, as its file has it."""
+
+    stage: Count
+    paces: Annotated[tuple[float, ...], Within(0, 100_000)]

@@ -28,7 +28,6 @@ beside the training), ``ratings.json``, and ``agent``, which ``stkzoo race`` tak
 from __future__ import annotations
 
 import importlib
-import json
 import subprocess
 import sys
 import time
@@ -43,6 +42,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from stkzoo._arguments import option
+from stkzoo._schema import Count, typed
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.evaluation import require_openskill
 from stkzoo.wrappers.racing import CHOICES, RESCUE
@@ -52,8 +52,16 @@ from ..common.command import ProgressBar, run_command, training_library
 from ..common.fleet import parse_races
 from ..common.network_policy import initial_weights, save_driver
 from ..common.opponents import RivalPool, bot_name
-from ..common.run_folder import TrainingLog, keep_arguments, load_checkpoint, save_checkpoint
+from ..common.run_folder import (
+    TrainingLog,
+    keep_arguments,
+    load_checkpoint,
+    read_run_file,
+    reading_checkpoint,
+    save_checkpoint,
+)
 from ..export import export_policy
+from ..plot import RunRatings
 from ..rate import EVALUATIONS, RATINGS
 from .curriculum import EASY_TO_HARD, Curriculum
 
@@ -189,6 +197,19 @@ class BackgroundEvaluation:
 # ---------------------------------------------------------------------- the run
 
 
+@dataclass(frozen=True, slots=True)
+class _Facts:
+    """The facts in a checkpoint; the parts check their own."""
+
+    kart_steps: Count
+    iteration: Count
+    rounds: Count
+    curriculum: dict[str, Any]
+    bots: list[dict[str, Any]]
+    snapshots: list[dict[str, Any]]
+    recent: list[dict[str, Any]]
+
+
 class SB3Run:
     """A run: its races, model and files.
 
@@ -217,8 +238,9 @@ class SB3Run:
         self.evaluation = BackgroundEvaluation(
             self.folder, arguments.evaluation_tracks, arguments.evaluation_races
         )
-        if checkpoint := load_checkpoint(self.folder):
-            self._restore(*checkpoint)
+        if checkpoint := load_checkpoint(self.folder, _Facts):
+            with reading_checkpoint(self.folder):
+                self._restore(*checkpoint)
         else:
             if arguments.init:
                 weights = initial_weights(arguments.init, self._model.policy)
@@ -417,14 +439,14 @@ class SB3Run:
     def _make_ready(self, name: str) -> None:
         self._envs.add_driver(name, load_driver(self.folder / f"{name}.safetensors"))
 
-    def _restore(self, facts: dict[str, Any], state: dict[str, Any]) -> None:
-        self.kart_steps, self.iteration = facts["kart_steps"], facts["iteration"]
-        self.rounds = facts["rounds"]
-        self._curriculum.restore(facts["curriculum"])
-        self._bots.restore(facts["bots"])
-        self._snapshots.restore(facts["snapshots"])
-        ends = importlib.import_module("stkzoo.agents.training.sb3.races").RaceEnd
-        self._recent.extend(ends(**end) for end in facts["recent"])
+    def _restore(self, facts: _Facts, state: dict[str, Any]) -> None:
+        self.kart_steps, self.iteration = facts.kart_steps, facts.iteration
+        self.rounds = facts.rounds
+        self._curriculum.restore(facts.curriculum)
+        self._bots.restore(facts.bots)
+        self._snapshots.restore(facts.snapshots)
+        ends: Any = importlib.import_module("stkzoo.agents.training.sb3.races").RaceEnd
+        self._recent.extend(typed(ends, end) for end in facts.recent)
         self._model.policy.load_state_dict(state["policy"])
         self._model.policy.optimizer.load_state_dict(state["optimiser"])
         for rival in self._snapshots.opponents:
@@ -501,9 +523,9 @@ def _log_evaluation(run: SB3Run, log: TrainingLog, wait: float = 0.0) -> None:
     """Adds an evaluation that has finished to the TensorBoard files."""
     if not run.evaluate(wait):
         return
-    latest = json.loads((run.folder / RATINGS).read_text())["policies"][-1]
+    latest = read_run_file(RunRatings, run.folder / RATINGS).policies[-1]
     for name in ("rating", "rating_low", "rating_high", "time_ratio"):
-        log.add(f"evaluation/{name}", latest[name], latest["kart_steps"])
+        log.add(f"evaluation/{name}", getattr(latest, name), latest.kart_steps)
 
 
 def _finish(run: SB3Run, log: TrainingLog) -> None:
@@ -519,7 +541,7 @@ def _finish(run: SB3Run, log: TrainingLog) -> None:
         print(f"{run.evaluation.failures} evaluations failed; see above", file=sys.stderr)
     file = run.folder / RATINGS
     if file.exists():
-        print("\n".join(json.loads(file.read_text())["table"]))
+        print("\n".join(read_run_file(RunRatings, file).table))
     print(f"stkzoo race {agent} ai ai random --track {run.arguments.tracks[0]}")
 
 

@@ -26,6 +26,8 @@ from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, check_files, write_ma
 from stkzoo.errors import AssetError
 
 _LOOK_EVERY = 0.1  # [s]
+#: Most that a program may write [bytes]; the list of the game's data takes half a megabyte.
+_MAX_OUTPUT = 8 << 20
 
 
 def _run(
@@ -69,8 +71,11 @@ def _run(
         finally:
             process.kill()
             process.wait()
+        size = log.seek(0, os.SEEK_END)
         log.seek(0)
-        text = log.read()
+        text = log.read(_MAX_OUTPUT)
+    if size > _MAX_OUTPUT:
+        raise AssetError(f"{name or command[0]} wrote {size:,} bytes, expected less.")
     if process.returncode != 0:
         name = name or f"`{' '.join(command)}`"
         lines = "\n".join(text.strip().splitlines()[-last_lines:])

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
+from stkzoo._reading import Unreadable, load_json, read_file
+from stkzoo._schema import typed
 from stkzoo.errors import AssetError
 
 #: The engine starts only where an empty file ``data/supertuxkart.<this>`` lies.
@@ -42,6 +44,8 @@ class Assets:
 
 #: Version of the trees that stkzoo makes.
 _LAYOUT = 1
+#: Largest size of the marker and of a description [bytes]; the largest of the game has 650 kB.
+_MAX_MARKER, _MAX_XML = 1 << 20, 8 << 20
 
 
 def write_marker(root: Path, origin: str, *, headless: bool) -> None:
@@ -72,25 +76,28 @@ def read_marker(root: Path) -> Assets | None:
         AssetError: the marker is there but not readable.
     """
     try:
-        values = json.loads((root / MARKER).read_text(encoding="utf-8"))
-        layout = int(values["layout"])
-        assets = Assets(
-            root,
-            source=str(values["origin"]),
-            headless=bool(values["headless"]),
-            tracks=tuple(str(name) for name in values["tracks"]),
-            karts=tuple(str(name) for name in values["karts"]),
-        )
+        marker = typed(_Marker, load_json(root / MARKER, _MAX_MARKER))
     except (FileNotFoundError, NotADirectoryError):
         return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise AssetError(f"{root / MARKER} is damaged or cannot be read ({error!r}).") from error
-    if layout != _LAYOUT:
+    except (OSError, Unreadable) as error:
+        raise AssetError(f"{root / MARKER} is damaged or cannot be read ({error}).") from error
+    if marker.layout != _LAYOUT:
         raise AssetError(
-            f"{root} was made by another version of stkzoo (layout {layout}, "
+            f"{root} was made by another version of stkzoo (layout {marker.layout}, "
             f"this one makes {_LAYOUT})."
         )
-    return assets
+    return Assets(root, marker.origin, marker.headless, marker.tracks, marker.karts)
+
+
+@dataclass(frozen=True, slots=True)
+class _Marker:
+    """The content of the marker's file; see :class:`Assets`."""
+
+    layout: int
+    origin: str
+    headless: bool
+    tracks: tuple[str, ...]
+    karts: tuple[str, ...]
 
 
 def check_shape(root: Path) -> None:
@@ -156,8 +163,8 @@ def parse_xml(path: Path) -> ET.Element:
         AssetError: the file is missing or broken.
     """
     try:
-        return ET.parse(path).getroot()  # noqa: S314 - the game's own files, not the network's
-    except (ET.ParseError, OSError) as error:
+        return ET.fromstring(read_file(path, _MAX_XML))  # noqa: S314 - of bounded size
+    except (ET.ParseError, OSError, LookupError, ValueError) as error:
         raise AssetError(f"{path} cannot be read: {error}.") from error
 
 

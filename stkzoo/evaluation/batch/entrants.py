@@ -8,8 +8,10 @@ import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
+from typing import Annotated
 
 from stkzoo._os import file_digest
+from stkzoo._schema import Within
 from stkzoo.drivers.driver import declared_name, driver_names, find_driver
 from stkzoo.drivers.failures import printable
 from stkzoo.drivers.files import find_files, installed_module
@@ -38,8 +40,8 @@ class Entrant:
         served: where it is served; ``None`` for one that runs here.
     """
 
-    label: str
-    source: str
+    label: Annotated[str, Within(1)]
+    source: Annotated[str, Within(1)]
     files: Mapping[str, str] = field(default_factory=dict, hash=False)
     served: ServedAgent | None = None
 

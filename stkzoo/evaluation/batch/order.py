@@ -75,14 +75,12 @@ class RaceOrder:
             ConfigError: the file is damaged or belongs to another race.
         """
         file = self.file(folder)
-        try:
-            result = RaceResult.from_json(file.read_text(encoding="utf-8"))
-        except FileNotFoundError:
+        if not file.exists():
             return None
-        except (OSError, ValueError) as error:
-            raise ConfigError(
-                f"{file} cannot be read: {error}; delete it to run the race again"
-            ) from error
+        try:
+            result = RaceResult.load(file)
+        except ConfigError as error:
+            raise ConfigError(f"{error}; delete it to run the race again") from error
         if not self._matches(result):
             raise ConfigError(
                 f"{file} belongs to another race than the plan's; delete it to run the race again"

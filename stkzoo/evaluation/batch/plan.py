@@ -6,8 +6,9 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, TypeVar
 
+from stkzoo._schema import Within
 from stkzoo.engine.assets import find_assets
 from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError
@@ -21,6 +22,10 @@ from stkzoo.race.settings import RaceSettings
 #: The files of the plan and of the result in a batch's folder.
 PLAN_FILE, RESULT_FILE = "plan.json", "result.json"
 _MAX_SHOWN = 80
+#: Most races of a batch.
+MAX_RACES = 100_000
+#: The largest size of the file of a batch's result [bytes].
+MAX_RESULT_BYTES = 64 << 20
 Result = TypeVar("Result")
 Plan = TypeVar("Plan", bound="BatchPlan[Any]")
 
@@ -48,7 +53,7 @@ class BatchPlan(Document, Generic[Result]):
     #: Whether there is a result of some races, which :meth:`draw` can plot.
     is_gradual: ClassVar[bool] = True
 
-    tracks: tuple[str, ...]
+    tracks: Annotated[tuple[str, ...], Within(1, 1000)]
     settings: RaceSettings = field(default_factory=RaceSettings)
     versions: Mapping[str, str] = field(default_factory=versions_now)
 

@@ -20,11 +20,11 @@ from queue import SimpleQueue
 from typing import Any
 
 from stkzoo._os import remove_stale_directories
+from stkzoo._schema import typed
 from stkzoo.drivers.failures import OutputTail
 from stkzoo.drivers.sandbox import SHARED_CORES
 from stkzoo.errors import StkzooError
 from stkzoo.evaluation.batch.order import RaceOrder
-from stkzoo.race.document import typed
 
 #: Most races that are run without some agents to find out who ends the process of one.
 _MAX_TRIALS = 32

@@ -10,8 +10,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
+from stkzoo._schema import Level, OneOf, Positive, Whole
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.plan import BatchPlan, find_tracks
@@ -45,13 +46,13 @@ class AiTime:
     """
 
     track: str
-    direction: str
-    difficulty: int
-    median: float
-    best: float
-    worst: float
-    karts: int
-    finished: int
+    direction: Annotated[str, OneOf(("forward", "reversed"))]
+    difficulty: Level
+    median: Positive
+    best: Positive
+    worst: Positive
+    karts: Whole
+    finished: Whole
 
     @classmethod
     def of(cls, race: RaceKey, times: Sequence[float | None]) -> AiTime | None:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
+from stkzoo._schema import Within
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.plan import (
+    MAX_RACES,
+    MAX_RESULT_BYTES,
     BatchPlan,
     check_directions,
     describe_differences,
@@ -70,15 +74,21 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
 
     agent: Entrant
     split: str
-    directions: tuple[bool, ...]
-    forms: tuple[str, ...]
+    directions: Annotated[tuple[bool, ...], Within(1, 2)]
+    forms: Annotated[tuple[str, ...], Within(1, 400)]
     seeds: int
-    ai_times: Mapping[str, Mapping[str, float]]
-    limit: float = _LIMIT
+    ai_times: Mapping[str, Mapping[str, Annotated[float, Within(0, 1e5, is_above=True)]]]
+    limit: Annotated[float, Within(0, 1000, is_above=True)] = _LIMIT
 
     def __post_init__(self) -> None:
         check_whole("seeds", self.seeds, 1, _MAX_SEEDS)
-        self._forms()
+        ends = sum(len(form.ends) for form in self._forms())
+        races = len(self.tracks) * len(self.directions) * ends * self.seeds
+        if races > MAX_RACES:
+            raise ConfigError(f"the benchmark has {races:,} races, expected at most {MAX_RACES:,}")
+        for track, reverse in itertools.product(self.tracks, self.directions):
+            if direction_name(reverse) not in self.ai_times.get(track, {}):
+                raise ConfigError(f"ai_times has no {track} ({direction_name(reverse)})")
 
     @property
     def agents(self) -> tuple[Entrant, ...]:
@@ -240,6 +250,7 @@ class BenchmarkResult(Document):
     kind: ClassVar[str] = "benchmark-result"
     origin: ClassVar[str] = "the --output of `stkzoo benchmark`, or its result.json"
     rows: ClassVar[str] = "races"
+    max_bytes: ClassVar[int] = MAX_RESULT_BYTES
 
     plan: BenchmarkPlan
     races: tuple[RaceOutcome, ...]
@@ -249,7 +260,7 @@ class BenchmarkResult(Document):
     def __post_init__(self) -> None:
         planned = {race.number: (*race.key, race.seed) for race in self.plan.races()}
         for race in self.races:
-            found, expected = (*race.key, race.seed), planned[race.number]
+            found, expected = (*race.key, race.seed), planned.get(race.number)
             if found != expected:
                 raise ConfigError(
                     f"race {race.number} of the benchmark result is {found}, expected {expected}; "

@@ -7,7 +7,9 @@ import itertools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from typing import Annotated
 
+from stkzoo._schema import Count, OneOf, Place, Positive
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.statistics import Estimate, estimate_mean
 from stkzoo.race.result import AgentResult, RaceResult
@@ -80,13 +82,13 @@ class BenchmarkRace:
         seed: of all random choices in the race; the same for every agent.
     """
 
-    number: int
+    number: Count
     track: str
     reverse: bool
     form: str
-    end: str
-    index: int
-    seed: int
+    end: Annotated[str, OneOf((FRONT, BACK))]
+    index: Count
+    seed: Count
 
     @property
     def lineup(self) -> BenchmarkForm:
@@ -148,10 +150,10 @@ class KartOutcome:
         errors: how often the agent failed.
     """
 
-    time: float | None
-    rank: int
-    rescues: int | None
-    errors: int
+    time: Positive | None
+    rank: Place
+    rescues: Count | None
+    errors: Count
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,8 +168,12 @@ class RaceOutcome(BenchmarkRace):
     """
 
     status: str
-    time_ratio: float
+    time_ratio: Positive
     karts: tuple[KartOutcome, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.karts) != self.lineup.agents:
+            raise ConfigError(f"{len(self.karts)} karts, expected {self.lineup.agents}")
 
     @classmethod
     def of(

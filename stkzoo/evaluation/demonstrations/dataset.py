@@ -17,8 +17,6 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -28,16 +26,15 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._os import write_whole
+from stkzoo._reading import Unreadable, read_arrays, read_json, reading
+from stkzoo._schema import Count, Place, Positive, typed
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
-from stkzoo.race.document import typed
+from stkzoo.race.document import check_document
 
 _KIND, _VERSION = "demonstrations", 1
-#: What reading a damaged file can raise.
-_DAMAGES = (
-    *(OSError, ValueError, KeyError, TypeError, AttributeError, EOFError),
-    *(NotImplementedError, zipfile.BadZipFile, zlib.error),
-)
+#: Largest size of the arrays together, of ``about`` [bytes], and of an episode [steps].
+_MAX_BYTES, _MAX_ABOUT, _MAX_LENGTH = 8 << 30, 64 << 20, 10_000_000
 _BY_STEP = ("actions", "controls", "rewards")
 
 Columns = dict[str, npt.NDArray[Any]]
@@ -73,14 +70,14 @@ class EpisodeFacts:
         rank: its place at the end.
     """
 
-    race: int
+    race: Count
     agent: str
     track: str
     reverse: bool
-    seed: int
-    start_position: int
-    finish_time: float | None
-    rank: int
+    seed: Count
+    start_position: Place
+    finish_time: Positive | None
+    rank: Place
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,25 +219,28 @@ def load_demonstrations(path: str | os.PathLike[str]) -> Demonstrations:
             f"there are no demonstrations {str(path)!r}; record some: "
             f"stkzoo demos heuristic --output {path}"
         )
-    try:
-        with Path(path).open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            arrays: Columns = {name: file[name] for name in file.files}
-        return _read(arrays)
-    except _DAMAGES as error:
-        raise ConfigError(
-            f"{str(path)!r} cannot be read as demonstrations ({type(error).__name__}: {error}); "
-            "expected a file of stkzoo demos"
-        ) from error
+    with reading(f"{str(path)!r} cannot be read as demonstrations", "a file of stkzoo demos"):
+        return _read(read_arrays(path, _MAX_BYTES))
+
+
+@dataclass(frozen=True, slots=True)
+class _About:
+    """What must be in the file's ``about``."""
+
+    view: str
+    episodes: tuple[EpisodeFacts, ...]
 
 
 def _read(arrays: Columns) -> Demonstrations:
-    about: dict[str, Any] = json.loads(str(arrays.pop("about")))
-    found = about.pop("type"), about.pop("schema_version")
-    if found != (_KIND, _VERSION):
-        raise ValueError(f"it is {found[0]} of version {found[1]}")
-    facts = typed(tuple[EpisodeFacts, ...], about.pop("episodes"), "episodes")
+    for name in ("about", "lengths"):
+        if name not in arrays:
+            raise Unreadable(f"it has no {name}")
+    values = read_json(str(arrays.pop("about")), _MAX_ABOUT)
+    check_document(values, _KIND, _VERSION)
+    facts = typed(_About, values).episodes
+    plan = {name: values[name] for name in values.keys() - {"type", "schema_version", "episodes"}}
     lengths = arrays.pop("lengths").astype(np.int64)
-    demos = Demonstrations(about, facts, lengths, arrays)
+    demos = Demonstrations(typed(dict[str, Any], plan), facts, lengths, arrays)
     _check(demos)
     return demos
 
@@ -249,20 +249,23 @@ def _check(demos: Demonstrations) -> None:
     """Checks the lengths of all arrays.
 
     Raises:
-        ValueError: one is wrong.
-        KeyError: one is missing.
+        Unreadable: one is wrong or missing.
     """
-    if demos.lengths.shape != (len(demos),) or (demos.lengths < 1).any():
-        raise ValueError(f"lengths is {demos.lengths}, with {len(demos)} episodes")
-    for name in ("observations", *_BY_STEP):
-        tree_of(name, demos.columns)
+    lengths, names = demos.lengths, {name.partition("/")[0] for name in demos.columns}
+    if lengths.shape != (len(demos),) or ((lengths < 1) | (lengths > _MAX_LENGTH)).any():
+        raise Unreadable(f"lengths is {lengths!s:.60}, with {len(demos)} episodes")
+    if missing := {"observations", *_BY_STEP} - names:
+        raise Unreadable(f"it has no {min(missing)}")
     for name, column in demos.columns.items():
         rows = demos.num_steps + (0 if is_by_step(name) else len(demos))
-        if len(column) != rows:
-            raise ValueError(f"{name} has {len(column)} rows, expected {rows}")
-    if demos.columns["controls"].shape[1:] != (len(CONTROLS),):
-        raise ValueError(f"controls has the shape {demos.columns['controls'].shape}")
-    str(demos.plan["view"])
+        if column.shape[:1] != (rows,) or column.dtype.kind == "U":
+            raise Unreadable(
+                f"{name} has the shape {column.shape}, expected {rows} rows of numbers"
+            )
+    for name, shape in (("controls", (demos.num_steps, len(CONTROLS))), ("rewards", lengths.shape)):
+        column = demos.columns.get(name, lengths[:, None, None])
+        if column.shape[1:] != shape[1:] or not np.isfinite(column).all():
+            raise Unreadable(f"{name} has another shape than the steps, or is not finite")
 
 
 def is_by_step(name: str) -> bool:

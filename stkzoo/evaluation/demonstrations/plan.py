@@ -13,13 +13,14 @@ import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
+from stkzoo._schema import Count, OneOf, Within
 from stkzoo.drivers.driver import find_driver
 from stkzoo.errors import ConfigError, StkzooError, check_whole
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
 from stkzoo.evaluation.batch.order import RaceOrder
-from stkzoo.evaluation.batch.plan import BatchPlan, check_directions, find_tracks
+from stkzoo.evaluation.batch.plan import MAX_RACES, BatchPlan, check_directions, find_tracks
 from stkzoo.evaluation.batch.run import RunOptions, run_batch
 from stkzoo.evaluation.demonstrations.dataset import (
     Demonstrations,
@@ -108,12 +109,17 @@ class DemoPlan(BatchPlan[Demonstrations]):
     is_gradual: ClassVar[bool] = False
 
     agent: Entrant
-    karts: int
-    rivals: tuple[str, ...]
+    karts: Annotated[int, Within(1, _MAX_KARTS)]
+    rivals: Annotated[tuple[str, ...], Within(0, 255)]
     view: str
-    directions: tuple[bool, ...]
-    seeds: tuple[int, ...]
-    substeps: int
+    directions: Annotated[tuple[bool, ...], Within(1, 2)]
+    seeds: Annotated[tuple[Count, ...], Within(1)]
+    substeps: Annotated[int, OneOf(_SUBSTEPS)]
+
+    def __post_init__(self) -> None:
+        races = len(self.tracks) * len(self.directions) * len(self.seeds)
+        if races > MAX_RACES:
+            raise ConfigError(f"the data set has {races:,} races, expected at most {MAX_RACES:,}")
 
     @property
     def agents(self) -> tuple[Entrant, ...]:

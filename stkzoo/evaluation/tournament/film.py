@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._schema import Positive, Within
+from stkzoo.errors import ConfigError
 from stkzoo.race.document import Document
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.render.palette import race_palette
@@ -22,6 +24,9 @@ _SPEED = 4.0
 _OWN_FILE = ' xmlns="http://www.w3.org/2000/svg"'
 _OWN_ROAD = ' fill="none" stroke="#b3bdcb" stroke-linecap="round"'
 _LOOP = 'begin="0s" repeatCount="indefinite"'
+
+#: A place on an axis [m].
+_Metres = Annotated[float, Within(-1e6, 1e6)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +45,16 @@ class MapFilm(Document):
     origin: ClassVar[str] = "the folder films of a tournament"
 
     track: str
-    interval: float
-    width: float
-    road: tuple[tuple[float, ...], ...]
-    karts: Mapping[str, tuple[float, ...]]
+    interval: Positive
+    width: Annotated[float, Within(0, 1e6, is_above=True)]
+    road: Annotated[tuple[tuple[_Metres, _Metres, _Metres, _Metres], ...], Within(1)]
+    karts: Annotated[Mapping[str, tuple[_Metres, ...]], Within(1, 256)]
+
+    def __post_init__(self) -> None:
+        if len({len(way) for way in self.karts.values()}) > 1 or any(
+            len(way) % 2 for way in self.karts.values()
+        ):
+            raise ConfigError("the karts of the film have different moments, or half a place")
 
     def to_json(self) -> str:
         """The film as JSON, in one line."""
@@ -64,11 +75,12 @@ class FilmRecorder(RaceListener):
         step = float(race.env.options.step_size)
         self._every = max(1, round(_INTERVAL / step))
         track = race.scene.track_map
+        road = track.path_nodes[..., ::2].reshape(-1, 4)
         self._film = MapFilm(
             track=race.race_info.track,
             interval=self._every * step,
             width=float(np.median(track.path_width)),
-            road=tuple(map(tuple, _rounded(track.path_nodes[..., ::2].reshape(-1, 4)))),
+            road=tuple((a, b, c, d) for a, b, c, d in _rounded(road)),
             karts={race.names[agent]: () for agent in race.env.possible_agents},
         )
         self._add(race)

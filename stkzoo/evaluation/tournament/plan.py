@@ -7,12 +7,19 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo._schema import Count, Whole, Within
+from stkzoo.errors import ConfigError, check_whole, shortened
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
 from stkzoo.evaluation.batch.order import load_orders
-from stkzoo.evaluation.batch.plan import PLAN_FILE, BatchPlan, find_tracks
+from stkzoo.evaluation.batch.plan import (
+    MAX_RACES,
+    MAX_RESULT_BYTES,
+    PLAN_FILE,
+    BatchPlan,
+    find_tracks,
+)
 from stkzoo.evaluation.batch.run import RunOptions, load_batch, run_batch
 from stkzoo.evaluation.ratings import rate, require_openskill
 from stkzoo.evaluation.statistics import CONFIDENCE
@@ -31,7 +38,8 @@ from stkzoo.race.remote import ServedAgent, ServerAccess
 from stkzoo.race.result import RaceResult, shared_protections, versions_now
 from stkzoo.race.settings import RaceSettings
 
-_MAX_RACES, _MAX_PER_RACE = 100_000, 20
+_MAX_PER_RACE = 20
+_MAX_ENTRANTS = 1000
 _USUAL_PER_RACE = 4
 _MAX_SEED = 2**62
 
@@ -54,17 +62,20 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
     resume_command: ClassVar[str] = "stkzoo tournament --resume {folder}"
     decided: ClassVar[tuple[str, ...]] = ("track", "seed")
 
-    entrants: tuple[Entrant, ...]
+    entrants: Annotated[tuple[Entrant, ...], Within(2, _MAX_ENTRANTS)]
     races: int
     per_race: int
     seed: int
-    additions: tuple[int, ...] = ()
+    additions: tuple[Whole, ...] = ()
     access: ServerAccess | None = None
 
     def __post_init__(self) -> None:
-        check_whole("races", self.races, 1, _MAX_RACES)
+        check_whole("races", self.races, 1, MAX_RACES)
         check_whole("seed", self.seed, 0, _MAX_SEED)
         check_whole("per_race", self.per_race, 2, min(self._num_first, _MAX_PER_RACE))
+        labels = [entrant.label for entrant in self.entrants]
+        if len(set(labels)) < len(labels):
+            raise ConfigError(f"two entrants have the same label among {shortened(labels)}")
 
     @property
     def agents(self) -> tuple[Entrant, ...]:
@@ -205,7 +216,7 @@ def plan_tournament(
     served, access = _ask(servers)
     if isinstance(agents, str) or len(agents) + len(served) < 2:
         raise ConfigError(
-            f"agents is {agents!r:.80}, expected a list of at least two, such as my_agent and ai"
+            f"agents is {shortened(agents, 80)}, expected a list of at least two, such as my_agent and ai"
         )
     chosen = TournamentPlan.choose_settings(settings, changes)
     entrants = find_entrants(agents, chosen, served)
@@ -246,13 +257,22 @@ class TournamentResult(Document):
     # docs/schemas/tournament-result.schema.json
     kind: ClassVar[str] = "tournament-result"
     origin: ClassVar[str] = "the --output of `stkzoo tournament`, or its result.json"
+    max_bytes: ClassVar[int] = MAX_RESULT_BYTES
 
     plan: TournamentPlan
     standings: tuple[Standing, ...]
-    ahead: tuple[tuple[int, ...], ...]
+    ahead: tuple[tuple[Count, ...], ...]
     races: tuple[RaceSummary, ...]
     sandboxes: tuple[str, ...] = field(compare=False, default=())
     protections: tuple[str, ...] = field(compare=False, default=())
+
+    def __post_init__(self) -> None:
+        count = len(self.plan.entrants)
+        if [len(self.standings), *map(len, self.ahead)] != [count] * (1 + count):
+            raise ConfigError(
+                f"standings and ahead have {len(self.standings)} and {len(self.ahead)} agents, "
+                f"expected {count} each"
+            )
 
     @property
     def is_complete(self) -> bool:

@@ -6,7 +6,9 @@ from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
+from typing import Annotated
 
+from stkzoo._schema import Count, Positive, Whole, Within
 from stkzoo.evaluation.batch.entrants import Entrant
 from stkzoo.evaluation.ratings import Rating
 from stkzoo.race.result import AgentResult, RaceResult
@@ -18,9 +20,9 @@ _MAX_REASON = 200
 class RaceSummary:
     """One race: number, track, seed, status, and the agents in finishing order."""
 
-    number: int
+    number: Count
     track: str
-    seed: int
+    seed: Count
     status: str
     order: tuple[str, ...]
 
@@ -52,18 +54,18 @@ class Standing:
         reason: its most frequent failure, in one line; empty without failures.
     """
 
-    place: int
+    place: Whole
     label: str
     source: str
     rating: Rating
-    races: int
-    wins: int
-    mean_rank: float | None
-    finished: int
-    retired: int
-    errors: int
-    mean_time: float | None
-    track_ranks: Mapping[str, float]
+    races: Count
+    wins: Count
+    mean_rank: Annotated[float, Within(1)] | None
+    finished: Count
+    retired: Count
+    errors: Count
+    mean_time: Positive | None
+    track_ranks: Mapping[str, Annotated[float, Within(1)]]
     reason: str = ""
 
     @classmethod

@@ -75,5 +75,5 @@ def read_servers(file: str | os.PathLike[str]) -> tuple[tuple[str, ...], tuple[s
     keys = (words[1] for words in lines if len(words) == 2)
     return (
         tuple(words[0] for words in lines),
-        tuple(str(path.parent / key) if (path.parent / key).exists() else key for key in keys),
+        tuple(str(path.parent / key) if os.path.exists(path.parent / key) else key for key in keys),
     )

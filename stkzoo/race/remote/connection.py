@@ -13,7 +13,7 @@ from stkzoo.drivers.codec import decode, encode
 from stkzoo.drivers.failures import printable, reported_error
 from stkzoo.drivers.instances import Decision
 from stkzoo.drivers.replies import pending_replies
-from stkzoo.errors import AgentError, ProtocolError, RemoteError
+from stkzoo.errors import AgentError, ProtocolError, RemoteError, shortened
 from stkzoo.race.remote import protocol
 from stkzoo.race.remote.keys import KeyPair
 from stkzoo.race.remote.sockets import client_socket, zmq_module
@@ -251,7 +251,7 @@ class Connection:
         try:
             self._handle(frames)
         except Exception as error:  # noqa: BLE001 - no server may end the race
-            text = str(error) if isinstance(error, ProtocolError) else f"{error!r:.200}"
+            text = str(error) if isinstance(error, ProtocolError) else shortened(error, 200)
             self._fail(f"{self.server.address} broke the protocol: {text}")
 
     def _fail(self, text: str) -> None:
@@ -278,20 +278,26 @@ class Connection:
         elif kind == protocol.ACTED:
             self._handle_acted(fields)
         else:
-            raise ProtocolError(f"message kind {kind!r:.20} came")
+            raise ProtocolError(f"message kind {shortened(kind, 20)} came")
 
     def _handle_welcome(self, fields: dict[str, Any]) -> None:
         protocol.check_version(fields)
-        for agent in protocol.field(fields, "agents", list):
+        agents = protocol.field(fields, "agents", list)
+        for agent in agents:
             if type(agent) is not list or [*map(type, agent)] != [str, str, list]:
                 raise ProtocolError(
-                    f"an agent {agent!r:.100}, expected its name, its source and a list of what it "
-                    "observes in addition to the full view"
+                    f"an agent {shortened(agent, 100)}, expected its name, its source and a list "
+                    "of what it observes in addition to the full view"
                 )
             protocol.check_extras(agent[2])
-        if not fields["agents"]:
+        if not agents:
             raise ProtocolError("no agents")
-        self.welcome = fields
+        self.welcome = {
+            "agents": [
+                [printable(name, 100), printable(source, 100), sorted(set(extras))]
+                for name, source, extras in agents
+            ]
+        }
 
     def _handle_opened(self, fields: dict[str, Any]) -> None:
         seat = protocol.field(fields, "seat", int)
@@ -303,7 +309,7 @@ class Connection:
             return
         paths = fields.get("paths_used")
         if paths is not None and (type(paths) is not int or paths < 0):
-            raise ProtocolError(f"{paths!r:.50} track segments, expected a number")
+            raise ProtocolError(f"{shortened(paths, 50)} track segments, expected a number")
         self._answers[seat] = printable(protocol.field(fields, "name", str), 100), paths
 
     def _handle_acted(self, fields: dict[str, Any]) -> None:
@@ -323,7 +329,7 @@ class Connection:
                     reported.seconds = elapsed
                     self._decide(seat, Failure(reported, is_usable))
                 case _:
-                    raise ProtocolError(f"a failure {entry!r:.100}")
+                    raise ProtocolError(f"a failure {shortened(entry, 100)}")
         decisions = [*map(_decision, protocol.field(fields, "decisions", list))]
         longest = max((decision.seconds for _, decision in decisions), default=0.0)
         unexplained = 0.0 if failures else max(elapsed - longest, 0.0)
@@ -346,4 +352,4 @@ def _decision(entry: Any) -> tuple[int, Decision]:
     match entry:
         case [int(seat), bytes(action), float(seconds), bool(is_clipped)] if 0 <= seconds < 1e9:
             return seat, Decision(decode(action), seconds, is_clipped)
-    raise ProtocolError(f"a decision {entry!r:.100}")
+    raise ProtocolError(f"a decision {shortened(entry, 100)}")

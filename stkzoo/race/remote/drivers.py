@@ -10,8 +10,8 @@ from functools import partial
 from itertools import zip_longest
 from typing import Any
 
+from stkzoo._schema import Count
 from stkzoo.drivers.driver import Driver
-from stkzoo.drivers.failures import printable
 from stkzoo.drivers.instances import Decision, DriverRequest, without_unused_paths
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError, RemoteError
 from stkzoo.mdp.spaces import extras_of
@@ -40,7 +40,7 @@ class ServedAgent:
     """
 
     server: Server
-    number: int
+    number: Count
     name: str
     source: str
     extras: tuple[str, ...] = ()
@@ -49,7 +49,7 @@ class ServedAgent:
     def all_of(cls, server: Server, welcome: Mapping[str, Any]) -> list[ServedAgent]:
         """The agents that a server's welcome lists."""
         return [
-            cls(server, number, printable(name, 100), printable(source, 100), tuple(extras))
+            cls(server, number, name, source, tuple(extras))
             for number, (name, source, extras) in enumerate(welcome["agents"])
         ]
 

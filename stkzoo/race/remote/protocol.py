@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, TypeVar
 
 from stkzoo.drivers.codec import Limits, decode, encode
-from stkzoo.errors import ProtocolError
+from stkzoo.errors import ProtocolError, shortened
 from stkzoo.mdp.spaces import EXTRAS
 
 #: Both ends must have the same.
@@ -58,7 +58,7 @@ def field(fields: dict[str, Any], name: str, kind: type[Field]) -> Field:
     """
     value = fields.get(name)
     if type(value) is not kind:
-        raise ProtocolError(f"{name} is {value!r:.100}, expected {kind.__name__}")
+        raise ProtocolError(f"{name} is {shortened(value, 100)}, expected {kind.__name__}")
     return value
 
 
@@ -69,7 +69,9 @@ def check_extras(extras: list[Any]) -> list[str]:
         ProtocolError: it is more than this end knows.
     """
     if not all(isinstance(extra, str) and extra in EXTRAS for extra in extras):
-        raise ProtocolError(f"extras is {extras!r:.100}, expected some of {', '.join(EXTRAS)}")
+        raise ProtocolError(
+            f"extras is {shortened(extras, 100)}, expected some of {', '.join(EXTRAS)}"
+        )
     return extras
 
 

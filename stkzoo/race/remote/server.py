@@ -14,7 +14,7 @@ from typing import Any
 from stkzoo.drivers.codec import Limits
 from stkzoo.drivers.driver import Driver, declared_name
 from stkzoo.drivers.instances import DriverLimits
-from stkzoo.errors import ConfigError, ProtocolError, check_whole
+from stkzoo.errors import ConfigError, ProtocolError, check_whole, shortened
 from stkzoo.race.remote import protocol
 from stkzoo.race.remote.session import ClientSession, Reply
 from stkzoo.race.remote.sockets import (
@@ -167,7 +167,9 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         elif kind == protocol.OPEN:
             self._admit(identity, body)
         elif kind != protocol.CLOSE:
-            self._refuse(identity, f"message kind {kind!r:.20} came, expected one of H, O first")
+            self._refuse(
+                identity, f"message kind {shortened(kind, 20)} came, expected one of H, O first"
+            )
 
     def _welcome(self, identity: bytes, body: bytes) -> None:
         try:

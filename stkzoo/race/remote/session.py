@@ -15,7 +15,7 @@ from stkzoo.drivers.codec import Encoded, decode, encode
 from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.failures import error_report, printable
 from stkzoo.drivers.instances import DriverInstance, DriverLimits, DriverRequest
-from stkzoo.errors import ProtocolError
+from stkzoo.errors import ProtocolError, shortened
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race.remote import protocol
 
@@ -108,7 +108,9 @@ class ClientSession(threading.Thread):
             elif kind == protocol.CLOSE:
                 self._close(protocol.field(protocol.unpack(body), "seats", list))
             else:
-                raise ProtocolError(f"message kind {kind!r:.20} came, expected one of O, A, C")
+                raise ProtocolError(
+                    f"message kind {shortened(kind, 20)} came, expected one of O, A, C"
+                )
 
     def _next(self) -> tuple[bytes, bytes] | None:
         """The next message; waits for the drivers that are starting first."""
@@ -183,7 +185,7 @@ class ClientSession(threading.Thread):
     def _close(self, seats: list[Any]) -> None:
         for seat in seats:
             if type(seat) is not int:
-                raise ProtocolError(f"seat {seat!r:.50}, expected a whole number")
+                raise ProtocolError(f"seat {shortened(seat, 50)}, expected a whole number")
             self._drop(seat)
 
     def _drop(self, seat: int) -> None:
@@ -230,7 +232,7 @@ def _observation(entry: Any) -> tuple[int, bytes]:
     match entry:
         case [int(seat), bytes(data)]:
             return seat, data
-    raise ProtocolError(f"{entry!r:.100} came, expected a seat and its observation")
+    raise ProtocolError(f"{shortened(entry, 100)} came, expected a seat and its observation")
 
 
 def _ask(instance: DriverInstance, data: bytes) -> bool:
@@ -249,5 +251,5 @@ def _shorter(own: float | None, requested: object) -> float | None:
     if requested is None:
         return own
     if not isinstance(requested, (int, float)) or not 0 < requested < 1e9:
-        raise ProtocolError(f"a timeout of {requested!r:.50}, expected seconds or nothing")
+        raise ProtocolError(f"a timeout of {shortened(requested, 50)}, expected seconds or nothing")
     return float(requested) if own is None else min(own, float(requested))

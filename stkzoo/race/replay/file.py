@@ -9,18 +9,19 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
-from typing import Any
+from dataclasses import asdict, dataclass, field, replace
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._os import read_zip, write_whole, write_zip
+from stkzoo._os import write_whole, write_zip
+from stkzoo._reading import Unreadable, read_json, read_zip, reading
+from stkzoo._schema import Count, Place, Within, typed
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.env.options import RaceOptions
-from stkzoo.errors import StkzooError
-from stkzoo.race.document import check_document, read_json, typed
+from stkzoo.errors import StkzooError, shortened
+from stkzoo.race.document import check_document
 from stkzoo.race.result import SCHEMA_VERSION, RaceResult
 
 #: Bytes of one digest.
@@ -78,12 +79,12 @@ class Replay:
     difficulty: int
     max_paths: int | None
     step_size: float
-    seed: int
-    num_tracks: int
-    engine_seed: int
-    start_positions: tuple[int, ...]
+    seed: Count
+    num_tracks: Annotated[int, Within(1, 10_000)]
+    engine_seed: Count
+    start_positions: tuple[Place, ...]
     kart_types: tuple[str, ...]
-    agents: tuple[ReplayAgent, ...]
+    agents: Annotated[tuple[ReplayAgent, ...], Within(1, 256)]
     controls: npt.NDArray[np.float32] = field(repr=False)
     digests: npt.NDArray[np.uint8] = field(repr=False)
     status: str
@@ -141,7 +142,6 @@ _ABOUT, _CONTROLS, _DIGESTS = "race.json", "controls.f4", "digests.u1"
 
 #: [bytes]
 _MAX_MEMBER = {_ABOUT: 8 << 20, _CONTROLS: 256 << 20, _DIGESTS: 16 << 20}
-_MAX_KARTS, _MAX_TRACKS = 256, 10_000
 #: Fields that are options of the environment too.
 _SETTINGS = ("track", "reverse", "laps", "difficulty", "max_paths", "step_size")
 
@@ -172,66 +172,52 @@ def load_replay(path: str | os.PathLike[str]) -> Replay:
     Raises:
         ReplayError: the file is missing, damaged, too large, or of another version.
     """
-    file = Path(path)
-    try:
-        return _replay_of(read_zip(file, _MAX_MEMBER))
-    except MemoryError:
-        raise
-    except OSError as error:
-        why = error.strerror or error
-        raise ReplayError(
-            f"the replay {file} cannot be read: {why}; expected a file from `stkzoo race --replay`"
-        ) from error
-    except ReplayError as error:
-        raise ReplayError(f"the replay {file}: {error}") from None
-    except Exception as error:  # zipfile, zlib and json report damage in many ways
-        why = f"{type(error).__name__}: {error}"
-        raise ReplayError(
-            f"{file} is not a replay, or damaged ({why:.200}); expected a file from `stkzoo race "
-            "--replay`: copy the file again, or record the race again"
-        ) from error
+    expected = "a file from `stkzoo race --replay`"
+    with reading(f"the replay {path} cannot be read", expected, ReplayError):
+        return _replay_of(read_zip(path, _MAX_MEMBER))
 
 
 def _replay_of(members: dict[str, bytes]) -> Replay:
-    header = read_json(members[_ABOUT].decode())
+    header = read_json(members[_ABOUT], _MAX_MEMBER[_ABOUT])
     _check_version(header)
-    if header["result"] is not None:
+    if header.get("result") is not None:
         check_document(header["result"], "race-result", SCHEMA_VERSION)
-    count = len(header["agents"])
-    if not 1 <= count <= _MAX_KARTS:
-        raise ValueError(f"{count} agents, expected 1 to {_MAX_KARTS}")
+    none = np.zeros(0, np.uint8)
+    replay = typed(Replay, header | {"controls": none, "digests": none})
+    count = len(replay.agents)
     controls = _controls(members[_CONTROLS], count)
-    digests = np.frombuffer(members[_DIGESTS], np.uint8).reshape(len(controls) + 1, DIGEST_SIZE)
-    replay: Replay = typed(Replay, header | {"controls": controls, "digests": digests})
-    if header["steps"] != replay.steps:
-        raise ValueError(f"steps is {header['steps']!r:.60}, expected {replay.steps}")
+    size = DIGEST_SIZE * (len(controls) + 1)
+    if header.get("steps") != len(controls) or len(members[_DIGESTS]) != size:
+        raise Unreadable(f"{_CONTROLS} has {len(controls)} steps, and steps or {_DIGESTS} do not")
     if sorted(replay.start_positions) != list(range(1, count + 1)):
-        raise ValueError("start_positions does not have each place once")
+        raise Unreadable("start_positions does not have each place once")
     if len(replay.kart_types) != count:
-        raise ValueError(f"kart_types has {len(replay.kart_types)} entries, expected {count}")
+        raise Unreadable(f"kart_types has {len(replay.kart_types)} entries, expected {count}")
     settings: dict[str, Any] = {name: getattr(replay, name) for name in _SETTINGS}
     RaceOptions(num_kart=count, **settings)  # checks the values
-    if not 1 <= replay.num_tracks <= _MAX_TRACKS:
-        raise ValueError(f"num_tracks is {replay.num_tracks}, expected 1 to {_MAX_TRACKS}")
-    return replay
+    digests = np.frombuffer(members[_DIGESTS], np.uint8).reshape(-1, DIGEST_SIZE)
+    return replace(replay, controls=controls, digests=digests)
 
 
 def _check_version(header: Any) -> None:
     if not isinstance(header, dict) or header.get("type") != _TYPE:
-        raise ValueError(f"race.json is not a {_TYPE}")
+        raise Unreadable(f"race.json is not a {_TYPE}")
     found = header.get("format")
     if found != FORMAT:
         raise ReplayError(
-            f"it has format {found!r}, this stkzoo reads format {FORMAT}; use the version of "
-            "stkzoo that wrote it"
+            f"it has format {shortened(found)}, this stkzoo reads format {FORMAT}; use the "
+            "version of stkzoo that wrote it"
         )
 
 
 def _controls(data: bytes, count: int) -> npt.NDArray[np.float32]:
+    row = 4 * count * len(CONTROLS)
+    if len(data) % row:
+        raise Unreadable(f"{_CONTROLS} has {len(data)} bytes, expected a multiple of {row}")
     controls = np.frombuffer(data, "<f4").reshape(-1, count, len(CONTROLS))
     low = np.array([0, -1, 0, 0, 0, 0, 0], np.float32)
     is_button = np.arange(len(CONTROLS)) >= 2
     good = (controls >= low) & (controls <= 1)  # false for NaN
     if not (good & (~is_button | (controls == np.round(controls)))).all():
-        raise ValueError(f"{_CONTROLS} has invalid controls")
+        raise Unreadable(f"{_CONTROLS} has invalid controls")
     return controls.astype(np.float32)

@@ -6,7 +6,7 @@ import threading
 import time
 from typing import Any
 
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, shortened
 
 #: Multiples of real time; ``None`` for no limit.
 SPEEDS: tuple[float | None, ...] = (1.0, 2.0, 4.0, None)
@@ -136,4 +136,6 @@ def _checked(speed: object) -> float | None:
     for known in SPEEDS:
         if speed == known and not isinstance(speed, bool):
             return known
-    raise ConfigError(f"the speed is {speed!r:.50}, expected 1, 2, 4 or None (as fast as it goes)")
+    raise ConfigError(
+        f"the speed is {shortened(speed, 50)}, expected 1, 2, 4 or None (as fast as it goes)"
+    )

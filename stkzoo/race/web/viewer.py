@@ -10,7 +10,7 @@ from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from stkzoo.errors import ConfigError, ProtocolError
+from stkzoo.errors import ConfigError, ProtocolError, shortened
 from stkzoo.race.web.control import RaceControl
 from stkzoo.race.web.feed import RaceNews, Text
 from stkzoo.race.web.messages import encoded, plain
@@ -141,7 +141,7 @@ class Viewer:
             self._watch(command.get("agent"))
         elif kind not in _COMMANDS:
             known = ", ".join(["watch", *_COMMANDS])
-            raise ProtocolError(f"a message of type {kind!r:.50}, expected one of {known}")
+            raise ProtocolError(f"a message of type {shortened(kind, 50)}, expected one of {known}")
         elif not self._may_steer:
             raise ProtocolError(
                 "this viewer may only watch; to control the race, open the address with the key "
@@ -154,7 +154,9 @@ class Viewer:
 
     def _watch(self, agent: object) -> None:
         if agent is not None and agent not in self._read_news().agents:
-            raise ProtocolError(f"agent is {agent!r:.50}, expected an agent of this race or null")
+            raise ProtocolError(
+                f"agent is {shortened(agent, 50)}, expected an agent of this race or null"
+            )
         self._watched = None if agent is None else str(agent)
         self._next_observation = 0.0
 

@@ -14,6 +14,8 @@ from stkzoo.race import find_driver, run_race
 from stkzoo.race.remote import RemoteDriverGroup
 from stkzoo.race.remote.protocol import VERSION, pack, unpack
 from tests.fuzz.messages import bad_messages, flood, resident_memory
+from tests.support.bombs import bomb
+from tests.support.processes import measured
 from tests.support.remote_race import LyingServer, raw_client, server_process, server_thread
 
 TRACK = {"track": "lighthouse", "seed": 3}
@@ -59,7 +61,7 @@ def test_a_message_that_is_too_large_ends_the_connection_only():
         ([b"H", pack(protocol=VERSION, more=b"a" * 5000)], "expected at most 4096"),
         ([b"A", pack(step=1, observations=[])], "expected one of H, O first"),
         ([b"?", b""], "expected one of H, O first"),
-        ([b"O", b"\xc1"], "no message"),
+        ([b"O", b"\xc1"], "not a valid message"),
         ([b"O", pack(protocol=VERSION)], "seat is None"),
         ([b"O", pack(protocol=VERSION, seat=True, driver=0)], "seat is True"),
         ([b"O", pack(protocol=VERSION, seat=0, driver=7)], "driver 7, expected 0 to 0"),
@@ -142,7 +144,7 @@ LIES = {
     ),
     "twice": (lies(decisions=[[0, encode(ACTION), 0.1, False]] * 2), "seat 0, which was not asked"),
     "no answer": (lies(decisions=[]), "no answer for seats [0]"),
-    "odd action": (lies(decisions=[[0, b"\xc1", 0.1, False]]), "no message"),
+    "odd action": (lies(decisions=[[0, b"\xc1", 0.1, False]]), "not a valid message"),
     "odd time": (lies(decisions=[[0, encode(ACTION), float("nan")]]), "a decision"),
     "odd failure": (lies(decisions=[], failures=[[0, 1, False]]), "an error 1"),
     "arrays everywhere": (lies(decisions=[[np.zeros(3)] * 3]), "a decision"),
@@ -154,6 +156,27 @@ LIES = {
     ),
     "silence": (lambda kind, _: [b"P", OPENED] if kind == b"O" else None, "in time"),
     "news of no seat": (lambda *_: [b"P", pack(seat=9, name="a")], "not asked for"),
+    "bomb": (lies(b"D", bomb("rows of nothing", 6000)), "too much memory"),
+    "bomb as action": (
+        lies(decisions=[[0, bomb("rows of nothing", 6000), 0.1, False]]),
+        "too much memory",
+    ),
+    "wide texts as action": (
+        lies(
+            decisions=[
+                [0, encode({**ACTION, "steer": ["x" * 3_000_000, *["x"] * 5000]}), 0.1, True]
+            ]
+        ),
+        "expected a number",
+    ),
+    "unknown keys": (
+        lies(decisions=[[0, encode({"x" * 300_000: 1, "y" * 300_000: 2}), 0.1, False]]),
+        "unknown keys xxxxx",
+    ),
+    "long error": (
+        lies(decisions=[], failures=[[0, ["error", "y" * 1_000_000, "z" * 1_000_000], False]]),
+        "yyyyy",
+    ),
     "it sends the game's keys": (lies(b"E", pack(text="\x1b[2J" + "a" * 9000)), ": aaaa"),
 }
 
@@ -165,11 +188,29 @@ def test_a_lying_server_costs_its_own_kart_only(name):
         LyingServer(lie) as liar,
         server_process("heuristic") as (_, address),
         RemoteDriverGroup([liar.address, address], timeout=2.0) as group,
+        measured() as cost,
     ):
         result = run_race(group.drivers, max_steps=12, **TRACK)
     rows = {row.agent: row for row in result.agents}
     assert text in rows["kart_0"].errors[0].message
     assert not rows["kart_1"].errors
+    assert cost["memory"] < 200 << 20
+    assert len(result.to_json()) < 50_000
+
+
+def test_a_bomb_in_open_costs_the_server_little():
+    with server_process("heuristic", "--quiet") as (process, address):
+        assert_serves(address)
+        with measured(process.pid) as cost:
+            for _ in range(20):
+                with raw_client(address) as socket:
+                    socket.send_multipart([b"O", bomb("rows of nothing", 1 << 20)])
+                    kind, body = socket.recv_multipart()
+                    assert kind == b"E"
+                    assert "not a valid message" in unpack(body)["text"]
+        assert_serves(address)
+    assert cost["memory"] < 64 << 20
+    assert cost["seconds"] < 5
 
 
 @pytest.mark.parametrize("claimed", [0.0, 1e8])

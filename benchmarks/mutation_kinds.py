@@ -1,0 +1,463 @@
+"""The kinds of files that stkzoo reads, each with a valid file and its reader."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import random
+import zipfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stkzoo import race_v0
+from stkzoo.agents.planning.parameters import DriverParameters
+from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, new_state, read_policy
+from stkzoo.agents.training.common.matches import MatchRecord
+from stkzoo.agents.training.common.opponents import Rival
+from stkzoo.agents.training.common.run_folder import (
+    plan_parameters,
+    read_json_lines,
+    read_run_file,
+)
+from stkzoo.agents.training.export import export_policy
+from stkzoo.agents.training.league.league import League, LeagueArguments, _LeagueFile
+from stkzoo.agents.training.league.players import DuelResults, new_players
+from stkzoo.agents.training.plot import RunRatings, _check_line
+from stkzoo.agents.training.rate import PolicyEvaluation, read_evaluations
+from stkzoo.agents.training.tune_plans import Generation
+from stkzoo.engine.assets.tree import MARKER, read_marker
+from stkzoo.env.scenario import Scenario
+from stkzoo.evaluation import (
+    load_demonstrations,
+    plan_benchmark,
+    plan_demonstrations,
+    plan_tournament,
+)
+from stkzoo.evaluation.benchmark.ai_times import AiTimes, AiTimesPlan, load_ai_times, plan_ai_times
+from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, BenchmarkResult
+from stkzoo.evaluation.demonstrations.dataset import save_demonstrations
+from stkzoo.evaluation.demonstrations.plan import DemoPlan
+from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
+from stkzoo.evaluation.tournament.film import FilmRecorder, MapFilm, draw_film
+from stkzoo.evaluation.tournament.plan import TournamentPlan, TournamentResult
+from stkzoo.race import RaceResult, run_race
+from stkzoo.race.document import Document
+from stkzoo.race.remote.access import read_servers
+from stkzoo.race.remote.keys import new_key_files, read_publics, read_secret
+from stkzoo.race.replay import ReplayWriter, load_replay
+
+_TRACK = "lighthouse"
+_SMALL = 50
+
+
+@dataclass(frozen=True, slots=True)
+class FileKind:
+    """A kind of file.
+
+    Attributes:
+        name: its name.
+        valid: makes the text of a valid one.
+        store: writes such a text, or what is left of it, into a folder; returns the file.
+        read: reads the file, and uses what was read.
+        is_json: whether the text is JSON.
+    """
+
+    name: str
+    valid: Callable[[], str]
+    store: Callable[[Path, bytes], Path]
+    read: Callable[[Path], object]
+    is_json: bool = True
+
+    def write(self, folder: Path, text: str) -> Path:
+        """Writes a text."""
+        return self.store(folder, text.encode())
+
+    def damage(
+        self,
+        folder: Path,
+        source: random.Random,
+        mutate: Callable[[Any, random.Random], Any],
+        damaged_text: Callable[[str, random.Random], bytes],
+    ) -> Path:
+        """Writes a damaged file: changed in its structure if it has one, else in its text."""
+        text = self.valid()
+        if not self.is_json or source.random() < 0.15:
+            return self.store(folder, damaged_text(text, source))
+        value = mutate(_parsed(text), source)
+        return self.store(folder, json.dumps(value).encode())
+
+
+@cache
+def _parsed(text: str) -> Any:
+    return json.loads(text)
+
+
+def _as(name: str) -> Callable[[Path, bytes], Path]:
+    """Writes a text as the file of a name."""
+
+    def store(folder: Path, data: bytes) -> Path:
+        file = folder / name
+        file.write_bytes(data)
+        return file
+
+    return store
+
+
+# ---------------------------------------------------------------------- documents
+
+
+def _document(kind: type[Document], valid: Callable[[], Document]) -> FileKind:
+    @cache
+    def text() -> str:
+        return valid().to_json()
+
+    def read(file: Path) -> None:
+        found = kind.load(file)
+        found.to_json()
+        if isinstance(found, MapFilm):
+            draw_film(found, "film")
+        elif isinstance(found, TournamentPlan) and found.num_races < _SMALL:
+            found.orders()
+
+    return FileKind(kind.kind, text, _as("file.json"), read)
+
+
+@cache
+def _race() -> tuple[RaceResult, MapFilm, bytes, bytes]:
+    """A race's result, its film, its replay and its demonstrations."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        film, demos = FilmRecorder(), DemoRecorder(1, DemoView("racing"), 1, 0)
+        listeners = [film, demos, ReplayWriter(folder / "race.stkz")]
+        drivers = ["heuristic", "ai", "random"]
+        result = run_race(drivers, track=_TRACK, max_steps=20, seed=1, listeners=listeners)
+        episodes = demos.episodes({"view": "racing"})
+        assert episodes is not None  # noqa: S101 - the race had 20 steps
+        save_demonstrations(episodes, folder / "demos.npz")
+        replay, data = (folder / "race.stkz").read_bytes(), (folder / "demos.npz").read_bytes()
+        return result, film.film(), replay, data
+
+
+def _tournament() -> TournamentPlan:
+    return plan_tournament(["heuristic", "ai", "random"], tracks=[_TRACK], races=3, per_race=2)
+
+
+@cache
+def _benchmark() -> BenchmarkPlan:
+    return plan_benchmark("heuristic", split=[_TRACK], forms=["PA"], seeds=1)
+
+
+def _results(races: int) -> dict[int, RaceResult]:
+    """Results of a batch's races: the same race each time."""
+    return dict.fromkeys(range(races), _race()[0])
+
+
+def _tournament_result() -> TournamentResult:
+    plan = _tournament()
+    labels = {entrant.label for entrant in plan.entrants}
+    result = _race()[0]
+    assert labels == {row.driver for row in result.agents}  # noqa: S101 - as planned
+    return plan.summarize(_results(3), Path())
+
+
+def _benchmark_result() -> BenchmarkResult:
+    return _benchmark().summarize(_results(4), Path())
+
+
+def _few_ai_times() -> Document:
+    times = load_ai_times()
+    return type(times)(times.versions, times.times[:3])
+
+
+# ---------------------------------------------------------------------- zips and arrays
+
+
+def _members(data: bytes) -> dict[str, bytes]:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def _in_zip(whole: Callable[[], bytes], member: str, ending: str) -> Callable[[Path, bytes], Path]:
+    """Writes a text as one member of an otherwise valid zip."""
+
+    def store(folder: Path, data: bytes) -> Path:
+        file = folder / f"file{ending}"
+        with zipfile.ZipFile(file, "w") as archive:
+            for name, content in (_members(whole()) | {member: data}).items():
+                archive.writestr(name, content)
+        return file
+
+    return store
+
+
+@cache
+def _scenario() -> bytes:
+    import tempfile
+
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        race_v0.parallel_env(num_kart=2, track=_TRACK) as env,
+    ):
+        env.reset(seed=1, options={"start": 100.0})
+        env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+        env.scenario().save(Path(folder, "a.scenario"))
+        return Path(folder, "a.scenario").read_bytes()
+
+
+def _store_demos(folder: Path, data: bytes) -> Path:
+    """Writes a text as the ``about`` of valid arrays."""
+    with np.load(io.BytesIO(_race()[3])) as found:
+        arrays = dict(found)
+    file = folder / "demos.npz"
+    np.savez(file, **arrays | {"about": np.array(data.decode(errors="replace"))})
+    return file
+
+
+def _demos_text() -> str:
+    with np.load(io.BytesIO(_race()[3])) as found:
+        return str(found["about"])
+
+
+def _read_demos(file: Path) -> None:
+    demos = load_demonstrations(file)
+    demos.pairs()
+    assert demos.view  # noqa: S101 - text
+    for number in range(len(demos)):
+        assert len(demos[number]) == demos.lengths[number]  # noqa: S101
+
+
+# ---------------------------------------------------------------------- agents and training
+
+
+@cache
+def _agent() -> dict[str, bytes]:
+    """The files of an agent that chooses among plans."""
+    import tempfile
+
+    from stkzoo.agents.pretrained.policy import RacingPolicy
+    from stkzoo.agents.pretrained.weights import save_weights
+
+    with tempfile.TemporaryDirectory() as folder:
+        weights = Path(folder, "policy-001.safetensors")
+        save_weights(weights, RacingPolicy.of_plans_alone().weights)
+        home = export_policy(weights, "swift", Path(folder, "agent"))
+        return {name: (home / name).read_bytes() for name in (CARD, WEIGHTS)}
+
+
+def _store_card(folder: Path, data: bytes) -> Path:
+    (folder / WEIGHTS).write_bytes(_agent()[WEIGHTS])
+    return _as(CARD)(folder, data)
+
+
+def _header_size() -> int:
+    return int.from_bytes(_agent()[WEIGHTS][:8], "little")
+
+
+def _store_weights(folder: Path, data: bytes) -> Path:
+    """Writes a text as the header of weights, with a card that fits."""
+    whole = _agent()[WEIGHTS]
+    content = len(data).to_bytes(8, "little") + data + whole[8 + _header_size() :]
+    card = _parsed(_agent()[CARD].decode()) | {"sha256": hashlib.sha256(content).hexdigest()}
+    (folder / CARD).write_text(json.dumps(card))
+    return _as(WEIGHTS)(folder, content)
+
+
+def _read_agent(file: Path) -> None:
+    read_policy(file.parent)
+    new_state(file.parent)
+
+
+@cache
+def _league_text() -> str:
+    members = [
+        {"name": name, "player": "main", "turn": 0, "kart_steps": 5, "league_steps": 9}
+        for name in ("start", "main-001")
+    ]
+    players = [asdict(player) for player in new_players(1, 1, 0)]
+    players[0]["pool"] = [asdict(Rival("start", 0.4, 3))]
+    match = asdict(MatchRecord(1, _TRACK, False, ["start", "main-001"]))
+    content = {
+        "version": 2,
+        "arguments": asdict(LeagueArguments()),
+        "turn": 1,
+        "kart_steps": 9,
+        "players": players,
+        "members": members,
+        "matches": [match],
+        "ratings": {"start": [25.0, 20.0, 30.0]},
+    }
+    return json.dumps(content)
+
+
+def _read_league(file: Path) -> None:
+    read_run_file(_LeagueFile, file)
+    league = League(file.parent, LeagueArguments())
+    league.table()
+
+
+_RATING = {
+    "name": "policy-001",
+    "kart_steps": 7,
+    "time_ratio": 1.2,
+    "rating": 25.0,
+    "rating_low": 24.0,
+    "rating_high": 26.0,
+}
+_CHAPTER = {"from": 0, "arguments": {"seed": 1, "tracks": [_TRACK]}, "rules": {"margin": 1.0}}
+_TUNED = Generation([[0.5] * 22] * 2, [0.1, 0.2])
+
+
+def _store_arguments(folder: Path, data: bytes) -> Path:
+    (folder / "policy-001.safetensors").write_bytes(_agent()[WEIGHTS])
+    return _as("arguments.json")(folder, data)
+
+
+def _read_arguments(file: Path) -> None:
+    export_policy(file.with_name("policy-001.safetensors"), "swift", file.with_name("agent"))
+
+
+def _store_evaluation(folder: Path, data: bytes) -> Path:
+    (folder / "evaluations").mkdir(exist_ok=True)
+    return _as("evaluations/policy-001.json")(folder, data)
+
+
+def _store_checkpoint(folder: Path, data: bytes) -> Path:
+    import torch
+
+    file = folder / "checkpoint.pt"
+    torch.save({"facts": data.decode(errors="replace"), "network": {}}, file)
+    return file
+
+
+def _read_checkpoint(file: Path) -> None:
+    from stkzoo.agents.training.common.run_folder import load_checkpoint
+    from stkzoo.agents.training.ppo.selfplay import _Facts
+
+    load_checkpoint(file.parent, _Facts)
+
+
+def _facts_text() -> str:
+    finish = {
+        "track": _TRACK,
+        "reverse": False,
+        "lineup": {"learners": 2, "bots": 1, "difficulty": 3},
+        "ratio": 1.1,
+        "estimate": 1.1,
+        "rank": 1,
+    }
+    history = [_CHAPTER]
+    return json.dumps({"history": history, "kart_steps": 5, "iteration": 1, "recent": [finish]})
+
+
+def _read_log(file: Path) -> None:
+    from stkzoo.agents.training.common.run_folder import TrainingLog, require_log
+
+    for line in require_log(file.parent):
+        _check_line(line)
+    TrainingLog(file.parent, 1).__exit__()
+
+
+# ---------------------------------------------------------------------- keys and servers
+
+
+@cache
+def _key_texts() -> tuple[str, str]:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        secret, public = new_key_files("a", Path(folder))
+        return secret.read_text(), public.read_text()
+
+
+def _store_secret(folder: Path, data: bytes) -> Path:
+    file = _as("a.secret")(folder, data)
+    file.chmod(0o600)
+    return file
+
+
+def _lines(kind: Any) -> Callable[[Path], object]:
+    return lambda file: read_json_lines(file, kind)
+
+
+def _json(name: str, file: str, content: Any, read: Callable[[Path], object]) -> FileKind:
+    return FileKind(name, partial(json.dumps, content), _as(file), read)
+
+
+def _all_kinds() -> list[FileKind]:
+    evaluation = PolicyEvaluation("a", 1, [["a", "b"]], {"a": [1.5]})
+    duels = DuelResults([Rival("start")], [0.5])
+    marker = {"origin": "x", "headless": True, "layout": 1, "tracks": ["a"], "karts": ["b"]}
+    replay, about = "race.json", "scenario.json"
+    return [
+        _document(RaceResult, lambda: _race()[0]),
+        _document(TournamentPlan, _tournament),
+        _document(TournamentResult, _tournament_result),
+        _document(BenchmarkPlan, _benchmark),
+        _document(BenchmarkResult, _benchmark_result),
+        _document(AiTimes, _few_ai_times),
+        _document(AiTimesPlan, partial(plan_ai_times, tracks=[_TRACK], seeds=1)),
+        _document(DemoPlan, partial(plan_demonstrations, "ai", tracks=[_TRACK])),
+        _document(MapFilm, lambda: _race()[1]),
+        FileKind(
+            "replay",
+            lambda: _members(_race()[2])[replay].decode(),
+            _in_zip(lambda: _race()[2], replay, ".stkz"),
+            lambda file: load_replay(file).to_dict(),
+        ),
+        FileKind(
+            "scenario",
+            lambda: _members(_scenario())[about].decode(),
+            _in_zip(_scenario, about, ".scenario"),
+            lambda file: Scenario.load(file).roster,
+        ),
+        FileKind("demonstrations", _demos_text, _store_demos, _read_demos),
+        FileKind("card", lambda: _agent()[CARD].decode(), _store_card, _read_agent),
+        FileKind(
+            "weights",
+            lambda: _agent()[WEIGHTS][8 : 8 + _header_size()].decode(),
+            _store_weights,
+            _read_agent,
+        ),
+        _json("assets marker", MARKER, marker, lambda file: read_marker(file.parent)),
+        FileKind("league", _league_text, _as("league.json"), _read_league),
+        _json("duels", "duels.json", asdict(duels), partial(read_run_file, DuelResults)),
+        FileKind(
+            "arguments", partial(json.dumps, [_CHAPTER]), _store_arguments, _read_arguments
+        ),
+        _json("tuned plans", "best.json", asdict(DriverParameters()), plan_parameters),
+        _json("tuning log", "log.jsonl", asdict(_TUNED), _lines(Generation)),
+        _json(
+            "ratings",
+            "ratings.json",
+            {"policies": [_RATING], "others": {"random": {"value": 20.0}}, "table": ["a"]},
+            partial(read_run_file, RunRatings),
+        ),
+        FileKind(
+            "evaluation",
+            partial(json.dumps, asdict(evaluation)),
+            _store_evaluation,
+            lambda file: read_evaluations(file.parent.parent),
+        ),
+        _json("matches", "matches.jsonl", asdict(MatchRecord(0, _TRACK, False, ["a"])),
+              _lines(MatchRecord)),
+        _json("training log", "log.jsonl", {"iteration": 1, "kart_steps": 5, "reward": 0.5},
+              _read_log),
+        FileKind("checkpoint", _facts_text, _store_checkpoint, _read_checkpoint),
+        FileKind("public key", lambda: _key_texts()[1], _as("a.public"),
+                 lambda file: read_publics([file]), is_json=False),
+        FileKind("secret key", lambda: _key_texts()[0], _store_secret, read_secret, is_json=False),
+        FileKind("servers", lambda: "# ours\ntcp://a:1\ntcp://b:2\n", _as("servers.txt"),
+                 read_servers, is_json=False),
+    ]  # fmt: skip
+
+
+#: All kinds by name.
+KINDS = {kind.name: kind for kind in _all_kinds()}

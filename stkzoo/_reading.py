@@ -1,0 +1,327 @@
+"""Reads files that anyone may have made: bounded memory, and one error for any damage."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import math
+import os
+import stat
+import zipfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.errors import MAX_LINE, ConfigError, StkzooError, reason
+
+__all__ = [
+    "MAX_BYTES",
+    "Unreadable",
+    "load_json",
+    "open_zip",
+    "read_arrays",
+    "read_file",
+    "read_json",
+    "read_lines",
+    "read_text",
+    "read_zip",
+    "reading",
+]
+
+#: The largest size of a text or JSON file, unless its reader has another limit [bytes].
+MAX_BYTES = 8 << 20
+
+#: JSON values take up to 72 bytes of memory each, so a text may have one for each of these bytes.
+_BYTES_PER_VALUE = 8
+_MAX_REASON = 300
+_MIN_LIST = 1 << 20
+_MAX_NAME = 300  # bytes of memory and file for the name of a zip's member
+_KINDS = "biufU"  # of arrays
+_BLOCK = 1 << 20
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # the others unpack without a bound
+#: No file grows more than this when deflate unpacks it, unless its members overlap.
+_MAX_RATIO, _SMALL = 1100, 1 << 20
+
+
+class Unreadable(ValueError):
+    """Why a file is damaged. Its reader turns it into an error that names the file.
+
+    Args:
+        problem: what came, and what was expected.
+        field: the part of the document that it is about, such as ``agents[0].rank``.
+    """
+
+    def __init__(self, problem: str, field: str = "") -> None:
+        super().__init__(f"{field.removeprefix('.')} {problem}".strip())
+        self._problem, self._field = problem, field
+
+    def inside(self, outer: str) -> Unreadable:
+        """The same for the document that has the part ``outer``: ``.name`` or ``[number]``."""
+        return Unreadable(self._problem, outer + self._field)
+
+
+@contextlib.contextmanager
+def reading(
+    what: str, expected: str, error_type: type[StkzooError] = ConfigError
+) -> Iterator[None]:
+    """Turns every error of a block that reads a file into one for users.
+
+    Args:
+        what: names the file, such as ``"plan.json has no tournament plan"``.
+        expected: where a good one comes from, or what to do.
+        error_type: the class of the error.
+
+    Raises:
+        StkzooError: of ``error_type``.
+    """
+    try:
+        yield
+    except MemoryError:
+        raise
+    except Exception as error:  # damage shows in many ways
+        why = _why(error)
+        line = f"{what} ({why}); expected {expected}"
+        if len(line) > MAX_LINE:
+            line = f"{what} ({why});\nexpected {expected}"
+        raise error_type(line) from error
+
+
+def _why(error: Exception) -> str:
+    if isinstance(error, (OSError, StkzooError, Unreadable)):
+        text = reason(error)
+    elif isinstance(error, RecursionError):
+        text = "it is nested too deep"
+    else:
+        text = f"{type(error).__name__}: {error!s:.{_MAX_REASON}}"
+    return text if len(text) <= _MAX_REASON else f"{text[:_MAX_REASON]}..."
+
+
+# ---------------------------------------------------------------------- bytes, text and JSON
+
+
+def read_file(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> bytes:
+    """The content of a file.
+
+    Raises:
+        Unreadable: it is larger than ``max_bytes``, or no regular file: a pipe would block.
+        OSError: it is missing or cannot be read.
+    """
+    file = Path(path)
+    size = _checked_size(file, max_bytes)
+    with file.open("rb") as stream:
+        data = stream.read(size + 1)  # Python makes room for all that it is asked to read
+        if len(data) > size:  # it has grown, or its system reports no size
+            data += stream.read(max_bytes + 1 - len(data))
+    if len(data) > max_bytes:
+        raise Unreadable(f"it has more than {max_bytes:,} bytes")
+    return data
+
+
+def _checked_size(file: Path, max_bytes: int) -> int:
+    about = file.stat()
+    if not stat.S_ISREG(about.st_mode):
+        raise Unreadable("it is not a regular file")
+    if about.st_size > max_bytes:
+        raise Unreadable(f"it has {about.st_size:,} bytes, expected at most {max_bytes:,}")
+    return about.st_size
+
+
+def read_text(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> str:
+    """The text of a UTF-8 file.
+
+    Raises:
+        Unreadable: it is too large, or not such a text.
+        OSError: it is missing or cannot be read.
+    """
+    return _decoded(read_file(path, max_bytes))
+
+
+def _decoded(data: bytes) -> str:
+    try:
+        return data.decode()
+    except UnicodeDecodeError as error:
+        raise Unreadable(f"byte {error.start} is not UTF-8 text") from None
+
+
+def read_json(text: str | bytes, max_bytes: int = MAX_BYTES) -> Any:
+    """The value of a JSON text. Unlike Python's own reader, it accepts only finite numbers.
+
+    Raises:
+        Unreadable: the text is not JSON, nested too deep, or has too many values.
+    """
+    if isinstance(text, bytes):
+        text = _decoded(text)
+    if len(text) > max_bytes:
+        raise Unreadable(f"it has {len(text):,} characters, expected at most {max_bytes:,}")
+    count, most = sum(map(text.count, ",[{")), max_bytes // _BYTES_PER_VALUE
+    if count > most:
+        raise Unreadable(f"it has about {count:,} values, expected at most {most:,}")
+    try:
+        return json.loads(text, parse_constant=_finite, parse_float=_finite)
+    except RecursionError:
+        raise Unreadable("it is nested too deep") from None
+    except Unreadable:
+        raise
+    except json.JSONDecodeError as error:
+        raise Unreadable(f"it is not JSON: {error}") from None
+    except ValueError as error:  # a whole number of more digits than Python accepts
+        raise Unreadable(f"it has a number that is too long: {error!s:.100}") from None
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise Unreadable(f"{text[:20]} is not a finite number")
+    return number
+
+
+def load_json(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> Any:
+    """The value of a JSON file; see :func:`read_text` and :func:`read_json`."""
+    return read_json(read_text(path, max_bytes), max_bytes)
+
+
+def read_lines(path: str | os.PathLike[str], max_bytes: int = 64 << 20) -> Iterator[Any]:
+    """The value of each line of a file of JSON lines.
+
+    Raises:
+        Unreadable: it is too large, or a line is not JSON.
+        OSError: it is missing or cannot be read.
+    """
+    _checked_size(Path(path), max_bytes)
+    with Path(path).open("rb") as stream:
+        for number, line in enumerate(iter(lambda: stream.readline(MAX_BYTES + 1), b""), 1):
+            yield _line(line, number)
+
+
+def _line(line: bytes, number: int) -> Any:
+    try:
+        return read_json(line)
+    except Unreadable as error:
+        raise Unreadable(f"in line {number}: {error}") from None
+
+
+# ---------------------------------------------------------------------- zips and arrays
+
+
+class _ZipFile(io.FileIO):
+    """A zip's file; while the zip is opened, its list of members is bounded."""
+
+    def __init__(self, path: Path, max_files: int) -> None:
+        super().__init__(path)
+        self.max_files: int | None = max_files
+
+    def read(self, size: int | None = -1, /) -> Any:
+        size = -1 if size is None else size
+        if self.max_files is None:
+            return super().read(size)
+        most = max(_MIN_LIST, _MAX_NAME * self.max_files)
+        data = super().read(min(size, most) if size >= 0 else most) or b""
+        if size > most:
+            raise Unreadable(f"its list of files has {size:,} bytes, expected at most {most:,}")
+        if data.count(zipfile.stringCentralDir) > self.max_files:  # type: ignore[attr-defined]
+            raise Unreadable(f"it has more than {self.max_files} files")
+        return data
+
+
+@contextlib.contextmanager
+def open_zip(
+    path: str | os.PathLike[str], max_files: int, max_unpacked: int, max_bytes: int | None = None
+) -> Iterator[zipfile.ZipFile]:
+    """A zip to read, after a check of its list: reading a member takes no more than it declares.
+
+    Args:
+        path: the file.
+        max_files: the largest number of members.
+        max_unpacked: the largest size of all members together [bytes].
+        max_bytes: the largest size of the file [bytes]; the same as ``max_unpacked`` by default.
+
+    Raises:
+        Unreadable: a limit is exceeded, or a member is encrypted or has an unusual compression.
+        Exception: it is damaged; zipfile and zlib report that in many ways.
+    """
+    file = Path(path)
+    _checked_size(file, max_unpacked if max_bytes is None else max_bytes)
+    with _ZipFile(file, max_files) as stream, zipfile.ZipFile(stream) as archive:
+        stream.max_files = None
+        members = archive.infolist()
+        if len(members) > max_files:
+            raise Unreadable(f"it has {len(members)} files, expected at most {max_files}")
+        most = min(max_unpacked, _SMALL + _MAX_RATIO * file.stat().st_size)
+        if sum(member.file_size for member in members) > most:
+            raise Unreadable(f"unpacked it is larger than {most:,} bytes")
+        for member in members:
+            _check_member(member)
+        yield archive
+
+
+def _check_member(member: zipfile.ZipInfo) -> None:
+    name = f"its file {member.filename[:60]!r}"
+    if member.flag_bits & 1:
+        raise Unreadable(f"{name} is encrypted")
+    if member.compress_type not in _METHODS:
+        raise Unreadable(f"{name} has an unusual compression, expected deflate")
+
+
+def read_zip(
+    path: str | os.PathLike[str], limits: Mapping[str, int], max_bytes: int = 64 << 20
+) -> dict[str, bytes]:
+    """The content of a zip's members.
+
+    Args:
+        path: the file.
+        limits: the largest size of each member to read [bytes], by name.
+        max_bytes: the largest size of the file [bytes].
+
+    Raises: as :func:`open_zip`.
+    """
+    members = {}
+    with open_zip(path, 10 * len(limits), sum(limits.values()), max_bytes) as archive:
+        for name, limit in limits.items():
+            if name not in archive.NameToInfo:
+                raise Unreadable(f"it has no {name}")
+            if archive.getinfo(name).file_size > limit:
+                raise Unreadable(f"{name} has more than {limit:,} bytes")
+            members[name] = archive.read(name)
+    return members
+
+
+def read_arrays(
+    path: str | os.PathLike[str], max_unpacked: int, max_files: int = 1000
+) -> dict[str, npt.NDArray[Any]]:
+    """The arrays of an ``.npz`` file by name. Nothing is unpickled.
+
+    Args:
+        path: the file.
+        max_unpacked: the largest size of all arrays together [bytes].
+        max_files: the largest number of arrays.
+
+    Raises: as :func:`open_zip`.
+    """
+    with open_zip(path, max_files, max_unpacked) as archive:
+        return {
+            member.filename.removesuffix(".npy"): _array(archive, member)
+            for member in archive.infolist()
+        }
+
+
+def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray[Any]:
+    """An array whose header agrees with the size of its file."""
+    with archive.open(member) as stream:
+        version = np.lib.format.read_magic(stream)
+        if version != (1, 0):  # the others have headers of any length
+            raise Unreadable(f"{member.filename} has version {version}, expected (1, 0)")
+        shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+        if dtype.kind not in _KINDS or not dtype.itemsize:
+            raise Unreadable(f"{member.filename} has the type {dtype!s:.60}, expected numbers")
+        size = math.prod(shape) * dtype.itemsize
+        if min(shape, default=0) < 0 or size != member.file_size - stream.tell():
+            raise Unreadable(f"{member.filename} has another size than its shape {shortened(shape, 60)}")
+        data = bytearray(size)  # arrays on it are writable
+        for start in range(0, size, _BLOCK):
+            block = stream.read(min(_BLOCK, size - start))
+            data[start : start + len(block)] = block
+    return np.frombuffer(data, dtype).reshape(shape, order="F" if is_fortran else "C")

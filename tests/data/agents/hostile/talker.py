@@ -1,0 +1,26 @@
+"""Reports errors of millions of characters in its own words, and a name as long."""
+
+import os
+import socket
+import stat
+import struct
+
+import msgpack
+
+LONG = "y" * 2_000_000
+BOMB = msgpack.packb({"error": ["error", LONG, LONG + "\x1b[2J"]})
+player_name = LONG
+
+
+def get_actor(module_dir, observation_space, action_space):
+    def actor(state, observation):
+        for number in range(3, 64):
+            try:
+                is_socket = stat.S_ISSOCK(os.fstat(number).st_mode)
+            except OSError:
+                continue
+            if is_socket:
+                with socket.socket(fileno=os.dup(number)) as connection:
+                    connection.sendall(struct.pack("<I", len(BOMB)) + BOMB)
+
+    return actor

@@ -1,0 +1,196 @@
+"""Files that anyone may have made are read in bounded memory, and damage is one error."""
+
+import io
+import json
+import os
+import struct
+import tracemalloc
+import zipfile
+
+import numpy as np
+import pytest
+
+from stkzoo._reading import (
+    Unreadable,
+    load_json,
+    open_zip,
+    read_arrays,
+    read_file,
+    read_json,
+    read_lines,
+    read_text,
+    read_zip,
+    reading,
+)
+from stkzoo.errors import AssetError, ConfigError
+
+MEGABYTE = 1 << 20
+
+
+def peak_of(function, *arguments):
+    """Peak of the memory that a function takes [bytes]; its own error does not count."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(Unreadable):
+            function(*arguments)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def sparse(path, size=1 << 30):
+    with path.open("wb") as file:
+        file.truncate(size)
+    return path
+
+
+@pytest.mark.parametrize("read", [read_file, read_text, load_json])
+def test_a_huge_file_is_refused_unread(tmp_path, read):
+    assert peak_of(read, sparse(tmp_path / "huge")) < MEGABYTE
+
+
+def test_a_pipe_is_refused_instead_of_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(Unreadable, match="not a regular file"):
+        read_file(tmp_path / "pipe")
+
+
+def test_text_in_another_encoding_is_refused(tmp_path):
+    (tmp_path / "a").write_bytes("é".encode("latin-1"))
+    with pytest.raises(Unreadable, match="byte 0 is not UTF-8 text"):
+        read_text(tmp_path / "a")
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("", "it is not JSON: Expecting value: line 1"),
+        ('{"a": 1', "it is not JSON"),
+        ("[" * 100_000, "it is nested too deep"),
+        ('{"a":' * 100_000, "it is nested too deep"),
+        ("NaN", "NaN is not a finite number"),
+        ("-Infinity", "-Infinity is not a finite number"),
+        ("1e999", "1e999 is not a finite number"),
+        ("9" * 100_000, "a number that is too long"),
+        ("[" + "0," * MEGABYTE + "0]", "it has about .* values, expected at most"),
+        (b"\xff", "byte 0 is not UTF-8"),
+    ],
+)
+def test_json_that_nobody_can_use_is_refused(text, problem):
+    with pytest.raises(Unreadable, match=problem):
+        read_json(text)
+
+
+def test_a_damaged_line_is_named_by_its_number(tmp_path):
+    (tmp_path / "log").write_text('{"a": 1}\n{"a"\n')
+    lines = read_lines(tmp_path / "log")
+    assert next(lines) == {"a": 1}
+    with pytest.raises(Unreadable, match="in line 2: it is not JSON"):
+        next(lines)
+
+
+# ---------------------------------------------------------------------- zips
+
+
+def zip_of(path, members, method=zipfile.ZIP_DEFLATED):
+    with zipfile.ZipFile(path, "w", method) as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+    return path
+
+
+def test_a_member_above_its_limit_is_refused_before_it_is_unpacked(tmp_path):
+    file = zip_of(tmp_path / "a.zip", {"a": bytes(64 * MEGABYTE)})
+    assert peak_of(read_zip, file, {"a": 63 * MEGABYTE}) < 2 * MEGABYTE
+
+
+def test_a_missing_member_is_named(tmp_path):
+    with pytest.raises(Unreadable, match="it has no b"):
+        read_zip(zip_of(tmp_path / "a.zip", {"a": b""}), {"b": 1})
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_compression_without_a_bound_is_refused(tmp_path, method):
+    file = zip_of(tmp_path / "a.zip", {"a": b"a"}, method)
+    with pytest.raises(Unreadable, match="unusual compression"):
+        read_zip(file, {"a": 1})
+
+
+def test_a_list_of_a_million_members_is_refused_unread(tmp_path):
+    entry = struct.pack("<4s42x", b"PK\1\2")
+    count = 1_000_000
+    end = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 1, 1, count * len(entry), 0, 0)
+    (tmp_path / "a.zip").write_bytes(entry * count + end)
+    with pytest.raises(Unreadable, match="its list of files has 46,000,000 bytes"):
+        open_zip(tmp_path / "a.zip", 10, 1 << 30).__enter__()
+
+
+def test_members_that_share_their_bytes_are_refused(tmp_path):
+    """A zip of 300 kB whose 100 members are the same 300 MB."""
+    whole = io.BytesIO()
+    with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a", bytes(300 * MEGABYTE))
+        archive.filelist *= 100
+    (tmp_path / "a.zip").write_bytes(whole.getvalue())
+    with pytest.raises(Unreadable, match="unpacked it is larger"):
+        open_zip(tmp_path / "a.zip", 1000, 1 << 40).__enter__()
+
+
+# ---------------------------------------------------------------------- arrays
+
+
+def npy(header, data=b"", version=b"\1\0"):
+    text = header.ljust(118).encode()
+    return b"\x93NUMPY" + version + struct.pack("<H", len(text)) + text + data
+
+
+def test_arrays_come_back_as_they_were_written(tmp_path):
+    arrays = {"a": np.arange(6.0).reshape(2, 3), "b": np.array("text"), "c": np.zeros((0, 3))}
+    arrays["d"] = np.asfortranarray(arrays["a"])
+    np.savez_compressed(tmp_path / "a.npz", **arrays)
+    found = read_arrays(tmp_path / "a.npz", MEGABYTE)
+    assert found.keys() == arrays.keys()
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(found[name], array)
+        assert found[name].flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (
+            npy("{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }"),
+            "another size than its shape",
+        ),
+        (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (-1,), }"), "another size"),
+        (npy("{'descr': '|O', 'fortran_order': False, 'shape': (0,), }"), "expected numbers"),
+        (npy("{'descr': '|V0', 'fortran_order': False, 'shape': (9,), }"), "expected numbers"),
+        (npy("", version=b"\3\0"), r"has version \(3, 0\)"),
+    ],
+)
+def test_an_array_that_does_not_fit_its_file_is_refused(tmp_path, content, problem):
+    file = zip_of(tmp_path / "a.npz", {"a.npy": content})
+    with pytest.raises(Unreadable, match=problem):
+        read_arrays(file, MEGABYTE)
+
+
+# ---------------------------------------------------------------------- the error
+
+
+@pytest.mark.parametrize("error", [KeyError("a"), RecursionError("x"), OSError(2, "gone")])
+def test_every_error_becomes_one_that_names_the_file(error):
+    expected = pytest.raises(AssetError, match=r"^a\.json is bad \(.+\); expected a good one$")
+    with expected, reading("a.json is bad", "a good one", AssetError):
+        raise error
+
+
+def test_a_long_reason_is_cut():
+    with pytest.raises(ConfigError) as caught, reading("a", "b"):
+        raise ValueError("x" * 100_000)
+    assert len(str(caught.value)) < 400
+
+
+def test_a_value_that_is_not_json_at_all_stays_out_of_the_message():
+    with pytest.raises(ConfigError) as caught, reading("a", "b"):
+        read_json(json.dumps("x" * 100_000)[:-1])
+    assert len(str(caught.value)) < 400

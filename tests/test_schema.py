@@ -1,0 +1,106 @@
+"""JSON values become dataclasses only if types and bounds of all fields hold."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import pytest
+
+from stkzoo._reading import Unreadable
+from stkzoo._schema import Matching, OneOf, Place, Positive, Within, typed
+from stkzoo.errors import ConfigError, check_whole
+
+
+@dataclass(frozen=True)
+class Wheel:
+    size: Positive
+
+
+@dataclass(frozen=True)
+class Cart:
+    place: Place
+    kind: Annotated[str, OneOf(("fast", "slow"))] = "fast"
+    name: Annotated[str, Matching("[a-z]+", "small letters"), Within(0, 8)] = "ada"
+    time: Positive | None = None
+    wheels: Annotated[tuple[Wheel, ...], Within(0, 4)] = ()
+    costs: Mapping[str, float] = ()
+    corner: tuple[int, bool] = (0, False)
+    notes: list[str] = ()
+    more: Any = None
+
+    def __post_init__(self):
+        check_whole("place", self.place, 1, 99)
+
+
+def test_a_good_value_is_read():
+    value = {
+        "place": 2,
+        "kind": "slow",
+        "name": "bob",
+        "time": 1,
+        "wheels": [{"size": 0.5}],
+        "costs": {"a": 1.5},
+        "corner": [1, True],
+        "notes": ["x"],
+        "more": {"a": [1, None]},
+        "unknown": 1,
+    }
+    expected = Cart(2, "slow", "bob", 1, (Wheel(0.5),), {"a": 1.5}, (1, True), ["x"], value["more"])
+    assert typed(Cart, value) == expected
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"place": "first"}, "place is 'first', expected a whole number"),
+        ({"place": True}, "place is True, expected a whole number"),
+        ({"place": 1.0}, "place is 1.0, expected a whole number"),
+        ({"place": -5}, "place is -5, expected a value from 1 to 256"),
+        ({"place": 100}, "place is 100, expected a whole number from 1 to 99"),
+        ({"place": 2**64}, "expected a whole number"),
+        ({"kind": "red"}, "kind is 'red', expected one of fast, slow"),
+        ({"name": "Ada"}, "name is 'Ada', expected small letters"),
+        ({"name": "a" * 1000}, "expected a length from 0 to 8"),
+        ({"time": "soon"}, "time is 'soon', expected a finite number"),
+        ({"time": float("nan")}, "time is nan, expected a finite number"),
+        ({"time": 0}, "time is 0, expected a value above 0"),
+        ({"wheels": [{"size": 1}, {}]}, r"wheels\[1\].size is missing"),
+        ({"wheels": [{"size": 1}] * 5}, "expected a length from 0 to 4"),
+        ({"wheels": {}}, "wheels is {}, expected a list"),
+        ({"wheels": [3]}, r"wheels\[0\] is 3, expected an object"),
+        ({"costs": {"b": None}}, "costs.b is None, expected a finite number"),
+        ({"costs": []}, r"costs is \[\], expected an object"),
+        ({"corner": [1]}, r"corner is \[1\], expected a list of 2"),
+        ({"notes": "x"}, "notes is 'x', expected a list"),
+        ({"more": [[[[[[[[[[[[[[[[[1]]]]]]]]]]]]]]]]]}, "more is nested too deep"),
+        ({"more": 2**70}, "more is .*, expected a finite number"),
+    ],
+)
+def test_a_bad_value_is_refused_and_its_field_named(change, problem):
+    with pytest.raises(Unreadable, match=problem):
+        typed(Cart, {"place": 1, **change})
+
+
+def test_a_missing_field_is_named():
+    with pytest.raises(Unreadable, match=r"^place is missing$"):
+        typed(Cart, {})
+
+
+def test_control_codes_are_removed_from_text():
+    assert typed(Cart, {"place": 1, "notes": ["a\x1b[2Jb\n"]}).notes == ["a?[2Jb\n"]
+
+
+def test_the_error_of_a_class_names_the_place():
+    with pytest.raises(Unreadable, match=r"^\[1\] place is 100"):
+        typed(tuple[Cart, ...], [{"place": 1}, {"place": 100}])
+
+
+def test_a_huge_value_is_not_written_in_full():
+    with pytest.raises(Unreadable) as caught:
+        typed(Wheel, [list(range(10_000))] * 1000)
+    assert len(str(caught.value)) < 120
+
+
+def test_a_config_error_of_the_class_is_not_lost():
+    with pytest.raises(ConfigError):
+        Cart(0)

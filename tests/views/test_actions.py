@@ -1,0 +1,45 @@
+"""Actions as they come from others, checked."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+from stkzoo.errors import ActionError
+from stkzoo.views.actions import read_action
+
+STEER = spaces.Dict({"steer": spaces.Box(-1, 1, (1,), np.float32)})
+
+
+@pytest.mark.parametrize(
+    "steer",
+    [
+        ["x" * 1_000_000, *["x"] * 1000],  # numpy would make 1001 texts of 4 MB each
+        [["x" * 1_000_000], ["x"] * 1000],
+        "x" * 1_000_000,
+        np.zeros([7] * 8, np.int8),
+        [np.zeros(0)] * 100_000,
+    ],
+    ids=["texts", "nested texts", "text", "array of many axes", "empty arrays"],
+)
+def test_refusing_an_action_costs_little(steer):
+    tracemalloc.start()
+    with pytest.raises(ActionError, match="expected a number from -1") as caught:
+        read_action(STEER, {"steer": steer}, "kart_0")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 4 << 20
+    assert len(str(caught.value)) < 500
+
+
+def test_few_unknown_keys_are_named():
+    action = {"x" * 1_000_000 + str(number): 0 for number in range(10)}
+    with pytest.raises(ActionError, match="unknown keys xxx") as caught:
+        read_action(STEER, action, "kart_0")
+    assert len(str(caught.value)) < 1000
+
+
+@pytest.mark.parametrize("steer", [0.5, [0.5], (0.5,), [[0.5]], np.float32(0.5), np.array([[0.5]])])
+def test_a_number_is_taken_in_any_form(steer):
+    assert read_action(STEER, {"steer": steer}, "kart_0")["steer"].tolist() == [0.5]
