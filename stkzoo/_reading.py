@@ -21,6 +21,7 @@ from stkzoo.errors import MAX_LINE, ConfigError, StkzooError, reason
 __all__ = [
     "MAX_BYTES",
     "Unreadable",
+    "is_there",
     "load_json",
     "open_zip",
     "read_arrays",
@@ -111,20 +112,31 @@ def read_file(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> bytes
         OSError: it is missing or cannot be read.
     """
     file = Path(path)
-    _check_size(file, max_bytes)
+    size = _check_size(file, max_bytes)
     with file.open("rb") as stream:
-        data = stream.read(max_bytes + 1)
-    if len(data) > max_bytes:  # it has grown, or its system reports no size
+        data = stream.read(size + 1)
+        if len(data) > size:  # it grows, or its system hides its size
+            data += stream.read(max_bytes + 1 - len(data))
+    if len(data) > max_bytes:
         raise Unreadable(f"it has more than {max_bytes:,} bytes")
     return data
 
 
-def _check_size(file: Path, max_bytes: int) -> None:
+def is_there(path: str | os.PathLike[str]) -> bool:
+    """Whether there is a file or folder; a text that is no path names none."""
+    try:
+        return Path(path).exists()
+    except (OSError, ValueError):
+        return False
+
+
+def _check_size(file: Path, max_bytes: int) -> int:
     about = file.stat()
     if not stat.S_ISREG(about.st_mode):
         raise Unreadable("it is not a regular file")
     if about.st_size > max_bytes:
         raise Unreadable(f"it has {about.st_size:,} bytes, expected at most {max_bytes:,}")
+    return about.st_size
 
 
 def read_text(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> str:

@@ -20,14 +20,14 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo._os import write_whole
 from stkzoo._reading import Unreadable, read_arrays, read_json, reading
-from stkzoo._schema import Count, Place, Positive, typed
+from stkzoo._schema import Count, Place, Positive, Within, typed
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
 from stkzoo.race.document import check_document
@@ -227,7 +227,7 @@ def load_demonstrations(path: str | os.PathLike[str]) -> Demonstrations:
 class _About:
     """What must be in the file's ``about``."""
 
-    view: str
+    view: Annotated[str, Within(1)]
     episodes: tuple[EpisodeFacts, ...]
 
 
