@@ -259,11 +259,11 @@ def open_zip(
         members = archive.infolist()
         if len(members) > max_files:
             raise Unreadable(f"it has {len(members)} files, expected at most {max_files}")
+        for member in members:
+            _check_member(member)
         most = min(max_unpacked, _SMALL + _MAX_RATIO * file.stat().st_size)
         if sum(member.file_size for member in members) > most:
             raise Unreadable(f"unpacked it is larger than {most:,} bytes")
-        for member in members:
-            _check_member(member)
         yield archive
 
 

@@ -258,10 +258,8 @@ def _check(demos: Demonstrations) -> None:
         raise Unreadable(f"it has no {min(missing)}")
     for name, column in demos.columns.items():
         rows = demos.num_steps + (0 if is_by_step(name) else len(demos))
-        if column.shape[:1] != (rows,) or column.dtype.kind == "U":
-            raise Unreadable(
-                f"{name} has the shape {column.shape}, expected {rows} rows of numbers"
-            )
+        if column.shape[:1] != (rows,):
+            raise Unreadable(f"{name} has the shape {column.shape}, expected {rows} rows")
     for name, shape in (("controls", (demos.num_steps, len(CONTROLS))), ("rewards", lengths.shape)):
         column = demos.columns.get(name, lengths[:, None, None])
         if column.shape[1:] != shape[1:] or not np.isfinite(column).all():
