@@ -28,7 +28,7 @@ from stkzoo.agents.training.common.run_folder import (
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.league.league import League, LeagueArguments, _LeagueFile
 from stkzoo.agents.training.league.players import DuelResults, new_players
-from stkzoo.agents.training.plot import RunRatings, _check_line
+from stkzoo.agents.training.plot import RunRatings, read_figures
 from stkzoo.agents.training.rate import PolicyEvaluation, read_evaluations
 from stkzoo.agents.training.tune_plans import Generation
 from stkzoo.engine.assets.tree import MARKER, read_marker
@@ -53,6 +53,7 @@ from stkzoo.race.remote.keys import new_key_files, read_publics, read_secret
 from stkzoo.race.replay import ReplayWriter, load_replay
 
 _TRACK = "lighthouse"
+_SERVERS = f"# ours\ntcp://a:1 a.public\ntcp://b:2 {'k' * 40}\n"
 _SMALL = 50
 
 
@@ -339,9 +340,9 @@ def _store_checkpoint(folder: Path, data: bytes) -> Path:
 
 def _read_checkpoint(file: Path) -> None:
     from stkzoo.agents.training.common.run_folder import load_checkpoint
-    from stkzoo.agents.training.ppo.selfplay import _Facts
+    from stkzoo.agents.training.ppo.selfplay import LearnerFacts
 
-    load_checkpoint(file.parent, _Facts)
+    load_checkpoint(file.parent, LearnerFacts)
 
 
 def _facts_text() -> str:
@@ -358,10 +359,9 @@ def _facts_text() -> str:
 
 
 def _read_log(file: Path) -> None:
-    from stkzoo.agents.training.common.run_folder import TrainingLog, require_log
+    from stkzoo.agents.training.common.run_folder import TrainingLog
 
-    for line in require_log(file.parent):
-        _check_line(line)
+    read_figures(file.parent)
     TrainingLog(file.parent, 1).__exit__()
 
 
@@ -454,8 +454,7 @@ def _all_kinds() -> list[FileKind]:
         FileKind("public key", lambda: _key_texts()[1], _as("a.public"),
                  lambda file: read_publics([file]), is_json=False),
         FileKind("secret key", lambda: _key_texts()[0], _store_secret, read_secret, is_json=False),
-        FileKind("servers", lambda: "# ours\ntcp://a:1\ntcp://b:2\n", _as("servers.txt"),
-                 read_servers, is_json=False),
+        FileKind("servers", lambda: _SERVERS, _as("servers.txt"), read_servers, is_json=False),
     ]  # fmt: skip
 
 

@@ -82,7 +82,7 @@ def _change(holder: Any, key: Any, source: random.Random) -> None:
     if how < 0.6:
         holder[key] = copy.deepcopy(source.choice(VALUES))
     elif how < 0.7 and isinstance(present, (int, float)):
-        holder[key] = present * source.choice((-1, 2, 1000, 1.5)) + source.choice((-1, 0, 1))
+        holder[key] = present * source.choice((-1, 2, 1000)) + source.choice((-1, 0, 1))
     elif how < 0.8 and key != "root":
         del holder[key]
     elif how < 0.9 and isinstance(present, list) and present:

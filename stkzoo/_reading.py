@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.errors import MAX_LINE, ConfigError, StkzooError, reason
+from stkzoo.errors import MAX_LINE, ConfigError, StkzooError, reason, shortened
 
 __all__ = [
     "MAX_BYTES",
     "Unreadable",
+    "is_there",
     "load_json",
     "open_zip",
     "read_arrays",
@@ -119,6 +120,14 @@ def read_file(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> bytes
     if len(data) > max_bytes:
         raise Unreadable(f"it has more than {max_bytes:,} bytes")
     return data
+
+
+def is_there(path: str | os.PathLike[str]) -> bool:
+    """Whether there is a file or folder; a text that is no path names none."""
+    try:
+        return Path(path).exists()
+    except (OSError, ValueError):
+        return False
 
 
 def _checked_size(file: Path, max_bytes: int) -> int:
@@ -250,11 +259,11 @@ def open_zip(
         members = archive.infolist()
         if len(members) > max_files:
             raise Unreadable(f"it has {len(members)} files, expected at most {max_files}")
+        for member in members:
+            _check_member(member)
         most = min(max_unpacked, _SMALL + _MAX_RATIO * file.stat().st_size)
         if sum(member.file_size for member in members) > most:
             raise Unreadable(f"unpacked it is larger than {most:,} bytes")
-        for member in members:
-            _check_member(member)
         yield archive
 
 

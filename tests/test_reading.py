@@ -49,6 +49,20 @@ def test_a_huge_file_is_refused_unread(tmp_path, read):
     assert peak_of(read, sparse(tmp_path / "huge")) < MEGABYTE
 
 
+@pytest.mark.skipif(not os.path.exists("/proc/self/status"), reason="there is no /proc")
+def test_a_file_that_hides_its_size_is_read_to_its_end():
+    assert b"VmPeak" in read_file("/proc/self/status")
+
+
+def test_a_file_is_read_in_no_more_memory_than_it_has(tmp_path):
+    (tmp_path / "small").write_bytes(b"x")
+    tracemalloc.start()
+    assert read_file(tmp_path / "small", 1 << 30) == b"x"
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < MEGABYTE
+
+
 def test_a_pipe_is_refused_instead_of_waited_for(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(Unreadable, match="not a regular file"):

@@ -18,15 +18,18 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._arguments import option, positional
-from stkzoo._schema import Count, Positive, Within
-from stkzoo.errors import ConfigError, shortened
+from stkzoo._reading import Unreadable, reading
+from stkzoo._schema import Count, Positive, Within, typed
 from stkzoo.evaluation import GREY, INK, new_figure, save_figure, style_axes
 
 from .common.command import run_command
-from .common.run_folder import read_run_file, require_log
+from .common.run_folder import LOG, read_run_file, require_log
 
 #: A rating: its value, and both ends of its interval.
 Interval = Sequence[float]
+
+#: A figure of a log; ``None`` where it was not measured.
+_Figure = float | None
 
 #: Panels: title, and the log's figures with their labels.
 _PANELS: tuple[tuple[str, dict[str, str]], ...] = (
@@ -116,10 +119,7 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
     Raises:
         ConfigError: a run has no log, or matplotlib is missing.
     """
-    logs = [(Path(folder).name, require_log(folder)) for folder in folders]
-    for _, log in logs:
-        for line in log:
-            _check_line(line)
+    logs = [(Path(folder).name, read_figures(folder)) for folder in folders]
     names = {name for _, log in logs for line in log for name in line}
     panels = [panel for panel in _PANELS if names & set(panel[1])]
     files = [Path(folder) / "ratings.json" for folder in folders]
@@ -159,20 +159,31 @@ def _x(line: Mapping[str, Any]) -> float:
     return float(line["kart_steps"] / 1e6 if "kart_steps" in line else line["round"])
 
 
-def _check_line(line: Mapping[str, Any]) -> None:
+def read_figures(folder: str | Path) -> list[dict[str, Any]]:
+    """The lines of a run's log, whose figures can be drawn.
+
+    Raises:
+        ConfigError: the folder has no log, or it is damaged.
+    """
+    log = require_log(folder)
+    with reading(f"{str(Path(folder) / LOG)!r} cannot be drawn", "the log of a run"):
+        for number, line in enumerate(log):
+            _check_line(line, f"[{number}]")
+    return log
+
+
+def _check_line(line: Mapping[str, Any], place: str) -> None:
     """Checks the figures of a line of a log.
 
     Raises:
-        ConfigError: one is no number.
+        Unreadable: one is no number.
     """
     if "kart_steps" not in line and "round" not in line:
-        raise ConfigError("a line of the log has neither kart_steps nor round")
+        raise Unreadable("has neither kart_steps nor round", place)
     drawn = ("kart_steps", "round", "error", *(name for _, names in _PANELS for name in names))
-    for name in drawn:
-        if not isinstance(line.get(name, 0), (int, float, type(None))):
-            raise ConfigError(f"{name} of the log is {shortened(line[name])}, expected a number")
+    typed(dict[str, _Figure], {name: line[name] for name in drawn if name in line})
     if "time_ratio" in line and "error" not in line:
-        raise ConfigError("a line of the log has a time_ratio and no error")
+        raise Unreadable("has a time_ratio and no error", place)
 
 
 def _smooth(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

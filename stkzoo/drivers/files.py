@@ -15,7 +15,7 @@ from importlib.machinery import ModuleSpec
 from pathlib import Path, PurePosixPath
 
 from stkzoo._os import LockedTemporaryDirectory
-from stkzoo._reading import Unreadable, open_zip
+from stkzoo._reading import Unreadable, is_there, open_zip
 from stkzoo.errors import ConfigError
 
 #: Name of an agent's module.
@@ -146,7 +146,7 @@ def installed_module(top: str) -> ModuleSpec | None:
     """The spec of a top-level module; the module does not run."""
     try:
         return importlib.util.find_spec(top)
-    except (ImportError, ValueError):
+    except (ImportError, OSError, ValueError):
         return None
 
 
@@ -160,8 +160,8 @@ def find_files(source: str) -> AgentFiles | None:
     Raises:
         ConfigError: it is a path, but not an agent.
     """
-    path = Path(source).expanduser()
-    if path.exists():
+    path = _path_of(source)
+    if is_there(path):
         path = path.resolve()
         if path.is_dir():
             _place_in(path, source)
@@ -181,14 +181,19 @@ def find_files(source: str) -> AgentFiles | None:
     return AgentFiles(source, None) if _is_module(source) else None
 
 
+def _path_of(source: str) -> Path:
+    try:
+        return Path(source).expanduser()
+    except RuntimeError:  # there is no such user
+        return Path(source)
+
+
 def _is_module(name: str) -> bool:
     parts = name.split(".")
     if not all(part.isidentifier() for part in parts):
         return False
     return (
-        installed_module(parts[0]) is not None
-        or Path(parts[0]).is_dir()
-        or Path(f"{parts[0]}.py").is_file()
+        installed_module(parts[0]) is not None or is_there(parts[0]) or is_there(f"{parts[0]}.py")
     )
 
 

@@ -10,10 +10,11 @@ from __future__ import annotations
 import random
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from stkzoo._schema import Within
 from stkzoo.errors import import_extra
 from stkzoo.evaluation.statistics import Estimate, percentile_interval
 
@@ -33,7 +34,7 @@ class Rating(Estimate):
         sigma: the model's own standard deviation.
     """
 
-    sigma: float
+    sigma: Annotated[float, Within(0)]
 
 
 def require_openskill() -> Any:

@@ -2,7 +2,9 @@
 
 import shutil
 import stat
+import struct
 import sys
+import tracemalloc
 import zipfile
 from contextlib import ExitStack
 from pathlib import Path
@@ -277,6 +279,40 @@ def test_a_zip_of_too_many_files_is_refused(tmp_path, monkeypatch):
     members = [(f"{number}", stat.S_IFREG, "") for number in range(3)]
     with pytest.raises(ConfigError, match="it has more than 3 files"):
         find_driver(written(tmp_path / "a.zip", *members))
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_a_zip_with_compression_without_a_bound_is_refused(tmp_path, method):
+    """64 kB of bzip2 unpack to a gigabyte before their size is compared with the list's."""
+    with zipfile.ZipFile(tmp_path / "a.zip", "w", method) as archive:
+        archive.writestr("pystk_actor.py", "def get_actor(*_): ...")
+    with pytest.raises(ConfigError, match="has an unusual compression, expected deflate"):
+        find_driver(str(tmp_path / "a.zip"))
+
+
+def test_a_zip_of_very_deep_folders_is_refused(tmp_path):
+    deep = ("a/" * 40 + "b", stat.S_IFREG, "x")
+    with pytest.raises(ConfigError, match="lies more than 32 folders deep"):
+        find_driver(written(tmp_path / "a.zip", deep))
+
+
+def test_a_zip_whose_list_is_long_is_refused_in_little_memory(tmp_path):
+    """A list of 200,000 files, which Python would keep as as many objects."""
+    count, entry = 200_000, b"PK\1\2" + bytes(42)
+    end = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 1, 1, count * len(entry), 0, 0)
+    (tmp_path / "a.zip").write_bytes(count * entry + end)
+    tracemalloc.start()
+    with pytest.raises(ConfigError, match="its list of files has 9,200,000 bytes"):
+        find_driver(str(tmp_path / "a.zip"))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 16 << 20
+
+
+@pytest.mark.parametrize("source", ["~nobody_of_this_name/a", "a" * 5000, "a\0b"])
+def test_a_text_that_is_no_path_is_an_unknown_driver(source):
+    with pytest.raises(ConfigError):
+        find_driver(source)
 
 
 def test_a_zip_that_lies_about_its_size_is_refused(tmp_path, monkeypatch):

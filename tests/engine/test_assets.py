@@ -1,11 +1,13 @@
 import hashlib
 import io
 import json
+import lzma
 import os
 import signal
 import subprocess
 import sys
 import tarfile
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -19,7 +21,7 @@ from stkzoo.engine.assets.headless import (
     build_headless,
 )
 from stkzoo.engine.assets.staging import check_space, lock
-from stkzoo.engine.assets.tree import MARKER, write_marker
+from stkzoo.engine.assets.tree import MARKER, read_marker, write_marker
 from stkzoo.errors import AssetError, ConfigError
 
 ENGINE_NAMES = """
@@ -510,6 +512,48 @@ def named(name, kind=tarfile.REGTYPE, target=""):
     return member
 
 
+def header(name, size=0, kind=tarfile.REGTYPE):
+    """A header of an archive, with a size that nothing has to follow."""
+    member = named(name, kind)
+    member.size = size
+    return member.tobuf(tarfile.GNU_FORMAT)
+
+
+def sparse_member():
+    """A member of 1.9 GB in 512 bytes, as GNU tar writes it."""
+    member = named("data/big")
+    member.size = 512
+    member.pax_headers = {
+        "GNU.sparse.major": "1",
+        "GNU.sparse.minor": "0",
+        "GNU.sparse.name": "data/big",
+        "GNU.sparse.realsize": "1900000000",
+    }
+    return member.tobuf(tarfile.PAX_FORMAT) + b"0\n".ljust(512, b"\0")
+
+
+#: Content of archives that took memory or disk without a bound, and why they are refused.
+BOMBS = {
+    "pax header": (lambda: header("x", 1 << 30, tarfile.XHDTYPE), "a header of 1,073,741,824"),
+    "pax header for all": (lambda: header("g", 1 << 30, tarfile.XGLTYPE), "outside the pack"),
+    "long name": (lambda: header("././@LongLink", 1 << 30, tarfile.GNUTYPE_LONGNAME), "outside"),
+    "long name in the pack": (
+        lambda: header("data/a", 1 << 30, tarfile.GNUTYPE_LONGNAME),
+        "no plain file",
+    ),
+    "endless names": (lambda: header("x", 0, tarfile.XHDTYPE), "a header of 0 bytes"),
+    "one file": (lambda: header("data/big", 1_800_000_000), "has 1,800,000,000 bytes"),
+    "negative size": (lambda: header("data/big", -(1 << 40)), "bytes, expected at most"),
+    "description": (lambda: header("data/karts/a/kart.xml", 2 << 20), "expected at most 1,048,576"),
+    "sparse file": (sparse_member, "expected a long name only"),
+    "deep folder": (lambda: header("data/" + "a/" * 40 + "a"), "too deep"),
+    "much in all": (
+        lambda: b"".join(header(f"data/{n}", 1 << 20) + bytes(1 << 20) for n in range(8)),
+        "more than a headless pack of its size",
+    ),
+}
+
+
 class TestArchive:
     def test_is_the_same_bytes_each_time(self, archive, tmp_path):
         again = pack(output=tmp_path / "again.tar.xz")
@@ -570,6 +614,57 @@ class TestArchive:
         link = named("data/link", kind, "/etc/passwd")
         rebuild(archive, lambda members: [*members, (link, b"")])
         self.refused(archive, "no plain file", cache)
+
+    @pytest.mark.parametrize("name", BOMBS)
+    def test_archive_without_a_bound_is_refused_in_little_memory(self, cache, tmp_path, name):
+        make, problem = BOMBS[name]
+        (tmp_path / "bomb").write_bytes(lzma.compress(make(), preset=0))
+        tracemalloc.start()
+        try:
+            self.refused(tmp_path / "bomb", problem, cache)
+            assert tracemalloc.get_traced_memory()[1] < 16 << 20
+        finally:
+            tracemalloc.stop()
+
+    def test_archive_of_too_many_files_is_refused(self, cache, tmp_path, monkeypatch):
+        monkeypatch.setattr("stkzoo.engine.assets.headless._MAX_MEMBERS", 9)
+        content = b"".join(header(f"data/{number}") for number in range(10))
+        (tmp_path / "bomb").write_bytes(lzma.compress(content))
+        self.refused(tmp_path / "bomb", "more than 9 members", cache)
+
+    def test_archive_that_asks_for_a_large_dictionary_is_refused(self, cache, tmp_path):
+        filters = [{"id": lzma.FILTER_LZMA2, "preset": 0, "dict_size": 1 << 30}]
+        data = lzma.compress(bytes(512), filters=filters)
+        (tmp_path / "bomb").write_bytes(data)
+        self.refused(tmp_path / "bomb", "Memory usage limit", cache)
+
+    def test_long_names_are_kept(self, headless, tmp_path, monkeypatch):
+        name = f"data/{'n' * 90}/{'ä' * 60}"
+        write(headless / name, b"here")
+        file = pack(output=tmp_path / "pack.tar.xz")
+        monkeypatch.setenv("STKZOO_CACHE", str(tmp_path / "elsewhere"))
+        assert (install(archive=file).root / name).read_bytes() == b"here"
+
+    def test_huge_marker_is_refused_unread(self, headless):
+        with (headless / MARKER).open("wb") as file:
+            file.truncate(1 << 30)
+        with pytest.raises(AssetError, match="it has 1,073,741,824 bytes"):
+            read_marker(headless)
+
+    @pytest.mark.parametrize(
+        ("field", "value", "problem"),
+        [
+            ("layout", "one", "layout is 'one', expected a whole number"),
+            ("tracks", "alps", "tracks is 'alps', expected a list"),
+            ("headless", 1, "headless is 1, expected true or false"),
+            ("karts", None, "karts is None, expected a list"),
+        ],
+    )
+    def test_damaged_marker_names_its_field(self, headless, field, value, problem):
+        values = json.loads((headless / MARKER).read_text())
+        (headless / MARKER).write_text(json.dumps({**values, field: value}))
+        with pytest.raises(AssetError, match=problem):
+            read_marker(headless)
 
     @staticmethod
     def refused(archive, match, cache):

@@ -147,7 +147,7 @@ def advantages_of(
 
 
 @dataclass(frozen=True, slots=True)
-class _Facts:
+class LearnerFacts:
     """The facts in a checkpoint.
 
     Attributes:
@@ -208,7 +208,7 @@ class PPOLearner:
         self.kart_steps = self.iteration = 0
         self._history: list[dict[str, Any]] = [self._chapter()]
         self._recent: deque[Finish] = deque(maxlen=_RECENT)
-        if checkpoint := load_checkpoint(self.folder, _Facts):
+        if checkpoint := load_checkpoint(self.folder, LearnerFacts):
             self._restore(*checkpoint, may_change)
         write_json(self.folder / ARGUMENTS, self._history)
         self.begin_races()
@@ -410,7 +410,7 @@ class PPOLearner:
         rules = asdict(self._rules)
         return {"from": kart_steps, "arguments": asdict(self.arguments), "rules": rules}
 
-    def _restore(self, facts: _Facts, state: dict[str, Any], may_change: bool) -> None:
+    def _restore(self, facts: LearnerFacts, state: dict[str, Any], may_change: bool) -> None:
         self._history = facts.history
         now, last = self._chapter(facts.kart_steps), self._history[-1]
         rules = {name: last.get("rules", {}).get(name) for name in now["rules"]}

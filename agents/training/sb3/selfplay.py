@@ -198,7 +198,7 @@ class BackgroundEvaluation:
 
 
 @dataclass(frozen=True, slots=True)
-class _Facts:
+class SB3Facts:
     """The facts in a checkpoint; the parts check their own."""
 
     kart_steps: Count
@@ -238,7 +238,7 @@ class SB3Run:
         self.evaluation = BackgroundEvaluation(
             self.folder, arguments.evaluation_tracks, arguments.evaluation_races
         )
-        if checkpoint := load_checkpoint(self.folder, _Facts):
+        if checkpoint := load_checkpoint(self.folder, SB3Facts):
             with reading_checkpoint(self.folder):
                 self._restore(*checkpoint)
         else:
@@ -439,7 +439,7 @@ class SB3Run:
     def _make_ready(self, name: str) -> None:
         self._envs.add_driver(name, load_driver(self.folder / f"{name}.safetensors"))
 
-    def _restore(self, facts: _Facts, state: dict[str, Any]) -> None:
+    def _restore(self, facts: SB3Facts, state: dict[str, Any]) -> None:
         self.kart_steps, self.iteration = facts.kart_steps, facts.iteration
         self.rounds = facts.rounds
         self._curriculum.restore(facts.curriculum)

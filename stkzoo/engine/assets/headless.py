@@ -157,10 +157,7 @@ def read_archive(file: Path, target: Path, progress: Progress) -> None:
         size = file.stat().st_size
         check_space(target, 4 * size, "the headless pack")
         progress.begin(f"unpacking {file.name}", size)
-        with file.open("rb") as raw:
-            stream = _XzReader(raw)
-            _unpack(stream, target, _SMALL + _MAX_RATIO * size, lambda: progress.reach(raw.tell()))
-            stream.check_end()
+        _unpack(file, target, _SMALL + _MAX_RATIO * size, progress)
         check_files(target)
         marker = read_marker(target)
     except (tarfile.TarError, lzma.LZMAError, EOFError, ValueError) as error:
@@ -213,7 +210,15 @@ class _XzReader:
         return self._unpacker.decompress(data, count)
 
 
-def _unpack(stream: _XzReader, target: Path, most: int, report: Callable[[], None]) -> None:
+def _unpack(archive: Path, target: Path, most: int, progress: Progress) -> None:
+    """Writes all members, at most ``most`` bytes; the checksum is at the archive's end."""
+    with archive.open("rb") as raw:
+        stream = _XzReader(raw)
+        _write_members(stream, target, most, lambda: progress.reach(raw.tell()))
+        stream.check_end()
+
+
+def _write_members(stream: _XzReader, target: Path, most: int, report: Callable[[], None]) -> None:
     """Writes all members; equal ones become links to one file.
 
     Args:

@@ -20,14 +20,14 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo._os import write_whole
 from stkzoo._reading import Unreadable, read_arrays, read_json, reading
-from stkzoo._schema import Count, Place, Positive, typed
+from stkzoo._schema import Count, Place, Positive, Within, typed
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
 from stkzoo.race.document import check_document
@@ -227,7 +227,7 @@ def load_demonstrations(path: str | os.PathLike[str]) -> Demonstrations:
 class _About:
     """What must be in the file's ``about``."""
 
-    view: str
+    view: Annotated[str, Within(1)]
     episodes: tuple[EpisodeFacts, ...]
 
 
@@ -258,10 +258,8 @@ def _check(demos: Demonstrations) -> None:
         raise Unreadable(f"it has no {min(missing)}")
     for name, column in demos.columns.items():
         rows = demos.num_steps + (0 if is_by_step(name) else len(demos))
-        if column.shape[:1] != (rows,) or column.dtype.kind == "U":
-            raise Unreadable(
-                f"{name} has the shape {column.shape}, expected {rows} rows of numbers"
-            )
+        if column.shape[:1] != (rows,):
+            raise Unreadable(f"{name} has the shape {column.shape}, expected {rows} rows")
     for name, shape in (("controls", (demos.num_steps, len(CONTROLS))), ("rewards", lengths.shape)):
         column = demos.columns.get(name, lengths[:, None, None])
         if column.shape[1:] != shape[1:] or not np.isfinite(column).all():

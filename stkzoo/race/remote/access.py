@@ -7,9 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from stkzoo.errors import ConfigError, reason
+from stkzoo._reading import Unreadable, is_there, read_text
+from stkzoo.errors import ConfigError, reason, shortened
 from stkzoo.race.remote.drivers import RemoteDriverGroup, ServedAgent
 from stkzoo.race.remote.keys import read_public, read_secret
+
+#: Largest size of a list of servers [bytes].
+_MAX_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,13 +65,14 @@ def read_servers(file: str | os.PathLike[str]) -> tuple[tuple[str, ...], tuple[s
     """
     path = Path(file).expanduser()
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_text(path, _MAX_BYTES)
+    except (OSError, Unreadable) as error:
         raise ConfigError(f"the list of servers {path} cannot be read: {reason(error)}") from error
     lines = [line.split() for line in text.splitlines() if line.strip() and line[0] != "#"]
     for words in lines:
         if len(words) > 2:
-            raise ConfigError(f"{path} has the line {' '.join(words)!r}, expected ADDRESS [KEY]")
+            line = shortened(" ".join(words))
+            raise ConfigError(f"{path} has the line {line}, expected ADDRESS [KEY]")
     if not lines:
         raise ConfigError(f"{path} lists no servers; write a line ADDRESS [KEY] for each")
     if len({len(words) for words in lines}) > 1:
@@ -75,5 +80,5 @@ def read_servers(file: str | os.PathLike[str]) -> tuple[tuple[str, ...], tuple[s
     keys = (words[1] for words in lines if len(words) == 2)
     return (
         tuple(words[0] for words in lines),
-        tuple(str(path.parent / key) if os.path.exists(path.parent / key) else key for key in keys),
+        tuple(str(path.parent / key) if is_there(path.parent / key) else key for key in keys),
     )

@@ -12,10 +12,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from stkzoo._reading import Unreadable, is_there, read_text
 from stkzoo.errors import ConfigError, reason
 from stkzoo.race.remote.sockets import zmq_module
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+#: Largest size of a file of keys [bytes].
+_MAX_BYTES = 1 << 20
 _KEY = re.compile(r"[0-9a-zA-Z.\-:+=^!/*?&<>()\[\]{}@%$#]{40}")
 
 
@@ -115,7 +118,7 @@ def read_publics(sources: Iterable[str | Path]) -> dict[str, str]:
         path = Path(source).expanduser()
         if path.is_dir():
             files = sorted(path.glob("*.public"))
-        elif not path.exists() and _KEY.fullmatch(str(source)):
+        elif not is_there(path) and _KEY.fullmatch(str(source)):
             keys[str(source)] = ""
             continue
         else:
@@ -133,8 +136,8 @@ def _publics_of(file: Path) -> Iterable[list[str]]:
 
 def _lines_of(path: Path) -> list[list[str]]:
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_text(path, _MAX_BYTES)
+    except (OSError, Unreadable) as error:
         raise ConfigError(
             f"the key {path} cannot be read: {reason(error)}; make one with: stkzoo keys new NAME"
         ) from error

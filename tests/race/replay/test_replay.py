@@ -252,7 +252,7 @@ def test_what_cannot_be_is_refused(small, about):
     ids=range(11),
 )
 def test_damaged_parts_are_told(small, members):
-    with pytest.raises(ReplayError, match="not a replay, or damaged"):
+    with pytest.raises(ReplayError, match=r"small\.stkz cannot be read \("):
         load_replay(repacked(small, **members))
 
 
@@ -270,7 +270,7 @@ def test_a_bomb_is_not_unpacked(small, method):
         archive.writestr("race.json", about)
         archive.writestr("controls.f4", bytes(10 << 20))
         archive.writestr("digests.u1", bytes(31 * 8))
-    with pytest.raises(ReplayError, match="has another compression method"):
+    with pytest.raises(ReplayError, match="has an unusual compression"):
         load_replay(small)
 
 
