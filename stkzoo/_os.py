@@ -19,8 +19,9 @@ from stkzoo.errors import ConfigError, StkzooError
 
 try:
     import fcntl
+    import resource
 except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
+    fcntl = resource = None  # type: ignore[assignment]
 
 __all__ = [
     "PART_FILES",
@@ -33,6 +34,7 @@ __all__ = [
     "has_display",
     "ip_address_of",
     "is_loopback",
+    "max_descriptors",
     "read_zip",
     "remove_stale_directories",
     "try_lock",
@@ -52,6 +54,14 @@ def cpu_count() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def max_descriptors() -> int:
+    """How many files and connections this process may have open (``ulimit -n``)."""
+    if resource is None:
+        return 8192  # of the C library on Windows
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return sys.maxsize if soft == resource.RLIM_INFINITY else soft
 
 
 def has_display() -> bool:
