@@ -11,13 +11,13 @@ from typing import Any
 from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo.drivers.driver import Driver
-from stkzoo.drivers.failures import in_words, printable
+from stkzoo.drivers.failures import bounded, in_words, printable
 from stkzoo.drivers.instances import DriverInstance, DriverRequest
 from stkzoo.errors import AgentError, AgentTimeout
 from stkzoo.race.result import AgentFailure
 from stkzoo.race.settings import RaceSettings
 
-_MAX_FAILURES_KEPT = 20
+_MAX_FAILURES_KEPT, _MAX_NAME = 20, 100
 _CLIPPED = (
     "an action of {} ({}) at step {} has a number outside its space, which is clipped; from now "
     "on such actions are only counted"
@@ -148,7 +148,7 @@ class RacingDriver:
     def _record(self, error: Exception, step: int, kind: str) -> None:
         """Keeps a failure, or raises it if ``error_handling`` is ``"raise"``."""
         text = printable(in_words(error))
-        trace = printable(error.trace) if isinstance(error, AgentError) else ""
+        trace = printable(bounded(error.trace)) if isinstance(error, AgentError) else ""
         if self._settings.error_handling == "raise":
             who = self.name or self._driver.source
             error_type = type(error) if isinstance(error, AgentError) else AgentError
@@ -177,4 +177,4 @@ class RacingDriver:
 
 def _one_line(name: str) -> str:
     """An agent's own name, fit for a table."""
-    return printable(name).replace("\n", " ").strip()
+    return printable(name, _MAX_NAME).replace("\n", " ").strip()

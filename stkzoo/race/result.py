@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import platform
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from importlib.metadata import version
 from typing import Any, ClassVar
 
 import numpy as np
+import numpy.ma
 
 from stkzoo.race.document import Document
+from stkzoo.race.json_values import json_value
 
 #: Version of the JSON schema (``docs/schemas/race-result.schema.json``); grows when an older
 #: reader would fail.
@@ -44,10 +48,14 @@ class ActionTime:
 
     @classmethod
     def of(cls, seconds: Sequence[float]) -> ActionTime | None:
-        """The statistics of some durations; ``None`` if there are none."""
-        if not seconds:
+        """The statistics of some durations; ``None`` if there are none.
+
+        Durations that are negative or not finite do not count: they may come from an agent.
+        """
+        valid = [second for second in seconds if 0 <= second < math.inf]
+        if not valid:
             return None
-        return cls(float(np.mean(seconds)), float(np.percentile(seconds, 99)), max(seconds))
+        return cls(float(np.mean(valid)), float(np.percentile(valid, 99)), float(max(valid)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +99,11 @@ class AgentResult:
 
 def versions_now() -> dict[str, str]:
     """Versions of the installed software."""
+    return dict(_versions())
+
+
+@cache
+def _versions() -> dict[str, str]:
     packages = {"stkzoo": "stkzoo", "pystk2": "PySuperTuxKart2", "numpy": "numpy"}
     found = {name: version(package) for name, package in packages.items()}
     return {**found, "python": platform.python_version()}
@@ -150,4 +163,5 @@ class RaceResult(Document):
 
     def to_dict(self) -> dict[str, Any]:
         """The result as JSON values, with this class's field names and a ``schema_version``."""
-        return {"type": self.kind, "schema_version": self.version, **asdict(self)}
+        values = {"type": self.kind, "schema_version": self.version, **asdict(self)}
+        return dict(json_value(values))

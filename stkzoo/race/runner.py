@@ -21,7 +21,7 @@ from stkzoo.errors import ActionError, ConfigError
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.racing_driver import RacingDriver
 from stkzoo.race.rescues import RescueCounter
-from stkzoo.race.result import ActionTime, AgentResult, RaceResult
+from stkzoo.race.result import ActionTime, AgentResult, RaceResult, versions_now
 from stkzoo.race.settings import RaceSettings
 from stkzoo.views import full_with
 
@@ -196,6 +196,8 @@ class _RaceRun:
         listeners: Sequence[RaceListener],
     ) -> None:
         self._begin = time.monotonic()
+        # Found before the race: after it the process may have no descriptors left.
+        self._versions, self._sandbox = versions_now(), _sandbox(settings, drivers)
         self._env, self._settings, self._listeners = env, settings, listeners
         self._drivers = dict(zip(env.possible_agents, drivers, strict=True))
         self._awaited = awaited
@@ -339,8 +341,9 @@ class _RaceRun:
 
     def _end(self, status: str) -> RaceResult:
         result = self._result(status)
-        for listener in self._listeners:
-            listener.ended(result)
+        with ExitStack() as calls:  # which calls all, whichever of them fails
+            for listener in reversed(self._listeners):
+                calls.callback(listener.ended, result)
         return result
 
     def _race_time(self) -> float:
@@ -363,7 +366,8 @@ class _RaceRun:
             race_time=self._race_time(),
             agents=tuple(sorted(rows, key=lambda row: row.rank)),
             wall_time=time.monotonic() - self._begin,
-            sandbox=_sandbox(self._settings, [*self._drivers.values()]),
+            versions=self._versions,
+            sandbox=self._sandbox,
         )
 
     def _agent_result(self, agent: str, start_position: int) -> AgentResult:
