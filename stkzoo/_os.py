@@ -35,6 +35,7 @@ __all__ = [
     "ip_address_of",
     "is_loopback",
     "max_descriptors",
+    "network_of",
     "read_zip",
     "remove_stale_directories",
     "try_lock",
@@ -318,6 +319,14 @@ def ip_address_of(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | 
         return ipaddress.ip_address(host)
     except ValueError:
         return None
+
+
+def network_of(host: str) -> str:
+    """The network of an address that counts as one client: of IPv6, the first 64 bits."""
+    address = ip_address_of(host.partition("%")[0])
+    if isinstance(address, ipaddress.IPv6Address) and not address.ipv4_mapped:
+        return str(ipaddress.ip_network((address, 64), strict=False))
+    return host
 
 
 def is_loopback(host: str) -> bool:

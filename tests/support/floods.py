@@ -1,5 +1,6 @@
 """Attacks on what listens: the live page and the race-server."""
 
+import collections
 import contextlib
 import os
 import resource
@@ -10,6 +11,12 @@ import subprocess
 import sys
 import time
 import urllib.request
+
+import zmq
+
+from stkzoo.race import run_race
+from stkzoo.race.remote import RemoteDriverGroup
+from stkzoo.race.remote.protocol import ERROR, HELLO, VERSION, pack, unpack
 
 #: A request that never ends.
 HALF_REQUEST = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: "
@@ -82,11 +89,13 @@ def num_open(sockets):
 def _is_open(one):
     try:
         one.setblocking(False)
-        return bool(one.recv(1, socket.MSG_PEEK))
+        while one.recv(1 << 16):
+            pass
     except BlockingIOError:
         return True
     except OSError:
-        return False
+        pass
+    return False
 
 
 def reset_at_once(address, count):
@@ -121,3 +130,101 @@ def upgrade_request():
         b"Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
         b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
     )
+
+
+@contextlib.contextmanager
+def limited_server(*arguments, descriptors=1024, stderr=None):
+    """``stkzoo race-server`` as a process; gives the process and its address."""
+    words = ["race-server", "--address", "127.0.0.1:*", *arguments]
+    command = limited([sys.executable, "-m", "stkzoo", *words], descriptors)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True)
+    try:
+        line = process.stdout.readline()
+        assert " at tcp://" in line, "the server did not start; its errors are above"
+        yield process, line.split(" at ")[1].strip()
+    finally:
+        process.kill()
+        process.wait()
+        for stream in filter(None, (process.stdout, process.stderr)):
+            stream.close()
+
+
+class IdleClients:
+    """Clients of a server that say hello and then nothing.
+
+    Args:
+        address: the server's.
+        count: how many.
+    """
+
+    def __init__(self, address, count):
+        self._context = zmq.Context(io_threads=1)
+        self._context.set(zmq.MAX_SOCKETS, count + 100)
+        self._clients = [self._context.socket(zmq.DEALER) for _ in range(count)]
+        for client in self._clients:
+            client.setsockopt(zmq.LINGER, 0)
+            client.setsockopt(zmq.RECONNECT_IVL, 1000)
+            client.connect(address)
+            client.send_multipart([HELLO, pack(protocol=VERSION, stkzoo="0")])
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._context.destroy(0)
+
+    def hear(self, seconds):
+        """The kinds of messages that came, with the texts of errors, as a ``Counter``."""
+        heard = collections.Counter()
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            for client in self._clients:
+                while client.poll(0):
+                    kind, body = client.recv_multipart()
+                    heard[unpack(body)["text"] if kind == ERROR else kind] += 1
+            time.sleep(0.05)
+        return heard
+
+
+def remote_race(address, steps=20):
+    """A race on a server; the errors of its agents."""
+    with RemoteDriverGroup([address]) as group:
+        result = run_race([*group.drivers, "ai"], track="lighthouse", seed=1, max_steps=steps)
+    return [error for row in result.agents for error in row.errors]
+
+
+def zmtp_socket(address, identity=b""):
+    """A plain socket that has shaken hands with a ZeroMQ server, and may send any bytes."""
+    host, port = address.removeprefix("tcp://").rsplit(":", 1)
+    one = socket.create_connection((host, int(port)), timeout=10)
+    mechanism = b"NULL".ljust(20, b"\0")
+    one.sendall(b"\xff" + b"\0" * 8 + b"\x7f\x03\x00" + mechanism + b"\0" * 32)
+    properties = b"\x0bSocket-Type\0\0\0\x06DEALER"
+    if identity:
+        properties += b"\x08Identity" + struct.pack(">I", len(identity)) + identity
+    ready = b"\x05READY" + properties
+    one.sendall(bytes([4, len(ready)]) + ready)
+    return one
+
+
+def zmtp_frame(data, *, more=False, command=False):
+    """A frame of ZMTP."""
+    return bytes([2 | more | 4 * command]) + struct.pack(">Q", len(data)) + data
+
+
+#: A heartbeat, which the other end answers.
+PING = zmtp_frame(b"\x04PING\0\0", command=True)
+
+
+def send_until_closed(one, data, seconds=10.0):
+    """Sends the same bytes again and again; whether the other end closed the connection."""
+    one.settimeout(seconds)
+    deadline = time.monotonic() + seconds
+    try:
+        while time.monotonic() < deadline:
+            one.sendall(data)
+    except TimeoutError:
+        return False
+    except OSError:
+        return True
+    return False

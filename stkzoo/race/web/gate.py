@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import ipaddress
 import socket
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 
-from stkzoo._os import ip_address_of, max_descriptors
+from stkzoo._os import max_descriptors, network_of
 
 #: Connections without a viewer, viewers, and viewers from one network; each at most.
 MOST_VISITORS, MOST_VIEWERS, MOST_VIEWERS_OF_ONE = 64, 64, 32
@@ -88,7 +87,7 @@ class ConnectionGate:
         self, connection: socket.socket, make_protocol: Callable[[], asyncio.Protocol]
     ) -> None:
         try:
-            network = _network_of(connection.getpeername()[0])
+            network = network_of(connection.getpeername()[0])
             loop = asyncio.get_running_loop()
             transport, _ = await loop.connect_accepted_socket(make_protocol, connection)
         except BaseException:
@@ -122,11 +121,3 @@ def _open_ones(
         for transport, network in transports.items()
         if transport.get_extra_info("socket").fileno() >= 0
     }
-
-
-def _network_of(host: str) -> str:
-    """The network that counts as one client: an IPv4 address, or a /64 network of IPv6."""
-    address = ip_address_of(host.partition("%")[0])
-    if isinstance(address, ipaddress.IPv6Address) and not address.ipv4_mapped:
-        return str(ipaddress.ip_network((address, 64), strict=False))
-    return host

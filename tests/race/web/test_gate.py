@@ -7,10 +7,11 @@ import time
 import aiohttp
 import pytest
 
+from stkzoo._os import network_of
 from stkzoo.race import RaceResult
 from stkzoo.race.replay import load_replay
 from stkzoo.race.web import LivePage
-from stkzoo.race.web.gate import MOST_VISITORS, _network_of
+from stkzoo.race.web.gate import MOST_VISITORS
 from tests.support.floods import (
     HALF_REQUEST,
     allow_descriptors,
@@ -210,4 +211,4 @@ def test_what_is_no_websocket_takes_no_place(page):
     ],
 )
 def test_a_network_of_ipv6_counts_as_one_client(host, network):
-    assert _network_of(host) == network
+    assert network_of(host) == network
