@@ -42,7 +42,12 @@ def limited(command, descriptors):
 def race_with_page(*words, descriptors=1024, port=0):
     """``stkzoo race --web`` as a process; gives the process and the page's address."""
     command = [sys.executable, "-m", "stkzoo", "race", "--web", "--web-port", str(port), *words]
-    process = subprocess.Popen(limited(command, descriptors), stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        limited(command, descriptors),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     try:
         lines = []
         while "live page: " not in (line := process.stderr.readline()):
@@ -171,6 +176,10 @@ class IdleClients:
         return self
 
     def __exit__(self, *_):
+        self.close()
+
+    def close(self):
+        """Ends all of them."""
         self._context.destroy(0)
 
     def hear(self, seconds):

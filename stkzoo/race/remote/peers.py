@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import struct
 import time
-from collections import Counter
-from collections.abc import Callable
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,6 +55,36 @@ class _Peer:
     leaves_at: float | None = None
 
 
+class _Window:
+    """Looks at connections by their descriptors. It needs no new one: there may be none left."""
+
+    def __init__(self) -> None:
+        self._null = os.open(os.devnull, os.O_RDONLY)
+        self._own = os.dup(self._null)
+
+    @contextmanager
+    def onto(self, descriptor: int) -> Iterator[socket.socket]:
+        """The connection behind a descriptor now, whatever ZeroMQ does with the descriptor.
+
+        Raises:
+            OSError: there is no connection any more.
+        """
+        os.dup2(descriptor, self._own, inheritable=False)
+        try:
+            connection = socket.socket(fileno=self._own)
+            try:
+                yield connection
+            finally:
+                connection.detach()
+        finally:
+            os.dup2(self._null, self._own, inheritable=False)
+
+    def close(self) -> None:
+        """Frees its descriptors."""
+        os.close(self._own)
+        os.close(self._null)
+
+
 class PeerTable:
     """Follows the connections of a ROUTER socket, and ends idle ones before they are too many.
 
@@ -71,6 +103,7 @@ class PeerTable:
         self._most = max(_LEAST, min(_MOST, max_descriptors() // _SHARE))
         self._peers: dict[int, _Peer] = {}  # by descriptor, oldest first
         self._by_identity: dict[bytes, _Peer] = {}
+        self._window = _Window()
         self.socket = router.get_monitor_socket(
             self._zmq.EVENT_ACCEPTED | self._zmq.EVENT_DISCONNECTED
         )
@@ -79,10 +112,11 @@ class PeerTable:
         """Stops following; call it before the router is closed."""
         self._router.disable_monitor()
         self.socket.close(0)
+        self._window.close()
 
     def update(self) -> bool:
         """Handles events, up to a number; returns whether connections had to end."""
-        for _ in range(100):
+        for _ in range(1000):
             try:
                 event, _ = self.socket.recv_multipart(self._zmq.NOBLOCK)
             except self._zmq.Again:
@@ -125,15 +159,15 @@ class PeerTable:
         for descriptor, peer in list(self._peers.items()):
             if peer.leaves_at is not None:
                 if now >= peer.leaves_at:
-                    _shut(descriptor, peer)
+                    self._shut(descriptor, peer)
             elif peer.num_read is None and now - peer.since > IDLE:
                 self._end(peer, _IDLE_TOO_LONG)
             elif self._unread(descriptor, peer) > 0:
-                _shut(descriptor, peer)
+                self._shut(descriptor, peer)
 
     def _add(self, descriptor: int) -> None:
         try:
-            with socket.fromfd(descriptor, socket.AF_INET, socket.SOCK_STREAM) as connection:
+            with self._window.onto(descriptor) as connection:
                 ends = connection.getsockname(), connection.getpeername()
         except OSError:  # it is gone already
             return
@@ -149,20 +183,22 @@ class PeerTable:
         """Ends connections without a session until few enough stay."""
         if len(self._peers) <= self._most:
             return False
-        staying = {d: peer for d, peer in self._peers.items() if peer.leaves_at is None}
-        is_full = len(staying) > self._most
-        while len(staying) > self._most:
-            idle = {d: peer for d, peer in staying.items() if peer.num_read is None}
-            if not idle:
+        staying = [peer for peer in self._peers.values() if peer.leaves_at is None]
+        idle: dict[str, deque[_Peer]] = defaultdict(deque)  # by network, oldest first
+        for peer in staying:
+            if peer.num_read is None:
+                idle[peer.network].append(peer)
+        num_excess = len(staying) - self._most
+        for _ in range(num_excess):
+            largest = max(idle.values(), key=len, default=None)
+            if not largest:
                 break
-            (largest, _), *_ = Counter(peer.network for peer in idle.values()).most_common(1)
-            oldest = next(d for d, peer in idle.items() if peer.network == largest)
-            self._end(staying.pop(oldest), _TOO_MANY)
+            self._end(largest.popleft(), _TOO_MANY)
         if len(self._peers) > self._most + _SPARE:
             for descriptor, peer in self._peers.items():
                 if peer.leaves_at is not None:
-                    _shut(descriptor, peer)
-        return is_full
+                    self._shut(descriptor, peer)
+        return num_excess > 0
 
     def _end(self, peer: _Peer, reason: str) -> None:
         """Ends a connection once it has its last message."""
@@ -176,7 +212,7 @@ class PeerTable:
         if not hasattr(socket, "TCP_INFO"):
             return 0
         try:
-            with socket.fromfd(descriptor, socket.AF_INET, socket.SOCK_STREAM) as connection:
+            with self._window.onto(descriptor) as connection:
                 info = connection.getsockopt(
                     socket.IPPROTO_TCP, socket.TCP_INFO, _BYTES_RECEIVED.size
                 )
@@ -186,12 +222,8 @@ class PeerTable:
         limit = _MAX_UNREAD_IDLE if peer.num_read is None else peer.num_read + _MAX_UNREAD
         return max(0, received - limit)
 
-
-def _shut(descriptor: int, peer: _Peer) -> None:
-    """Ends a connection, unless its descriptor is another one's by now."""
-    try:
-        with socket.fromfd(descriptor, socket.AF_INET, socket.SOCK_STREAM) as connection:
+    def _shut(self, descriptor: int, peer: _Peer) -> None:
+        """Cuts a connection, unless its descriptor is another one's by now."""
+        with suppress(OSError), self._window.onto(descriptor) as connection:
             if (connection.getsockname(), connection.getpeername()) == peer.ends:
                 connection.shutdown(socket.SHUT_RDWR)
-    except OSError:  # it is gone already, or there is no descriptor left; then the next check
-        return

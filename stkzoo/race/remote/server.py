@@ -34,7 +34,7 @@ _log.addFilter(RepeatFilter())
 #: The server ends the session of a client that is silent for this time [s].
 _PATIENCE = 600.0
 #: How often the server looks at its connections, and at its sessions [s].
-_PEER_CHECK, _CLIENT_CHECK = 0.25, 1.0
+_PEER_CHECK, _CLIENT_CHECK = 0.1, 1.0
 #: How long sessions may take to end when the server closes [s].
 _GRACE = 15.0
 _HELLO_LIMITS = Limits(max_bytes=4096, max_depth=2, max_length=16)
@@ -147,7 +147,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
 
     def _receive(self) -> None:
         """Handles the messages that wait, up to a number."""
-        for _ in range(100):
+        for _ in range(20):  # then connections that are too many end first
             try:
                 identity = self._socket.recv(self._zmq.NOBLOCK)
             except self._zmq.Again:

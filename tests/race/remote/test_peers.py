@@ -165,8 +165,9 @@ def test_a_log_that_nobody_reads_does_not_stop_the_server():
 
 def test_only_the_connection_that_is_meant_is_cut():
     left, right = socket.socketpair()
-    peer = peers._Peer(("127.0.0.1", "another"), "", 0.0)
-    peers._shut(left.fileno(), peer)
+    with server_thread([find_driver("random")]) as server:
+        peer = peers._Peer(("127.0.0.1", "another"), "", 0.0)
+        server._peers._shut(left.fileno(), peer)
     right.sendall(b"a")
     assert left.recv(1) == b"a"
     left.close()
