@@ -18,8 +18,9 @@ from stkzoo.errors import ConfigError, StkzooError
 
 try:
     import fcntl
+    import resource
 except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
+    fcntl = resource = None  # type: ignore[assignment]
 
 __all__ = [
     "PART_FILES",
@@ -32,6 +33,8 @@ __all__ = [
     "has_display",
     "ip_address_of",
     "is_loopback",
+    "max_descriptors",
+    "network_of",
     "remove_stale_directories",
     "try_lock",
     "write_text",
@@ -50,6 +53,14 @@ def cpu_count() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def max_descriptors() -> int:
+    """How many files and connections this process may have open (``ulimit -n``)."""
+    if resource is None:
+        return 8192  # of the C library on Windows
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return sys.maxsize if soft == resource.RLIM_INFINITY else soft
 
 
 def has_display() -> bool:
@@ -274,6 +285,14 @@ def ip_address_of(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | 
         return ipaddress.ip_address(host)
     except ValueError:
         return None
+
+
+def network_of(host: str) -> str:
+    """The network of an address that counts as one client: of IPv6, the first 64 bits."""
+    address = ip_address_of(host.partition("%")[0])
+    if isinstance(address, ipaddress.IPv6Address) and not address.ipv4_mapped:
+        return str(ipaddress.ip_network((address, 64), strict=False))
+    return host
 
 
 def is_loopback(host: str) -> bool:

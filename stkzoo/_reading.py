@@ -328,7 +328,8 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray[Any
             raise Unreadable(f"{member.filename} has the type {dtype!s:.60}, expected numbers")
         size = math.prod(shape) * dtype.itemsize
         if min(shape, default=0) < 0 or size != member.file_size - stream.tell():
-            raise Unreadable(f"{member.filename} has another size than its shape {shortened(shape, 60)}")
+            found = shortened(shape, 60)
+            raise Unreadable(f"{member.filename} has another size than its shape {found}")
         data = bytearray(size)  # arrays on it are writable
         for start in range(0, size, _BLOCK):
             block = stream.read(min(_BLOCK, size - start))

@@ -28,6 +28,7 @@ LAYERS = [
             "stkzoo._arguments",
             "stkzoo._installation",
             "stkzoo._lazy",
+            "stkzoo._logs",
             "stkzoo._os",
             "stkzoo._reading",
             "stkzoo._schema",

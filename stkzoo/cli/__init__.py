@@ -14,7 +14,6 @@ Modules are light to import: ``add_arguments`` and ``run`` import what is heavy.
 
 from __future__ import annotations
 
-import os
 import pkgutil
 import sys
 from collections.abc import Sequence
@@ -23,6 +22,7 @@ from importlib.metadata import version
 
 from stkzoo._arguments import CommandParser
 from stkzoo.cli._arguments import add_command
+from stkzoo.cli._streams import discard_stdout, prepare_streams, writing_stdout
 from stkzoo.errors import StkzooError
 
 __all__ = ["COMMANDS", "build_parser", "main"]
@@ -86,24 +86,29 @@ def main(argv: Sequence[str] | None = None) -> int:
         ``| head``), 2 for an invalid command line, 130 after an interrupt from the keyboard.
     """
     words = sys.argv[1:] if argv is None else list(argv)
+    prepare_streams()
     try:
-        code = _run(words)
-        sys.stdout.flush()
+        return _run(words)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        discard_stdout()
         return 1
-    return code
 
 
 def _run(words: list[str]) -> int:
     try:
-        arguments = build_parser(words[0] if words else "").parse_args(words or ["--help"])
-        return int(arguments.run(arguments))
-    except SystemExit as end:  # argparse: 0 after --help, 2 after bad usage
-        return end.code if isinstance(end.code, int) else 1
+        with writing_stdout():
+            return _exit_code(words)
     except StkzooError as error:
         print(f"stkzoo: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("stkzoo: interrupted", file=sys.stderr)
         return 130
+
+
+def _exit_code(words: list[str]) -> int:
+    try:
+        arguments = build_parser(words[0] if words else "").parse_args(words or ["--help"])
+        return int(arguments.run(arguments))
+    except SystemExit as end:  # argparse: 0 after --help, 2 after bad usage
+        return end.code if isinstance(end.code, int) else 1

@@ -26,9 +26,15 @@ from typing_extensions import Self  # a dependency of gymnasium
 from stkzoo.engine.assets import Progress
 
 
+def make_console() -> Console:
+    """A console on stdout. It shows names such as ``:fire:`` as they are."""
+    return Console(emoji=False)
+
+
 def say(text: str, console: Console | None = None) -> None:
     """Prints a text as it is, without wrapping and markup."""
-    (console or Console()).print(text, highlight=False, markup=False, soft_wrap=True)
+    console = console or make_console()
+    console.print(text, highlight=False, markup=False, soft_wrap=True, emoji=False)
 
 
 def show_table(
@@ -54,7 +60,7 @@ def show_table(
         is_narrow: draw no frame, because the terminal has no room for it.
         **options: of ``rich.table.Table``.
     """
-    console = console or Console()
+    console = console or make_console()
     is_framed = console.is_terminal and not is_narrow
     table = Table(box=box.ROUNDED if is_framed else None, pad_edge=is_framed, **options)
     for name in columns:

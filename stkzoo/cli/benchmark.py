@@ -228,7 +228,7 @@ def _show_figures(
 
     from stkzoo.cli._console import show_table
 
-    console = Console()
+    console = Console(emoji=False)
     if not console.is_terminal:  # a file is wide enough
         console = Console(width=max(console.width, _WIDTH))
     is_wide = console.width >= _WIDTH

@@ -43,6 +43,8 @@ from stkzoo._arguments import CommandParser, add_options, option, positional, va
 from stkzoo._os import check_writable, write_whole
 from stkzoo.cli import _race_options
 from stkzoo.cli._arguments import usage_errors
+from stkzoo.cli._streams import writing_stdout
+from stkzoo.drivers.failures import in_words
 from stkzoo.errors import AgentError, ConfigError, StkzooError
 from stkzoo.race import RaceSettings
 
@@ -131,12 +133,13 @@ def run_races(arguments: argparse.Namespace, remote: Sequence[Driver] = ()) -> i
     from stkzoo.race import RaceInterrupted
 
     results: list[RaceResult] = []
+    problems: list[Exception] = []
     failure: AgentError | None = None
     code = 0
     try:
         with _prints_on_stderr() if arguments.json else contextlib.nullcontext():
             for drivers, settings in _plan(arguments, remote):
-                results.append(_race(drivers, settings, arguments))
+                results.append(_race(drivers, settings, arguments, problems))
     except AgentError as error:
         print(f"stkzoo: {error}\n{error.trace}".rstrip(), file=sys.stderr)
         code, failure = _AGENT_FAILED, error
@@ -144,8 +147,14 @@ def run_races(arguments: argparse.Namespace, remote: Sequence[Driver] = ()) -> i
         results.append(interrupt.result)
         print("stkzoo: interrupted; the last race is incomplete", file=sys.stderr)
         code = _INTERRUPTED
-    reported = _report(results, failure, arguments)
-    return code or reported
+    except StkzooError as error:
+        if not results:
+            raise
+        problems.append(error)
+    reported = _report(results, failure, arguments, problems)
+    for problem in problems:
+        print(f"stkzoo: {in_words(problem)}", file=sys.stderr)
+    return code or (1 if problems else reported)
 
 
 @contextlib.contextmanager
@@ -191,31 +200,67 @@ def _plan(
 
 
 def _race(
-    drivers: list[str | Driver], settings: dict[str, Any], arguments: argparse.Namespace
+    drivers: list[str | Driver],
+    settings: dict[str, Any],
+    arguments: argparse.Namespace,
+    problems: list[Exception],
 ) -> RaceResult:
+    """Runs one race.
+
+    Args:
+        drivers: the drivers.
+        settings: of the race.
+        arguments: with the outputs.
+        problems: gets the failures that cost the race an output, but not its result.
+    """
     from stkzoo.cli._race_report import LoadCheck, RaceBar
-    from stkzoo.race import run_race
+    from stkzoo.race import RaceInterrupted, run_race
+    from stkzoo.race.listeners import ExpendableListener, ResultKeeper
 
     with RaceBar() as bar:
         replay = _race_options.replay_listeners(arguments)
         shown = _race_options.viewing_listeners(arguments)
-        listeners = [LoadCheck(), bar, *replay, *shown, *arguments.listeners]
-        return run_race(drivers, listeners=listeners, **settings)
+        outputs = [ExpendableListener(listener) for listener in (bar, *replay, *shown)]
+        keeper = ResultKeeper()
+        listeners = [keeper, LoadCheck(), *outputs, *arguments.listeners]
+        try:
+            run_race(drivers, listeners=listeners, **settings)
+        except KeyboardInterrupt as interrupt:
+            if keeper.result is None:
+                raise
+            raise RaceInterrupted(keeper.result) from interrupt
+        except Exception as error:
+            if keeper.result is None:
+                raise
+            problems.append(error)
+    problems += [output.error for output in outputs if output.error is not None]
+    assert keeper.result is not None  # noqa: S101 - the race has ended
+    return keeper.result
 
 
 def _report(
-    results: Sequence[RaceResult], failure: AgentError | None, arguments: argparse.Namespace
+    results: Sequence[RaceResult],
+    failure: AgentError | None,
+    arguments: argparse.Namespace,
+    problems: list[Exception],
 ) -> int:
-    """Shows and writes the results."""
+    """Writes and shows the results; a failure of one does not prevent the other."""
     code = _AGENT_FAILED if any(result.has_errors for result in results) else 0
     text = arguments.document(results, failure, arguments)
-    if arguments.json:
-        print(text, end="\n" if text else "")
-    elif results:
-        _show(results, arguments, is_clean=not code)
-    if arguments.output and text:
-        with write_whole(arguments.output, "the result", StkzooError) as part:
-            part.write_text(text + "\n", encoding="utf-8")
+    try:
+        if arguments.output and text:
+            with write_whole(arguments.output, "the result", StkzooError) as part:
+                part.write_text(text + "\n", encoding="utf-8")
+    except StkzooError as error:
+        problems.append(error)
+    try:
+        with writing_stdout():
+            if arguments.json:
+                print(text, end="\n" if text else "")
+            elif results:
+                _show(results, arguments, is_clean=not code)
+    except StkzooError as error:
+        problems.append(error)
     return code
 
 

@@ -20,11 +20,11 @@ from __future__ import annotations
 import argparse
 import logging
 import signal
-import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
+from stkzoo._logs import BackgroundHandler
 from stkzoo.cli._arguments import usage_errors
 from stkzoo.errors import check_whole
 from stkzoo.race import RaceSettings
@@ -68,10 +68,12 @@ def add_arguments(parser: CommandParser) -> None:
 @usage_errors
 def run(arguments: argparse.Namespace) -> int:
     """Serves until it is stopped."""
+    log = BackgroundHandler()  # so that a log that nobody reads does not stop the server
     logging.basicConfig(
         level=logging.WARNING if arguments.quiet else logging.INFO,
         format="%(asctime)s %(message)s",
         datefmt="%H:%M:%S",
+        handlers=[log],
     )
     with _server(arguments) as server:
         signal.signal(signal.SIGTERM, lambda *_: server.stop())
@@ -80,7 +82,8 @@ def run(arguments: argparse.Namespace) -> int:
         try:
             server.serve()
         except KeyboardInterrupt:
-            print("stkzoo: server stopped", file=sys.stderr)
+            logging.getLogger(__name__).warning("stkzoo: server stopped")
+    log.drain()
     return 0
 
 

@@ -15,6 +15,7 @@ from typing_extensions import Self  # a dependency of gymnasium
 from stkzoo._reading import MAX_BYTES, Unreadable, read_json, read_text, reading
 from stkzoo._schema import typed
 from stkzoo.errors import ConfigError, shortened
+from stkzoo.race.json_values import json_value
 
 
 class Document(ABC):
@@ -37,8 +38,9 @@ class Document(ABC):
         return asdict(self)  # type: ignore[call-overload, no-any-return]  # a dataclass
 
     def to_json(self) -> str:
-        """The document as JSON."""
-        values = {"type": self.kind, "schema_version": self.version, **self.to_dict()}
+        """The document as JSON; never fails (:func:`~stkzoo.race.json_values.json_value`)."""
+        document = {"type": self.kind, "schema_version": self.version, **self.to_dict()}
+        values = json_value(document)
         if not self.rows:
             return json.dumps(values, indent=2, allow_nan=False)
         rows = ",\n    ".join(map(json.dumps, values.pop(self.rows)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -109,3 +110,64 @@ class RaceListener:
 
     def closed(self) -> None:
         """Called last, also after an error; free resources here."""
+
+
+class ResultKeeper(RaceListener):
+    """Keeps the result, also if another listener fails after the race.
+
+    Attributes:
+        result: the race's result; ``None`` until it is over.
+    """
+
+    def __init__(self) -> None:
+        self.result: RaceResult | None = None
+
+    def ended(self, result: RaceResult) -> None:
+        """Keeps the result."""
+        self.result = result
+
+
+class ExpendableListener(RaceListener):
+    """A listener whose failure does not end the race; from then on the listener gets nothing.
+
+    Args:
+        listener: the listener.
+
+    Attributes:
+        error: its first failure; ``None`` without one.
+    """
+
+    def __init__(self, listener: RaceListener) -> None:
+        self._listener = listener
+        self.error: Exception | None = None
+
+    def env_options(self) -> dict[str, Any]:
+        """See :class:`RaceListener`."""
+        return self._listener.env_options()
+
+    def started(self, race: RaceProgress) -> None:
+        """See :class:`RaceListener`."""
+        self._call(self._listener.started, race)
+
+    def stepped(self, race: RaceProgress) -> None:
+        """See :class:`RaceListener`."""
+        self._call(self._listener.stepped, race)
+
+    def ended(self, result: RaceResult) -> None:
+        """See :class:`RaceListener`."""
+        self._call(self._listener.ended, result)
+
+    def closed(self) -> None:
+        """See :class:`RaceListener`; called once, also by a failure."""
+        if self.error is None:
+            self._call(self._listener.closed)
+
+    def _call(self, function: Callable[..., None], *arguments: object) -> None:
+        if self.error is not None:
+            return
+        try:
+            function(*arguments)
+        except Exception as error:  # noqa: BLE001 - whatever fails in a listener
+            self.error = error
+            with suppress(Exception):
+                self._listener.closed()

@@ -5,10 +5,12 @@ from __future__ import annotations
 import platform
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from importlib.metadata import version
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
+import numpy.ma
 
 from stkzoo._schema import (
     Count,
@@ -23,6 +25,7 @@ from stkzoo._schema import (
 )
 from stkzoo.drivers.sandbox import BUBBLEWRAP, LANDLOCK, NONE
 from stkzoo.race.document import Document
+from stkzoo.race.json_values import json_value
 
 #: Version of the JSON schema (``docs/schemas/race-result.schema.json``); grows when an older
 #: reader would fail.
@@ -119,6 +122,11 @@ class AgentResult:
 
 def versions_now() -> dict[str, str]:
     """Versions of the installed software."""
+    return dict(_versions())
+
+
+@cache
+def _versions() -> dict[str, str]:
     packages = {"stkzoo": "stkzoo", "pystk2": "PySuperTuxKart2", "numpy": "numpy"}
     found = {name: version(package) for name, package in packages.items()}
     return {**found, "python": platform.python_version()}
@@ -196,4 +204,5 @@ class RaceResult(Document):
 
     def to_dict(self) -> dict[str, Any]:
         """The result as JSON values, with this class's field names and a ``schema_version``."""
-        return {"type": self.kind, "schema_version": self.version, **asdict(self)}
+        values = {"type": self.kind, "schema_version": self.version, **asdict(self)}
+        return dict(json_value(values))

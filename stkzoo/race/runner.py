@@ -27,7 +27,7 @@ from stkzoo.errors import ActionError, ConfigError
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.racing_driver import RacingDriver
 from stkzoo.race.rescues import RescueCounter
-from stkzoo.race.result import ActionTime, AgentResult, RaceResult
+from stkzoo.race.result import ActionTime, AgentResult, RaceResult, versions_now
 from stkzoo.race.settings import RaceSettings
 from stkzoo.views import full_with
 
@@ -202,6 +202,8 @@ class _RaceRun:
         listeners: Sequence[RaceListener],
     ) -> None:
         self._begin = time.monotonic()
+        # Found before the race: after it the process may have no descriptors left.
+        self._versions, self._sandbox = versions_now(), _sandbox(settings, drivers)
         self._env, self._settings, self._listeners = env, settings, listeners
         self._drivers = dict(zip(env.possible_agents, drivers, strict=True))
         self._awaited = awaited
@@ -350,8 +352,9 @@ class _RaceRun:
 
     def _end(self, status: str) -> RaceResult:
         result = self._result(status)
-        for listener in self._listeners:
-            listener.ended(result)
+        with ExitStack() as calls:  # which calls all, whichever of them fails
+            for listener in reversed(self._listeners):
+                calls.callback(listener.ended, result)
         return result
 
     def _race_time(self) -> float:
@@ -362,7 +365,6 @@ class _RaceRun:
         assert race is not None  # noqa: S101 - since reset
         places = dict(zip(self._env.possible_agents, race.kart_indices, strict=True))
         rows = [self._agent_result(agent, places[agent] + 1) for agent in places]
-        sandbox = _sandbox(self._settings, [*self._drivers.values()])
         return RaceResult(
             status=status,
             track=race.track,
@@ -375,15 +377,16 @@ class _RaceRun:
             race_time=self._race_time(),
             agents=tuple(sorted(rows, key=lambda row: row.rank)),
             wall_time=time.monotonic() - self._begin,
-            sandbox=sandbox,
-            protections=self._protections(sandbox),
+            versions=self._versions,
+            sandbox=self._sandbox,
+            protections=self._protections(),
             time_budget=self._settings.time_budget,
         )
 
-    def _protections(self, sandbox: str | None) -> tuple[str, ...]:
-        if sandbox is None or self._settings.inline:
+    def _protections(self) -> tuple[str, ...]:
+        if self._sandbox is None or self._settings.inline:
             return ()
-        return (*protections(sandbox), *(("cores",) if any(self._cores.values()) else ()))
+        return (*protections(self._sandbox), *(("cores",) if any(self._cores.values()) else ()))
 
     def _agent_result(self, agent: str, start_position: int) -> AgentResult:
         info: Mapping[str, Any] = self._infos[agent]

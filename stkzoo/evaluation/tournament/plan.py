@@ -216,7 +216,8 @@ def plan_tournament(
     served, access = _ask(servers)
     if isinstance(agents, str) or len(agents) + len(served) < 2:
         raise ConfigError(
-            f"agents is {shortened(agents, 80)}, expected a list of at least two, such as my_agent and ai"
+            f"agents is {shortened(agents, 80)}, expected a list of at least two, such as "
+            "my_agent and ai"
         )
     chosen = TournamentPlan.choose_settings(settings, changes)
     entrants = find_entrants(agents, chosen, served)

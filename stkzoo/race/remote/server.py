@@ -11,11 +11,13 @@ from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from typing import Any
 
+from stkzoo._logs import RepeatFilter
 from stkzoo.drivers.codec import Limits
 from stkzoo.drivers.driver import Driver, declared_name
 from stkzoo.drivers.instances import DriverLimits
 from stkzoo.errors import ConfigError, ProtocolError, check_whole, shortened
 from stkzoo.race.remote import protocol
+from stkzoo.race.remote.peers import PeerTable
 from stkzoo.race.remote.session import ClientSession, Reply
 from stkzoo.race.remote.sockets import (
     DEFAULT_ADDRESS,
@@ -27,13 +29,18 @@ from stkzoo.race.remote.sockets import (
 )
 
 _log = logging.getLogger(__name__)
+_log.addFilter(RepeatFilter())
 
 #: The server ends the session of a client that is silent for this time [s].
 _PATIENCE = 600.0
+#: How often the server looks at its connections, and at its sessions [s].
+_PEER_CHECK, _CLIENT_CHECK = 0.1, 1.0
 #: How long sessions may take to end when the server closes [s].
 _GRACE = 15.0
 _HELLO_LIMITS = Limits(max_bytes=4096, max_depth=2, max_length=16)
 _NUMBERS = itertools.count()
+#: The messages by which a client makes itself known.
+_NAMED = (protocol.HELLO, protocol.OPEN)
 
 
 class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
@@ -74,6 +81,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         ]
         address = full_address(address)
         keys.check(address, insecure)
+        self._facts = {"protocol": protocol.VERSION, "stkzoo": version("stkzoo")}
         self._clients: dict[bytes, ClientSession] = {}
         self._sessions: set[ClientSession] = set()  # including those that are ending
         self._replies = f"inproc://stkzoo-replies-{next(_NUMBERS)}"
@@ -86,6 +94,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
             self._outbox = self._context.socket(self._zmq.PULL)
             self._outbox.bind(self._replies)
             self._socket = server_socket(self._context, address, keys)
+            self._peers = PeerTable(self._socket, self._send_error)
         except BaseException:
             self._context.destroy(0)
             raise
@@ -99,6 +108,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         """Serves until :meth:`stop`; no client can end it."""
         poller = self._zmq.Poller()
         jobs: dict[Any, Callable[[], object]] = {
+            self._peers.socket: self._update_peers,
             self._socket: self._receive,
             self._outbox: self._send_replies,
         }
@@ -106,13 +116,15 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
             jobs[self._authenticator.socket] = self._authenticate
         for socket in jobs:
             poller.register(socket, self._zmq.POLLIN)
-        next_check = time.monotonic() + 1
+        checks = [(self._peers.check, _PEER_CHECK), (self._check_clients, _CLIENT_CHECK)]
+        due = [time.monotonic() + period for _, period in checks]
         while not self._stop.is_set():
-            for socket, _ in poller.poll(500):
+            for socket, _ in poller.poll(int(1000 * _PEER_CHECK)):
                 jobs[socket]()
-            if time.monotonic() > next_check:
-                self._check_clients()
-                next_check = time.monotonic() + 1
+            for number, (check, period) in enumerate(checks):
+                if time.monotonic() > due[number]:
+                    check()
+                    due[number] = time.monotonic() + period
 
     def stop(self) -> None:
         """Makes :meth:`serve` return soon; may be called in any thread."""
@@ -125,6 +137,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         deadline = time.monotonic() + _GRACE
         for session in self._sessions:
             session.join(max(0.0, deadline - time.monotonic()))
+        self._peers.close()
         if any(session.is_alive() for session in self._sessions):
             self._socket.close(0)  # a socket must not be closed outside its thread
         else:
@@ -134,21 +147,33 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
 
     def _receive(self) -> None:
         """Handles the messages that wait, up to a number."""
-        for _ in range(100):
+        for _ in range(20):  # then connections that are too many end first
             try:
                 identity = self._socket.recv(self._zmq.NOBLOCK)
             except self._zmq.Again:
                 return
-            frames: list[bytes] = []
-            while self._socket.getsockopt(self._zmq.RCVMORE):
-                frame = self._socket.recv()
-                if len(frames) < 3:
-                    frames.append(frame)
+            frames, origin = self._frames()
             try:
+                if origin is not None and frames[0] in _NAMED:
+                    self._peers.name(origin, identity)
                 self._dispatch(identity, frames)
             except Exception:  # noqa: BLE001 - no client may end the server
                 _log.exception("a message could not be handled")
                 self._dismiss(identity)
+
+    def _frames(self) -> tuple[list[bytes], Any]:
+        """The first three frames of a message, and the first one as ZeroMQ's own object."""
+        frames: list[bytes] = []
+        origin: Any = None
+        while self._socket.getsockopt(self._zmq.RCVMORE):
+            if origin is None:
+                origin = self._socket.recv(copy=False)
+                frames.append(origin.bytes)
+            elif len(frames) < 3:
+                frames.append(self._socket.recv())
+            else:
+                self._socket.recv(copy=False)
+        return frames, origin
 
     def _dispatch(self, identity: bytes, frames: list[bytes]) -> None:
         if len(frames) != 2:
@@ -162,6 +187,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
             self._dismiss(identity)
         elif client is not None:
             client.heard = time.monotonic()
+            self._peers.count(identity, len(body))
             if not client.put(kind, body):
                 self._refuse(identity, "too many messages at once")
         elif kind == protocol.OPEN:
@@ -179,8 +205,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
             return
         agents = self._descriptions
         limit = self._limits.action_timeout
-        facts = {"protocol": protocol.VERSION, "stkzoo": version("stkzoo")}
-        body = protocol.pack(**facts, agents=agents, action_timeout=limit)
+        body = protocol.pack(**self._facts, agents=agents, action_timeout=limit)
         self._send(identity, protocol.WELCOME, body)
 
     def _admit(self, identity: bytes, body: bytes) -> None:
@@ -191,12 +216,17 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
                 identity, f"the server is busy: all of its {self._max_sessions} sessions are taken"
             )
             return
+        self._peers.begin_session(identity)
         session = ClientSession(self._drivers, self._limits, lambda: self._replier(identity))
         self._clients[identity] = session
         session.put(protocol.OPEN, body)
         session.start()
         self._sessions.add(session)
         _log.info("a client came; %d of %d sessions", len(self._clients), self._max_sessions)
+
+    def _update_peers(self) -> None:
+        if self._peers.update():
+            _log.warning("too many connections; the oldest ones without a race are ended")
 
     def _authenticate(self) -> None:
         assert self._authenticator is not None  # noqa: S101 - it has a socket
@@ -213,15 +243,19 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
             return False
         return True
 
+    def _send_error(self, identity: bytes, text: str) -> None:
+        self._send(identity, protocol.ERROR, protocol.pack(text=text))
+
     def _refuse(self, identity: bytes, text: str) -> None:
         """Tells a client why the server refuses it, and ends its session if it has one."""
-        self._send(identity, protocol.ERROR, protocol.pack(text=text))
+        self._send_error(identity, text)
         self._dismiss(identity)
 
     def _dismiss(self, identity: bytes) -> None:
         client = self._clients.pop(identity, None)
         if client is not None:
             client.end()
+            self._peers.end_session(identity)
             _log.info("a client left; %d of %d sessions", len(self._clients), self._max_sessions)
 
     @contextlib.contextmanager

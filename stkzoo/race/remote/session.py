@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from stkzoo._logs import RepeatFilter
 from stkzoo.drivers.codec import Encoded, decode, encode
 from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.failures import error_report, printable
@@ -20,6 +21,7 @@ from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race.remote import protocol
 
 _log = logging.getLogger(__name__)
+_log.addFilter(RepeatFilter())
 
 #: The server pings a silent client after this time [s], then less and less often: a paused race
 #: reads nothing, and its queue must not fill up.

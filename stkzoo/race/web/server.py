@@ -16,18 +16,24 @@ from urllib.parse import urlsplit
 
 from aiohttp import web
 
+from stkzoo._logs import RepeatFilter
 from stkzoo._os import ip_address_of, is_loopback
 from stkzoo.errors import ConfigError, reason
 from stkzoo.race.web.control import RaceControl
 from stkzoo.race.web.feed import RaceNews
+from stkzoo.race.web.gate import ConnectionGate
 from stkzoo.race.web.viewer import PROTOCOL_VERSION, Viewer
 
 logger = logging.getLogger(__name__)
+#: Of aiohttp, which logs a traceback for each request that it cannot read.
+_requests_logger = logging.getLogger(f"{__name__}.requests")
+_requests_logger.addFilter(RepeatFilter(most=1, period=60.0))
 
 _FILES = Path(__file__).parent / "static"
-_MOST_VIEWERS = 64
 _LONGEST_MESSAGE = 1024
 _HEARTBEAT = 20.0
+#: The longest line of a request [bytes], and how long the rest of an answered one is read [s].
+_LONGEST_LINE, _LINGERING = 4096, 1.0
 #: How long viewers have for the last messages, and the thread to end [s].
 _FAREWELL, _END = 2.0, 10.0
 _HEADERS = {
@@ -115,10 +121,11 @@ class LiveServer:
     def __init__(self, host: str, port: int, control: RaceControl) -> None:
         self.news = RaceNews()
         self._control, self._guard = control, RequestGuard(host)
-        self._pages = {f"/{file.name}": file for file in _FILES.iterdir() if file.is_file()}
-        self._pages["/"] = _FILES / "index.html"
+        self._pages = {f"/{file.name}": _page_of(file) for file in _FILES.iterdir()}
+        self._pages["/"] = self._pages["/index.html"]
         self.num_viewers = 0
         self._listener = _listener(host, port)
+        self._gate = ConnectionGate(self._listener)
         self.port: int = self._listener.getsockname()[1]
         address, key = _shown(host, self._listener), self._guard.key
         shown = f"[{address}]" if ":" in address else address
@@ -151,43 +158,72 @@ class LiveServer:
         app = web.Application(middlewares=[self._guarded])
         app.router.add_get("/live", self._live)
         app.router.add_get("/{name:[^/]*}", self._page)
-        runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0)
+        runner = web.AppRunner(
+            app,
+            access_log=None,
+            logger=_requests_logger,
+            shutdown_timeout=1.0,
+            max_line_size=_LONGEST_LINE,
+            max_field_size=_LONGEST_LINE,
+            lingering_time=_LINGERING,
+        )
         await runner.setup()
+        assert runner.server is not None  # noqa: S101 - since setup
+        accepting = asyncio.ensure_future(self._gate.run(runner.server))
         try:
-            await web.SockSite(runner, self._listener).start()
             await self._closing.wait()
             deadline = self._loop.time() + _FAREWELL
             while self.num_viewers and self._loop.time() < deadline:
                 await asyncio.sleep(0.02)
         finally:
+            accepting.cancel()
+            await asyncio.gather(accepting, return_exceptions=True)
             await runner.cleanup()
 
     # ------------------------------------------------------------------ requests
 
     @web.middleware
     async def _guarded(self, request: web.Request, handler: _Handler) -> web.StreamResponse:
-        self._guard.check(request.headers)
-        return await handler(request)
+        try:
+            self._guard.check(request.headers)
+            response = await handler(request)
+        except web.HTTPException as error:
+            error.force_close()
+            raise
+        response.force_close()  # one request a connection, so that the gate can pace them
+        return response
 
     async def _page(self, request: web.Request) -> web.StreamResponse:
-        file = self._pages.get(request.path)
-        if file is None:
+        page = self._pages.get(request.path)
+        if page is None:
             raise web.HTTPNotFound(text="this page does not exist; the race is at /\n")
-        kind = mimetypes.types_map.get(file.suffix, "application/octet-stream")
-        return web.Response(
-            body=file.read_bytes(), content_type=kind, charset="utf-8", headers=_HEADERS
-        )
+        body, kind = page
+        return web.Response(body=body, content_type=kind, charset="utf-8", headers=_HEADERS)
 
     async def _live(self, request: web.Request) -> web.StreamResponse:
         if request.query.get("version") != str(PROTOCOL_VERSION):
             raise web.HTTPBadRequest(text=f"expected ?version={PROTOCOL_VERSION}; reload /\n")
-        if self.num_viewers >= _MOST_VIEWERS:
-            raise web.HTTPServiceUnavailable(
-                text=f"{_MOST_VIEWERS} viewers are connected already\n"
-            )
         connection = web.WebSocketResponse(
-            max_msg_size=_LONGEST_MESSAGE, heartbeat=_HEARTBEAT, compress=False, timeout=1.0
+            max_msg_size=_LONGEST_MESSAGE,
+            heartbeat=_HEARTBEAT,
+            compress=False,
+            timeout=1.0,
+            autoping=False,  # the viewer counts pings too
         )
+        if not connection.can_prepare(request):
+            raise web.HTTPBadRequest(text="this address is for WebSockets; the race is at /\n")
+        transport = request.transport
+        if transport is None:
+            raise ConnectionResetError
+        if refusal := self._gate.promote(transport):
+            raise web.HTTPServiceUnavailable(text=f"{refusal}; try again later\n")
+        try:
+            await self._serve_viewer(request, connection)
+        finally:
+            self._gate.demote(transport)
+        return connection
+
+    async def _serve_viewer(self, request: web.Request, connection: web.WebSocketResponse) -> None:
         await connection.prepare(request)
         may_steer = self._guard.may_steer(request.query.get("key", ""))
         viewer = Viewer(
@@ -198,7 +234,11 @@ class LiveServer:
             await viewer.serve()
         finally:
             self.num_viewers -= 1
-        return connection
+
+
+def _page_of(file: Path) -> tuple[bytes, str]:
+    """A file's content and its type, read before the race: later there may be no descriptors."""
+    return file.read_bytes(), mimetypes.types_map.get(file.suffix, "application/octet-stream")
 
 
 def _listener(host: str, port: int) -> socket.socket:

@@ -6,6 +6,7 @@ import asyncio
 import json
 import logging
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
@@ -24,6 +25,8 @@ PROTOCOL_VERSION = 1
 _MOMENT_PAUSE, _OBSERVATION_PAUSE = 1 / 30, 1 / 5
 #: A viewer that receives nothing for this time is disconnected [s].
 _PATIENCE = 20.0
+#: A viewer may send so many messages in a second; a person sends fewer.
+_MOST_MESSAGES = 50
 
 #: Methods of :class:`RaceControl` that a viewer may call.
 _COMMANDS = ("run", "pause", "step", "stop", "speed")
@@ -57,12 +60,14 @@ class Viewer:
         self._step = -1  # the last one of the traces
         self._watched: str | None = None
         self._next_observation = 0.0
+        self._second, self._num_messages = 0, 0  # of the messages from the viewer
 
     async def serve(self) -> None:
         """Sends and receives until the viewer leaves or the page ends."""
         sender = asyncio.ensure_future(self._send())
         try:
-            await self._listen()
+            with suppress(ConnectionError, asyncio.TimeoutError):  # it is gone, or takes nothing
+                await self._listen()
         finally:
             if not self._closing.is_set():
                 sender.cancel()
@@ -128,11 +133,22 @@ class Viewer:
             if message.type == WSMsgType.ERROR:
                 return
             try:
-                self._execute(message)
+                self._count()
+                if message.type == WSMsgType.PING:
+                    await asyncio.wait_for(self._socket.pong(message.data), _PATIENCE)
+                elif message.type != WSMsgType.PONG:
+                    self._execute(message)
             except (ProtocolError, ConfigError) as error:
                 await self._put(encoded({"type": "error", "text": str(error)}))
                 await self._socket.close(code=WSCloseCode.POLICY_VIOLATION)
                 return
+
+    def _count(self) -> None:
+        second = int(asyncio.get_running_loop().time())
+        self._num_messages = self._num_messages + 1 if second == self._second else 1
+        self._second = second
+        if self._num_messages > _MOST_MESSAGES:
+            raise ProtocolError(f"too many messages, expected at most {_MOST_MESSAGES} in a second")
 
     def _execute(self, message: Any) -> None:
         command = _parsed(message)

@@ -475,13 +475,6 @@ def test_from_other_machines_only_who_has_the_key_may_steer():
         assert "may only watch" in race.watch(scenario)
 
 
-def test_too_many_viewers_are_turned_away(page, monkeypatch):
-    monkeypatch.setattr("stkzoo.race.web.server._MOST_VIEWERS", 0)
-    with pytest.raises(urllib.error.HTTPError, match="503") as caught:
-        fetch(page.url + "live?version=1")
-    caught.value.close()
-
-
 # ---------------------------------------------------------------- its parts
 
 

@@ -1,0 +1,183 @@
+"""Floods of a server: bounded connections and memory, few logs, and races that are served."""
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from stkzoo.drivers.driver import find_driver
+from stkzoo.race.remote import peers
+from stkzoo.race.remote.protocol import HELLO, VERSION, pack
+from tests.fuzz.messages import resident_memory
+from tests.support.floods import (
+    HALF_GREETING,
+    PING,
+    IdleClients,
+    allow_descriptors,
+    connect_all,
+    limited_server,
+    num_descriptors,
+    num_open,
+    remote_race,
+    reset_at_once,
+    send_until_closed,
+    zmtp_frame,
+    zmtp_socket,
+)
+from tests.support.processes import wait_until
+from tests.support.remote_race import raw_client, server_process, server_thread
+
+GREETING = {
+    "HTTP": b"GET / HTTP/1.1\r\nHost: a\r\n\r\n",
+    "zeros": b"\0" * 4096,
+    "ones": b"\xff" * 4096,
+    "half": HALF_GREETING,
+    "another mechanism": b"\xff" + b"\0" * 8 + b"\x7f\x03\x01PLAIN" + b"\0" * 47,
+    "a long command": HALF_GREETING.ljust(64, b"\0") + b"\x06" + b"\xff" * 8,
+}
+
+
+def plain(address):
+    host, port = address.removeprefix("tcp://").rsplit(":", 1)
+    return host, int(port)
+
+
+@pytest.fixture
+def held():
+    sockets = []
+    yield sockets
+    for one in sockets:
+        one.close()
+
+
+@pytest.mark.slow
+def test_a_race_is_served_while_many_clients_idle():
+    """In full, with 1,200: ``python -m benchmarks.floods``."""
+    allow_descriptors(2000)
+    with limited_server("heuristic", descriptors=256, stderr=subprocess.PIPE) as (server, address):
+        with IdleClients(address, 300) as clients:
+            heard = clients.hear(1.5)
+            assert num_descriptors(server.pid) < 160
+            assert any("too many connections" in str(kind) for kind in heard)
+            assert remote_race(address) == []
+        assert remote_race(address) == []
+        server.terminate()
+        log = server.stderr.read()
+    assert "Traceback" not in log
+    assert len(log.splitlines()) < 30
+
+
+def test_an_idle_connection_ends_after_a_while(monkeypatch):
+    monkeypatch.setattr(peers, "IDLE", 0.2)
+    with server_thread([find_driver("heuristic")]) as server:
+        with raw_client(server.address) as client:
+            client.send_multipart([HELLO, pack(protocol=VERSION)])
+            assert client.recv_multipart()[0] == b"W"
+            kind, body = client.recv_multipart()
+            assert (kind, b"had no race for" in body) == (b"E", True)
+        assert remote_race(server.address) == []
+
+
+def test_a_connection_with_a_race_may_be_silent(monkeypatch):
+    monkeypatch.setattr(peers, "IDLE", 0.2)
+    with server_thread([find_driver("heuristic")]) as server, raw_client(server.address) as client:
+        opening = pack(protocol=VERSION, seat=0, driver=0, agent="a", extras=[], seed=1)
+        client.send_multipart([b"O", opening])
+        time.sleep(1.0)
+        kinds = []
+        while client.poll(0):
+            kinds.append(client.recv_multipart()[0])
+        assert kinds == [b"P"]
+
+
+@pytest.mark.parametrize("name", GREETING)
+def test_what_is_no_zeromq_costs_nothing(name, held):
+    with server_thread([find_driver("heuristic")]) as server:
+        connect_all(plain(server.address), 30, GREETING[name], held)
+        assert remote_race(server.address, steps=3) == []
+
+
+def test_clients_that_reset_at_once_leave_nothing_behind():
+    with server_process("random", "--quiet") as (process, address):
+        assert remote_race(address, steps=3) == []
+        before = num_descriptors(process.pid)
+        reset_at_once(plain(address), 500)
+        assert remote_race(address, steps=3) == []
+        assert wait_until(lambda: num_descriptors(process.pid) <= before)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux says how much came")
+def test_a_message_without_end_is_cut_off():
+    with server_process("random", "--quiet") as (process, address):
+        before = resident_memory(process.pid)
+        with zmtp_socket(address) as one:
+            assert send_until_closed(one, zmtp_frame(bytes(1 << 20), more=True))
+        assert remote_race(address, steps=3) == []
+        assert resident_memory(process.pid) - before < 1 << 30
+
+
+@pytest.mark.slow
+def test_heartbeats_without_end_do_not_stop_a_race():
+    with server_process("random", "--quiet") as (process, address), zmtp_socket(address) as one:
+        before = resident_memory(process.pid)
+        flood = threading.Thread(target=send_until_closed, args=(one, PING * 1000, 3.0))
+        flood.start()
+        assert remote_race(address) == []
+        flood.join()
+        assert resident_memory(process.pid) - before < 64 << 20
+
+
+def test_clients_of_one_identity_do_not_disturb_another():
+    with server_thread([find_driver("random")]) as server:
+        hello = zmtp_frame(HELLO, more=True) + zmtp_frame(pack(protocol=VERSION))
+        twins = [zmtp_socket(server.address, b"twin") for _ in range(20)]
+        for twin in twins:
+            twin.sendall(hello)
+        assert remote_race(server.address, steps=3) == []
+        for twin in twins:
+            twin.close()
+
+
+@pytest.mark.slow
+def test_a_log_that_nobody_reads_does_not_stop_the_server():
+    source, sink = os.pipe()
+    os.set_blocking(sink, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(sink, bytes(65536))
+    os.set_blocking(sink, True)
+    try:
+        with limited_server("random", stderr=sink) as (server, address):
+            for _ in range(3):
+                assert remote_race(address, steps=3) == []
+            server.terminate()
+            assert server.wait(20) == 0
+    finally:
+        os.close(source)
+        os.close(sink)
+
+
+def test_only_the_connection_that_is_meant_is_cut():
+    left, right = socket.socketpair()
+    with server_thread([find_driver("random")]) as server:
+        peer = peers._Peer(("127.0.0.1", "another"), "", 0.0)
+        server._peers._shut(left.fileno(), peer)
+    right.sendall(b"a")
+    assert left.recv(1) == b"a"
+    left.close()
+    right.close()
+
+
+def test_half_a_greeting_takes_no_place_for_long(held):
+    with server_thread([find_driver("random")]) as server:
+        connect_all(plain(server.address), 5, HALF_GREETING, held)
+        assert num_open(held) == 5
+        server._peers._most = 2
+        assert remote_race(server.address, steps=3) == []
+        assert wait_until(lambda: num_open(held) <= 2)

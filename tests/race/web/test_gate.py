@@ -1,0 +1,214 @@
+"""Floods of the live page: bounded connections, and a page that still answers."""
+
+import asyncio
+import socket
+import time
+
+import aiohttp
+import pytest
+
+from stkzoo._os import network_of
+from stkzoo.race import RaceResult
+from stkzoo.race.replay import load_replay
+from stkzoo.race.web import LivePage
+from stkzoo.race.web.gate import MOST_VISITORS
+from tests.support.floods import (
+    HALF_REQUEST,
+    allow_descriptors,
+    connect_all,
+    num_descriptors,
+    num_open,
+    page_answers,
+    race_with_page,
+    reset_at_once,
+    upgrade_request,
+)
+from tests.support.processes import wait_until
+from tests.support.web_race import viewer
+
+
+@pytest.fixture
+def page():
+    page = LivePage(port=0)
+    yield page
+    page.closed()
+
+
+@pytest.fixture
+def held():
+    sockets = []
+    yield sockets
+    for one in sockets:
+        one.close()
+
+
+def talk(page, data):
+    """What the page answers to these bytes until it closes the connection."""
+    answer = b""
+    with socket.create_connection(("127.0.0.1", page.port), timeout=10) as one:
+        try:
+            one.sendall(data)
+            while part := one.recv(1 << 16):
+                answer += part
+        except ConnectionError:
+            pass
+    return answer
+
+
+def request(path="/", more=""):
+    return f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n{more}\r\n".encode()
+
+
+@pytest.mark.slow
+def test_a_flood_of_half_requests_costs_a_race_nothing(tmp_path, held):
+    """In full, with 5,000: ``python -m benchmarks.floods``."""
+    files = [tmp_path / name for name in ("race.json", "race.stkz", "race.mp4")]
+    json_file, replay, video = map(str, files)
+    words = f"heuristic ai --track lighthouse --max-steps 20 --seed 1 --output {json_file} "
+    words += f"--replay {replay} --video {video} --render-backend map --hide"
+    allow_descriptors(2000)
+    with race_with_page(*words.split(), descriptors=256) as (race, url):
+        port = int(url.rsplit(":", 1)[1].strip("/"))
+        connect_all(("127.0.0.1", port), 600, HALF_REQUEST, held)
+        assert page_answers(url) is not None
+        assert num_descriptors(race.pid) < 128
+        assert race.wait(60) == 0
+    assert RaceResult.from_json(files[0].read_text()).steps == 20
+    assert len(load_replay(files[1]).controls) == 20
+    assert files[2].stat().st_size > 1000
+
+
+def test_page_answers_while_others_hold_half_requests(page, held):
+    connect_all(("127.0.0.1", page.port), 3 * MOST_VISITORS, HALF_REQUEST, held)
+    assert wait_until(lambda: num_open(held) <= MOST_VISITORS)
+    assert page_answers(page.url) is not None
+
+
+def test_a_half_request_ends_after_a_while(page, held, monkeypatch):
+    monkeypatch.setattr("stkzoo.race.web.gate._LIFETIME", 0.2)
+    connect_all(("127.0.0.1", page.port), 3, HALF_REQUEST, held)
+    assert wait_until(lambda: num_open(held) == 0)
+
+
+def test_an_answer_that_nobody_reads_ends_after_a_while(page, held, monkeypatch):
+    monkeypatch.setattr("stkzoo.race.web.gate._LIFETIME", 0.2)
+    page._server._listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2048)
+    one = socket.socket()
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+    one.connect(("127.0.0.1", page.port))
+    held.append(one)
+    one.sendall(request("/page.js"))
+    time.sleep(0.1)
+    gate = page._server._gate
+    assert wait_until(lambda: all(t.is_closing() for t in gate._visitors))
+
+
+def test_a_connection_serves_one_request(page):
+    answer = talk(page, request("/theme.js") * 20)
+    assert answer.count(b"HTTP/1.1 200") == 1
+    assert b"Connection: close" in answer
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "Content-Length: 5\r\nTransfer-Encoding: chunked\r\n",
+        "Content-Length: 0\r\nContent-Length: 60\r\n",
+        "Transfer-Encoding: chunked, identity\r\n",
+        "Content-Length: +60\r\n",
+        "Content-Length : 60\r\n",
+        " folded: 1\r\n",
+    ],
+)
+def test_no_second_request_is_smuggled_in_a_body(page, head):
+    answer = talk(page, request("/theme.js", head) + request("/page.js"))
+    assert answer.count(b"HTTP/1.") <= 1
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX: " + b"a" * 100_000,
+        b"GET /" + b"a" * 100_000,
+        request(more="X: 1\r\n" * 20_000),
+        b"\x16\x03\x01\x02\x00\x01\x00" * 1000,
+        b"\0" * 100_000,
+    ],
+    ids=["a long header", "a long line", "many headers", "TLS", "zeros"],
+)
+def test_an_odd_request_is_refused_without_a_flood_of_logs(page, data, caplog):
+    for _ in range(5):
+        assert b"HTTP/1.0 400" in (answer := talk(page, data)) or answer == b""
+    assert len(caplog.records) <= 1
+    assert page_answers(page.url) is not None
+
+
+@pytest.mark.slow
+def test_clients_that_reset_at_once_leave_nothing_behind(page):
+    before = num_descriptors("self")
+    reset_at_once(("127.0.0.1", page.port), 300)
+    assert page_answers(page.url) is not None
+    assert wait_until(lambda: num_descriptors("self") <= before + 1, 15)
+
+
+def test_a_viewer_that_sends_without_end_is_disconnected(page):
+    async def flood(send):
+        async with aiohttp.ClientSession() as session, viewer(session, page.url) as one:
+            for _ in range(200):
+                await send(one.socket)
+            while not one.socket.closed:
+                await one.socket.receive(timeout=10)
+            return one.socket.close_code
+
+    assert asyncio.run(flood(lambda one: one.send_str('{"type": "pause"}'))) == 1008
+    assert asyncio.run(flood(lambda one: one.ping())) == 1008
+
+
+def test_a_ping_is_answered(page):
+    with socket.create_connection(("127.0.0.1", page.port), timeout=10) as one:
+        one.sendall(upgrade_request())
+        one.settimeout(10)
+        one.sendall(b"\x89\x84" + b"\0" * 4 + b"ping")
+        answer = b""
+        while b"\x8a\x04ping" not in answer:
+            answer += one.recv(1 << 16)
+
+
+def test_viewers_of_one_network_do_not_take_all_places(page, held, monkeypatch):
+    monkeypatch.setattr("stkzoo.race.web.gate.MOST_VIEWERS_OF_ONE", 3)
+    for _ in range(3):
+        one = socket.create_connection(("127.0.0.1", page.port), timeout=10)
+        held.append(one)
+        one.sendall(upgrade_request())
+        assert b"101" in one.recv(100)
+    assert b"3 viewers of your network" in talk(page, upgrade_request())
+    held.pop().close()
+    assert wait_until(lambda: page.num_viewers == 2)
+    with socket.create_connection(("127.0.0.1", page.port), timeout=10) as one:
+        one.sendall(upgrade_request())
+        assert b"101" in one.recv(100)
+
+
+def test_too_many_viewers_are_turned_away(page):
+    page._server._gate._most_viewers = 0
+    answer = talk(page, upgrade_request())
+    assert b"503" in answer
+    assert b"viewers are connected already; try again later" in answer
+
+
+def test_what_is_no_websocket_takes_no_place(page):
+    assert b"this address is for WebSockets" in talk(page, request("/live?version=1"))
+    assert not page._server._gate._viewers
+
+
+@pytest.mark.parametrize(
+    ("host", "network"),
+    [
+        ("192.0.2.7", "192.0.2.7"),
+        ("2001:db8:1:2:3:4:5:6", "2001:db8:1:2::/64"),
+        ("fe80::1%eth0", "fe80::/64"),
+        ("::ffff:192.0.2.7", "::ffff:192.0.2.7"),
+    ],
+)
+def test_a_network_of_ipv6_counts_as_one_client(host, network):
+    assert network_of(host) == network

@@ -1,0 +1,239 @@
+"""Attacks on what listens: the live page and the race-server."""
+
+import collections
+import contextlib
+import os
+import resource
+import select
+import socket
+import struct
+import subprocess
+import sys
+import time
+import urllib.request
+
+import zmq
+
+from stkzoo.race import run_race
+from stkzoo.race.remote import RemoteDriverGroup
+from stkzoo.race.remote.protocol import ERROR, HELLO, VERSION, pack, unpack
+
+#: A request that never ends.
+HALF_REQUEST = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: "
+#: What a ZeroMQ client says first (ZMTP 3.1, without security), up to the middle of it.
+HALF_GREETING = b"\xff" + b"\0" * 8 + b"\x7f\x03\x01NULL"
+
+
+def allow_descriptors(count):
+    """Raises this program's own limit of descriptors; raises an error if it may not."""
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard not in (-1, resource.RLIM_INFINITY) and hard < count:
+        raise SystemExit(f"the hard limit is {hard} descriptors, expected {count}: ulimit -Hn")
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, count), hard))
+
+
+def limited(command, descriptors):
+    """A command that runs with so many descriptors at most."""
+    return ["sh", "-c", f'ulimit -n {descriptors} && exec "$@"', "sh", *command]
+
+
+@contextlib.contextmanager
+def race_with_page(*words, descriptors=1024, port=0):
+    """``stkzoo race --web`` as a process; gives the process and the page's address."""
+    command = [sys.executable, "-m", "stkzoo", "race", "--web", "--web-port", str(port), *words]
+    process = subprocess.Popen(
+        limited(command, descriptors),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        lines = []
+        while "live page: " not in (line := process.stderr.readline()):
+            lines.append(line)
+            assert line, f"no page: {lines}"
+        yield process, line.split("live page: ")[1].strip()
+    finally:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+
+
+def connect_all(address, count, data=b"", hold=None):
+    """Opens so many connections that send ``data`` and then nothing.
+
+    Args:
+        address: host and port.
+        count: how many.
+        data: what each one sends.
+        hold: a list that gets the sockets; a connection that is refused is not in it.
+    """
+    for _ in range(count):
+        one = socket.socket()
+        one.setblocking(False)
+        one.connect_ex(address)
+        hold.append(one)
+    waiting = {one.fileno(): one for one in hold}
+    poller = select.poll()
+    for number in waiting:
+        poller.register(number, select.POLLOUT)
+    deadline = time.monotonic() + 60
+    while waiting and time.monotonic() < deadline:
+        for number, _ in poller.poll(200):
+            poller.unregister(number)
+            with contextlib.suppress(OSError):
+                waiting.pop(number).send(data)
+
+
+def num_open(sockets):
+    """How many of these connections the other end has not closed."""
+    return sum(map(_is_open, sockets))
+
+
+def _is_open(one):
+    try:
+        one.setblocking(False)
+        while one.recv(1 << 16):
+            pass
+    except BlockingIOError:
+        return True
+    except OSError:
+        pass
+    return False
+
+
+def reset_at_once(address, count):
+    """Connects so many times, and resets each connection at once."""
+    for _ in range(count):
+        with contextlib.suppress(OSError), socket.socket() as one:
+            one.settimeout(2)
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            one.connect(address)
+
+
+def page_answers(url, timeout=5.0):
+    """Seconds until the page answers; ``None`` if it does not."""
+    begin = time.monotonic()
+    try:
+        with urllib.request.urlopen(url, timeout=timeout) as answer:
+            answer.read()
+    except OSError:
+        return None
+    return time.monotonic() - begin
+
+
+def num_descriptors(pid):
+    """Open descriptors of a process."""
+    return len(os.listdir(f"/proc/{pid}/fd"))
+
+
+def upgrade_request():
+    """A request that opens the page's WebSocket."""
+    return (
+        b"GET /live?version=1 HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\n"
+        b"Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+        b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+    )
+
+
+@contextlib.contextmanager
+def limited_server(*arguments, descriptors=1024, stderr=None):
+    """``stkzoo race-server`` as a process; gives the process and its address."""
+    words = ["race-server", "--address", "127.0.0.1:*", *arguments]
+    command = limited([sys.executable, "-m", "stkzoo", *words], descriptors)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True)
+    try:
+        line = process.stdout.readline()
+        assert " at tcp://" in line, "the server did not start; its errors are above"
+        yield process, line.split(" at ")[1].strip()
+    finally:
+        process.kill()
+        process.wait()
+        for stream in filter(None, (process.stdout, process.stderr)):
+            stream.close()
+
+
+class IdleClients:
+    """Clients of a server that say hello and then nothing.
+
+    Args:
+        address: the server's.
+        count: how many.
+    """
+
+    def __init__(self, address, count):
+        self._context = zmq.Context(io_threads=1)
+        self._context.set(zmq.MAX_SOCKETS, count + 100)
+        self._clients = [self._context.socket(zmq.DEALER) for _ in range(count)]
+        for client in self._clients:
+            client.setsockopt(zmq.LINGER, 0)
+            client.setsockopt(zmq.RECONNECT_IVL, 1000)
+            client.connect(address)
+            client.send_multipart([HELLO, pack(protocol=VERSION, stkzoo="0")])
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+    def close(self):
+        """Ends all of them."""
+        self._context.destroy(0)
+
+    def hear(self, seconds):
+        """The kinds of messages that came, with the texts of errors, as a ``Counter``."""
+        heard = collections.Counter()
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            for client in self._clients:
+                while client.poll(0):
+                    kind, body = client.recv_multipart()
+                    heard[unpack(body)["text"] if kind == ERROR else kind] += 1
+            time.sleep(0.05)
+        return heard
+
+
+def remote_race(address, steps=20):
+    """A race on a server; the errors of its agents."""
+    with RemoteDriverGroup([address]) as group:
+        result = run_race([*group.drivers, "ai"], track="lighthouse", seed=1, max_steps=steps)
+    return [error for row in result.agents for error in row.errors]
+
+
+def zmtp_socket(address, identity=b""):
+    """A plain socket that has shaken hands with a ZeroMQ server, and may send any bytes."""
+    host, port = address.removeprefix("tcp://").rsplit(":", 1)
+    one = socket.create_connection((host, int(port)), timeout=10)
+    mechanism = b"NULL".ljust(20, b"\0")
+    one.sendall(b"\xff" + b"\0" * 8 + b"\x7f\x03\x00" + mechanism + b"\0" * 32)
+    properties = b"\x0bSocket-Type\0\0\0\x06DEALER"
+    if identity:
+        properties += b"\x08Identity" + struct.pack(">I", len(identity)) + identity
+    ready = b"\x05READY" + properties
+    one.sendall(bytes([4, len(ready)]) + ready)
+    return one
+
+
+def zmtp_frame(data, *, more=False, command=False):
+    """A frame of ZMTP."""
+    return bytes([2 | more | 4 * command]) + struct.pack(">Q", len(data)) + data
+
+
+#: A heartbeat, which the other end answers.
+PING = zmtp_frame(b"\x04PING\0\0", command=True)
+
+
+def send_until_closed(one, data, seconds=10.0):
+    """Sends the same bytes again and again; whether the other end closed the connection."""
+    one.settimeout(seconds)
+    deadline = time.monotonic() + seconds
+    try:
+        while time.monotonic() < deadline:
+            one.sendall(data)
+    except TimeoutError:
+        return False
+    except OSError:
+        return True
+    return False
