@@ -29,6 +29,7 @@ LAYERS = [
             "stkzoo._installation",
             "stkzoo._lazy",
             "stkzoo._os",
+            "stkzoo._turns",
             "stkzoo.kernel",
             "stkzoo.agent_names",
         ],

@@ -95,6 +95,8 @@ class RaceProcess:
     def release(self) -> None:
         """:meth:`drop` in the program that started it; its forks only close the handles."""
         if self.owner == os.getpid():
+            with contextlib.suppress(OSError):  # wakes a thread that waits for a reply
+                self.connection.shutdown(socket.SHUT_RDWR)
             self.drop()
         else:
             self._free()

@@ -169,9 +169,16 @@ class ProcessSession:
         """Ends the process after a failure, because its replies no longer match requests.
 
         Raises:
+            ApiOrderError: the failure is that :meth:`close` was called meanwhile.
             EngineCrashed: the failure is that the process is gone.
             EngineTimeout: the failure is that no reply came in time.
         """
+        if self._process is not process:  # a signal's handler or another thread
+            if isinstance(error, (EOFError, OSError)):
+                raise ApiOrderError(
+                    f"{self.what} was closed while it worked on a request; {self.remedy}"
+                ) from None
+            return
         self._process, self._asked = None, None
         seconds = process.connection.gettimeout()
         how, log = process.end(), tail(process.log)

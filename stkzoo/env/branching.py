@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium.utils import EzPickle, seeding
 
+from stkzoo._turns import CallTurn
 from stkzoo.engine.assets import Assets
 from stkzoo.engine.ground import Ground
 from stkzoo.engine.session import Session
@@ -98,6 +99,7 @@ class BranchingRace(ClonableEnv):
         def _running(self, method: str) -> Episode: ...
 
     def __init__(self, max_snapshots: int) -> None:
+        self._turn = CallTurn()
         self._max_snapshots = check_whole("max_snapshots", max_snapshots, 0)
         self._states: weakref.WeakSet[RaceState] = weakref.WeakSet()
         self._np_random: np.random.Generator | None = None
@@ -156,10 +158,11 @@ class BranchingRace(ClonableEnv):
                 f"{self.num_snapshots} saved states of this environment are open, as many as "
                 "max_snapshots allows; close() some or raise max_snapshots"
             )
-        moment = self._moment()
-        state = RaceState(self._session.branch(), moment)
-        self._states.add(state)
-        return state
+        with self._turn.of("save_state"):
+            moment = self._moment()
+            state = RaceState(self._session.branch(), moment)
+            self._states.add(state)
+            return state
 
     def scenario(self) -> Scenario:
         """This moment as a value that can be saved as a file and reached again elsewhere.
@@ -192,21 +195,23 @@ class BranchingRace(ClonableEnv):
             EngineError: races are not forked here, or the state's process was ended; this
                 environment's race goes on.
         """
-        self._check_moment(_checked_state(state).moment)
-        state.resume_in(self._session)
-        self._go_on_from(state.moment)
+        with self._turn.of("restore_state"):
+            self._check_moment(_checked_state(state).moment)
+            state.resume_in(self._session)
+            self._go_on_from(state.moment)
 
     def follow(self, other: Self) -> None:
         """Goes on from where another environment is now, like a clone of it.
 
         Raises: as :meth:`restore_state`.
         """
-        other._running("clone")
-        moment = other._moment()
-        self._check_moment(moment)
-        self._session.resume(other._session)
-        self.options = other.options
-        self._go_on_from(moment)
+        with self._turn.of("follow"), other._turn.of("clone"):
+            other._running("clone")
+            moment = other._moment()
+            self._check_moment(moment)
+            self._session.resume(other._session)
+            self.options = other.options
+            self._go_on_from(moment)
 
     @property
     def num_snapshots(self) -> int:

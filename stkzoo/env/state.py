@@ -63,7 +63,7 @@ class RaceState:
         self._session = session
         self.moment = moment
         self.is_open = True
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a handler of a signal may close it
 
     @property
     def pid(self) -> int | None:
@@ -102,7 +102,8 @@ class RaceState:
     def close(self) -> None:
         """Ends the process that keeps the game; may be called again."""
         self.is_open = False
-        self._session.close()
+        with self._lock:
+            self._session.close()
 
     def __enter__(self) -> RaceState:
         return self

@@ -78,8 +78,9 @@ class AheadRace(RaceParallelEnv):
 
     def close(self) -> None:
         """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.close`."""
-        self._forget_next()
-        super().close()
+        with self._turn.of("close"):
+            self._forget_next()
+            super().close()
 
     def _begin(self, setup: RaceSetup) -> RaceStart:
         """Starts a race, or takes the one that was started ahead if it is the same."""

@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array,
 from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo._os import cpu_count
+from stkzoo._turns import CallTurn
 from stkzoo.engine.assets import find_assets
 from stkzoo.env.parallel import drive_opponents
 from stkzoo.env.vec.ahead import AheadRace
@@ -93,6 +94,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         prefetch: bool | None = None,
         **options: Any,
     ) -> None:
+        self._turn = CallTurn()
         check_whole("num_races", num_races, 1)
         if not isinstance(prefetch, (bool, type(None))):
             raise ConfigError(f"prefetch is {prefetch!r}, expected True, False or None")
@@ -166,7 +168,18 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         Args:
             seed: as for :meth:`reset`.
             options: each race's options for this episode alone.
+
+        Raises:
+            ApiOrderError: after ``close``, or another thread's call runs.
         """
+        with self._turn.of("reset"):
+            return self._reset_slots(seed, options)
+
+    def _reset_slots(
+        self,
+        seed: int | Sequence[int | None] | None,
+        options: Sequence[Mapping[str, Any] | None],
+    ) -> SlotSteps:
         self._require_open("reset")
         seeds = seeds_of_races(seed, self.num_races)
         for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
@@ -193,8 +206,14 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
 
         Raises:
             ConfigError: an option is unknown or invalid; nothing has changed.
-            ApiOrderError: after ``close``.
+            ApiOrderError: after ``close``, or another thread's call runs.
         """
+        with self._turn.of("set_options"):
+            self._set_options(options)
+
+    def _set_options(
+        self, options: Mapping[str, Any] | Sequence[Mapping[str, Any] | None] | None
+    ) -> None:
         self._require_open("set_options")
         if options is None or isinstance(options, Mapping):
             options = [options] * self.num_races
@@ -222,16 +241,21 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
 
         Raises:
             ActionError: an action is invalid; no race has moved.
-            ApiOrderError: before ``reset`` or after ``close``.
+            ApiOrderError: before ``reset``, after ``close``, or another thread's call runs.
         """
-        self.step_async(actions)
-        return self.step_wait()
+        with self._turn.of("step"):
+            self.step_async(actions)
+            return self.step_wait()
 
     def step_async(self, actions: Any) -> None:
         """Asks all races for a step, which they take while the caller goes on.
 
         Raises: as :meth:`step`; also ApiOrderError, if it is called twice in a row.
         """
+        with self._turn.of("step_async"):
+            self._request_steps(actions)
+
+    def _request_steps(self, actions: Any) -> None:
         try:
             singles = list(iterate(self.action_space, actions))
         except (TypeError, KeyError, ValueError) as error:
@@ -272,8 +296,12 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
 
         Raises:
             AgentException: a wrapper failed; ``reset`` starts a new race.
-            ApiOrderError: no step was asked for.
+            ApiOrderError: no step was asked for, or another thread's call runs.
         """
+        with self._turn.of("step_wait"):
+            return self._finish_steps()
+
+    def _finish_steps(self) -> SlotSteps:
         steps = SlotSteps.idle(self.idle_observation, self.num_envs)
         for row in self._rows:
             row.step_wait(steps)
@@ -294,8 +322,9 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
 
     def close_extras(self, **_: Any) -> None:
         """Ends the games; see :meth:`close`."""
-        for row in getattr(self, "_rows", ()):
-            row.close()
+        with self._turn.of("close"):
+            for row in getattr(self, "_rows", ()):
+                row.close()
 
     def _name_the_race(self, actions: Sequence[Any]) -> None:
         """Raises the error of an invalid action with its agent's race in it."""
