@@ -59,6 +59,10 @@ class CallTurn:
         self._renew()
         self.lock.acquire()
 
+    def __reduce__(self) -> tuple[type[CallTurn], tuple[()]]:
+        """A copy of an environment has a turn of its own."""
+        return CallTurn, ()
+
     def _renew(self) -> None:
         self.lock = threading.RLock()
         self._pid = os.getpid()

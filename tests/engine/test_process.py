@@ -178,6 +178,16 @@ def test_an_interrupted_step_does_not_mix_up_answers(session):
     assert len(trajectory(session)) > 0
 
 
+def test_a_missing_folder_for_temporary_files_is_named_and_the_next_start_works(
+    session, monkeypatch, tmp_path
+):
+    with monkeypatch.context() as patch:
+        patch.setattr("tempfile.tempdir", str(tmp_path / "gone"))
+        with pytest.raises(EngineError, match=r"gone.*set TMPDIR to a folder that exists"):
+            session.start(SETUP)
+    session.start(SETUP)
+
+
 def test_closing_wakes_a_thread_that_waits_for_the_game(session):
     session.start(SETUP)
     os.kill(session.pid, signal.SIGSTOP)
