@@ -68,7 +68,7 @@ sanitize: $(VENV)/.dev
 		LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" \
 		ASAN_OPTIONS=detect_leaks=0:alloc_dealloc_mismatch=0:allocator_may_return_null=1:max_allocation_size_mb=4096 \
 		UBSAN_OPTIONS=print_stacktrace=1 PYTHONMALLOC=malloc PYTHONPATH=$(CURDIR)/$(SANITIZED) \
-		$(CURDIR)/$(BIN)/python -m pytest -p no:cacheprovider $(or $(ARGS),$(SANITIZED_TESTS))
+		$(CURDIR)/$(BIN)/python -m pytest -p no:cacheprovider --capture=sys $(or $(ARGS),$(SANITIZED_TESTS))
 
 check: $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -147,6 +147,7 @@ static int set_entry(const ActionReader *self, Entry *entry, PyObject *spec)
 {
     PyObject *table;
     Floats controls = {NULL, 1};
+    if (!PyTuple_Check(spec)) return refuse("an entry is a tuple");
     if (!PyArg_ParseTuple(spec, "ddpiO", &entry->low, &entry->high, &entry->is_whole,
                           &entry->column, &table) ||
         (table != Py_None && !as_floats(table, &controls))) {

@@ -394,6 +394,7 @@ static int stepper_set_up(GameStepper *self, PyObject *args, PyObject *Py_UNUSED
         return -1;
     }
     if (PyTuple_GET_SIZE(self->controls) != NUM_CONTROLS) return refuse("there are other controls");
+    if (self->last_phase < 0) return refuse("phases have numbers from 0");
     self->phase = self->last_phase - 1;
     const npy_intp size = PyList_GET_SIZE(self->actions) * NUM_CONTROLS;
     if (!(self->present = room_for(self, size, sizeof *self->present))) return -1;

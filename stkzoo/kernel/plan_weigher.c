@@ -78,7 +78,9 @@ static inline void sine_and_cosine(float x, float *sine, float *cosine)
     s = fmaf(s, square, 0x1.11119ap-07f);
     s = fmaf(s, square, -0x1.555556p-03f);
     s = fmaf(s * square, r, r);
-    const npy_int32 turned = (npy_int32)quarter;
+    const float most = 0x1p30f; /* angles beyond, and NaN, are no whole number of quarters */
+    const float below = quarter < most ? quarter : most;
+    const npy_int32 turned = (npy_int32)(below > -most ? below : -most);
     const float first = turned & 1 ? c : s, second = turned & 1 ? s : c;
     *sine = turned & 2 ? -first : first;
     *cosine = (turned + 1) & 2 ? -second : second;

@@ -155,7 +155,7 @@ def bad_array(draw, array):
 
 
 def fits(value, dtype):
-    if dtype.kind == "f":
+    if dtype.kind in "fO":
         return True
     is_whole = isinstance(value, int)
     return is_whole and (dtype.kind == "b" or np.iinfo(dtype).min <= value <= np.iinfo(dtype).max)
@@ -220,7 +220,7 @@ def test_bad_arguments_are_taken_or_refused(cases, name):
     assert cases[name], "no race has called it"
 
     @settings(
-        max_examples=300,
+        max_examples=150,
         deadline=None,
         derandomize=True,
         database=None,
@@ -317,3 +317,8 @@ def test_choices_with_less_than_no_values_are_refused():
 def test_names_that_are_no_text_are_refused():
     with pytest.raises(ValueError, match="text"):
         kernel.KartObserver((1,))
+
+
+def test_an_entry_that_is_no_tuple_is_refused():
+    with pytest.raises(ValueError, match="an entry is a tuple"):
+        kernel.ActionReader((), ((None,),), 7)
