@@ -19,12 +19,13 @@ apt_install = { apt-get install -y -q $(1) >/dev/null 2>&1 || \
 # What people read: checked for typing errors and for words to avoid.
 PROSE := README.md CHANGELOG.md CONTRIBUTING.md docs stkzoo wrappers agents examples benchmarks
 
-.PHONY: browser graphics sandbox help race test test-fast check bench docs pictures site wheel clean
+.PHONY: browser graphics sandbox help race test test-fast sanitize check bench docs pictures site wheel clean
 
 help:
 	@echo "make race    set everything up; a learned driver races the hardest bots"
 	@echo "make test    set everything up and run all tests"
 	@echo "make test-fast  the quick tests: every package, two minutes"
+	@echo "make sanitize  the kernel's tests under AddressSanitizer and UBSan (gcc, Linux)"
 	@echo "make check   lint, format, types and spelling"
 	@echo "make bench   measure speed and memory"
 	@echo "make site    build the documentation's pages"
@@ -46,6 +47,31 @@ test: $(VENV)/.dev graphics browser sandbox
 test-fast: $(VENV)/.dev
 	$(BIN)/stkzoo assets install
 	$(PYTEST) -m "not slow" $(ARGS)
+
+# The kernel in C with checks of addresses, alignment and undefined behaviour, in a copy of this
+# checkout. A bad access ends the process that makes it, the game's processes included, so its test
+# fails. Python allocates each object by itself, so that the checks see its bounds. Python and numpy
+# never free some memory, so leaks are not reported.
+SANITIZED := build/sanitize
+SANITIZERS := -O1 -g -fno-omit-frame-pointer -fno-sanitize-recover=all \
+	-fsanitize=address,undefined,float-cast-overflow
+ODD_VALUES := $(addprefix tests/chaos/test_properties.py::test_any_,\
+	actions_move_the_race_or_are_refused_and_it_stands_still action_of_any_view_is_taken_or_refused \
+	batch_is_stepped_or_refused)
+SANITIZED_TESTS := tests/kernel tests/drivers/test_codec.py tests/env/test_parallel.py \
+	tests/env/test_events.py tests/env/test_vec.py tests/wrappers/test_chain.py $(ODD_VALUES)
+
+sanitize: $(VENV)/.dev
+	$(BIN)/stkzoo assets install
+	rm -rf $(SANITIZED) && mkdir -p $(SANITIZED)
+	git ls-files -z --cached --others --exclude-standard | \
+		xargs -0 cp --no-dereference --parents --target-directory $(SANITIZED)
+	cd $(SANITIZED) && CC=gcc CFLAGS="$(SANITIZERS)" $(CURDIR)/$(BIN)/python setup.py -q build_ext --inplace
+	cd $(SANITIZED) && \
+		LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" \
+		ASAN_OPTIONS=detect_leaks=0:alloc_dealloc_mismatch=0:allocator_may_return_null=1:max_allocation_size_mb=4096 \
+		UBSAN_OPTIONS=print_stacktrace=1 PYTHONMALLOC=malloc PYTHONPATH=$(CURDIR)/$(SANITIZED) \
+		$(CURDIR)/$(BIN)/python -m pytest -p no:cacheprovider --capture=sys $(or $(ARGS),$(SANITIZED_TESTS))
 
 check: $(VENV)/.dev
 	$(BIN)/ruff check .

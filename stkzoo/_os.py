@@ -25,11 +25,14 @@ except ImportError:  # Windows
 __all__ = [
     "PART_FILES",
     "LockedTemporaryDirectory",
+    "OwnDescriptor",
+    "above_standard_streams",
     "atomic_write",
     "check_display",
     "check_writable",
     "cpu_count",
     "file_digest",
+    "file_identity",
     "has_display",
     "ip_address_of",
     "is_loopback",
@@ -211,6 +214,63 @@ def _flush(path: Path) -> None:
         os.close(handle)
 
 
+def file_identity(descriptor: int) -> tuple[int, int] | None:
+    """Device and inode of an open file or socket; ``None`` if the descriptor is closed."""
+    try:
+        status = os.fstat(descriptor)
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino
+
+
+def above_standard_streams(descriptor: int) -> int:
+    """The descriptor, or one of 3 or more in its place where a standard stream is closed.
+
+    A library that writes to stdout or stderr would write into a file that has its number.
+    """
+    if descriptor > 2 or fcntl is None:
+        return descriptor
+    try:
+        return fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, 3)
+    finally:
+        os.close(descriptor)
+
+
+class OwnDescriptor:
+    """A descriptor that a program may close behind our back, and use for a file of its own.
+
+    ``os.closerange`` and libraries that make daemons close all descriptors. Then the number is
+    somebody else's, and closing it would be an error in their file.
+
+    Args:
+        descriptor: an open one; this object closes it.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = above_standard_streams(descriptor)
+        self._identity = file_identity(self._descriptor)
+        self.closed = False
+
+    def fileno(self) -> int:
+        """The descriptor."""
+        return self._descriptor
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the descriptor is closed or is of another file by now."""
+        return self.closed or file_identity(self._descriptor) != self._identity
+
+    def close(self) -> None:
+        """Closes the descriptor if it is still ours. You may call it again."""
+        if not self.is_lost:
+            os.close(self._descriptor)
+        self.closed = True
+
+    def __del__(self) -> None:
+        with contextlib.suppress(Exception):  # the interpreter may be shutting down
+            self.close()
+
+
 class LockedTemporaryDirectory:
     """A temporary directory that does not outlive its program, however that ends.
 
@@ -227,7 +287,7 @@ class LockedTemporaryDirectory:
 
     def __init__(self, kind: str) -> None:
         remove_stale_directories()
-        self._lock: int | None = None
+        self._lock: OwnDescriptor | None = None
         is_locked = False
         while not is_locked:  # another program may remove the directory before it is locked
             self.path = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{kind}-"))
@@ -248,12 +308,12 @@ class LockedTemporaryDirectory:
         """Releases the lock and leaves the directory in place."""
         lock, self._lock = self._lock, None
         if lock is not None:
-            os.close(lock)
+            lock.close()
 
     def _acquire(self) -> bool:
         with contextlib.suppress(FileNotFoundError, BlockingIOError):
-            self._lock = os.open(self.path, os.O_RDONLY)
-            fcntl.flock(self._lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            self._lock = OwnDescriptor(os.open(self.path, os.O_RDONLY))
+            fcntl.flock(self._lock.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
             if self.path.exists():
                 return True
         self.release()

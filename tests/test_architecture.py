@@ -32,6 +32,7 @@ LAYERS = [
             "stkzoo._os",
             "stkzoo._reading",
             "stkzoo._schema",
+            "stkzoo._turns",
             "stkzoo.kernel",
             "stkzoo.agent_names",
         ],

@@ -16,6 +16,7 @@ from pathlib import Path
 from stkzoo._os import LockedTemporaryDirectory
 from stkzoo.engine import wire
 from stkzoo.engine.process import (
+    LOST_CONNECTION,
     START_TIMEOUT,
     RaceProcess,
     SpawnedProcess,
@@ -63,23 +64,31 @@ class ForkServerClient:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        self._log = open_log()
-        self._home = LockedTemporaryDirectory("home")
         self._lock = threading.Lock()
         self._has_forked = False
-        self._control, theirs = wire.pair()
-        self._control.settimeout(START_TIMEOUT)
-        with theirs:
-            self._process = spawn_interpreter(
-                "fork_server",
-                theirs.fileno(),
-                engine_environment(root, str(self._home.path)),
-                self._log,
-                pass_fds=[theirs.fileno()],
-            )
+        with contextlib.ExitStack() as on_failure:
+            self._log = open_log()
+            on_failure.callback(self._log.close)
+            self._home = LockedTemporaryDirectory("home")
+            on_failure.callback(self._home.close)
+            self._control, theirs = wire.pair()
+            on_failure.callback(self._control.close)
+            self._control.settimeout(START_TIMEOUT)
+            with theirs:
+                self._process = spawn_interpreter(
+                    "fork_server",
+                    theirs.fileno(),
+                    engine_environment(root, str(self._home.path)),
+                    self._log,
+                    pass_fds=[theirs.fileno()],
+                )
+            on_failure.pop_all()
 
     def fork(self) -> RaceProcess:
         """A new child that has run no race yet."""
+        if self._control.is_lost:
+            _retire(self)
+            raise EngineCrashed(f"the connection to the game's fork server {LOST_CONNECTION}")
         try:
             process = self.fork_from(self._control, START_TIMEOUT)
         except TimeoutError:
@@ -98,7 +107,7 @@ class ForkServerClient:
         self._has_forked = True
         return process
 
-    def fork_from(self, source: socket.socket, timeout: float | None) -> RaceProcess:
+    def fork_from(self, source: wire.EngineConnection, timeout: float | None) -> RaceProcess:
         """A fork of the fork server or one of its children; ends by itself on a failure.
 
         Args:
@@ -111,6 +120,8 @@ class ForkServerClient:
             ConnectionError: likewise.
             TimeoutError: it took too long.
         """
+        if source.is_lost:
+            raise ConnectionError("the descriptor was closed")
         with contextlib.ExitStack() as on_failure:
             with explain_os_errors():
                 ours, theirs = map(on_failure.enter_context, wire.pair())
@@ -139,6 +150,8 @@ class ForkServerClient:
 
     def end_child(self, pid: int) -> int | None:
         """Ends a child if it still lives; its wait status, ``None`` if it is lost."""
+        if self._control.is_lost:
+            return None
         with contextlib.suppress(EOFError, OSError), self._lock:
             asked = str(pid).encode()
             wire.send(self._control, wire.END, asked)
@@ -181,8 +194,9 @@ class _ForkedProcess(RaceProcess):
         return "was lost" if status is None else describe_end(os.waitstatus_to_exitcode(status))
 
     def drop(self) -> None:
-        with contextlib.suppress(OSError):
-            wire.send(self.fork_server._control, wire.DROP, str(self.pid).encode())
+        if not self.fork_server._control.is_lost:
+            with contextlib.suppress(OSError):
+                wire.send(self.fork_server._control, wire.DROP, str(self.pid).encode())
         self._free()
 
     def fork(self) -> RaceProcess:

@@ -8,6 +8,7 @@ interpreter. Both speak :mod:`stkzoo.engine.wire`.
 from __future__ import annotations
 
 import contextlib
+import errno
 import hmac
 import json
 import os
@@ -20,9 +21,9 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-from stkzoo._os import LockedTemporaryDirectory
+from stkzoo._os import LockedTemporaryDirectory, OwnDescriptor
 from stkzoo.engine import wire
 from stkzoo.errors import ConfigError, EngineCrashed, EngineError, EngineTimeout
 
@@ -31,6 +32,8 @@ START_TIMEOUT = 60.0
 #: The same for the render process: without a graphics card, shaders take minutes.
 DRAWING_START_TIMEOUT = 300.0
 _LOG_TAIL_BYTES = 4096
+#: Errors of the system when the folder for temporary files is missing or not writable.
+_NO_FOLDER = (errno.ENOENT, errno.EACCES, errno.EROFS)
 _TOKEN_BYTES = 32
 
 #: Environment variables with which numerical libraries use one thread.
@@ -51,17 +54,18 @@ main(int(sys.argv[2]))
 
 
 #: The output of an engine process.
-Log = IO[bytes]
+Log = OwnDescriptor
 
 
 def open_log() -> Log:
     """An unnamed file for the output of an engine process."""
-    return tempfile.TemporaryFile(prefix="stkzoo-log-")
+    with tempfile.TemporaryFile(prefix="stkzoo-log-") as file:
+        return Log(os.dup(file.fileno()))
 
 
 def tail(log: Log) -> str:
     """The last lines of an output; empty once the file is closed."""
-    if log.closed:
+    if log.is_lost:
         return ""
     start = max(0, os.fstat(log.fileno()).st_size - _LOG_TAIL_BYTES)
     # Not through the file object: the writer shares its position.
@@ -79,7 +83,7 @@ class RaceProcess:
         owner: process id of the program that started it.
     """
 
-    connection: socket.socket
+    connection: wire.EngineConnection
     pid: int
     log: Log
     owner: int = field(default_factory=os.getpid, init=False)
@@ -95,6 +99,9 @@ class RaceProcess:
     def release(self) -> None:
         """:meth:`drop` in the program that started it; its forks only close the handles."""
         if self.owner == os.getpid():
+            if not self.connection.is_lost:
+                with contextlib.suppress(OSError):  # wakes a thread that waits for a reply
+                    self.connection.shutdown(socket.SHUT_RDWR)
             self.drop()
         else:
             self._free()
@@ -136,17 +143,26 @@ class RaceProcess:
         self.log.close()
 
 
+#: What an error says when a descriptor of ours was closed.
+LOST_CONNECTION = (
+    "was lost: this program closed a file descriptor of stkzoo, as os.closerange and daemon "
+    "libraries do"
+)
+
+
 @contextlib.contextmanager
 def explain_os_errors() -> Iterator[None]:
     """Explains the error of a system that cannot start another process."""
     try:
         yield
     except OSError as error:
-        raise EngineError(
-            f"no process of the game can be started: {error}; close() environments and saved "
-            "states that are no longer needed, or raise the system's limits (ulimit -a shows "
-            "them, df the room on its disks)"
-        ) from error
+        remedy = (
+            "close() environments and saved states that are no longer needed, or raise the "
+            "system's limits (ulimit -a shows them, df the room on its disks)"
+        )
+        if error.errno in _NO_FOLDER and error.filename != sys.executable:
+            remedy = "set TMPDIR to a folder that exists and is writable"
+        raise EngineError(f"no process of the game can be started: {error}; {remedy}") from error
 
 
 def engine_environment(root: Path, home: str) -> dict[str, str]:
@@ -213,7 +229,7 @@ class SpawnedProcess(RaceProcess):
                 raise
         super().__init__(connection, self._process.pid, log)
 
-    def _accept(self, listener: socket.socket, token: bytes, log: Log) -> socket.socket:
+    def _accept(self, listener: socket.socket, token: bytes, log: Log) -> wire.EngineConnection:
         for _ in range(int(START_TIMEOUT / 0.25)):
             try:
                 connection, _ = listener.accept()
@@ -228,7 +244,7 @@ class SpawnedProcess(RaceProcess):
             with contextlib.suppress(OSError):
                 if hmac.compare_digest(connection.recv(_TOKEN_BYTES, socket.MSG_WAITALL), token):
                     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                    return connection
+                    return _own(connection)
             connection.close()
         raise EngineTimeout(f"the game did not start in {START_TIMEOUT:.0f} s", tail(log))
 
@@ -246,6 +262,13 @@ class SpawnedProcess(RaceProcess):
     def _kill(self, patience: float = 0.0) -> None:
         stop(self._process, patience)
         self._home.close()
+
+
+def _own(connection: socket.socket) -> wire.EngineConnection:
+    timeout = connection.gettimeout()
+    own = wire.EngineConnection(connection.detach())
+    own.settimeout(timeout)
+    return own
 
 
 def stop(process: subprocess.Popen[bytes], patience: float) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._turns import CallTurn
 from stkzoo.engine import wire
 from stkzoo.engine.process import (
     DRAWING_START_TIMEOUT,
@@ -108,6 +109,7 @@ class RenderSession(ProcessSession):
         )
         self._root, self._graphics = root, json.dumps(fields)
         self._has_window = has_window
+        self._turn = CallTurn()
         self._timeout = timeout
 
     def start(self, setup: RaceSetup) -> None:
@@ -161,12 +163,13 @@ class RenderSession(ProcessSession):
         return Footage(*(np.frombuffer(data, kind).reshape(shape) for data, kind, shape in parts))
 
     def _request(self, kind: bytes, *data: bytes) -> list[bytes]:
-        try:
-            self._send(kind, *data)
-            return self._receive(kind)
-        finally:
-            if self._asked is not None:  # interrupted: its reply would answer the next request
-                self.close()
+        with self._turn.of("render"):
+            try:
+                self._send(kind, *data)
+                return self._receive(kind)
+            finally:
+                if self._asked is not None:  # interrupted: its reply would answer the next one
+                    self.close()
 
     def _start_process(self) -> RaceProcess:
         try:

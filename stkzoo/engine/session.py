@@ -14,13 +14,15 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._os import LockedTemporaryDirectory
+from stkzoo._os import LockedTemporaryDirectory, file_identity
 from stkzoo.engine import wire
 from stkzoo.engine.fork_client import start_race_process
 from stkzoo.engine.process import (
+    LOST_CONNECTION,
     START_TIMEOUT,
     RaceProcess,
     engine_environment,
+    explain_os_errors,
     open_log,
     tail,
 )
@@ -169,13 +171,22 @@ class ProcessSession:
         """Ends the process after a failure, because its replies no longer match requests.
 
         Raises:
+            ApiOrderError: the failure is that :meth:`close` was called meanwhile.
             EngineCrashed: the failure is that the process is gone.
             EngineTimeout: the failure is that no reply came in time.
         """
+        if self._process is not process:  # a signal's handler or another thread
+            if isinstance(error, (EOFError, OSError)):
+                raise ApiOrderError(
+                    f"{self.what} was closed while it worked on a request; {self.remedy}"
+                ) from None
+            return
         self._process, self._asked = None, None
-        seconds = process.connection.gettimeout()
+        seconds, is_lost = process.connection.gettimeout(), process.connection.is_lost
         how, log = process.end(), tail(process.log)
         process.log.close()
+        if is_lost and isinstance(error, (EOFError, OSError)):
+            raise EngineCrashed(f"{self.what} {LOST_CONNECTION}; {self.remedy}", log) from None
         if isinstance(error, TimeoutError):
             message = f"{self.what} gave no answer in {seconds:g} s and was ended; {self.remedy}"
             raise EngineTimeout(message, log) from None
@@ -277,7 +288,7 @@ class LocalSession(Session):
                 "at a time, and another environment's race is running; close that "
                 "environment first, or leave use_subprocess at True"
             )
-        with _quiet_output():
+        with explain_os_errors(), _quiet_output():
             _init_here(self._root)
             self._race = GameRace(setup)
             return self._race.begin()
@@ -310,9 +321,9 @@ def _quiet_output() -> Iterator[None]:
     """Keeps the game's output off the terminal; an error carries it instead."""
     log = open_log()
     _flush_c_streams()
-    streams = {stream: os.dup(stream) for stream in (1, 2)}
+    originals = {stream: _copy_of(stream) for stream in (1, 2)}
     try:
-        for stream in streams:
+        for stream in originals:
             os.dup2(log.fileno(), stream)
         yield
     except EngineError:
@@ -321,10 +332,18 @@ def _quiet_output() -> Iterator[None]:
         raise EngineError(f"the game refused: {error!r}", tail(log)) from error
     finally:
         _flush_c_streams()  # or the game's output appears when this program ends
-        for stream, original in streams.items():
-            os.dup2(original, stream)
-            os.close(original)
+        for stream, original in originals.items():
+            if original is None:
+                os.close(stream)
+            else:
+                os.dup2(original, stream)
+                os.close(original)
         log.close()
+
+
+def _copy_of(stream: int) -> int | None:
+    """Another descriptor of a standard stream; ``None`` if the program has closed it."""
+    return None if file_identity(stream) is None else os.dup(stream)
 
 
 def _flush_c_streams() -> None:

@@ -14,6 +14,8 @@ import threading
 import traceback
 from collections.abc import Sequence
 
+from stkzoo._os import above_standard_streams, file_identity
+
 #: Requests: start a race (JSON), and advance it (control array).
 BEGIN, ACT = b"B", b"A"
 #: Request to fork the process, which brings a connection and a log for the new one. There is no
@@ -34,12 +36,36 @@ _MAX_LENGTH = 1 << 28
 _ONE_READ = 1 << 18
 
 
-def pair() -> tuple[socket.socket, socket.socket]:
+class EngineConnection(socket.socket):
+    """A socket that a program may close behind our back (:class:`stkzoo._os.OwnDescriptor`).
+
+    Args:
+        fileno: its descriptor, which must be open.
+    """
+
+    def __init__(self, fileno: int) -> None:
+        super().__init__(fileno=above_standard_streams(fileno))
+        self._identity = file_identity(self.fileno())
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the descriptor is closed or is of another file by now."""
+        return self.fileno() < 0 or file_identity(self.fileno()) != self._identity
+
+    def close(self) -> None:
+        """Closes the socket, unless its descriptor is somebody else's by now."""
+        if self.is_lost:
+            self.detach()
+        super().close()
+
+
+def pair() -> tuple[EngineConnection, EngineConnection]:
     """Both ends of a connection within this machine.
 
     It carries each message in one piece, which is faster than a stream.
     """
-    return socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    first, second = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    return EngineConnection(first.detach()), EngineConnection(second.detach())
 
 
 def send(connection: socket.socket, kind: bytes, *frames: bytes, files: Sequence[int] = ()) -> None:

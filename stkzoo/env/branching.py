@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium.utils import EzPickle, seeding
 
+from stkzoo._turns import CallTurn
 from stkzoo.engine.assets import Assets
 from stkzoo.engine.ground import Ground
 from stkzoo.engine.session import Session
@@ -107,6 +108,7 @@ class BranchingRace(ClonableEnv):
         def _running(self, method: str) -> Episode: ...
 
     def __init__(self, max_snapshots: int) -> None:
+        self._turn = CallTurn()
         self._max_snapshots = check_whole("max_snapshots", max_snapshots, 0)
         self._states: weakref.WeakSet[RaceState] = weakref.WeakSet()
         self._np_random: np.random.Generator | None = None
@@ -165,10 +167,11 @@ class BranchingRace(ClonableEnv):
                 f"{self.num_snapshots} saved states of this environment are open, as many as "
                 "max_snapshots allows; close() some or raise max_snapshots"
             )
-        moment = self._moment()
-        state = RaceState(self._session.branch(), moment)
-        self._states.add(state)
-        return state
+        with self._turn.of("save_state"):
+            moment = self._moment()
+            state = RaceState(self._session.branch(), moment)
+            self._states.add(state)
+            return state
 
     def scenario(self) -> Scenario:
         """Returns the current moment as a scenario, which can be saved and replayed elsewhere.
@@ -204,9 +207,10 @@ class BranchingRace(ClonableEnv):
             EngineError: this platform cannot fork races, or the state's process has ended; this
                 environment's race continues.
         """
-        self._check_moment(_checked_state(state).moment)
-        state.resume_in(self._session)
-        self._go_on_from(state.moment)
+        with self._turn.of("restore_state"):
+            self._check_moment(_checked_state(state).moment)
+            state.resume_in(self._session)
+            self._go_on_from(state.moment)
 
     def follow(self, other: Self) -> None:
         """Continues from the current state of another environment, like a clone of it.
@@ -219,12 +223,13 @@ class BranchingRace(ClonableEnv):
             ConfigError: the other environment has other karts or agents.
             EngineError: this platform cannot fork races, or the game crashed.
         """
-        other._running("clone")
-        moment = other._moment()
-        self._check_moment(moment)
-        self._session.resume(other._session)
-        self.options = other.options
-        self._go_on_from(moment)
+        with self._turn.of("follow"), other._turn.of("clone"):
+            other._running("clone")
+            moment = other._moment()
+            self._check_moment(moment)
+            self._session.resume(other._session)
+            self.options = other.options
+            self._go_on_from(moment)
 
     @property
     def num_snapshots(self) -> int:

@@ -170,9 +170,10 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
 
     def _reset_core(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Any, Any]:
         """Resets the core with this environment's random generator, which Gymnasium seeds."""
-        gym.Env.reset(self, seed=seed)
-        self.core.np_random = self.np_random
-        return self.core.reset(options=options)
+        with self.core._turn.of("reset"):
+            gym.Env.reset(self, seed=seed)
+            self.core.np_random = self.np_random
+            return self.core.reset(options=options)
 
     def _step_core(self, actions: Mapping[str, Any]) -> StepParts:
         if self.core.snapshot is not None and not self.core.agents:
@@ -319,18 +320,25 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Starts a new race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`."""
-        observations, infos = self._reset_core(seed, options)
-        self._recall(None)
-        self._infos.update(infos)
-        return (
-            self._by_number({**self._observe_departed(observations), **observations}),
-            self._info(dict.fromkeys(self.core.possible_agents, 0.0)),
-        )
+        with self.core._turn.of("reset"):
+            observations, infos = self._reset_core(seed, options)
+            self._recall(None)
+            self._infos.update(infos)
+            return (
+                self._by_number({**self._observe_departed(observations), **observations}),
+                self._info(dict.fromkeys(self.core.possible_agents, 0.0)),
+            )
 
     def step(
         self, action: Mapping[str, Any]
     ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Advances the race by one step; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.step`."""
+        with self.core._turn.of("step"):
+            return self._step(action)
+
+    def _step(
+        self, action: Mapping[str, Any]
+    ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         if not isinstance(action, Mapping):
             raise ActionError(
                 f"the actions have to be a dict by agent: {', '.join(self._names)}; found "

@@ -214,9 +214,16 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             Observations and infos by agent.
 
         Raises:
+            ApiOrderError: another thread's call runs, as for all methods that change the race.
             ConfigError: an option is invalid, or there is no display for ``"human"``.
             EngineError: the game does not start.
         """
+        with self._turn.of("reset"):
+            return self._reset(seed, options)
+
+    def _reset(
+        self, seed: int | None, options: Mapping[str, Any] | None
+    ) -> tuple[Observations, dict[str, dict[str, Any]]]:
         self._rendering.check()
         if seed is not None or self._np_random is None:
             self._np_random = random_stream(seed)
@@ -260,11 +267,18 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
 
         Raises:
             ActionError: an action is missing or invalid; the race has not advanced.
-            ApiOrderError: called before the first ``reset``.
+            ApiOrderError: called before the first ``reset``, or while another thread's call runs.
             EngineError: the game crashed or hung; ``reset`` starts a new race.
         """
-        self.step_async(actions)
-        return self.step_wait()
+        turn = self._turn
+        if not turn.lock.acquire(blocking=False):
+            turn.claim("step")
+        turn.call = "step"
+        try:
+            self._request_step(actions)
+            return self._finish_step()
+        finally:
+            turn.lock.release()
 
     def step_async(self, actions: Mapping[str, Any]) -> None:
         """Starts a step and returns while the game computes it.
@@ -280,6 +294,10 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             ApiOrderError: called before the first ``reset``, or twice without :meth:`step_wait`.
             EngineError: the game crashed or hung; ``reset`` starts a new race.
         """
+        with self._turn.of("step_async"):
+            self._request_step(actions)
+
+    def _request_step(self, actions: Mapping[str, Any]) -> None:
         controls = self.decode(actions)
         drive_opponents([self], [controls])
         self.send(controls)
@@ -322,6 +340,10 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             ApiOrderError: called without :meth:`step_async`.
             EngineError: the game crashed or hung; ``reset`` starts a new race.
         """
+        with self._turn.of("step_wait"):
+            return self._finish_step()
+
+    def _finish_step(self) -> StepParts:
         episode, self._asked = self._asked, None
         if episode is None or episode is not self._episode:
             raise ApiOrderError("step_wait() without step_async(); call step_async() first")
@@ -376,11 +398,12 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
 
     def close(self) -> None:
         """Stops the game process. You may call ``reset`` again."""
-        self._end_race()
-        self._session.close()
-        self._rendering.close()
-        self.cameras.close()
-        self._chains.close()
+        with self._turn.of("close"):
+            self._end_race()
+            self._session.close()
+            self._rendering.close()
+            self.cameras.close()
+            self._chains.close()
 
     def __enter__(self) -> RaceParallelEnv:
         return self

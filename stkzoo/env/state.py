@@ -62,7 +62,7 @@ class RaceState:
         self._session = session
         self.moment = moment
         self.is_open = True
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a handler of a signal may close it
 
     @property
     def pid(self) -> int | None:
@@ -104,7 +104,8 @@ class RaceState:
     def close(self) -> None:
         """Ends the paused game process; you may call it more than once."""
         self.is_open = False
-        self._session.close()
+        with self._lock:
+            self._session.close()
 
     def __enter__(self) -> RaceState:
         return self

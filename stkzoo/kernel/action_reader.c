@@ -133,7 +133,9 @@ static PyObject *reader_read(PyObject *object, PyObject *args)
         if (!action && PyErr_Occurred()) return NULL;
         float *row = controls.data + rows.data[i] * self->num_columns;
         memset(row, 0, (size_t)self->num_columns * sizeof *row);
+        Py_XINCREF(action); /* a number of the agent's own type may run code that drops it */
         const int is_read = action ? read_action(self, action, row) : 0;
+        Py_XDECREF(action);
         if (is_read < 0) return NULL;
         if (!is_read) Py_RETURN_FALSE;
     }
@@ -145,20 +147,23 @@ static int set_entry(const ActionReader *self, Entry *entry, PyObject *spec)
 {
     PyObject *table;
     Floats controls = {NULL, 1};
+    if (!PyTuple_Check(spec)) return refuse("an entry is a tuple");
     if (!PyArg_ParseTuple(spec, "ddpiO", &entry->low, &entry->high, &entry->is_whole,
                           &entry->column, &table) ||
         (table != Py_None && !as_floats(table, &controls))) {
         return -1;
     }
-    const npy_intp steps = controls.data ? (npy_intp)(entry->high - entry->low) + 1 : 1;
-    if (controls.data && (!entry->is_whole || controls.size == 0 || controls.size % steps)) {
+    const double range = entry->high - entry->low;
+    const int has_rows = entry->is_whole && range >= 0 && range < (double)controls.size;
+    const npy_intp steps = controls.data && has_rows ? (npy_intp)range + 1 : 1;
+    if (controls.data && (!has_rows || controls.size % steps)) {
         return refuse("a table has a row for each whole number");
     }
     entry->table = controls.data;
-    entry->width = (int)(controls.size / steps);
-    if (entry->column < 0 || entry->column + entry->width > self->num_columns) {
+    if (entry->column < 0 || controls.size / steps > self->num_columns - entry->column) {
         return refuse("an entry leads beyond the last column");
     }
+    entry->width = (int)(controls.size / steps);
     return 0;
 }
 

@@ -105,21 +105,23 @@ static const void *record_at(Block block, npy_intp at, size_t size)
 
 /* ---------------------------------------------------------------- to the engine */
 
-/* Brings the engine's actions from what they say to what they should. */
-static int set_actions(GameStepper *self, const float *controls)
+/* Brings the engine's actions from what they say to what they should. The controls may be at any
+   address: in a message they follow a head of six bytes. */
+static int set_actions(GameStepper *self, const char *controls)
 {
     const npy_intp size = PyList_GET_SIZE(self->actions) * NUM_CONTROLS;
     for (npy_intp i = 0; i < size; i++) {
-        if (controls[i] == self->present[i]) continue;
+        float control;
+        memcpy(&control, controls + i * (npy_intp)sizeof control, sizeof control);
+        if (control == self->present[i]) continue;
         const npy_intp column = i % NUM_CONTROLS;
-        PyObject *value = column < 2 ? PyFloat_FromDouble(controls[i])
-                                     : PyBool_FromLong(controls[i] > 0);
+        PyObject *value = column < 2 ? PyFloat_FromDouble(control) : PyBool_FromLong(control > 0);
         PyObject *action = PyList_GET_ITEM(self->actions, i / NUM_CONTROLS);
         const int failed =
             !value || PyObject_SetAttr(action, PyTuple_GET_ITEM(self->controls, column), value) < 0;
         Py_XDECREF(value);
         if (failed) return -1;
-        self->present[i] = controls[i];
+        self->present[i] = control;
     }
     return 0;
 }
@@ -240,6 +242,10 @@ static PyObject *moment_from(GameStepper *self, Block block, int is_running)
 {
     const npy_int32 num_items = count_at(block, self->items_at);
     if (num_items < 0) return NULL;
+    if (num_items > block.size / (npy_intp)sizeof(EngineItem)) {
+        refuse("the engine's block is shorter than its items");
+        return NULL;
+    }
     const size_t karts = (size_t)self->num_kart * sizeof(Kart), items = num_items * sizeof(Item);
     PyObject *data = PyBytes_FromStringAndSize(NULL, (Py_ssize_t)(sizeof(Header) + karts + items));
     if (!data) return NULL;
@@ -388,17 +394,19 @@ static int stepper_set_up(GameStepper *self, PyObject *args, PyObject *Py_UNUSED
         return -1;
     }
     if (PyTuple_GET_SIZE(self->controls) != NUM_CONTROLS) return refuse("there are other controls");
+    if (self->last_phase < 0) return refuse("phases have numbers from 0");
     self->phase = self->last_phase - 1;
     const npy_intp size = PyList_GET_SIZE(self->actions) * NUM_CONTROLS;
     if (!(self->present = room_for(self, size, sizeof *self->present))) return -1;
     for (npy_intp i = 0; i < size; i++) self->present[i] = NAN; /* equal to nothing */
-    self->step = keep(self, PyObject_GetAttrString(race, "step"));
-    self->report = keep(self, PyObject_GetAttrString(race, "get_kart_action"));
-    self->update = keep(self, PyObject_GetAttrString(self->world, "update"));
-    self->write = keep(self, PyObject_GetAttrString(self->world, "__getstate__"));
-    self->speed = keep(self, PyUnicode_InternFromString("speed"));
-    self->angular_velocity = keep(self, PyUnicode_InternFromString("angular_velocity"));
-    if (PyErr_Occurred()) return -1;
+    if (!(self->step = keep(self, PyObject_GetAttrString(race, "step"))) ||
+        !(self->report = keep(self, PyObject_GetAttrString(race, "get_kart_action"))) ||
+        !(self->update = keep(self, PyObject_GetAttrString(self->world, "update"))) ||
+        !(self->write = keep(self, PyObject_GetAttrString(self->world, "__getstate__"))) ||
+        !(self->speed = keep(self, PyUnicode_InternFromString("speed"))) ||
+        !(self->angular_velocity = keep(self, PyUnicode_InternFromString("angular_velocity")))) {
+        return -1;
+    }
     Block block;
     PyObject *state = write_block(self, &block);
     int status = state ? find_places(self, block) : -1;

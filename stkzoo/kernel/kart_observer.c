@@ -524,6 +524,7 @@ static PyObject *observer_observe(PyObject *self, PyObject *args)
 static int add_entry(KartObserver *observer, PyObject *name)
 {
     const Key *key = KEYS;
+    if (!PyUnicode_Check(name)) return refuse("the name of an entry is text");
     while (key < KEYS + NUM_KEYS && PyUnicode_CompareWithASCIIString(name, key->name)) key++;
     if (key == KEYS + NUM_KEYS || (key->kind == CONTROL && observer->is_flat)) {
         PyErr_Format(PyExc_ValueError, "no entry is called %S", name);
@@ -548,7 +549,9 @@ static int set_extras(KartObserver *observer, PyObject *joined, PyObject *nitro,
         return -1;
     }
     for (npy_intp i = 0; i < observer->joined.size; i++) {
-        observer->num_ones += observer->joined.data[i];
+        const npy_intp values = observer->joined.data[i];
+        if (values < 0 || values > NPY_MAX_INT32) return refuse("a choice has too few or many values");
+        observer->num_ones += values;
     }
     if (joined != Py_None &&
         (!observer->is_flat || observer->joined.size != observer->num_discrete)) {

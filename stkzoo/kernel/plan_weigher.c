@@ -78,7 +78,9 @@ static inline void sine_and_cosine(float x, float *sine, float *cosine)
     s = fmaf(s, square, 0x1.11119ap-07f);
     s = fmaf(s, square, -0x1.555556p-03f);
     s = fmaf(s * square, r, r);
-    const npy_int32 turned = (npy_int32)quarter;
+    const float most = 0x1p30f; /* angles beyond, and NaN, are no whole number of quarters */
+    const float below = quarter < most ? quarter : most;
+    const npy_int32 turned = (npy_int32)(below > -most ? below : -most);
     const float first = turned & 1 ? c : s, second = turned & 1 ? s : c;
     *sine = turned & 2 ? -first : first;
     *cosine = (turned + 1) & 2 ? -second : second;
@@ -96,7 +98,7 @@ static void drive(const Forecast *f, const PlanKart *kart, const float *road, np
     const float release_rate = (float)f->rules[RELEASE_TURN] / lock;
     const float lag = (float)f->rules[STEERING_LAG];
     const float per_mark = (float)(1.0 / f->rules[MARK_SPACING]);
-    const npy_int32 last_mark = (npy_int32)f->marks - 1;
+    const float last_mark = (float)(f->marks - 1);
     const float *least = t->least.data + in_table, *most = t->most.data + in_table;
     const float *drifts = t->drifts.data + in_table, *releases = t->releases.data + in_table;
     const float *slower = t->slower.data + in_table, *lanes = t->lanes.data + in_table;
@@ -131,8 +133,9 @@ static void drive(const Forecast *f, const PlanKart *kart, const float *road, np
         along[i] = there;
         across[i] = beside + step * sine;
         f->angle[i] = angle + turn;
-        const npy_int32 next = (npy_int32)(there * per_mark);
-        f->places[i] = next < 0 ? 0 : next > last_mark ? last_mark : next;
+        float next = there * per_mark; /* which may be too large for a whole number, or NaN */
+        next = next > 0 ? next : 0;
+        f->places[i] = (npy_int32)(next < last_mark ? next : last_mark);
         ahead[i] = rooms[f->places[i]];
     }
 }
@@ -235,7 +238,9 @@ static void set_item_lanes(const Forecast *f, const RoadItem *items, npy_intp nu
     for (npy_intp i = 0; i < num_items && count < ITEM_LANES; i++) {
         if (items[i].worth > 0) lanes[count++] = (float)items[i].across;
     }
-    for (npy_intp i = 0; i < f->plans; i++) f->extra[i] = item[i] < 0 ? 0 : lanes[item[i]];
+    for (npy_intp i = 0; i < f->plans; i++) {
+        f->extra[i] = item[i] < 0 || item[i] >= ITEM_LANES ? 0 : lanes[item[i]];
+    }
 }
 
 static void find_best(const Forecast *f, const PlanKart *kart, npy_intp num_karts, float *out)

@@ -88,8 +88,9 @@ static void look_at(const Pen *pen, float distance, float point[LINE])
 {
     const RacingObserver *view = pen->view;
     const float place = distance / view->step;
-    npy_intp before = (npy_intp)place;
-    if (before > view->num_points - 2) before = view->num_points - 2;
+    const npy_intp last = view->num_points - 2;
+    /* NaN, and places before or beyond the line, must not become an index. */
+    const npy_intp before = place >= (float)last ? last : place > 0 ? (npy_intp)place : 0;
     const float share = place - (float)before;
     const float *first = view->lines.data + LINE * (view->num_points * pen->me->node + before);
     float there[LINE];
@@ -243,8 +244,8 @@ static int racing_set_up(RacingObserver *view, PyObject *args, PyObject *Py_UNUS
     view->num_nodes = view->starts.size / 3;
     view->num_points = view->num_nodes ? view->lines.size / (LINE * view->num_nodes) : 0;
     if (!fits_together(view)) return refuse("the road's arrays do not fit together");
-    view->size = 10 + view->num_powerups + view->num_hangs + LINE + 6 * view->marks.size +
-                 4 * view->karts + (5 + view->num_kinds) * view->goods + 5 * view->bads;
+    view->size = 10 + (npy_intp)view->num_powerups + view->num_hangs + LINE + 6 * view->marks.size +
+                 4 * view->karts + (5 + (npy_intp)view->num_kinds) * view->goods + 5 * view->bads;
     return 0;
 }
 

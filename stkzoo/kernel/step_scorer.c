@@ -213,6 +213,7 @@ static PyObject *scorer_infos(PyObject *object, PyObject *args)
 /* A reward from (terms, weights, columns, who). */
 static int set_reward(const StepScorer *self, Reward *reward, PyObject *spec)
 {
+    if (!PyTuple_Check(spec)) return refuse("a reward is a tuple");
     if (!PyArg_ParseTuple(spec, "O&O&O&O&", as_indices, &reward->terms, as_doubles,
                           &reward->weights, as_indices, &reward->columns, as_indices,
                           &reward->who)) {

@@ -178,6 +178,37 @@ def test_an_interrupted_step_does_not_mix_up_answers(session):
     assert len(trajectory(session)) > 0
 
 
+def test_a_missing_folder_for_temporary_files_is_named_and_the_next_start_works(
+    session, monkeypatch, tmp_path
+):
+    with monkeypatch.context() as patch:
+        patch.setattr("tempfile.tempdir", str(tmp_path / "gone"))
+        with pytest.raises(EngineError, match=r"gone.*set TMPDIR to a folder that exists"):
+            session.start(SETUP)
+    session.start(SETUP)
+
+
+def test_closing_wakes_a_thread_that_waits_for_the_game(session):
+    session.start(SETUP)
+    os.kill(session.pid, signal.SIGSTOP)
+    session.step_async(full_throttle())
+    errors = []
+
+    def wait():
+        try:
+            session.step_wait()
+        except ApiOrderError as error:
+            errors.append(str(error))
+
+    thread = threading.Thread(target=wait)
+    thread.start()
+    assert wait_until(lambda: session._asked is None)
+    session.close()
+    thread.join(10.0)
+    assert not thread.is_alive()
+    assert "was closed while it worked on a request; call reset()" in errors[0]
+
+
 PROGRAM = """
     import sys, time, os, signal
     import numpy as np

@@ -77,8 +77,9 @@ class AheadRace(RaceParallelEnv):
 
     def close(self) -> None:
         """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.close`."""
-        self._forget_next()
-        super().close()
+        with self._turn.of("close"):
+            self._forget_next()
+            super().close()
 
     def _begin(self, setup: RaceSetup) -> RaceStart:
         """Returns the race that was started ahead if the setup matches, otherwise starts one."""

@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array,
 from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo._os import cpu_count
+from stkzoo._turns import CallTurn
 from stkzoo.engine.assets import find_assets
 from stkzoo.env.parallel import drive_opponents
 from stkzoo.env.vec.ahead import AheadRace
@@ -94,6 +95,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         prefetch: bool | None = None,
         **options: Any,
     ) -> None:
+        self._turn = CallTurn()
         check_whole("num_races", num_races, 1)
         if not isinstance(prefetch, (bool, type(None))):
             raise ConfigError(f"prefetch is {prefetch!r}, expected True, False or None")
@@ -170,7 +172,18 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         Args:
             seed: see :meth:`reset`.
             options: options of each race for this episode only.
+
+        Raises:
+            ApiOrderError: called after ``close``, or while another thread's call runs.
         """
+        with self._turn.of("reset"):
+            return self._reset_slots(seed, options)
+
+    def _reset_slots(
+        self,
+        seed: int | Sequence[int | None] | None,
+        options: Sequence[Mapping[str, Any] | None],
+    ) -> SlotSteps:
         self._require_open("reset")
         seeds = seeds_of_races(seed, self.num_races)
         for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
@@ -197,8 +210,14 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
 
         Raises:
             ConfigError: an option is unknown or invalid; nothing has changed.
-            ApiOrderError: called after ``close``.
+            ApiOrderError: called after ``close``, or while another thread's call runs.
         """
+        with self._turn.of("set_options"):
+            self._set_options(options)
+
+    def _set_options(
+        self, options: Mapping[str, Any] | Sequence[Mapping[str, Any] | None] | None
+    ) -> None:
         self._require_open("set_options")
         if options is None or isinstance(options, Mapping):
             options = [options] * self.num_races
@@ -226,10 +245,12 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
 
         Raises:
             ActionError: an action is invalid; no race has advanced.
-            ApiOrderError: called before ``reset`` or after ``close``.
+            ApiOrderError: called before ``reset``, after ``close``, or while another thread's call
+                runs.
         """
-        self.step_async(actions)
-        return self.step_wait()
+        with self._turn.of("step"):
+            self.step_async(actions)
+            return self.step_wait()
 
     def step_async(self, actions: Any) -> None:
         """Starts a step of all races and returns before it is done.
@@ -241,6 +262,10 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             ActionError: an action is invalid; no race has advanced.
             ApiOrderError: called before ``reset``, after ``close``, or twice in a row.
         """
+        with self._turn.of("step_async"):
+            self._request_steps(actions)
+
+    def _request_steps(self, actions: Any) -> None:
         try:
             singles = list(iterate(self.action_space, actions))
         except (TypeError, KeyError, ValueError) as error:
@@ -286,8 +311,12 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
 
         Raises:
             AgentException: a wrapper failed; ``reset`` starts a new race.
-            ApiOrderError: called without :meth:`step_async`.
+            ApiOrderError: called without :meth:`step_async`, or while another thread's call runs.
         """
+        with self._turn.of("step_wait"):
+            return self._finish_steps()
+
+    def _finish_steps(self) -> SlotSteps:
         steps = SlotSteps.idle(self.idle_observation, self.num_envs)
         for row in self._rows:
             row.step_wait(steps)
@@ -308,8 +337,9 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
 
     def close_extras(self, **_: Any) -> None:
         """Stops the game processes; called by :meth:`close`."""
-        for row in getattr(self, "_rows", ()):
-            row.close()
+        with self._turn.of("close"):
+            for row in getattr(self, "_rows", ()):
+                row.close()
 
     def _name_the_race(self, actions: Sequence[Any]) -> None:
         """Raises the error of an invalid action again, with the agent's race in its message."""

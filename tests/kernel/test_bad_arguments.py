@@ -1,0 +1,324 @@
+"""The kernel takes or refuses bad arguments; it never reads or writes outside of its arrays.
+
+``make sanitize`` runs this with a kernel that stops the program at the first such access.
+"""
+
+from __future__ import annotations
+
+import importlib
+import struct
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from stkzoo import kernel, race_v0
+from stkzoo.drivers import codec
+from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, KART_DTYPE
+from stkzoo.engine.track import decode_track
+from stkzoo.wrappers.racing.wrapper import racing_view_of
+from tests.kernel.test_kernel import USERS
+from tests.kernel.test_plan_weigher import random_arguments
+
+pytestmark = pytest.mark.skipif(not kernel.IS_COMPILED, reason="nothing was compiled here to try")
+
+REFUSALS = (AttributeError, IndexError, MemoryError, OverflowError, TypeError, ValueError)
+VIEWS = ("full", "masked_discrete", "flattened_control", "racing", "simple")
+WHOLE = (0, 1, -1, 2, 7, 1000, -(2**31), 2**40)
+REAL = (0.0, -1.0, 1e-30, 1e30, -1e30, float("nan"), float("inf"), float("-inf"))
+#: Of the engine's block: the number of items, and one item.
+ITEM_SIZE = 4 + 33
+OBJECTS = (None, (), {}, b"", "", 0.5, object(), np.zeros(0), np.zeros(3), np.float32(1))
+
+
+# ------------------------------------------------------------------ good calls, as races make them
+
+
+class Recorder:
+    """Stands for a class or function of the kernel and keeps the arguments that it gets."""
+
+    def __init__(self, name, cases):
+        self._made, self._name, self._cases = getattr(kernel, name), name, cases
+
+    def __call__(self, *args, **kwargs):
+        args = tuple(getattr(a, "made", a) for a in args)
+        made = self._made(*args, **kwargs)
+        if not isinstance(self._made, type):
+            self._cases[self._name].append((args, kwargs, None, ()))
+            return made
+        return Recorded(made, lambda *call: self._cases[self._name].append((args, kwargs, *call)))
+
+
+class Recorded:
+    """An object of the kernel whose calls are kept."""
+
+    def __init__(self, made, keep):
+        self.made, self._keep = made, keep
+
+    def __getattr__(self, name):
+        def call(*args):
+            args = tuple(getattr(a, "made", a) for a in args)
+            self._keep(name, args)
+            return getattr(self.made, name)(*args)
+
+        return call
+
+
+@pytest.fixture(scope="module")
+def cases():
+    """Calls by the kernel's name: arguments to make an object, its method, and its arguments."""
+    kept = {name: [] for name in kernel._TWINS if name != "layouts"}
+    with pytest.MonkeyPatch.context() as patch:
+        for user, names in USERS.items():
+            importlib.import_module(f"stkzoo.{user}")
+            for name in names:
+                patch.setattr(f"stkzoo.{user}.{name}", Recorder(name, kept))
+        for cache in (decode_track, racing_view_of):
+            cache.cache_clear()
+        drive_races()
+        codec.encode((np.arange(3.0), np.arange(3.0)))
+        for cache in (decode_track, racing_view_of):
+            cache.cache_clear()
+    plans = (*random_arguments(0, count=2), np.empty((3, 2, 4), np.float32))
+    kept["weigh_plans"] = [(plans, {}, None, ())]
+    kept["GameStepper"] = [
+        (stepper_arguments(), {}, "step", (np.ones((2, 7), np.float32),)),
+        (stepper_arguments(), {}, "read", (True,)),
+    ]
+    return kept
+
+
+def drive_races():
+    for view in VIEWS:
+        options = {"num_kart": 3, "track": "lighthouse", "view": view, "events": True}
+        with race_v0.parallel_env(**options, opponents=["pursuit"], agents=2) as env:
+            env.reset(seed=1)
+            for _ in range(3):
+                env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+
+
+def stepper_arguments():
+    """An engine as the kernel sees it: two players, two karts and an item in one block."""
+    kart = struct.pack("<?ii", True, 0, 1) + struct.pack("<i3si3s", 3, b"abc", 3, b"gnu")
+    kart += b"".join(struct.pack("<ii", 1, n) + bytes(4 * n) for n in (3, 4, 3, 3, 3, 3))
+    kart += bytes(66)
+    item = bytes(5) + struct.pack("<ii", 1, 3) + bytes(12 + 8)
+    block = struct.pack("<fi", 0.5, 2) + bytes(12) + struct.pack("<i", 2) + 2 * kart
+    block += struct.pack("<i", 1) + item
+    point = SimpleNamespace(speed=1.0, angular_velocity=(0.0, 1.0, 2.0))
+    world = SimpleNamespace(
+        karts=[point, point], phase="go", time=0.5, aux_ticks=3.0, update=lambda: None
+    )
+    world.block = block
+    world.__getstate__ = lambda: (world.block,)
+    race = SimpleNamespace(
+        step=lambda *_: True,
+        get_kart_action=lambda _: SimpleNamespace(**dict.fromkeys(CONTROLS, 0.0)),
+    )
+    actions = [SimpleNamespace(), SimpleNamespace()]
+    return race, world, actions, CONTROLS, {"go": 2}, 3, (1,)
+
+
+# ------------------------------------------------------------------ bad calls, made of good ones
+
+
+def bad_array(draw, array):
+    """The array with another length, type, order or content."""
+    kind = draw(
+        st.sampled_from(["shorter", "longer", "empty", "content", "type", "strided", "fixed"])
+    )
+    flat = array.reshape(-1)
+    if kind == "shorter":
+        return flat[:-1].copy()
+    if kind == "longer":
+        return np.concatenate([flat, flat[:1], np.zeros(1, array.dtype)])
+    if kind == "empty":
+        return np.zeros((0,) * max(array.ndim, 1), array.dtype)
+    if kind == "type":
+        dtype = draw(st.sampled_from(["f4", "f8", "i1", "i4", "i8", "?", ">f4", "O"]))
+        with np.errstate(all="ignore"):
+            return array.astype(dtype)
+    if kind == "strided":
+        return np.repeat(array, 2, axis=-1)[..., ::2] if array.ndim else array
+    changed = array.copy()
+    if kind == "fixed":
+        changed.flags.writeable = False
+        return changed
+    values = [value for value in (*WHOLE, *REAL) if fits(value, array.dtype)]
+    for _ in range(draw(st.integers(1, 3))):
+        if changed.size:
+            place = draw(st.integers(0, changed.size - 1))
+            changed.reshape(-1)[place] = draw(st.sampled_from(values))
+    return changed
+
+
+def fits(value, dtype):
+    if dtype.kind in "fO":
+        return True
+    is_whole = isinstance(value, int)
+    return is_whole and (dtype.kind == "b" or np.iinfo(dtype).min <= value <= np.iinfo(dtype).max)
+
+
+def bad_bytes(draw, data):
+    """A snapshot that is cut, or whose records hold other numbers."""
+    if draw(st.booleans()) or len(data) < HEADER_DTYPE.itemsize:
+        size = draw(st.integers(0, len(data) + 8))
+        return (data + bytes(8))[:size]
+    changed = bytearray(data)
+    for _ in range(draw(st.integers(1, 3))):
+        end = draw(st.sampled_from([len(data), min(len(data), HEADER_DTYPE.itemsize + 600)]))
+        place = 4 * draw(st.integers(0, end // 4 - 1))
+        number = draw(st.sampled_from([*REAL, *WHOLE[:-1]]))
+        code = "<f" if isinstance(number, float) else "<i"
+        changed[place : place + 4] = struct.pack(code, number)
+    return bytes(changed)
+
+
+def bad(draw, value):
+    """Another value in place of an argument, or inside of it."""
+    if draw(st.integers(0, 9)) == 0:
+        return draw(st.sampled_from(OBJECTS))
+    if isinstance(value, np.ndarray):
+        return bad_array(draw, value)
+    if isinstance(value, bytes):
+        return bad_bytes(draw, value)
+    if isinstance(value, (tuple, list)) and value:
+        return with_bad_part(draw, value)
+    if isinstance(value, dict) and value:
+        key = draw(st.sampled_from(list(value)))
+        return {**value, key: bad(draw, value[key])}
+    if isinstance(value, float):
+        return draw(st.sampled_from(REAL))
+    return draw(st.sampled_from(WHOLE) if isinstance(value, int) else st.sampled_from(OBJECTS))
+
+
+def with_bad_part(draw, values):
+    """The sequence with another value at one place, or without one."""
+    place = draw(st.integers(0, len(values) - 1))
+    parts = list(values)
+    if draw(st.integers(0, 4)) == 0:
+        del parts[place]
+    else:
+        parts[place] = bad(draw, parts[place])
+    return tuple(parts) if isinstance(values, tuple) else parts
+
+
+def own(value):
+    """The same with arrays of its own, in which the kernel may write."""
+    if isinstance(value, np.ndarray):
+        return value.copy()
+    if type(value) in (tuple, list):
+        return type(value)(map(own, value))
+    return {key: own(part) for key, part in value.items()} if isinstance(value, dict) else value
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in kernel._TWINS if name != "layouts"])
+def test_bad_arguments_are_taken_or_refused(cases, name):
+    assert cases[name], "no race has called it"
+
+    @settings(
+        max_examples=150,
+        deadline=None,
+        derandomize=True,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(st.data())
+    def call(data):
+        args, kwargs, method, values = own(data.draw(st.sampled_from(cases[name]), "case"))
+        for _ in range(data.draw(st.integers(1, 2))):
+            if args and (not values or data.draw(st.booleans())):
+                args = with_bad_part(data.draw, args)
+            elif values:
+                values = with_bad_part(data.draw, values)
+        try:
+            made = getattr(kernel, name)(*args, **kwargs)
+            if method is not None:
+                getattr(made, method)(*values)
+        except REFUSALS:
+            return
+
+    call()
+
+
+# ------------------------------------------------------------------ what was read or written astray
+
+
+def test_controls_may_be_at_any_address():
+    race, world, actions, *rest = stepper_arguments()
+    stepper = kernel.GameStepper(race, world, actions, *rest)
+    controls = np.arange(14, dtype=np.float32)
+    stepper.step(memoryview(b"??????" + controls.tobytes())[6:])
+    assert [action.acceleration for action in actions] == [0.0, 7.0]
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_an_engine_without_a_method_is_refused(place):
+    arguments = list(stepper_arguments())
+    arguments[place] = SimpleNamespace()
+    with pytest.raises(AttributeError):
+        kernel.GameStepper(*arguments)
+
+
+def test_a_block_that_promises_more_items_than_it_has_is_refused():
+    race, world, *rest = stepper_arguments()
+    stepper = kernel.GameStepper(race, world, *rest)
+    world.block = world.block[:-ITEM_SIZE] + struct.pack("<i", 2**31 - 1)
+    with pytest.raises(ValueError, match="shorter than its items"):
+        stepper.read(True)
+
+
+@pytest.mark.parametrize("place", [float("nan"), float("inf"), 1e30])
+def test_a_kart_that_is_nowhere_sees_the_line_of_its_segment(cases, place):
+    args, _, _, (data, who, out) = cases["RacingObserver"][0]
+    karts = np.frombuffer(data, KART_DTYPE, len(who), HEADER_DTYPE.itemsize).copy()
+    karts["location"] = place
+    start, end = HEADER_DTYPE.itemsize, HEADER_DTYPE.itemsize + karts.nbytes
+    kernel.RacingObserver(*args).observe(data[:start] + karts.tobytes() + data[end:], who, out)
+
+
+def test_a_plan_for_an_item_beyond_the_nearest_ones_keeps_to_the_road():
+    table, *arguments = random_arguments(0, count=1)
+    lost, none = (table._replace(items=np.full_like(table.items, number)) for number in (10**6, -1))
+    out = np.empty((2, 3, 1, 4), np.float32)
+    kernel.weigh_plans(lost, *arguments, out[0])
+    kernel.weigh_plans(none, *arguments, out[1])
+    assert (out[0] == out[1]).all()
+
+
+def test_a_table_without_rows_is_refused():
+    with pytest.raises(ValueError, match="row for each whole number"):
+        kernel.ActionReader((), (((0.0, -1.0, True, 0, np.zeros(7, np.float32)),),), 7)
+
+
+def test_a_number_may_drop_the_action_that_it_is_part_of():
+    class Dropping(int):
+        def __float__(self):
+            actions.clear()
+            return 1.0
+
+    actions = {"kart_0": {"first": Dropping(1), "second": 1}}
+    leaves = tuple(((0.0, 1.0, True, column, None),) for column in range(2))
+    reader = kernel.ActionReader(("first", "second"), leaves, 2)
+    controls = np.zeros(2, np.float32)
+    assert reader.read(actions, ("kart_0",), np.zeros(1, np.intp), controls)
+    assert controls.tolist() == [1.0, 1.0]
+
+
+def test_choices_with_less_than_no_values_are_refused():
+    joined = np.array([10, -5])
+    with pytest.raises(ValueError, match="too few or many values"):
+        kernel.KartObserver(("phase", "jumping"), 0, 0, 0, flat=True, joined=joined)
+
+
+def test_names_that_are_no_text_are_refused():
+    with pytest.raises(ValueError, match="text"):
+        kernel.KartObserver((1,))
+
+
+def test_an_entry_that_is_no_tuple_is_refused():
+    with pytest.raises(ValueError, match="an entry is a tuple"):
+        kernel.ActionReader((), ((None,),), 7)
