@@ -1,8 +1,8 @@
-"""Runs code that was written for ``pystk2_gymnasium`` on stkzoo.
+"""Runs code written for ``pystk2_gymnasium`` on stkzoo.
 
-Importing this module makes ``import pystk2_gymnasium``, its submodules and its ids resolve to
-stkzoo's own, also where the real one is installed. Import it before the real one. What differs
-on purpose is listed in ``docs/reference/differences.md``.
+After you import this module, ``import pystk2_gymnasium``, its submodules and its environment ids
+resolve to stkzoo, even if the original package is installed. Import this module before the
+original package. ``docs/reference/differences.md`` lists the intended differences.
 
 >>> import stkzoo.compat
 >>> from pystk2_gymnasium.envs import AgentSpec, STKRaceEnv
@@ -21,14 +21,14 @@ _NAME = "pystk2_gymnasium"
 
 
 def install(*, replace: bool = True) -> bool:
-    """Makes ``pystk2_gymnasium``, with its submodules and ids, resolve to stkzoo.
+    """Makes ``pystk2_gymnasium``, its submodules and its environment ids resolve to stkzoo.
 
     Args:
-        replace: also where the real one has been imported. Names that code has imported from it
-            stay the real ones; a warning says so once.
+        replace: also replace the original package if it is already imported. Names that other code
+            has imported from it keep referring to the original; a warning reports this once.
 
     Returns:
-        Whether it resolves to stkzoo now.
+        Whether ``pystk2_gymnasium`` resolves to stkzoo now.
     """
     ours = modules()
     present = sys.modules.get(_NAME, ours[_NAME])

@@ -1,4 +1,4 @@
-"""Options of an agent and of its start, as users write them."""
+"""Options for one agent and for the start of a race."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from stkzoo.names import CameraMode
 
 __all__ = ["AgentSpec", "RandomStart", "Start", "start_of"]
 
-#: Top speed of karts without nitro and bonuses [m/s].
+#: Top speed of a kart without nitro or zippers [m/s].
 _MAX_START_SPEED = 25.0
 
 
 @check_arguments
 @dataclass
 class AgentSpec:
-    """One agent of a race. Fields may be set after construction, until the next reset.
+    """Options of one agent. You may change fields after construction; the next reset applies them.
 
     Attributes:
-        rank_start: place on the starting grid, 0 in front; ``None`` draws a free one
+        rank_start: position on the starting grid, 0 is the front; ``None`` draws a free position
             at every reset.
-        use_ai: the game's own AI drives; the agent's actions are ignored and its
-            observation carries the AI's choice under ``action``.
-        name: the player's name.
-        camera_mode: whether the kart has a camera when the game draws itself; also by name,
-            such as ``"ON"``.
-        kart: kart model, such as ``"gnu"`` (``stkzoo assets status`` lists them);
-            empty for the game's default.
-        color: hue shift in [0, 1]; 0 leaves the kart as it is.
+        use_ai: let the game's AI drive this kart. The environment ignores the agent's actions and
+            adds the AI's choice to its observation as ``action``.
+        name: player name.
+        camera_mode: whether the kart has a camera when the game renders the race. Also accepts a
+            name, such as ``"ON"``.
+        kart: kart model, such as ``"gnu"`` (``stkzoo assets status`` lists them); an empty string
+            selects the game's default.
+        color: hue shift of the kart, in [0, 1]; 0 keeps the original color.
     """
 
     rank_start: int | None = None
@@ -43,15 +43,15 @@ class AgentSpec:
 
     @classmethod
     def of(cls, value: AgentSpec | Mapping[str, object], name: str = "agent") -> AgentSpec:
-        """The spec, or that of a mapping of its fields, as JSON and YAML have them.
+        """Converts a mapping of fields, for example from JSON or YAML, to a spec.
 
         Args:
-            value: a spec, which is returned as it is, or a mapping; its ``camera_mode`` may be a
-                number.
-            name: what the value is for, such as ``"agent 0"``.
+            value: a spec, which is returned unchanged, or a mapping of its fields. ``camera_mode``
+                may also be a number.
+            name: name of the value in error messages, such as ``"agent 0"``.
 
         Raises:
-            ConfigError: it is neither, or a field is unknown.
+            ConfigError: the value is neither a spec nor a mapping, or a field is unknown.
         """
         if isinstance(value, AgentSpec):
             return value
@@ -72,18 +72,19 @@ class AgentSpec:
 @check_arguments
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Start:
-    """A place on the track to start from, and how fast.
+    """A start position on the track, with heading and speed.
 
     Attributes:
-        distance: along the centre line from the start line on [m]; below 0 is before it.
-        share: the same as a share of the lap, from 0 up to 1; give one of both.
-        offset: to the right of the centre line [m].
-        heading: to the right of the road's direction [rad].
-        speed: forwards [m/s].
-        behind: distance before that place [m].
+        distance: distance along the centre line from the start line [m]; negative before the line.
+        share: position along the lap as a fraction, 0 to 1. Give either ``distance`` or ``share``.
+        offset: lateral offset from the centre line [m], positive to the right.
+        heading: angle from the direction of the road [rad], positive to the right.
+        speed: forward speed [m/s].
+        behind: distance to move the start back along the road [m].
 
     Raises:
-        ConfigError: a number is out of range.
+        ConfigError: a number is out of range, or both or neither of ``distance`` and ``share`` are
+            given.
     """
 
     distance: float | None = None
@@ -109,16 +110,16 @@ class Start:
 @check_arguments
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RandomStart:
-    """Starts drawn at every reset, each number uniformly between two bounds.
+    """Start positions drawn at every reset, each value uniformly between two bounds.
 
     Attributes:
-        share: where, as a share of the lap, from 0 up to 1.
-        offset: to the right of the centre line [m].
-        heading: to the right of the road's direction [rad].
-        speed: forwards [m/s].
+        share: bounds of the position along the lap as a fraction, 0 to 1.
+        offset: bounds of the lateral offset from the centre line [m], positive to the right.
+        heading: bounds of the angle from the direction of the road [rad], positive to the right.
+        speed: bounds of the forward speed [m/s].
 
     Raises:
-        ConfigError: bounds are invalid.
+        ConfigError: a bound is out of range, or the lower bound exceeds the upper one.
     """
 
     share: tuple[float, float] = (0.0, 1.0)
@@ -137,13 +138,14 @@ class RandomStart:
 
 
 def start_of(values: Mapping[str, object]) -> Start | RandomStart:
-    """The start of a mapping of its fields, as JSON and YAML have them.
+    """Converts a mapping of fields, for example from JSON or YAML, to a start.
 
     Args:
-        values: fields of a :class:`Start`; with pairs, those of a :class:`RandomStart`.
+        values: fields of a :class:`Start`. If any value is a pair of bounds, fields of a
+            :class:`RandomStart`.
 
     Raises:
-        ConfigError: a field is unknown or its value invalid.
+        ConfigError: a field is unknown or its value is invalid.
     """
     pairs = {name: tuple(pair) for name, pair in values.items() if isinstance(pair, (tuple, list))}
     kind: Any = RandomStart if pairs else Start

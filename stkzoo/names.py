@@ -1,7 +1,7 @@
-"""Numbered kinds by name; those of the game have the engine's own numbers.
+"""Enumerations of the numeric codes in observations; most codes are the engine's own.
 
-The engine is not loaded for this; when a race starts, the numbers are checked
-against the engine that runs it (:mod:`stkzoo.engine.race`).
+Importing this module does not load the engine. When a race starts, :mod:`stkzoo.engine.race`
+compares these numbers with those of the engine.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ __all__ = ["AttachmentType", "CameraMode", "GroundKind", "ItemType", "Phase", "P
 
 
 class Phase(IntEnum):
-    """Part of the race, as observations carry it under ``phase``."""
+    """Phase of the race, in the observation entry ``phase``."""
 
     READY_PHASE = 0
     SET_PHASE = 1
@@ -21,7 +21,7 @@ class Phase(IntEnum):
 
 
 class PowerupType(IntEnum):
-    """What a kart can fire (``powerup_type``)."""
+    """Powerup that a kart can fire, in the observation entry ``powerup_type``."""
 
     NOTHING = 0
     BUBBLEGUM = 1
@@ -37,7 +37,10 @@ class PowerupType(IntEnum):
 
 
 class AttachmentType(IntEnum):
-    """What hangs on a kart (``attachment``). Other numbers do not occur."""
+    """Object attached to a kart, in the observation entry ``attachment``.
+
+    The gaps in the numbering never occur.
+    """
 
     PARACHUTE = 0
     ANVIL = 1
@@ -48,7 +51,10 @@ class AttachmentType(IntEnum):
 
 
 class ItemType(IntEnum):
-    """What lies on the track (``items_type``). Other numbers do not occur."""
+    """Kind of an item on the track, in the observation entry ``items_type``.
+
+    The gaps in the numbering never occur.
+    """
 
     BONUS_BOX = 0
     BANANA = 1
@@ -59,7 +65,7 @@ class ItemType(IntEnum):
 
 
 class CameraMode(IntEnum):
-    """Whether a kart has a camera of its own when the game draws itself."""
+    """Whether a kart has its own camera when the game renders the race."""
 
     AUTO = 0
     ON = 1
@@ -67,10 +73,10 @@ class CameraMode(IntEnum):
 
 
 class GroundKind(IntEnum):
-    """What karts drive on and run into (``ground_kind``): numbers of stkzoo, not the game's."""
+    """Kind of surface in the observation entry ``ground_kind``. stkzoo defines these numbers."""
 
-    VOID = 0  # nothing to drive on, or what puts karts back
+    VOID = 0  # no ground, or ground that resets karts to the road
     GROUND = 1
-    SLOWED = 2  # keeps only a share of a kart's greatest speed
-    ZIPPER = 3  # throws karts ahead
+    SLOWED = 2  # reduces the top speed
+    ZIPPER = 3  # accelerates karts
     WALL = 4

@@ -1,6 +1,6 @@
-"""PettingZoo's module for the race: ``parallel_env``, and ``env``/``raw_env`` in AEC form.
+"""The race as a PettingZoo module: ``parallel_env``, and ``env`` and ``raw_env`` for the AEC API.
 
-All take the keywords of :class:`stkzoo.env.parallel.RaceParallelEnv`.
+All three take the keyword arguments of :class:`stkzoo.env.parallel.RaceParallelEnv`.
 """
 
 from __future__ import annotations
@@ -17,13 +17,29 @@ __all__ = ["env", "parallel_env", "raw_env"]
 
 
 def raw_env(**options: Any) -> AECEnv[str, Any, Any]:
-    """The race in AEC form: agents act in turn, the race moves when all have acted."""
+    """Returns the race as an AEC environment, which advances after every agent has acted.
+
+    Args:
+        **options: keyword arguments of :class:`stkzoo.env.parallel.RaceParallelEnv`.
+
+    Raises:
+        ConfigError: an argument is invalid.
+        AssetError: the game's data is missing.
+    """
     return parallel_to_aec(parallel_env(**options))
 
 
 def env(**options: Any) -> AECEnv[str, Any, Any]:
-    """:func:`raw_env` with PettingZoo's guard against calls in the wrong order.
+    """Returns :func:`raw_env` inside PettingZoo's ``OrderEnforcingWrapper``.
 
-    Actions need no clipping or bounds wrapper: the race refuses what is out of bounds.
+    The environment needs no wrapper that clips or checks actions, because the race rejects actions
+    that are out of bounds.
+
+    Args:
+        **options: keyword arguments of :class:`stkzoo.env.parallel.RaceParallelEnv`.
+
+    Raises:
+        ConfigError: an argument is invalid.
+        AssetError: the game's data is missing.
     """
     return OrderEnforcingWrapper(raw_env(**options))

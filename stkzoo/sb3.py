@@ -1,4 +1,4 @@
-"""Many races for Stable-Baselines3: one policy drives every agent of every race.
+"""Vectorized races for Stable-Baselines3, in which one policy controls every agent.
 
 >>> from stkzoo.sb3 import ActiveDictRolloutBuffer, RaceVecEnv
 >>> from stable_baselines3 import PPO
@@ -8,8 +8,8 @@
 ... )
 >>> envs.close()
 
-Needs the extra ``sb3`` (in a checkout, ``pip install ".[sb3]"``). Nothing else in stkzoo imports
-Stable-Baselines3.
+This module needs the ``sb3`` extra (in a checkout, ``pip install ".[sb3]"``). ``import stkzoo``
+does not import it.
 """
 
 from __future__ import annotations
@@ -84,37 +84,39 @@ Indices = None | int | Iterable[int]
 
 
 class RaceVecEnv(VecEnv):
-    """Races side by side, in which every agent of every race is an environment.
+    """A Stable-Baselines3 ``VecEnv`` in which every agent of every race is one environment.
 
-    A form of :class:`~stkzoo.env.vec.env.RaceVectorEnv`, where slots, ends and crashes are
-    described. An *idle* slot, whose agent has finished while others of its race still
-    drive, is done in every step: its steps are episodes of one step, of all-zero
-    observations and no reward, so that nothing flows from them into real ones. To keep
-    them out of the updates altogether, give the algorithm
-    ``rollout_buffer_class=ActiveDictRolloutBuffer`` (or :class:`ActiveRolloutBuffer` with
-    ``flat_observations``). They do count as timesteps.
+    It wraps :class:`~stkzoo.env.vec.env.RaceVectorEnv`, which documents slots, episode ends and
+    crashes. A slot is *idle* after its agent has finished while other agents of its race still
+    drive. An idle slot reports ``done`` in every step, with an all-zero observation and no reward:
+    each of its steps is an episode of length one, so no value is bootstrapped between idle and real
+    steps. To exclude idle steps from updates, pass
+    ``rollout_buffer_class=ActiveDictRolloutBuffer`` to the algorithm (or
+    :class:`ActiveRolloutBuffer` with ``flat_observations``). Idle steps still count as timesteps.
 
-    **Infos**, a dict for each slot: the agent's own, ``active``, ``track``, and where an
-    episode has ended ``terminal_observation``, ``TimeLimit.truncated`` and ``episode`` (return
-    ``r``, length ``l``, seconds ``t`` since this was made), from which Stable-Baselines3 logs its
-    means without a ``VecMonitor``.
+    **Infos** are one dict per slot: the agent's own entries, ``active`` and ``track``. At the end
+    of an episode they also hold ``terminal_observation``, ``TimeLimit.truncated`` and ``episode``
+    (return ``r``, length ``l``, and time ``t`` since construction [s]). Stable-Baselines3 logs its
+    means from ``episode``, without a ``VecMonitor``.
 
     Args:
-        num_races: how many races.
-        view: as for :class:`~stkzoo.env.vec.env.RaceVectorEnv`; its actions must be one
-            array (``flattened_discrete``, ``flattened_multidiscrete``,
-            ``flattened_continuous_actions``).
-        flat_observations: observations as one ``Box``, as :func:`gymnasium.spaces.flatten`
-            makes it, for ``"MlpPolicy"``; otherwise the view's, for ``"MultiInputPolicy"``.
-        prefetch: as for :class:`~stkzoo.env.vec.env.RaceVectorEnv`.
-        **options: those of :class:`~stkzoo.env.parallel.RaceParallelEnv`.
+        num_races: number of races.
+        view: see :class:`~stkzoo.env.vec.env.RaceVectorEnv`. Actions must be a single array, as in
+            ``flattened_discrete``, ``flattened_multidiscrete`` and
+            ``flattened_continuous_actions``.
+        flat_observations: flatten each observation to one ``Box``, like
+            :func:`gymnasium.spaces.flatten`, for ``"MlpPolicy"``. By default, observations keep the
+            form of the view, for ``"MultiInputPolicy"``.
+        prefetch: see :class:`~stkzoo.env.vec.env.RaceVectorEnv`.
+        **options: options of :class:`~stkzoo.env.parallel.RaceParallelEnv`.
 
     Attributes:
-        races: the same races as a Gymnasium vector environment; step them through this one
-            alone.
+        races: the same races as a Gymnasium vector environment. Use it for inspection only; step
+            the races through this object.
 
     Raises:
-        ConfigError: an argument is invalid, or Stable-Baselines3 cannot act in the view.
+        ConfigError: an argument is invalid, or Stable-Baselines3 does not support the view's
+            actions.
         AssetError: the game's data is missing.
     """
 
@@ -150,18 +152,18 @@ class RaceVecEnv(VecEnv):
 
     @property
     def num_crashes(self) -> int:
-        """How often the game died or hung, in all races together."""
+        """Number of times the game crashed or hung, over all races."""
         return self.races.num_crashes
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Seeds the next :meth:`reset`: race number ``n`` with ``seed + n``.
+        """Seeds the next :meth:`reset`: race ``n`` gets ``seed + n``.
 
         Args:
-            seed: a whole number; ``None`` draws one from numpy's global stream, as
+            seed: a whole number; ``None`` draws one from numpy's global random state, as
                 Stable-Baselines3 does.
 
         Returns:
-            Every slot's seed, which is that of its race.
+            The seed of each slot's race.
         """
         if seed is None:
             seed = int(np.random.randint(0, np.iinfo(np.uint32).max, dtype=np.uint32))
@@ -169,10 +171,10 @@ class RaceVecEnv(VecEnv):
         return [given for given in self._race_seeds for _ in range(self.races.num_agents)]
 
     def reset(self) -> Any:
-        """New races everywhere; infos are in ``reset_infos``.
+        """Starts a new race in every environment and stores the infos in ``reset_infos``.
 
-        Of ``set_options``, those of a race's first slot are the race's, for one episode. Options
-        that hold until you change them: ``races.set_options``.
+        Options from ``set_options`` hold for one episode; each race uses those of its first slot.
+        For options that hold until you change them, call ``races.set_options``.
 
         Returns:
             Observations of all slots.
@@ -185,21 +187,20 @@ class RaceVecEnv(VecEnv):
         return self._batch(steps.observations)
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
-        """Asks all races for a step, which they take while the caller goes on.
+        """Starts a step of all races and returns before it is done.
 
         Args:
-            actions: one for each slot; those of idle slots are not looked at.
+            actions: one action per slot; actions of idle slots are ignored.
         """
         self.races.step_async(actions)
 
     def step_wait(
         self,
     ) -> tuple[Any, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]:
-        """What came of the step that :meth:`step_async` asked for.
+        """Waits for the step that :meth:`step_async` started.
 
         Returns:
-            Observations, rewards ``(num_envs,)`` float32, whose episode has ended
-            ``(num_envs,)`` bool, and infos.
+            Observations, rewards ``(num_envs,)`` float32, dones ``(num_envs,)`` bool, and infos.
         """
         steps = self.races.wait_slots()
         done = steps.terminations | steps.truncations | ~steps.active
@@ -211,22 +212,22 @@ class RaceVecEnv(VecEnv):
         return self._batch(steps.observations), steps.rewards.astype(np.float32), done, infos
 
     def close(self) -> None:
-        """Ends the games."""
+        """Stops the game processes."""
         self.races.close()
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """An attribute of each slot's race, which is a ``RaceParallelEnv``."""
+        """Returns an attribute of each slot's race, a ``RaceParallelEnv``."""
         return [getattr(self._race(slot), attr_name) for slot in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Sets an attribute of the slots' races, such as ``max_cycles``."""
+        """Sets an attribute, such as ``max_cycles``, on the race of each selected slot."""
         for slot in self._get_indices(indices):
             setattr(self._race(slot), attr_name, value)
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Calls a method of the slots' races, once for each race; the result by slot."""
+        """Calls a method once per race of the selected slots; returns its result per slot."""
         numbers = [slot // self.races.num_agents for slot in self._get_indices(indices)]
         results = {
             number: getattr(self.races.races[number], method_name)(*method_args, **method_kwargs)
@@ -237,14 +238,17 @@ class RaceVecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Indices = None
     ) -> list[bool]:
-        """Whether each slot has a wrapper: a ``Monitor`` only, whose infos are here too."""
+        """Returns, per slot, whether it has this wrapper.
+
+        The answer is ``True`` for ``Monitor`` only, because the infos include what it records.
+        """
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]
 
     def _race(self, slot: int) -> Any:
         return self.races.races[slot // self.races.num_agents]
 
     def _ended(self, steps: SlotSteps, slot: int) -> dict[str, Any]:
-        """The info of a slot whose episode has ended in this step, or that idles."""
+        """Returns the info of a slot whose episode ended in this step, or which is idle."""
         last, info = steps.finals.get(slot) or (copy.deepcopy(self.races.idle_observation), {})
         age = round(time.monotonic() - self._born, 6)
         episode = {"episode": {**info["episode"], "t": age}} if "episode" in info else {}
@@ -266,13 +270,13 @@ class RaceVecEnv(VecEnv):
 
 
 def _infos(steps: SlotSteps) -> list[dict[str, Any]]:
-    """Each slot's info with its race's track."""
+    """Returns each slot's info, with the track of its race added."""
     pairs = zip(steps.infos, steps.tracks, strict=True)
     return [{**info, "track": track} for info, track in pairs]
 
 
 def _flat_parts(space: spaces.Space[Any], batch: Any, count: int) -> list[npt.NDArray[Any]]:
-    """What :func:`gymnasium.spaces.flatten` makes of each row, part by part."""
+    """Flattens each row as :func:`gymnasium.spaces.flatten` does, one array per part."""
     if isinstance(space, spaces.Dict):
         parts: Mapping[str, spaces.Space[Any]] = space.spaces
         return [flat for key in parts for flat in _flat_parts(parts[key], batch[key], count)]
@@ -286,28 +290,33 @@ def _flat_parts(space: spaces.Space[Any], batch: Any, count: int) -> list[npt.ND
 
 
 class ActiveRolloutBuffer(RolloutBuffer):
-    """A rollout buffer that gives out no steps of idle slots.
+    """A rollout buffer that leaves out the steps of idle slots.
 
-    For ``rollout_buffer_class`` of PPO and A2C with a :class:`RaceVecEnv`. Idle steps are
-    known by being whole episodes of one step, which no race is; so it works through
-    wrappers of the environment too. Batches are as large as asked for, but fewer.
+    Pass it as ``rollout_buffer_class`` to PPO or A2C with a :class:`RaceVecEnv`. It recognizes an
+    idle step as an episode of length one, which no race produces, so it also works with wrapped
+    environments. Batches have the usual size; there are fewer of them.
 
     Attributes:
-        active: indices of the real steps, slot after slot, as they lie in the buffer once batches
-            have been asked for.
+        active: indices of the real steps in the flattened buffer, slot by slot. Set by
+            :meth:`compute_returns_and_advantage`.
     """
 
     def compute_returns_and_advantage(
         self, last_values: torch.Tensor, dones: npt.NDArray[Any]
     ) -> None:
-        """As :class:`RolloutBuffer` does; also finds out which steps are real."""
+        """Computes returns and advantages, and determines which steps are real.
+
+        Args:
+            last_values: value estimates of the last observations, ``(num_envs,)``.
+            dones: ``(num_envs,)`` whether the last step ended each slot's episode.
+        """
         super().compute_returns_and_advantage(last_values, dones)
         starts = self.episode_starts.astype(np.bool_)
         ends = np.vstack([starts[1:], dones.astype(np.bool_)[None]])
         self.active = np.flatnonzero(~(starts & ends).T)  # slot after slot, as steps lie flat
 
     def get(self, batch_size: int | None = None) -> Generator[Any, None, None]:
-        """The real steps in random order, ``batch_size`` at a time."""
+        """Yields the real steps in random order, in batches of ``batch_size``."""
         next(super().get(1))  # lays the steps flat
         order = np.random.permutation(self.active)
         size = batch_size or max(len(order), 1)
@@ -316,28 +325,29 @@ class ActiveRolloutBuffer(RolloutBuffer):
 
 
 class ActiveDictRolloutBuffer(ActiveRolloutBuffer, DictRolloutBuffer):
-    """:class:`ActiveRolloutBuffer` for observations that are dicts."""
+    """:class:`ActiveRolloutBuffer` for dictionary observations."""
 
 
 def save_agent(
     model: OnPolicyAlgorithm, folder: str | os.PathLike[str], *, view: str, name: str
 ) -> str:
-    """Writes a trained policy as an agent that races: a ``pystk_actor.py`` and its weights.
+    """Writes a trained policy as an agent folder: a ``pystk_actor.py`` and the weights.
 
-    The agent takes the most likely action. It evaluates the network with numpy, so that it
-    starts at once and needs neither torch nor Stable-Baselines3.
+    The agent picks the most likely action. It evaluates the network with numpy, so it starts
+    quickly and needs neither PyTorch nor Stable-Baselines3.
 
     Args:
-        model: PPO or A2C with ``"MlpPolicy"``, tanh or ReLU.
-        folder: made if it does not exist; files in it of the same names are replaced.
-        view: the view that the policy was trained in, such as ``"racing"``.
+        model: a PPO or A2C model with ``"MlpPolicy"`` and tanh or ReLU activations.
+        folder: the agent's folder, created if necessary. Existing files of the same names are
+            replaced.
+        view: name of the view in which the policy was trained, such as ``"racing"``.
         name: the agent's ``player_name``.
 
     Returns:
         The folder, for :func:`stkzoo.race.run_race` or ``stkzoo race``.
 
     Raises:
-        ConfigError: the policy is of another kind, or there is no such view.
+        ConfigError: the policy is not supported, or the view does not exist.
     """
     policy = model.policy
     if view not in VIEWS:

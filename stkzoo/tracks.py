@@ -1,8 +1,8 @@
-"""The fixed split of the game's race tracks, so that "unseen tracks" means one thing.
+"""The fixed split of the race tracks into training and test tracks.
 
-The six test tracks are short and long ones, with and without forks, easy and hard for
-simple drivers; nothing that learns may be trained or tuned on them. ``black_forest`` is a
-training track although a lap takes four times as long as the shortest one's.
+The six test tracks mix short and long tracks, with and without forks, easy and hard for simple
+drivers. Do not train or tune on them. ``black_forest`` is a training track, although its lap
+takes four times as long as the shortest one.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ TRAIN_TRACKS = (
     "volcano_island",
 )
 
-#: Track lists by name; ``track="train"`` draws one of them at every reset.
+#: Track names by split. With ``track="train"``, every reset draws a track of that split.
 SPLITS = {
     "all": tuple(sorted(TRAIN_TRACKS + TEST_TRACKS)),
     "train": TRAIN_TRACKS,

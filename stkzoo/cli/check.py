@@ -74,7 +74,8 @@ def run(arguments: argparse.Namespace) -> int:
 def _show(report: AgentReport, arguments: argparse.Namespace) -> None:
     from stkzoo.cli._console import say
 
-    say(f"{report.name}: {report.steps} steps, {report.distance:.0f} m on {arguments.track}")
+    steps = "1 step" if report.steps == 1 else f"{report.steps} steps"
+    say(f"{report.name}: {steps}, {report.distance:.0f} m on {arguments.track}")
     if report.load_time is not None:
         say(f"  loading   {report.load_time:.1f} s (limit {arguments.start_timeout:g} s)")
     if report.thinking_time is not None:

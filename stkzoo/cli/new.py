@@ -14,6 +14,7 @@ Examples:
 from __future__ import annotations
 
 import argparse
+import json
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +32,7 @@ import numpy as np
 env_name = "supertuxkart/simple-v0"
 
 # The name in results.
-player_name = {name!r}
+player_name = {name}
 
 
 class State:
@@ -82,7 +83,7 @@ _POLICY = '''\
 env_name = "supertuxkart/{view}-v0"
 
 # The name in results.
-player_name = {name!r}
+player_name = {name}
 
 
 def get_actor(module_dir, observation_space, action_space):
@@ -143,7 +144,7 @@ def run(arguments: argparse.Namespace) -> int:
     quoted = shlex.quote(arguments.folder)
     archive = shlex.quote(f"{name}.zip")
     actor = _ACTOR if arguments.view == "simple" else _POLICY
-    source = actor.format(name=name, view=arguments.view)
+    source = actor.format(name=json.dumps(name, ensure_ascii=False), view=arguments.view)
     (folder / "pystk_actor.py").write_text(source, encoding="utf-8")
     readme = _README.format(name=name, folder=quoted, zip=archive)
     (folder / "README.md").write_text(readme, encoding="utf-8")

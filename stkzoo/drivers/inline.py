@@ -19,6 +19,10 @@ from stkzoo.drivers.instances import Decision, DriverRequest
 from stkzoo.errors import ActionError, AgentError, AgentTimeout
 from stkzoo.views.agent_chain import AgentChain
 
+#: Seconds until the alarm rings again: Python drops an exception that is raised in a destructor
+#: or in a callback of its garbage collector.
+_AGAIN = 0.5
+
 
 class InlineInstance:
     """A driver with its view, its wrappers and its state, in the program itself.
@@ -154,7 +158,7 @@ def _time_limit(seconds: float | None) -> Iterator[None]:
         raise _TooLate
 
     previous = signal.signal(signal.SIGALRM, end)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    signal.setitimer(signal.ITIMER_REAL, seconds, _AGAIN)
     try:
         yield
     finally:

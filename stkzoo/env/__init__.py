@@ -1,3 +1,3 @@
-"""The environments: the parallel core and the views derived from it."""
+"""The environments: the parallel environment, and the Gymnasium and vector environments on top."""
 
 __all__: list[str] = []

@@ -1,4 +1,4 @@
-"""The moment at which an environment's race is, and how it is kept, restored and copied."""
+"""Saving, restoring and cloning the current moment of an environment's race."""
 
 from __future__ import annotations
 
@@ -36,27 +36,33 @@ if TYPE_CHECKING:
 
 
 class ClonableEnv(EzPickle):
-    """An environment that can go on from where another of its kind is."""
+    """An environment that can continue from the state of another environment of its class."""
 
     if TYPE_CHECKING:
 
         def close(self) -> None:
-            """Ends the game's process."""
+            """Stops the game process."""
 
     def follow(self, other: Self) -> None:
-        """Goes on from where another environment is now, like a clone of it.
+        """Continues from the current state of another environment, like a clone of it.
 
-        Raises: as :meth:`clone`.
+        Args:
+            other: an environment of the same class with equal karts and agents.
+
+        Raises:
+            ApiOrderError: the other environment was not reset yet.
+            AgentException: an agent's wrapper holds an object that cannot be copied.
+            EngineError: this platform cannot fork races, or the game crashed.
         """
         raise NotImplementedError
 
     def clone(self) -> Self:
-        """An environment of its own that goes on from this moment.
+        """Returns an independent environment that continues from this moment.
 
         Raises:
-            ApiOrderError: before the first ``reset``.
-            AgentException: an agent's wrapper holds something that cannot be copied.
-            EngineError: races are not forked here, or the game died.
+            ApiOrderError: called before the first ``reset``.
+            AgentException: an agent's wrapper holds an object that cannot be copied.
+            EngineError: this platform cannot fork races, or the game crashed.
         """
         make: Any = type(self)
         twin: Self = make(*self._ezpickle_args, **self._ezpickle_kwargs)
@@ -65,9 +71,12 @@ class ClonableEnv(EzPickle):
 
     @contextlib.contextmanager
     def lookahead(self) -> Iterator[Self]:
-        """A clone to try things in, closed at the end; this environment stays where it is.
+        """Yields a clone for trying actions and closes it at the end.
 
-        Raises: as :meth:`clone`.
+        Raises:
+            ApiOrderError: called before the first ``reset``.
+            AgentException: an agent's wrapper holds an object that cannot be copied.
+            EngineError: this platform cannot fork races, or the game crashed.
         """
         branch = self.clone()
         try:
@@ -77,13 +86,13 @@ class ClonableEnv(EzPickle):
 
 
 class BranchingRace(ClonableEnv):
-    """The moment at which :class:`~stkzoo.env.parallel.RaceParallelEnv` is, as a value too.
+    """Base class of ``RaceParallelEnv`` that saves, restores and clones its state.
 
     Args:
-        max_snapshots: how many saved states may be open at a time.
+        max_snapshots: maximum number of open saved states.
     """
 
-    # What RaceParallelEnv brings.
+    # RaceParallelEnv sets these.
     options: RaceOptions
     possible_agents: list[str]
     _assets: Assets
@@ -105,35 +114,35 @@ class BranchingRace(ClonableEnv):
 
     @property
     def race(self) -> RaceInfo | None:
-        """Names of the present race and its karts; ``None`` before the first reset."""
+        """Names of the current race and its karts; ``None`` before the first reset."""
         return self._episode.race if self._episode else None
 
     @property
     def scene(self) -> Scene | None:
-        """The present race as pictures need it; ``None`` before the first reset."""
+        """Data of the current race for rendering; ``None`` before the first reset."""
         return scene_of(self._episode) if self._episode else None
 
     @property
     def track_map(self) -> TrackMap | None:
-        """The present race's track; ``None`` before the first reset."""
+        """Map of the current track; ``None`` before the first reset."""
         return self._episode.track_map if self._episode else None
 
     @property
     def ground(self) -> Ground | None:
-        """What karts drive on and run into there; ``None`` before the first reset.
+        """Ground and walls of the current track; ``None`` before the first reset.
 
-        Read from the track's own meshes, which takes 1 to 7 s the first time in a program.
+        They are read from the track's meshes, which takes 1 to 7 s the first time.
         """
         return self._episode.ground if self._episode else None
 
     @property
     def snapshot(self) -> Snapshot | None:
-        """The present moment of the race; ``None`` before the first reset."""
+        """Snapshot of all karts at the current moment; ``None`` before the first reset."""
         return self._episode.snapshot if self._episode else None
 
     @property
     def np_random(self) -> np.random.Generator:
-        """The environment's random stream, which ``reset(seed=...)`` restarts."""
+        """The environment's random generator, which ``reset(seed=...)`` seeds."""
         if self._np_random is None:
             self._np_random, _ = seeding.np_random()
         return self._np_random
@@ -143,12 +152,12 @@ class BranchingRace(ClonableEnv):
         self._np_random = random
 
     def save_state(self) -> RaceState:
-        """Keeps this moment of the race; the race itself goes on as if nothing had been.
+        """Saves the current moment of the race, which continues unaffected.
 
         Raises:
-            ApiOrderError: before the first ``reset``, or with ``max_snapshots`` states open.
-            AgentException: an agent's wrapper holds something that cannot be copied.
-            EngineError: races are not forked here, or the game died.
+            ApiOrderError: called before the first ``reset``, or with ``max_snapshots`` states open.
+            AgentException: an agent's wrapper holds an object that cannot be copied.
+            EngineError: this platform cannot fork races, or the game crashed.
         """
         self._running("save_state")
         if self.num_snapshots >= self._max_snapshots:
@@ -162,10 +171,10 @@ class BranchingRace(ClonableEnv):
         return state
 
     def scenario(self) -> Scenario:
-        """This moment as a value that can be saved as a file and reached again elsewhere.
+        """Returns the current moment as a scenario, which can be saved and replayed elsewhere.
 
         Raises:
-            ApiOrderError: before the first ``reset``, or while a step is under way.
+            ApiOrderError: called before the first ``reset``, or while a step is running.
         """
         if self._asked is not None:
             raise ApiOrderError("a step is under way; call step_wait() first")
@@ -180,26 +189,35 @@ class BranchingRace(ClonableEnv):
         )
 
     def restore_state(self, state: RaceState) -> None:
-        """Goes on from a saved moment, with everything as it was then.
+        """Continues from a saved state, with everything as it was at that moment.
 
-        That includes the counts of the episode, the reward that it was saved with, what
-        wrappers remember and the random stream, so that the resets that follow repeat too.
-        The race that was running here ends.
+        This includes the counters of the episode, the reward of the environment that saved the
+        state, the state of wrappers, and the random generator, so later resets repeat too. The race
+        that was running in this environment ends.
+
+        Args:
+            state: a state of this environment, or of another one with the same karts and agents.
 
         Raises:
             ApiOrderError: the state was closed.
-            ConfigError: the state is of an environment with other karts or agents.
-            EngineError: races are not forked here, or the state's process was ended; this
-                environment's race goes on.
+            ConfigError: the state belongs to an environment with other karts or agents.
+            EngineError: this platform cannot fork races, or the state's process has ended; this
+                environment's race continues.
         """
         self._check_moment(_checked_state(state).moment)
         state.resume_in(self._session)
         self._go_on_from(state.moment)
 
     def follow(self, other: Self) -> None:
-        """Goes on from where another environment is now, like a clone of it.
+        """Continues from the current state of another environment, like a clone of it.
 
-        Raises: as :meth:`restore_state`.
+        Args:
+            other: an environment with the same karts and agents.
+
+        Raises:
+            ApiOrderError: the other environment was not reset yet.
+            ConfigError: the other environment has other karts or agents.
+            EngineError: this platform cannot fork races, or the game crashed.
         """
         other._running("clone")
         moment = other._moment()
@@ -210,21 +228,21 @@ class BranchingRace(ClonableEnv):
 
     @property
     def num_snapshots(self) -> int:
-        """How many states that this environment saved are open."""
+        """Number of open states that this environment saved."""
         return sum(state.is_open for state in self._states)
 
     def _end_race(self) -> None:
-        """There is no race until another has started."""
+        """Forgets the current race until another one starts."""
         self.agents: list[str] = []
         self._episode: Episode | None = None
-        self._asked: Episode | None = None  # whose step is under way
+        self._asked: Episode | None = None  # the episode with a running step
         if self._opponents is not None:
             self._opponents.close()
 
     def _from_state(
         self, state: object, options: Mapping[str, Any], options_now: RaceOptions
     ) -> tuple[list[str], Episode]:
-        """The agents of an episode that starts from a saved state, and the episode."""
+        """Returns the agents and the episode of a reset from a saved state."""
         kept = _checked_state(state)
         moment = kept.moment
         self._check_roster("state", moment.roster)
@@ -240,7 +258,7 @@ class BranchingRace(ClonableEnv):
     def _from_scenario(
         self, scenario: object, options: Mapping[str, Any], options_now: RaceOptions
     ) -> tuple[list[str], Episode]:
-        """The same from a scenario or its file."""
+        """Returns the agents and the episode of a reset from a scenario or its file."""
         _check_beside("scenario", options)
         if isinstance(scenario, (str, os.PathLike)):
             scenario = Scenario.load(scenario)
@@ -266,7 +284,7 @@ class BranchingRace(ClonableEnv):
         return [agent for agent in self.possible_agents if agent in scenario.agents], episode
 
     def _drivers_in(self, scenario: Scenario) -> tuple[Driver, ...]:
-        """The drivers of a scenario's opponents, which start at its moment."""
+        """Returns the drivers of a scenario's opponents, which start at its moment."""
         self._check_opponents(bool(scenario.opponents))
         if self._opponents is None:
             return ()
@@ -328,7 +346,7 @@ def _checked_state(state: object) -> RaceState:
 
 
 def _check_beside(what: str, options: Mapping[str, Any]) -> None:
-    """Checks that options of an episode do not choose what its state or scenario has chosen."""
+    """Rejects reset options that the saved state or scenario already determines."""
     own = {what, "num_kart", *OF_AN_EPISODE}
     both = ({*RaceOptions.__dataclass_fields__, "state"} - own) & set(options)
     if both:

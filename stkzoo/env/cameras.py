@@ -1,4 +1,4 @@
-"""Cameras of agents: one drawing of a moment for all that look at it."""
+"""Agents' cameras: each moment is rendered once for all of them."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class RaceCameras:
     """The cameras of all agents of one environment.
 
     Args:
-        agents: all agents' ids.
-        present: gives the episode under way.
+        agents: ids of all agents.
+        present: returns the current episode.
     """
 
     def __init__(self, agents: Sequence[str], present: Callable[[], Episode | None]) -> None:
@@ -34,25 +34,25 @@ class RaceCameras:
         self._drawings: dict[CameraKind, _Drawing] = {}
 
     def of(self, agent: str) -> Camera:
-        """One agent's camera."""
+        """Returns an agent's camera."""
         return _AgentCamera(self, self._numbers[agent])
 
     def connected(self, views: Mapping[str, ViewFactory]) -> dict[str, ViewFactory]:
-        """The agents' views, around environments that have cameras."""
+        """Returns the agents' views, each applied to an environment with that agent's camera."""
         return {agent: with_camera(view, self.of(agent)) for agent, view in views.items()}
 
     def drawing(self, kind: CameraKind) -> _Drawing:
-        """All cameras of one kind."""
+        """Returns the renderer of all cameras of one kind."""
         return self._drawings.setdefault(kind, _Drawing(kind))
 
     def close(self) -> None:
-        """Ends the processes that draw."""
+        """Stops the render processes."""
         for drawing in self._drawings.values():
             drawing.close()
 
 
 def with_camera(view: ViewFactory, camera: Camera) -> ViewFactory:
-    """The view around an environment that has a camera."""
+    """Returns the view, applied to an environment with a camera."""
 
     def wrap(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
         env.camera = camera  # type: ignore[attr-defined]
@@ -62,7 +62,7 @@ def with_camera(view: ViewFactory, camera: Camera) -> ViewFactory:
 
 
 class _AgentCamera:
-    """One agent's side of the cameras; see :class:`~stkzoo.wrappers.camera.Camera`."""
+    """The camera of one agent; implements :class:`~stkzoo.wrappers.camera.Camera`."""
 
     def __init__(self, cameras: RaceCameras, number: int) -> None:
         self._cameras, self._number = cameras, number
@@ -75,12 +75,12 @@ class _AgentCamera:
         if episode is None:
             raise ApiOrderError("there is nothing to see before reset(); call reset() first")
         drawing = self._cameras.drawing(kind)
-        drawing.add(self._number)  # a copied wrapper has opened the camera of another race
+        drawing.add(self._number)  # a copied wrapper opened the camera in another race
         return drawing.shots(episode)[self._number]
 
 
 class _Drawing:
-    """All cameras of one kind."""
+    """The renderer of all cameras of one kind."""
 
     def __init__(self, kind: CameraKind) -> None:
         self.agents: set[int] = set()
@@ -90,10 +90,10 @@ class _Drawing:
         self._shots: dict[int, Shot] = {}
 
     def add(self, agent: int) -> None:
-        """One more agent has such a camera.
+        """Adds a camera for an agent.
 
         Raises:
-            ConfigError: there are too many.
+            ConfigError: there are too many cameras.
         """
         if agent not in self.agents:
             self.agents.add(agent)
@@ -105,7 +105,7 @@ class _Drawing:
             )
 
     def shots(self, episode: Episode) -> dict[int, Shot]:
-        """What they see at the present moment, by number of agent."""
+        """Returns the cameras' images of the current moment, by agent number."""
         if episode.snapshot is not self._shown:
             self._renderer.follow(_with_cameras(scene_of(episode), self.agents))
             karts = episode.race.kart_indices
@@ -127,7 +127,7 @@ class _Drawing:
 
 
 def _with_cameras(scene: Scene, agents: set[int]) -> Scene:
-    """The scene with cameras for these agents alone, and no names above karts."""
+    """Returns the scene with cameras for these agents only and without name tags."""
     karts = {scene.kart_indices[agent] for agent in agents}
     setups = tuple(
         replace(

@@ -1,4 +1,4 @@
-"""Ends of an agent's episode other than its kart's finish, by choice."""
+"""Optional ends of an agent's episode, in addition to its kart's finish."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ Ends = tuple[dict[str, float], dict[str, bool], dict[str, bool]]
 
 
 class Endings:
-    """Ends the episodes of agents that fail, and of all others once a kart has finished.
+    """Ends the episodes of agents that fail, and of all others after the first finish.
 
-    An agent whose kart is stuck, drives the wrong way or is off the road for too long is
-    *terminated*: it has failed, and nothing that it could have earned later counts. Those who are
-    left when the first kart has finished are *truncated*: the race goes on, only not for them.
+    An agent whose kart is stuck, drives in the wrong direction or is off the road for too long is
+    *terminated*: it has failed, and its future reward is zero. Agents that are still racing after
+    the first finish are *truncated*: the race would continue for them.
 
     Args:
-        options: of the episode.
+        options: options of the episode.
 
     Attributes:
-        reasons: why agents' episodes have ended, by agent: ``"finish"``, ``"off_road"``,
+        reasons: why each ended agent's episode ended: ``"finish"``, ``"off_road"``,
             ``"wrong_way"``, ``"stuck"``, ``"first_finish"`` or ``"max_cycles"``.
     """
 
@@ -47,16 +47,16 @@ class Endings:
         """Adds the ends of a step.
 
         Args:
-            ends: the step's, which are changed.
-            agents: the agents that were still racing.
-            karts: ``(A,)`` their karts.
-            after: the moment after the step.
-            seconds: ``(K, 3)``: for how long karts have been in each of
+            ends: rewards, terminations and truncations of the step; changed in place.
+            agents: the A agents that were still racing.
+            karts: ``(A,)`` kart indices of the agents.
+            after: snapshot after the step.
+            seconds: ``(K, 3)`` float64, how long each kart has been in each state of
                 :data:`stkzoo.mdp.events.STREAKS` [s].
         """
         _, terminations, truncations = ends
         is_cut = self._is_cut(after)
-        fails = seconds[karts] > np.array(self._limits) - 1e-6  # sums of steps are not exact
+        fails = seconds[karts] > np.array(self._limits) - 1e-6  # float sums are inexact
         for agent, failed in zip(agents, fails.tolist(), strict=True):
             if terminations[agent]:
                 self.reasons[agent] = "finish"
@@ -69,7 +69,7 @@ class Endings:
                 self.reasons[agent] = "max_cycles"
 
     def _is_cut(self, after: Snapshot) -> bool:
-        """Whether so many steps have passed since the first kart finished."""
+        """Whether the chosen number of steps has passed since the first finish."""
         if self._steps_left is None or not after.karts["has_finished_race"].any():
             return False
         self._steps_left -= 1
@@ -77,7 +77,7 @@ class Endings:
 
 
 def endings_of(options: RaceOptions) -> Endings | None:
-    """What ends episodes by these options; ``None`` if they ask for nothing."""
+    """Returns the ends that the options request; ``None`` if there are none."""
     chosen = (
         *(options.end_off_road, options.end_when_wrong_way, options.end_when_stuck),
         options.end_when_first_finishes,

@@ -1,4 +1,4 @@
-"""One race from the grid to its end: what the parallel core knows while it lasts."""
+"""One race from start to end: the state that the parallel environment keeps for it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,11 @@ IntArray = npt.NDArray[np.intp]
 
 
 def rewards_of_agents(choice: object, agents: Sequence[str]) -> dict[str, Reward]:
-    """Every agent's reward; see :mod:`stkzoo.mdp.rewards` for what can be chosen."""
+    """Returns each agent's reward; :mod:`stkzoo.mdp.rewards` lists the choices.
+
+    Raises:
+        ConfigError: the choice is invalid.
+    """
     default = "race"
     if isinstance(choice, RewardOver):
         default, choice = choice.default, choice.choice
@@ -45,22 +49,22 @@ def rewards_of_agents(choice: object, agents: Sequence[str]) -> dict[str, Reward
 
 
 class Episode:
-    """A race under way. It is the source of its agents' observations.
+    """A running race, and the source of its agents' observations.
 
     Args:
-        options: the options of this race.
-        setup: what the engine was given.
-        kart_indices: the karts of the agents and then of the opponents.
-        start: what the engine answered.
-        rewards: every agent's reward, in agent order.
-        root: of the game's data.
+        options: options of this race.
+        setup: setup of the race in the engine.
+        kart_indices: karts of the agents, followed by those of the opponents.
+        start: result of starting the race in the engine.
+        rewards: reward of each agent, in agent order.
+        root: folder of the game's data.
 
     Attributes:
-        setup: what the engine was given.
+        setup: setup of the race in the engine.
         race: names of the race and its karts.
-        track_map: the track.
-        course: its graph, how many of its segments are seen, and the karts' models.
-        snapshot: the present moment.
+        track_map: map of the track.
+        course: track graph, number of segments in observations, and kart models.
+        snapshot: current snapshot.
     """
 
     def __init__(
@@ -90,22 +94,23 @@ class Episode:
         self._players = np.flatnonzero([not kart.is_bot for kart in setup.karts])
         self._places_of: dict[tuple[str, ...], tuple[IntArray, IntArray]] = {}
         self._reports_control = any(kart.reports_control for kart in setup.karts)
-        self._past: Any = None  # (what was before, the latest controls), shared by copies
+        self._past: Any = None  # (earlier history, latest controls), shared by copies
         self._start(options, rewards)
 
     def copy(self) -> Episode:
-        """A copy of this moment; either goes on without touching the other."""
+        """Returns an independent copy of the episode at this moment."""
         twin = copy.copy(self)
         shared = {id(reward): reward for reward in self._rewards.values()}
         twin._record = copy.deepcopy(self._record, shared)
         return twin
 
     def restarted(self, options: RaceOptions, rewards: Mapping[str, Reward]) -> Episode:
-        """An episode that starts at this moment of this race.
+        """Returns a new episode that starts at this moment of the race.
 
         Args:
-            options: only :data:`~stkzoo.env.options.OF_AN_EPISODE` are used.
-            rewards: every agent's reward, in agent order.
+            options: options of the new episode; only :data:`~stkzoo.env.options.OF_AN_EPISODE`
+                apply.
+            rewards: reward of each agent, in agent order.
         """
         twin = copy.copy(self)
         twin._start(options, rewards)
@@ -113,26 +118,26 @@ class Episode:
 
     @property
     def num_players(self) -> int:
-        """How many karts the engine takes controls for."""
+        """Number of karts for which the engine expects controls."""
         return len(self._players)
 
     def player_rows(self, agents: Sequence[str]) -> IntArray:
-        """The agents' rows of the engine's controls.
+        """Returns the rows of the agents in the engine's controls.
 
-        Agents that the game's AI drives have none.
+        Agents that the game's AI drives have no row.
         """
         return self._places(agents)[1]
 
     def karts(self, agents: Sequence[str]) -> IntArray:
-        """The agents' karts, ``(A,)``."""
+        """Returns the kart indices of the agents, ``(A,)``."""
         return self._places(agents)[0]
 
     def remember(self, controls: npt.NDArray[np.float32]) -> None:
-        """Takes note of the controls of a step."""
+        """Appends the controls of a step, ``(P, 7)`` float32, to the history."""
         self._past = self._past, controls.tobytes()
 
     def past_controls(self) -> npt.NDArray[np.float32]:
-        """The controls of all steps since the race began: ``(T, P, 7)`` float32."""
+        """Returns the controls of all steps since the start of the race, ``(T, P, 7)`` float32."""
         rows, past = [], self._past
         while past is not None:
             past, row = past
@@ -141,10 +146,10 @@ class Episode:
         return np.array(numbers.reshape(len(rows), self.num_players, len(CONTROLS)))
 
     def advance(self, snapshot: Snapshot, agents: Sequence[str]) -> Ends:
-        """Goes on to the moment after a step.
+        """Advances to the moment after a step.
 
         Args:
-            snapshot: the moment.
+            snapshot: snapshot after the step.
             agents: the agents that acted.
 
         Returns:
@@ -156,11 +161,11 @@ class Episode:
         return self._record.score(before, snapshot, agents, is_over)
 
     def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
-        """Fresh infos of some agents; see :class:`EpisodeRecord`."""
+        """Returns new infos of some agents; see :meth:`EpisodeRecord.infos`."""
         return self._record.infos(self.snapshot, agents, self._num_steps)
 
     def observe_batch(self, agents: Sequence[str]) -> dict[str, Any]:
-        """What some agents see now in the ``full`` view, in batch form."""
+        """Returns the current observations of some agents in the ``full`` view, in batch form."""
         karts = self.karts(agents)
         _, num_paths, kart_types = self.course
         batch = observe_karts(self.track_map, kart_types, self.snapshot, karts, num_paths)
@@ -170,12 +175,12 @@ class Episode:
 
     @property
     def ground(self) -> Ground:
-        """What karts drive on and run into on the track."""
+        """Ground and walls of the track."""
         race = self.race
         return ground_of(self.track_map, race.track, self._root, reverse=race.reverse)
 
     def ground_ahead(self, karts: IntArray) -> dict[str, npt.NDArray[Any]]:
-        """What is beside the road ahead of some karts, by entry of the observation."""
+        """Returns the observation entries of the ground ahead of some karts."""
         records = self.snapshot.karts[karts]
         ahead = ground_table(self.track_map, self.ground).ahead(
             records["node"], records["location"]
@@ -183,14 +188,14 @@ class Episode:
         return {"ground_kind": ahead.kind, "ground_speed": ahead.speed}
 
     def state(self) -> npt.NDArray[np.float32]:
-        """The whole race as one vector (:mod:`stkzoo.mdp.state`)."""
+        """Returns the state of the whole race as one vector (:mod:`stkzoo.mdp.state`)."""
         agents = self.race.kart_indices
         bots = [kart for kart in range(len(self.snapshot.karts)) if kart not in agents]
         order = np.array([*agents, *bots], np.intp)
         return race_state(self.snapshot, order, self.track_map.length, self.race.laps)
 
     def _start(self, options: RaceOptions, rewards: Mapping[str, Reward]) -> None:
-        """Starts all counts at zero."""
+        """Sets all counters to zero."""
         self._rewards = rewards
         race_length = self.track_map.length * self.race.laps
         endings, events = endings_of(options), None
@@ -205,7 +210,7 @@ class Episode:
         self.course = self.track_map.graph, num_paths, tuple(self.race.kart_types)
 
     def _places(self, agents: Sequence[str]) -> tuple[IntArray, IntArray]:
-        """The agents' karts, and their rows among the players."""
+        """Returns the karts of the agents and their rows among the player karts."""
         key = tuple(agents)
         if key not in self._places_of:
             karts = np.array([self._kart_of[agent] for agent in key], np.intp)
@@ -215,7 +220,7 @@ class Episode:
 
 @dataclass(frozen=True)
 class _RewardGroup:
-    """Agents that share a reward: their rows, their karts and the columns of the terms."""
+    """Agents that share a reward: their rows, their karts, and the columns of the terms."""
 
     reward: Reward
     rows: IntArray
@@ -227,12 +232,12 @@ class EpisodeRecord:
     """Rewards, ends and infos of one episode.
 
     Args:
-        rewards: every agent's reward, in agent order.
-        kart_indices: every agent's kart, in agent order.
-        race_length: laps times the lap's length [m].
-        events: what counts them, if they or ``endings`` are asked for.
-        endings: ends by choice.
-        shows_events: whether events are in infos and for rewards.
+        rewards: reward of each agent, in agent order.
+        kart_indices: kart of each agent, in agent order.
+        race_length: number of laps times the lap length [m].
+        events: event counter, needed for ``shows_events`` and ``endings``.
+        endings: optional ends of episodes.
+        shows_events: whether events are available in infos and to rewards.
     """
 
     def __init__(
@@ -265,13 +270,13 @@ class EpisodeRecord:
     def score(
         self, before: Snapshot, after: Snapshot, agents: Sequence[str], is_over: bool
     ) -> Ends:
-        """Adds one step.
+        """Computes the rewards and ends of one step and adds them to the record.
 
         Args:
-            before: the moment before it.
-            after: the moment after it.
+            before: snapshot before the step.
+            after: snapshot after the step.
             agents: the agents that were still racing.
-            is_over: whether time is up.
+            is_over: whether the time limit is reached.
 
         Returns:
             Their rewards, terminations and truncations.
@@ -291,15 +296,20 @@ class EpisodeRecord:
     def infos(
         self, snapshot: Snapshot, agents: Sequence[str], length: int
     ) -> dict[str, dict[str, Any]]:
-        """Fresh infos of some agents: plain numbers under the same keys from reset on.
+        """Returns new infos of some agents: plain numbers under the same keys in every step.
 
-        ``position`` is the rank, ``distance`` the metres driven, ``lap`` the number of
-        laps done, ``finish_time`` seconds (0 before the finish), ``reward/<term>`` the
-        weighted terms of this step, ``episode/reward/<term>`` their sums,
-        ``episode/return`` the sum of all, ``episode/length`` the steps so far (``length``).
-        With events, ``event/<name>`` and ``episode/event/<name>`` are those of
-        :data:`stkzoo.mdp.events.EVENTS`. With ends by choice, agents whose episode has ended have
-        ``ended_by`` too (:class:`~stkzoo.env.endings.Endings`).
+        ``position`` is the rank, ``distance`` the distance driven [m], ``lap`` the number of
+        completed laps, and ``finish_time`` the finish time [s] (0 before the finish).
+        ``reward/<term>`` is the weighted term of this step and ``episode/reward/<term>`` its sum;
+        ``episode/return`` is the return and ``episode/length`` the number of steps. With events,
+        ``event/<name>`` and ``episode/event/<name>`` count the events of
+        :data:`stkzoo.mdp.events.EVENTS`. With optional ends, ended agents also have ``ended_by``
+        (:class:`~stkzoo.env.endings.Endings`).
+
+        Args:
+            snapshot: current snapshot.
+            agents: the agents.
+            length: number of steps so far.
         """
         infos = self._scorer_of(agents).infos(snapshot.data, length)
         for agent, reason in self._endings.reasons.items() if self._endings else ():
@@ -312,7 +322,7 @@ class EpisodeRecord:
         return self._events.counts if self._events is not None and self._shows_events else None
 
     def _score_in_python(self, groups: Sequence[_RewardGroup], step: Transition) -> None:
-        """Writes the terms of rewards that have others than the kernel's."""
+        """Writes the terms of rewards that the kernel does not implement."""
         for group in groups:
             values = group.reward(step).values()
             for column, value in zip(group.columns, values, strict=True):
@@ -340,7 +350,7 @@ class EpisodeRecord:
         return StepScorer(agents, self._karts[rows], rows, *numbers, tuple(rewards), events)
 
     def __getstate__(self) -> dict[str, Any]:
-        # A copy has arrays of its own, and so a scorer of its own.
+        # The scorer writes into these arrays, so a copy needs its own.
         return {**self.__dict__, "_scorer": None}
 
 

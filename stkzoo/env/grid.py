@@ -1,4 +1,4 @@
-"""Who starts where, and what the engine is told about it."""
+"""The starting grid: draws a race and builds its setup for the engine."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from stkzoo.names import CameraMode
 
 @dataclass(frozen=True, slots=True)
 class RaceInfo:
-    """What a race is called and who drives where.
+    """Names of a race and its karts.
 
     Attributes:
-        track: the track's name.
-        reverse: whether it is driven the other way round.
+        track: name of the track.
+        reverse: whether the track is driven in the opposite direction.
         laps: number of laps.
-        difficulty: the bots' level.
-        seed: the engine's own seed.
-        kart_indices: each agent's kart, as an index in grid order.
-        kart_types: model name of each kart, in grid order.
-        opponent_indices: each opponent's kart, as an index in grid order.
-        opponents: each opponent's name.
+        difficulty: level of the game's bots.
+        seed: seed of the engine.
+        kart_indices: index of each agent's kart in grid order.
+        kart_types: model of each kart, in grid order.
+        opponent_indices: index of each opponent's kart in grid order.
+        opponents: name of each opponent.
     """
 
     track: str
@@ -43,12 +43,12 @@ class RaceInfo:
 
 @dataclass(frozen=True, slots=True)
 class RaceRoster:
-    """Who races, as far as a saved race and an environment have to agree.
+    """Karts and agents of a race; a saved state and an environment must have equal rosters.
 
     Attributes:
         num_kart: number of karts.
         num_agents: number of agents.
-        ai_agents: the agents that the game's AI drives.
+        ai_agents: agents that the game's AI drives.
     """
 
     num_kart: int
@@ -69,14 +69,23 @@ def draw_race(
     random: np.random.Generator,
     opponents: Sequence[AgentSpec] = (),
 ) -> tuple[RaceSetup, tuple[int, ...]]:
-    """Draws what is left to chance: the track, the engine's seed and the free grid places.
+    """Draws the random parts of a race: the track, the engine's seed and free grid positions.
 
-    In a window for which neither ``num_cameras`` nor an agent asks for a camera, those
-    agents get one that the game's AI does not drive; if there are none, the first agent.
+    If the race has a window and neither ``num_cameras`` nor any agent requests a camera, all agents
+    that the game's AI does not drive get one, or else the first agent.
+
+    Args:
+        options: options of the race.
+        agents: options of the agents.
+        tracks: tracks from which to draw.
+        num_cameras: number of agents with a camera; 0 leaves the choice to the agents.
+        has_window: whether the race is shown in a window.
+        random: random generator.
+        opponents: options of the opponents' karts.
 
     Returns:
-        The engine's options, and the karts of the agents and then of the opponents as indices
-        in grid order.
+        The setup for the engine, and the kart indices, in grid order, of the agents followed by
+            those of the opponents.
     """
     track = tracks[int(random.integers(len(tracks)))]
     seed = int(random.integers(2**16))

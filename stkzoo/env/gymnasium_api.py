@@ -1,4 +1,4 @@
-"""The race through Gymnasium's API: one agent's, or a dictionary of agents."""
+"""Gymnasium environments of a race, with one agent or with a dictionary of agents."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ if TYPE_CHECKING:
 
 
 class _TrackNames:
-    """The names of all race tracks, read when they are first asked for."""
+    """Names of all race tracks, read on first access."""
 
     def __get__(self, instance: object, owner: type | None = None) -> list[str]:
         return list(find_assets().tracks)
 
 
 class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
-    """A Gymnasium environment over the parallel core.
+    """Base class of Gymnasium environments on top of the parallel environment.
 
     Attributes:
-        core: the :class:`~stkzoo.env.parallel.RaceParallelEnv` that it is a view of.
+        core: the :class:`~stkzoo.env.parallel.RaceParallelEnv` that runs the race.
         TRACKS: names of all race tracks.
     """
 
@@ -56,7 +56,7 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
     def __init__(
         self, agents: Sequence[AgentSpec | Mapping[str, object]] | int | None, **options: Any
     ) -> None:
-        # Gymnasium's TimeLimit, which the registered ids bring, cuts long races.
+        # The TimeLimit of the registered ids truncates long races.
         options.setdefault("max_cycles", None)
         options["reward"] = RewardOver("reference", options.get("reward"))
         self.core = RaceParallelEnv(agents=agents, **options)
@@ -71,9 +71,17 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
         use_subprocess: bool = True,
         graphics_config: Any = None,  # noqa: ARG003 - the reference's argument
     ) -> list[str]:
-        """Starts the game's process ahead of the first race and returns the track names.
+        """Starts the game before the first race and returns the track names.
 
-        Calling it is never needed.
+        You never need to call it.
+
+        Args:
+            with_graphics: whether the race will be rendered.
+            use_subprocess: whether the game runs in its own process.
+            graphics_config: ignored; accepted for compatibility with pystk2-gymnasium.
+
+        Raises:
+            AssetError: the game's data is missing.
         """
         assets = find_assets(graphics=with_graphics)
         if use_subprocess and not with_graphics and can_fork():
@@ -87,26 +95,33 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
 
     @property
     def default_track(self) -> str | Sequence[str] | None:
-        """The track that was asked for; ``None`` for any."""
+        """The requested track or tracks; ``None`` for any."""
         return self.core.options.track
 
     @property
     def current_track(self) -> str | None:
-        """Name of the present race's track; ``None`` before the first reset."""
+        """Name of the current track; ``None`` before the first reset."""
         return self.core.race.track if self.core.race else None
 
     @property
     def track(self) -> TrackMap | None:
-        """The present race's track; ``None`` before the first reset."""
+        """Map of the current track; ``None`` before the first reset."""
         return self.core.track_map
 
     @property
     def world(self) -> WorldView | None:
-        """The present moment of the race; ``None`` before the first reset."""
+        """Current state of the race; ``None`` before the first reset."""
         return self.world_update() if self.core.snapshot is not None else None
 
     def world_update(self, keep: bool = True) -> WorldView:  # noqa: ARG002 - as the reference
-        """The present moment of the race."""
+        """Returns the current state of the race.
+
+        Args:
+            keep: ignored; accepted for compatibility with pystk2-gymnasium.
+
+        Raises:
+            ApiOrderError: called before the first ``reset``.
+        """
         if self.core.snapshot is None or self.core.race is None:
             raise ApiOrderError("there is no race before reset(); call reset() first")
         return WorldView.of(self.core.snapshot, self.core.race.kart_types)
@@ -120,13 +135,13 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
         return self.core.frames()
 
     def close(self) -> None:
-        """Ends the game's process; ``reset`` may be called again."""
+        """Stops the game process. You may call ``reset`` again."""
         self.core.close()
 
     def save_state(self) -> RaceState:
         """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.save_state`.
 
-        What wrappers around this environment count, as ``TimeLimit`` does, is not in it.
+        The state does not include the counters of outer wrappers, such as ``TimeLimit``.
         """
         state = self.core.save_state()
         state.front = self._front()
@@ -147,14 +162,14 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
         self._recall(front)
 
     def _front(self) -> Any:
-        """What this environment remembers beside the core, as a value."""
+        """Returns a copy of the state that this environment keeps in addition to the core."""
         return None
 
     def _recall(self, front: Any) -> None:
-        """Remembers what :meth:`_front` gave; with ``None``, what the core knows."""
+        """Restores a state from :meth:`_front`; ``None`` derives it from the core."""
 
     def _reset_core(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Any, Any]:
-        """Resets the core, which draws from this environment's stream, as Gymnasium seeds it."""
+        """Resets the core with this environment's random generator, which Gymnasium seeds."""
         gym.Env.reset(self, seed=seed)
         self.core.np_random = self.np_random
         return self.core.reset(options=options)
@@ -166,13 +181,14 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
 
 
 class STKRaceEnv(GymnasiumRaceEnv):
-    """A race in which one kart is yours and the game drives the others.
+    """A race with one agent; the game drives the other karts.
 
     Args:
-        agent: your kart's :class:`~stkzoo.config.AgentSpec`, or a mapping of its fields.
-        view: as for :class:`~stkzoo.env.parallel.RaceParallelEnv`.
-        options: its other keywords, except ``agents``; ``max_cycles`` is unlimited by default.
-            And options of the view, such as ``state_items``.
+        agent: the :class:`~stkzoo.config.AgentSpec` of your kart, or a mapping of its fields.
+        view: see :class:`~stkzoo.env.parallel.RaceParallelEnv`.
+        **options: options of the view, such as ``state_items``, and other keyword arguments of
+            :class:`~stkzoo.env.parallel.RaceParallelEnv` except ``agents``. By default,
+            ``max_cycles`` is unlimited and ``reward`` is ``"reference"``.
 
     Raises:
         ConfigError: an argument is invalid.
@@ -205,13 +221,13 @@ class STKRaceEnv(GymnasiumRaceEnv):
         return self.core.cameras.of(self._name)
 
     def get_keys_to_action(self) -> dict[Any, Any]:
-        """What each combination of keys does, for :func:`gymnasium.utils.play.play`.
+        """Returns the action for each combination of keys, for :func:`gymnasium.utils.play.play`.
 
-        The keys are the game's: arrows, space fires, N is nitro, V drifts, backspace calls
-        the rescue bird.
+        The keys are those of the game: arrow keys drive, space fires, N is nitro, V drifts, and
+        backspace calls the rescue bird.
 
         Raises:
-            ConfigError: for a view of your own that cannot say what a key means in it.
+            ConfigError: the view is custom and does not define actions for keys.
         """
         view = views_of_agents(self._view, [self._name])[self._name]
         return keys_to_action(view, repr(self._ezpickle_kwargs["view"]))
@@ -219,12 +235,12 @@ class STKRaceEnv(GymnasiumRaceEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Starts a race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`."""
+        """Starts a new race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`."""
         observations, infos = self._reset_core(seed, options)
         return observations[self._name], infos[self._name]
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Advances the race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.step`."""
+        """Advances the race by one step; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.step`."""
         name = self._name
         observations, rewards, terminations, truncations, infos = self._step_core({name: action})
         return observations[name], rewards[name], terminations[name], truncations[name], infos[name]
@@ -233,20 +249,20 @@ class STKRaceEnv(GymnasiumRaceEnv):
 def split_keywords(
     view: object, keywords: Mapping[str, Any], others: Collection[str]
 ) -> tuple[object, dict[str, Any]]:
-    """Divides the keywords of an id among its view and the race.
+    """Splits the keyword arguments of an id into options of the view and options of the race.
 
     Args:
         view: the view.
-        keywords: options of the view, and arguments of
-            :class:`~stkzoo.env.parallel.RaceParallelEnv`; what both have goes to both, but for
-            ``None``, which goes to the race.
-        others: further arguments, which stay with those of the race.
+        keywords: options of the view and arguments of
+            :class:`~stkzoo.env.parallel.RaceParallelEnv`. A keyword that both accept goes to both,
+            unless it is ``None``, which goes to the race only.
+        others: additional names to accept; they go to the race.
 
     Returns:
-        The view with its options, and the rest.
+        The view with its options, and the remaining keyword arguments.
 
     Raises:
-        ConfigError: nobody knows a keyword.
+        ConfigError: neither the view nor the race has a keyword.
     """
     (own,) = views_of_agents(view, ["kart_0"]).values()
     names = options_of(own)
@@ -260,18 +276,21 @@ def split_keywords(
 
 
 class STKRaceMultiEnv(GymnasiumRaceEnv):
-    """A race of several agents, named ``"0"`` to ``"n-1"``, in the ``full`` view.
+    """A race with several agents, named ``"0"`` to ``"n-1"``, in the ``full`` view.
 
-    The reward is the sum over the agents; ``info`` holds ``reward``, ``terminated``,
-    ``done`` and ``infos`` by agent. The episode ends when all agents have finished; an
-    agent that has finished is observed on, earns nothing more, and its actions are
-    ignored.
+    The reward is the sum over the agents. ``info`` holds ``reward``, ``terminated``, ``done`` and
+    ``infos``, each by agent. The episode ends when all agents have finished. An agent that has
+    finished still gets observations, earns no reward, and its actions are ignored.
 
     Args:
-        agents: a list of :class:`~stkzoo.config.AgentSpec` or mappings of their fields, or
-            how many; all karts by default.
-        options: the keywords of :class:`~stkzoo.env.parallel.RaceParallelEnv`, except
-            ``view``; ``max_cycles`` is unlimited by default.
+        agents: a list of :class:`~stkzoo.config.AgentSpec` or mappings of their fields, or the
+            number of agents; by default, all karts are agents.
+        **options: keyword arguments of :class:`~stkzoo.env.parallel.RaceParallelEnv` except
+            ``view``. By default, ``max_cycles`` is unlimited and ``reward`` is ``"reference"``.
+
+    Raises:
+        ConfigError: an argument is invalid.
+        AssetError: the game's data is missing.
     """
 
     def __init__(
@@ -293,13 +312,13 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
 
     @property
     def kart_indices(self) -> list[int] | None:
-        """Index of every agent's kart in grid order; ``None`` before the first reset."""
+        """Index of each agent's kart in grid order; ``None`` before the first reset."""
         return list(self.core.race.kart_indices) if self.core.race else None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Starts a race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`."""
+        """Starts a new race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`."""
         observations, infos = self._reset_core(seed, options)
         self._recall(None)
         self._infos.update(infos)
@@ -311,7 +330,7 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
     def step(
         self, action: Mapping[str, Any]
     ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Advances the race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.step`."""
+        """Advances the race by one step; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.step`."""
         if not isinstance(action, Mapping):
             raise ActionError(
                 f"the actions have to be a dict by agent: {', '.join(self._names)}; found "
@@ -351,7 +370,7 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
             self._terminated, self._truncated, self._infos = map(dict, front)
 
     def _by_key(self, error: ActionError) -> ActionError:
-        """The error with the agents' keys here in place of their names in the core."""
+        """Returns the error with the core's agent names replaced by this environment's keys."""
         text = str(error).replace("action_space(agent)", "action_space[agent]")
         for key, agent in self._names.items():
             text = text.replace(repr(agent), repr(key))

@@ -1,4 +1,4 @@
-"""The names under which Gymnasium and PettingZoo know the environments."""
+"""Registration of environment ids with Gymnasium and PettingZoo."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SHIPPED = frozenset(view.name for view in SHIPPED)
 
 
 def register_ids() -> None:
-    """Registers all ids; called when ``stkzoo`` is imported."""
+    """Registers all ids; ``import stkzoo`` calls it."""
     register_gymnasium_ids()
     if hasattr(pettingzoo, "register"):  # from PettingZoo 1.27
         pettingzoo.register("parallel", f"{_NAMESPACE}/race-v0", "stkzoo.race_v0:parallel_env")
@@ -24,7 +24,7 @@ def register_ids() -> None:
 
 
 def register_gymnasium_ids() -> None:
-    """Registers Gymnasium's ids; a warning says once whose ids they were before."""
+    """Registers the Gymnasium ids; warns once if it replaces another package's ids."""
     names = (*views(), "multi-full")
     found = [gymnasium.registry.pop(f"{_NAMESPACE}/{name}-v0", None) for name in names]
     owners = {str(spec.entry_point).partition(".")[0] for spec in found if spec} - {"stkzoo"}
@@ -47,18 +47,17 @@ def register_gymnasium_ids() -> None:
 def register_view(name: str, view: object, *, replace: bool = False) -> None:
     """Adds a view, for ``view="<name>"`` and ``gym.make("supertuxkart/<name>-v0")``.
 
-    The same view may be registered again, also after its definition has run again, as in a
-    notebook's cell.
+    You may register the same view again, for example when a notebook cell runs twice.
 
     Args:
-        name: a new name.
-        view: function that wraps a Gymnasium environment; :class:`gymnasium.Wrapper`
-            classes are such functions. Its parameters beside the environment are the view's
-            options. Or a known view with options: ``("simple", {"state_items": 3})``.
-        replace: whether another view of yours may have the name already.
+        name: name of the view.
+        view: function that wraps a Gymnasium environment, such as a :class:`gymnasium.Wrapper`
+            class. Its other parameters are the view's options. Or a known view with options:
+            ``("simple", {"state_items": 3})``.
+        replace: whether to replace an existing custom view of that name.
 
     Raises:
-        ConfigError: the name is taken or no word, or ``view`` is no view.
+        ConfigError: the name is taken or not a valid name, or ``view`` is not a view.
     """
     if not isinstance(name, str) or not name.isidentifier():
         raise ConfigError(f"view name is {name!r}, expected letters, digits and underscores")
@@ -77,8 +76,11 @@ def register_view(name: str, view: object, *, replace: bool = False) -> None:
 def unregister_view(name: str) -> None:
     """Removes a view that :func:`register_view` added, and its id.
 
+    Args:
+        name: name of the view.
+
     Raises:
-        ConfigError: there is none of this name, or it is stkzoo's own.
+        ConfigError: no view has that name, or the view is built in.
     """
     _refuse_shipped(name, "it stays")
     if name not in VIEWS:
@@ -93,7 +95,7 @@ def _refuse_shipped(name: str, remedy: str) -> None:
 
 
 def _is_same(view: ViewFactory, other: ViewFactory) -> bool:
-    """Whether two views are equal, or one is the other after its definition has run again."""
+    """Whether two views are equal, or come from the same definition run twice."""
     names = [(entry.__module__, getattr(entry, "__qualname__", "<>")) for entry in (view, other)]
     if view == other or "<" not in names[0][1]:
         return view == other or names[0] == names[1]

@@ -1,7 +1,7 @@
-"""The keys that drive a kart, and what each combination of them means in a view.
+"""Keyboard control: the keys, and the action of each key combination in a view.
 
-The keys are the game's own. Their numbers are SDL's, which pygame and with it
-``gymnasium.utils.play`` use.
+The keys are those of the game. Their codes are SDL key codes, as used by pygame and
+``gymnasium.utils.play``.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class Key:
     """One key.
 
     Attributes:
-        name: what is written on it.
-        does: what it does to the kart.
-        code: SDL's number.
+        name: label of the key.
+        does: effect on the kart.
+        code: SDL key code.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Key:
     code: int
 
 
-#: All keys that drive.
+#: All keys that control the kart.
 KEYS = (
     Key("up", "accelerate", 0x40000052),
     Key("down", "brake", 0x40000051),
@@ -54,12 +54,12 @@ _CODE = {key.does: key.code for key in KEYS}
 
 
 def base_action(pressed: Collection[int]) -> dict[str, Any]:
-    """The game's own action for the keys that are down.
+    """Returns the game's action for the keys that are held down.
 
-    Braking lets go of the throttle; left and right together are straight ahead.
+    Braking overrides the throttle; left and right together cancel out.
 
     Args:
-        pressed: codes of keys; other keys do nothing.
+        pressed: key codes; other keys have no effect.
 
     Returns:
         A value of :func:`~stkzoo.mdp.spaces.kart_action_space`.
@@ -76,17 +76,17 @@ def base_action(pressed: Collection[int]) -> dict[str, Any]:
 
 
 def keys_to_action(view: ViewFactory, name: str) -> dict[Any, Any]:
-    """The action of a view for every combination of keys, none of them too.
+    """Returns a view's action for every combination of keys, including no key.
 
     Args:
         view: the view.
-        name: what to call it in errors.
+        name: name of the view in error messages.
 
     Returns:
         Actions by tuple of key codes; ``""`` is no key.
 
     Raises:
-        ConfigError: the view's wrappers do not say how an action of the game looks there.
+        ConfigError: the view's wrappers do not convert the ``action`` entry of observations.
     """
     seen = base_space(view, use_ai=True)
     chain = AgentChain("kart_0", seen, kart_action_space(), with_camera(view, _NoCamera()))
@@ -101,13 +101,13 @@ def keys_to_action(view: ViewFactory, name: str) -> dict[Any, Any]:
     for number in range(len(codes) + 1):
         for combination in combinations(codes, number):
             seen = chain.observe({**blank, "action": base_action(combination)})
-            # Gymnasium refuses empty tuples, but takes an empty string for no key at all.
+            # Gymnasium rejects an empty tuple, but accepts an empty string for "no key".
             chosen[combination or ""] = _action_in(seen, chain, name)
     return chosen
 
 
 class _NoCamera:
-    """Sees nothing; where nobody draws."""
+    """A camera without a renderer; it returns a single black pixel."""
 
     def open(self, _: CameraKind) -> None:
         pass

@@ -1,4 +1,4 @@
-"""Karts of a race that are no agents, but driven by drivers of any kind."""
+"""Opponents: karts that are not agents but run other drivers than the game's AI."""
 
 from __future__ import annotations
 
@@ -39,22 +39,22 @@ logger = logging.getLogger(__name__)
 
 Controls = npt.NDArray[np.float32]
 
-#: The drivers of a race's opponents, and the difficulty that they ask for, if any.
+#: The drivers of a race's opponents, and the difficulty that they require, if any.
 Lineup = tuple[tuple[Driver, ...], int | None]
 
 
 class OpponentChoice:
-    """What was asked for as opponents, and the code of those that run in this program.
+    """The ``opponents`` argument, and the loaded code of in-process drivers.
 
-    Races side by side share one, so that their karts are driven together.
+    Parallel races share one object, so that karts with the same driver are computed together.
 
     Args:
-        choice: a pool, from which every kart that is no agent's draws; or a list with one
-            entry for each opponent: a pool, or what :func:`~stkzoo.drivers.pool.as_driver` takes.
-            A mapping is a pool of the drivers that it names, by their weights.
+        choice: a pool, from which every kart that is not an agent draws its driver; or a list with
+            one entry per opponent: a pool, or any value that :func:`~stkzoo.drivers.pool.as_driver`
+            accepts. A mapping from drivers to weights defines a pool.
 
     Raises:
-        ConfigError: it is neither, or opponents ask for different difficulties.
+        ConfigError: the choice is invalid, or the opponents require different difficulties.
     """
 
     def __init__(self, choice: object) -> None:
@@ -68,7 +68,7 @@ class OpponentChoice:
         members = [] if isinstance(choice, OpponentPool) else list(choice)
         keys = [member if isinstance(member, str) else id(member) for member in members]
         found = {key: _driver_or_pool(m) for key, m in zip(keys, members, strict=True)}
-        self._members = [found[key] for key in keys]  # equal ones drive together
+        self._members = [found[key] for key in keys]  # shared, so that equal drivers run together
         self._codes: dict[Driver, AgentCode | AgentError] = {}
         self._level(m for m in self._members if isinstance(m, Driver))
         self._resources = ExitStack()
@@ -76,18 +76,22 @@ class OpponentChoice:
 
     @classmethod
     def of(cls, choice: object) -> OpponentChoice:
-        """The choice of an argument, which may be a choice already."""
+        """Converts an argument to an :class:`OpponentChoice`; returns existing ones unchanged.
+
+        Raises:
+            ConfigError: the argument is invalid.
+        """
         return choice if isinstance(choice, cls) else cls(choice)
 
     def count(self, num_agents: int | None, num_kart: int) -> int:
-        """How many opponents there are.
+        """Returns the number of opponents.
 
         Args:
-            num_agents: the number of agents; ``None`` if all other karts are agents.
-            num_kart: the number of karts.
+            num_agents: number of agents; ``None`` if all other karts are agents.
+            num_kart: number of karts.
 
         Raises:
-            ConfigError: they do not fit.
+            ConfigError: agents and opponents do not fit the number of karts.
         """
         if self._pool is None:
             count = len(self._members)
@@ -107,15 +111,15 @@ class OpponentChoice:
         return count
 
     def draw(self, count: int, random: np.random.Generator, difficulty: int | None) -> Lineup:
-        """The opponents of a race.
+        """Draws the opponents of a race.
 
         Args:
-            count: how many.
-            random: draws them.
-            difficulty: the race's, if it was asked for in ``reset``.
+            count: number of opponents.
+            random: random generator.
+            difficulty: difficulty requested in ``reset``, if any.
 
         Raises:
-            ConfigError: opponents ask for another difficulty.
+            ConfigError: the opponents require another difficulty.
         """
         members = self._members if self._pool is None else [self._pool] * count
         level = self._level((m for m in members if isinstance(m, Driver)), difficulty)
@@ -126,7 +130,7 @@ class OpponentChoice:
         return tuple(drawn), level
 
     def _level(self, drivers: Iterable[Driver], difficulty: int | None = None) -> int | None:
-        """The one difficulty that is asked for, if any."""
+        """Returns the difficulty that the drivers require; ``None`` if they require none."""
         asked = [driver.difficulty for driver in drivers if driver.difficulty is not None]
         levels = {*asked, *(() if difficulty is None else (difficulty,))}
         if len(levels) > 1:
@@ -137,10 +141,10 @@ class OpponentChoice:
         return levels.pop() if levels else None
 
     def code(self, driver: Driver) -> AgentCode:
-        """The code of a driver that runs in this program.
+        """Returns the code of an in-process driver, and loads it on first use.
 
         Raises:
-            AgentError: it cannot be loaded.
+            AgentError: the code cannot be loaded.
         """
         if driver not in self._codes:
             assert driver.load is not None  # noqa: S101 - callers look
@@ -164,7 +168,7 @@ def _driver_or_pool(member: object) -> Driver | OpponentPool:
 
 
 def name_of(driver: Driver) -> str:
-    """The name of a driver that has not been loaded."""
+    """Returns the name of a driver without loading it."""
     source = PurePath(driver.source)
     return driver.name or (source.stem if source.suffix in (".zip", ".py") else source.name)
 
@@ -176,10 +180,10 @@ class Opponent:
     Attributes:
         agent: id of its kart.
         driver: its driver.
-        view: what it observes and acts in, here.
-        code: its driver's code, if it runs in this program.
-        actor: its actor, likewise.
-        instance: its driver's instance, if it runs elsewhere.
+        view: its view in this race.
+        code: its driver's code, if it runs in this process.
+        actor: its actor, if it runs in this process.
+        instance: its driver's instance, if it runs in another process.
     """
 
     agent: str
@@ -191,14 +195,14 @@ class Opponent:
 
     @property
     def group(self) -> int:
-        """Equal for opponents whose actions are picked together."""
+        """Key of the opponents whose actions are computed together."""
         return id(self.code if self.code and self.code.act_together else self)
 
     def copy(self) -> Opponent:
-        """The same opponent at this moment.
+        """Returns a copy of the opponent in its current state.
 
         Raises:
-            AgentException: what it remembers cannot be copied.
+            AgentException: the actor's state cannot be copied.
         """
         if self.instance is not None:
             raise self._uncopied(
@@ -221,13 +225,13 @@ class Opponent:
 
 @dataclass(frozen=True, slots=True)
 class OpponentsMoment:
-    """The opponents of a race at one moment; nobody changes it.
+    """Immutable state of a race's opponents.
 
     Attributes:
-        opponents: those that the game does not drive, and that have not failed.
-        present: ids of those that still race.
-        observations: what they see.
-        memory: what their wrappers remember.
+        opponents: opponents that the game does not drive and that have not failed.
+        present: ids of opponents that are still racing.
+        observations: their observations.
+        memory: state of their wrappers.
     """
 
     opponents: tuple[Opponent, ...]
@@ -240,10 +244,10 @@ class RaceOpponents:
     """The opponents in the races of one environment.
 
     Args:
-        choice: what was asked for.
-        num_agents: the number of agents.
-        count: the number of opponents.
-        view: the view of the first agent, which is that of policies that name none.
+        choice: the ``opponents`` argument.
+        num_agents: number of agents.
+        count: number of opponents.
+        view: view of the first agent, used for policies without a view of their own.
     """
 
     def __init__(
@@ -252,27 +256,27 @@ class RaceOpponents:
         self._choice, self._view = choice, view
         self._ids = tuple(f"kart_{num_agents + number}" for number in range(count))
         self._known_chains: dict[tuple[tuple[str, ViewFactory], ...], AgentChains] = {}
-        self._opponents: dict[str, Opponent] = {}  # all that have not failed
-        self._present: tuple[str, ...] = ()  # those of them that have not finished
+        self._opponents: dict[str, Opponent] = {}  # without failed ones
+        self._present: tuple[str, ...] = ()  # have not finished
         self._observations: dict[str, Any] | None = {}  # None after a step
         self._chains = self._chains_here()
 
     def draw(self, random: np.random.Generator, difficulty: int | None) -> Lineup:
-        """The drivers of the next race; see :meth:`OpponentChoice.draw`."""
+        """Draws the drivers of the next race; see :meth:`OpponentChoice.draw`."""
         return self._choice.draw(len(self._ids), random, difficulty)
 
     def specs(self, drivers: Sequence[Driver]) -> list[AgentSpec]:
-        """How the drivers' karts start."""
+        """Returns the agent specs of the drivers' karts."""
         return [
             AgentSpec(use_ai=own.is_game_ai, name=name_of(own), camera_mode=CameraMode.OFF)
             for own in drivers
         ]
 
     def begin(self, drivers: Sequence[Driver], episode: Episode) -> None:
-        """Starts the drivers of a race; one that fails is out of it.
+        """Starts the drivers of a race; a driver that fails is removed from the race.
 
         Args:
-            drivers: one for each opponent.
+            drivers: one driver per opponent.
             episode: the race.
         """
         self.close()
@@ -297,14 +301,14 @@ class RaceOpponents:
 
     @property
     def is_driving(self) -> bool:
-        """Whether there is a kart to drive, which the game does not."""
+        """Whether any opponent needs actions from here."""
         return bool(self._present)
 
     def moment(self, episode: Episode) -> OpponentsMoment:
-        """The opponents now, as a value.
+        """Returns the current state of the opponents as a value.
 
         Raises:
-            AgentException: what one remembers cannot be copied.
+            AgentException: an opponent's state cannot be copied.
         """
         self._look(episode)
         return OpponentsMoment(
@@ -315,7 +319,7 @@ class RaceOpponents:
         )
 
     def go_on_from(self, moment: OpponentsMoment) -> None:
-        """Goes on from a :meth:`moment`, here or in another environment."""
+        """Continues from a :meth:`moment` of this or another environment."""
         self.close()
         self._opponents = {own.agent: own.copy() for own in moment.opponents}
         self._present = moment.present
@@ -324,7 +328,7 @@ class RaceOpponents:
         self._chains.recall(moment.memory)
 
     def close(self) -> None:
-        """Ends the drivers of the present race."""
+        """Stops the drivers of the current race."""
         for opponent in self._opponents.values():
             if opponent.instance is not None:
                 opponent.instance.close()
@@ -350,10 +354,10 @@ class RaceOpponents:
                 opponent.actor = code.make_actor(seen, acted, request.seed)
 
     def _chains_here(self) -> AgentChains:
-        """The opponents' views; those whose own wrappers fail are out.
+        """Builds the opponents' views and removes opponents whose wrappers fail.
 
         Raises:
-            ConfigError: opponents cannot have the agents' view.
+            ConfigError: the opponents cannot use the agents' view.
         """
         try:
             return self._chains_of(self._opponents.values())
@@ -387,14 +391,14 @@ class RaceOpponents:
         return self._known_chains[key]
 
     def attempt(self, opponent: Opponent, call: Callable[[], Any]) -> Any:
-        """What a call of a driver gives; ``None`` if it fails, and the driver is out."""
+        """Calls a driver; if the call fails, removes the driver and returns ``None``."""
         try:
             return call()
         except (Exception, SystemExit) as error:  # noqa: BLE001 - costs only its own kart
             self.retire(opponent, error)
 
     def retire(self, opponent: Opponent, error: BaseException) -> None:
-        """Takes an opponent that has failed out of the race; its kart rolls to a stop."""
+        """Removes a failed opponent from the race; its kart rolls to a stop."""
         if self._opponents.pop(opponent.agent, None) is None:
             return
         if opponent.instance is not None:
@@ -406,7 +410,10 @@ class RaceOpponents:
     # ------------------------------------------------------------------ a step
 
     def ask(self, episode: Episode) -> list[tuple[Opponent, Any]]:
-        """Who acts now, and what each sees; those that run elsewhere begin to decide."""
+        """Returns the opponents that act now, with their observations.
+
+        Drivers in other processes start to compute their actions.
+        """
         self._look(episode)
         seen = self._observations or {}
         asked = [self._opponents[agent] for agent in self._present]
@@ -419,9 +426,9 @@ class RaceOpponents:
         """Writes the opponents' controls.
 
         Args:
-            actions: by opponent; those without one have failed.
+            actions: actions by opponent; opponents without an action have failed.
             episode: the race.
-            controls: ``(P, 7)`` of all player karts; takes those of the opponents.
+            controls: controls of all player karts, ``(P, 7)`` float32; changed in place.
         """
         while True:
             acting = tuple(agent for agent in self._present if agent in self._opponents)
@@ -436,7 +443,7 @@ class RaceOpponents:
         self._present, self._observations = acting, None
 
     def _look(self, episode: Episode) -> None:
-        """What those see that still race."""
+        """Updates the observations of the opponents that are still racing."""
         if self._observations is None:
             acted = self._present
             seen = self._chains.observe(acted, episode)
@@ -452,14 +459,14 @@ class RaceOpponents:
 
 
 def drive_together(races: Sequence[tuple[RaceOpponents, Episode, Controls]]) -> None:
-    """Has the opponents of some races decide, and writes their controls.
+    """Computes the actions of the opponents of several races and writes their controls.
 
-    Those that run elsewhere decide at the same time, and the karts of one driver that can drive
-    several are driven by one call.
+    Out-of-process drivers compute in parallel. Karts of the same batch-capable driver share one
+    call.
 
     Args:
-        races: each race's opponents, its episode, and the controls ``(P, 7)`` of its player karts,
-            which take those of the opponents.
+        races: for each race its opponents, its episode, and the controls of its player karts, ``(P,
+            7)`` float32; the controls are changed in place.
     """
     actions: list[dict[str, Any]] = [{} for _ in races]
     groups: dict[int, list[tuple[int, Opponent, Any]]] = {}
@@ -489,7 +496,7 @@ def drive_together(races: Sequence[tuple[RaceOpponents, Episode, Controls]]) -> 
 def _picked(
     opponents: Sequence[Opponent], seen: Sequence[Any]
 ) -> tuple[Sequence[Any], BaseException | None]:
-    """The actions of the opponents of a group, or why there are none."""
+    """Returns the actions of a group of opponents, or the error that prevented them."""
     code = opponents[0].code
     assert code is not None  # noqa: S101 - it runs in this program
     actors: list[Any] = [opponent.actor for opponent in opponents]

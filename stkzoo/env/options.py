@@ -1,4 +1,4 @@
-"""What can be chosen about a race, checked before the engine sees any of it."""
+"""Options of a race, validated before they reach the engine."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from stkzoo.errors import ConfigError, check_number, check_whole, unknown_name
 from stkzoo.names import CameraMode
 from stkzoo.tracks import SPLITS
 
-#: The game's physics takes coarser steps badly, and a race has no use for them.
+#: Longest step [s]; the game's physics becomes unreliable with coarser steps.
 _MAX_STEP_SIZE = 1.0
-#: More paths or steps than any race has; larger numbers do not fit everywhere.
+#: Upper bound of counts; larger numbers overflow 32-bit fields.
 _MAX_COUNT = 2**31 - 1
-#: Bounds of whole numbers.
+#: Bounds of integer options.
 _WHOLE = {
     "num_kart": (1, 256),
     "laps": (1, 1000),
@@ -30,37 +30,37 @@ _WHOLE = {
 }
 _OPTIONAL = ("max_paths", "max_cycles", "end_when_first_finishes")
 _SECONDS = ("end_when_stuck", "end_when_wrong_way", "end_off_road")
-#: Options that count from an episode's first moment, wherever in a race that is.
+#: Options of an episode that may start in the middle of a race.
 OF_AN_EPISODE = (*_OPTIONAL, *_SECONDS, "events")
-#: As many views as the game's window can be split into.
+#: Maximum number of views into which the game splits its window.
 MAX_CAMERAS = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RaceOptions:
-    """The options of a race. ``reset(options=...)`` may change those of one episode.
+    """Options of a race. ``reset(options=...)`` changes them for one episode.
 
     Attributes:
         num_kart: number of karts, agents and bots together.
-        track: a name, several names, ``None`` or ``"all"`` for any track, ``"train"`` or
-            ``"test"`` for one of a split (:mod:`stkzoo.tracks`).
+        track: a track name, several names, ``None`` or ``"all"`` for any track, ``"train"`` or
+            ``"test"`` for a track of that split (:mod:`stkzoo.tracks`).
         laps: number of laps.
-        difficulty: how well the game's bots drive, 0 to 3.
-        reverse: drive the track the other way round.
-        max_paths: how many track segments ahead are observed; ``None`` is all.
+        difficulty: level of the game's bots, 0 (easiest) to 3 (hardest).
+        reverse: drive the track in the opposite direction.
+        max_paths: number of track segments ahead in observations; ``None`` for all.
         step_size: game time of one step [s].
-        max_cycles: steps after which the race is cut short; ``None`` is never.
-        start: where the karts start: ``None`` on the grid, a distance [m], a
-            :class:`~stkzoo.config.Start`, a :class:`~stkzoo.config.RandomStart` or a mapping of
-            the fields of one, ``"random"``, or a mapping from agents to these.
-        events: whether infos count contacts, hits, overtakes and so on
+        max_cycles: number of steps after which the race is truncated; ``None`` for no limit.
+        start: where the karts start: ``None`` for the grid, a distance [m], a
+            :class:`~stkzoo.config.Start`, a :class:`~stkzoo.config.RandomStart`, a mapping of the
+            fields of either, ``"random"``, or a mapping from agents to these.
+        events: whether infos count events such as contacts, hits and overtakes
             (:data:`stkzoo.mdp.events.EVENTS`).
-        end_when_stuck: terminates an agent whose kart stays within 3 m for so long [s]; ``None``
-            is never, as for the others.
-        end_when_wrong_way: the same for driving against the road's direction [s].
-        end_off_road: the same for being off the road [s].
-        end_when_first_finishes: steps after which those who still race are truncated, from the
-            step in which the first kart finishes on; 0 is at once.
+        end_when_stuck: terminate an agent whose kart stays within 3 m for this long [s]; ``None``
+            disables it, as for the other ``end_`` options.
+        end_when_wrong_way: terminate an agent that drives in the wrong direction for this long [s].
+        end_off_road: terminate an agent that is off the road for this long [s].
+        end_when_first_finishes: number of steps after the first finish when the remaining agents
+            are truncated; 0 truncates them in the step of the first finish.
     """
 
     num_kart: int = 3
@@ -97,7 +97,11 @@ class RaceOptions:
             raise ConfigError(f"track is {self.track!r}, expected a name, names or None")
 
     def changed(self, options: Mapping[str, Any]) -> RaceOptions:
-        """These options with those of ``options`` that are known."""
+        """Returns a copy with the known entries of ``options`` applied.
+
+        Raises:
+            ConfigError: a value is invalid.
+        """
         if not isinstance(options, Mapping):
             raise ConfigError(
                 f"options is {options!r}, expected a dict from names of options to values"
@@ -106,13 +110,13 @@ class RaceOptions:
         return replace(self, **{name: value for name, value in options.items() if name in names})
 
     def tracks(self, known: Sequence[str]) -> tuple[str, ...]:
-        """The tracks that an episode may take place on.
+        """Returns the tracks from which an episode's track is drawn.
 
         Args:
-            known: all tracks of the game's data.
+            known: all tracks in the game's data.
 
         Raises:
-            ConfigError: a track is not among them.
+            ConfigError: a requested track does not exist.
         """
         if self.track is None or self.track == "all":
             return tuple(known)
@@ -129,12 +133,12 @@ class RaceOptions:
 
 
 def check_agents(agents: Sequence[AgentSpec], num_kart: int, karts: Sequence[str]) -> None:
-    """Checks what the agents ask for.
+    """Checks the agents' options.
 
     Args:
         agents: the agents.
         num_kart: number of karts in the race.
-        karts: all kart models of the game's data.
+        karts: all kart models in the game's data.
 
     Raises:
         ConfigError: an option is invalid.
@@ -166,7 +170,7 @@ def check_agents(agents: Sequence[AgentSpec], num_kart: int, karts: Sequence[str
 
 
 def camera_mode(agent: AgentSpec) -> CameraMode:
-    """The agent's camera mode, also when it is given as pystk2's own kind or by name."""
+    """Returns the agent's camera mode, given as an enum of stkzoo or pystk2, or by name."""
     mode: object = agent.camera_mode
     try:
         return CameraMode[mode.upper() if isinstance(mode, str) else getattr(mode, "name", "")]
@@ -178,5 +182,5 @@ def camera_mode(agent: AgentSpec) -> CameraMode:
 
 
 def random_stream(seed: int | None) -> np.random.Generator:
-    """A random stream, as ``reset(seed=...)`` begins it."""
+    """Returns a new random generator, as ``reset(seed=...)`` makes it."""
     return seeding.np_random(None if seed is None else check_whole("seed", seed, 0))[0]

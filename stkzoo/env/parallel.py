@@ -1,4 +1,4 @@
-"""The core: all karts of one race through PettingZoo's parallel API."""
+"""The parallel environment: all karts of one race behind PettingZoo's parallel API."""
 
 from __future__ import annotations
 
@@ -54,38 +54,40 @@ Observations = dict[str, Any]
 class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
     """One race of SuperTuxKart in which every agent drives a kart.
 
-    Agents are named ``kart_0`` to ``kart_{n-1}``. An agent whose kart finishes is
-    terminated, paid once, and leaves; the race goes on for the others.
+    Agents are named ``kart_0`` to ``kart_{n-1}``. When an agent's kart finishes, the agent gets its
+    last reward, is terminated and leaves; the race continues for the others.
 
     Args:
-        agents: a list of :class:`~stkzoo.config.AgentSpec` or mappings of their fields, or how
-            many; all karts by default. Karts beyond the agents are driven by the game.
-        num_kart: see :class:`~stkzoo.env.options.RaceOptions`, as for ``track``, ``laps``,
-            ``difficulty``, ``max_paths``, ``step_size``, ``reverse``, ``max_cycles``,
-            ``start``, ``events`` and those that begin with ``end_``.
-        view: name of a view for all agents (:data:`stkzoo.views.VIEWS`), a function
-            that wraps a Gymnasium environment, or a mapping from agents to these.
+        agents: a list of :class:`~stkzoo.config.AgentSpec` or mappings of their fields, or the
+            number of agents; by default, all karts are agents. The game drives the remaining karts.
+        num_kart: see :class:`~stkzoo.env.options.RaceOptions`; likewise ``track``, ``laps``,
+            ``difficulty``, ``max_paths``, ``step_size``, ``reverse``, ``max_cycles``, ``start``,
+            ``events`` and the options that begin with ``end_``.
+        view: name of a view for all agents (:data:`stkzoo.views.VIEWS`), a function that wraps a
+            Gymnasium environment, or a mapping from agents to views.
         reward: see :mod:`stkzoo.mdp.rewards`.
-        render_mode: ``"rgb_array"``: :meth:`render` gives a picture; ``"rgb_array_list"``: the
-            pictures since the last call or reset; ``"human"``: the game's window follows the
-            race; ``None`` shows nothing. No mode changes a race. Where there is no display,
-            ``metadata["render_modes"]`` leaves ``"human"`` out and ``reset`` refuses it.
-        num_cameras: how many agents have a camera, at most 8; with 0 those that ask for one,
-            or the first agent.
-        render_backend: what draws pictures: ``"engine"``, the game; ``"map"``, the race from
-            above; ``"auto"``, the game where it can draw, else the map.
-        render_size: width and height of a picture [pixels].
-        graphics_config: a ``pystk2.GraphicsConfig`` or the name of a preset (``"ld"``,
-            ``"sd"``, ``"hd"``): how finely the game draws.
-        use_subprocess: run the game in a process of its own (the default). In this
-            process there can be one race at a time, and with bots only the first repeats.
-        engine_timeout: seconds that the game may take for one step.
-        max_snapshots: how many states saved by this environment may be open at a time;
-            each is a process of about a megabyte and two open files.
-        opponents: drivers of further karts, which are no agents: a list of names
-            (:func:`stkzoo.race.find_driver`), policies, drivers and pools, one for each; or a
-            :class:`~stkzoo.OpponentPool`, which drives all karts that are no agents. A mapping
-            from names to weights is a pool.
+        render_mode: with ``"rgb_array"``, :meth:`render` returns a frame; with
+            ``"rgb_array_list"``, the frames since the last call or reset; with ``"human"``, a game
+            window follows the race; ``None`` disables rendering. The render mode does not affect
+            the race. On a machine without a display, ``metadata["render_modes"]`` lacks ``"human"``
+            and ``reset`` rejects it.
+        num_cameras: number of agents with a camera, at most 8. With 0, the agents that request a
+            camera get one, or else the first agent.
+        render_backend: renderer of the frames: ``"engine"``, the game; ``"map"``, a top-down map;
+            ``"auto"``, the game if it can render on this machine, otherwise the map.
+        render_size: width and height of a frame [pixels].
+        graphics_config: graphics quality: a ``pystk2.GraphicsConfig`` or the name of a preset
+            (``"ld"``, ``"sd"``, ``"hd"``).
+        use_subprocess: run the game in its own process (the default). Otherwise the game runs in
+            this process, which allows only one race at a time; with bots, only the first race is
+            reproducible.
+        engine_timeout: time limit of the game for one step [s].
+        max_snapshots: maximum number of open states saved by this environment. Each is a process of
+            about 1 MB with two open files.
+        opponents: drivers of additional karts, which are not agents. Either a list of driver names
+            (:func:`stkzoo.race.find_driver`), policies, drivers and pools, one per kart; or an
+            :class:`~stkzoo.OpponentPool`, which drives all karts that are not agents. A mapping
+            from names to weights also defines a pool.
 
     Raises:
         ConfigError: an argument is invalid.
@@ -178,34 +180,42 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
     # ------------------------------------------------------------------ PettingZoo's API
 
     def observation_space(self, agent: str) -> gym.Space[Any]:
-        """The agent's observation space: always the same object."""
+        """Returns the agent's observation space, the same object on every call.
+
+        Args:
+            agent: the agent's id.
+        """
         return of_agent(self.observation_spaces, agent)
 
     def action_space(self, agent: str) -> gym.Space[Any]:
-        """The agent's action space: always the same object."""
+        """Returns the agent's action space, the same object on every call.
+
+        Args:
+            agent: the agent's id.
+        """
         return of_agent(self.action_spaces, agent)
 
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Observations, dict[str, dict[str, Any]]]:
-        """Starts a new race and returns when all karts stand on the grid and may act.
+        """Starts a new race and returns when the karts are on the grid and may act.
 
         Args:
-            seed: restarts the environment's random stream; ``None`` goes on with it.
-            options: fields of :class:`~stkzoo.env.options.RaceOptions` for this episode
-                alone, except ``num_kart``. ``state``
-                is a :class:`~stkzoo.env.state.RaceState`: the episode starts at that moment
-                of that race, with the agents that were racing, and counts from zero; of
-                the other options only ``max_cycles``, ``max_paths``, ``events`` and those that
-                begin with ``end_`` go with it. ``scenario``
-                is a :class:`~stkzoo.env.scenario.Scenario` or the path of its file: the
-                same with a moment that was kept as a file.
+            seed: seeds the environment's random generator; ``None`` keeps its current state.
+            options: fields of :class:`~stkzoo.env.options.RaceOptions` for this episode, except
+                ``num_kart``. Two further keys start the episode in the middle of a race. ``state``
+                is a :class:`~stkzoo.env.state.RaceState`: the episode starts at the saved moment,
+                with the agents that were racing, and its counters start at zero. You may combine it
+                with ``max_cycles``, ``max_paths``, ``events`` and options that begin with ``end_``.
+                ``scenario`` is a :class:`~stkzoo.env.scenario.Scenario` or the path of its file,
+                and works like ``state``.
 
         Returns:
             Observations and infos by agent.
 
         Raises:
             ConfigError: an option is invalid, or there is no display for ``"human"``.
+            EngineError: the game does not start.
         """
         self._rendering.check()
         if seed is not None or self._np_random is None:
@@ -235,51 +245,58 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
     def step(self, actions: Mapping[str, Any]) -> StepParts:
         """Advances the race by one step.
 
-        Its phases: :meth:`decode` makes controls of the actions, opponents add theirs,
-        :meth:`send` steps the game, and :meth:`step_wait` reads the moment after it, scores
-        rewards and ends, observes and gathers infos. Wrappers that the kernel does not do run
-        last.
+        The step has these phases: :meth:`decode` converts actions to controls, the opponents add
+        their controls, :meth:`send` starts the step in the game, and :meth:`step_wait` reads the
+        new state, computes rewards and episode ends, and builds observations and infos. Wrappers
+        without a kernel implementation run last.
 
         Args:
-            actions: an action for each agent still in the race; entries of agents that
-                have left, and of agents that the game's AI drives, are ignored.
+            actions: one action per agent that is still racing. Actions of agents that have left, or
+                that the game's AI drives, are ignored.
 
         Returns:
-            Observations, rewards, terminations, truncations and infos of the agents that
-            acted; empty after the end.
+            Observations, rewards, terminations, truncations and infos of the agents that acted;
+                empty dicts after the race has ended.
 
         Raises:
-            ActionError: an action is missing or invalid; the race has not moved.
-            ApiOrderError: before the first ``reset``.
-            EngineError: the game died or hangs; ``reset`` starts a new race.
+            ActionError: an action is missing or invalid; the race has not advanced.
+            ApiOrderError: called before the first ``reset``.
+            EngineError: the game crashed or hung; ``reset`` starts a new race.
         """
         self.step_async(actions)
         return self.step_wait()
 
     def step_async(self, actions: Mapping[str, Any]) -> None:
-        """Asks for a step, which the game takes while the caller goes on.
+        """Starts a step and returns while the game computes it.
 
-        With the game in this process (``use_subprocess=False``) nothing moves before
+        With the game in this process (``use_subprocess=False``), the race advances in
         :meth:`step_wait`.
 
         Args:
-            actions: as for :meth:`step`.
+            actions: see :meth:`step`.
 
         Raises:
-            ActionError: an action is missing or invalid; the race has not moved.
-            ApiOrderError: before the first ``reset``, or twice without :meth:`step_wait`.
-            EngineError: the game died or hangs; ``reset`` starts a new race.
+            ActionError: an action is missing or invalid; the race has not advanced.
+            ApiOrderError: called before the first ``reset``, or twice without :meth:`step_wait`.
+            EngineError: the game crashed or hung; ``reset`` starts a new race.
         """
         controls = self.decode(actions)
         drive_opponents([self], [controls])
         self.send(controls)
 
     def decode(self, actions: Mapping[str, Any]) -> npt.NDArray[np.float32]:
-        """The first half of :meth:`step_async`: checks the actions and moves nothing.
+        """First half of :meth:`step_async`: checks the actions and converts them to controls.
+
+        Args:
+            actions: see :meth:`step`.
 
         Returns:
-            What :meth:`send` takes: ``(P, 7)`` float32, see
-            :meth:`stkzoo.engine.session.Session.step_async`.
+            Controls of the P player karts for :meth:`send`, ``(P, 7)`` float32; see
+                :meth:`stkzoo.engine.session.Session.step_async`.
+
+        Raises:
+            ActionError: an action is missing or invalid.
+            ApiOrderError: called before the first ``reset``, or while a step is running.
         """
         episode = self._running("step")
         if self._asked is episode:
@@ -288,18 +305,22 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         return self._chains.decode(actions, self.agents, rows, episode.num_players, episode)
 
     def send(self, controls: npt.NDArray[np.float32]) -> None:
-        """The second half of :meth:`step_async`: asks the game for the step."""
+        """Second half of :meth:`step_async`: starts the step in the game.
+
+        Args:
+            controls: controls from :meth:`decode`, ``(P, 7)`` float32.
+        """
         if self.agents:
             self._session.step_async(controls)
             self._running("step").remember(controls)
         self._asked = self._running("step")
 
     def step_wait(self) -> StepParts:
-        """What came of the step that :meth:`step_async` asked for; see :meth:`step`.
+        """Waits for the step from :meth:`step_async` and returns its result; see :meth:`step`.
 
         Raises:
-            ApiOrderError: without :meth:`step_async`.
-            EngineError: the game died or hangs; ``reset`` starts a new race.
+            ApiOrderError: called without :meth:`step_async`.
+            EngineError: the game crashed or hung; ``reset`` starts a new race.
         """
         episode, self._asked = self._asked, None
         if episode is None or episode is not self._episode:
@@ -320,33 +341,41 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         return parts
 
     def render(self) -> Any:
-        """Shows the race as ``render_mode`` asks for.
+        """Renders the race according to ``render_mode``.
 
         Returns:
-            ``(height, width, 3)`` uint8 with ``"rgb_array"``: what the first agent's camera
-            sees, several cameras as tiles, or the map. A list of such pictures, one a step
-            since the last call or reset, with ``"rgb_array_list"``. ``None`` with ``"human"``:
-            the window follows every step by itself.
+            With ``"rgb_array"``, a frame ``(height, width, 3)`` uint8: the view of the first
+                agent's camera, several cameras as tiles, or the map. With ``"rgb_array_list"``, a
+                list of frames, one per step since the last call or reset. With ``"human"``,
+                ``None``: the window updates after every step.
 
         Raises:
-            ApiOrderError: before the first ``reset``.
-            EngineError: the game cannot draw here, and the map was not allowed.
+            ApiOrderError: called before the first ``reset``.
+            EngineError: the game cannot render on this machine and ``render_backend`` is
+                ``"engine"``.
         """
         return self._rendering.render(self._episode)
 
     def frames(self) -> dict[str, npt.NDArray[np.uint8]]:
-        """What each agent's camera sees, ``(height, width, 3)`` uint8; in any render mode.
+        """Returns each agent's camera frame, ``(height, width, 3)`` uint8, in any render mode.
 
-        Raises: as :meth:`render`.
+        Raises:
+            ApiOrderError: called before the first ``reset``.
+            EngineError: the game cannot render on this machine and ``render_backend`` is
+                ``"engine"``.
         """
         return self._rendering.frames(self._episode, self.possible_agents)
 
     def state(self) -> npt.NDArray[np.float32]:
-        """The whole race as one vector of ``state_space`` (:mod:`stkzoo.mdp.state`)."""
+        """Returns the state of the race: a vector in ``state_space`` (:mod:`stkzoo.mdp.state`).
+
+        Raises:
+            ApiOrderError: called before the first ``reset``.
+        """
         return self._running("state").state()
 
     def close(self) -> None:
-        """Ends the game's process; ``reset`` may be called again."""
+        """Stops the game process. You may call ``reset`` again."""
         self._end_race()
         self._session.close()
         self._rendering.close()
@@ -359,7 +388,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
     def __exit__(self, *exception: object) -> None:
         self.close()
 
-    # ------------------------------------------------------------------ more than the API
+    # ------------------------------------------------------------------ beyond the API
 
     @property
     def unwrapped(self) -> RaceParallelEnv:
@@ -368,12 +397,12 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
 
     @property
     def render_backend(self) -> str:
-        """What draws: ``"engine"`` or ``"map"``; ``"auto"`` until a picture was asked for."""
+        """Renderer in use: ``"engine"`` or ``"map"``; ``"auto"`` before the first frame."""
         return self._rendering.backend
 
     @property
     def max_cycles(self) -> int | None:
-        """Steps after which the race is cut short; ``None`` is never."""
+        """Number of steps after which the race is truncated; ``None`` for no limit."""
         return self.options.max_cycles
 
     @max_cycles.setter
@@ -381,11 +410,17 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         self.options = replace(self.options, max_cycles=value)
 
     def observe_batch(self, agents: Sequence[str]) -> dict[str, Any]:
-        """What some agents, racing or not, would see now in the ``full`` view.
+        """Returns current observations in the ``full`` view, in batch form.
+
+        Args:
+            agents: ids of the agents, racing or not; at least one.
 
         Returns:
-            Batch form: arrays with a leading axis over ``agents``
-            (:mod:`stkzoo.mdp.observations`).
+            Arrays with a leading axis over ``agents`` (:mod:`stkzoo.mdp.observations`).
+
+        Raises:
+            ApiOrderError: called before the first ``reset``.
+            ConfigError: ``agents`` is not a list of agents.
         """
         episode = self._running("observe_batch")
         if isinstance(agents, str) or not isinstance(agents, Sequence) or not agents:
@@ -393,11 +428,25 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         return episode.observe_batch([find_agent(agent, self.possible_agents) for agent in agents])
 
     def observe(self, agents: Sequence[str]) -> Observations:
-        """What some agents, racing or not, see now, before wrappers of your own."""
+        """Returns the agents' current observations, before custom wrappers.
+
+        Args:
+            agents: ids of the agents, racing or not.
+
+        Raises:
+            ApiOrderError: called before the first ``reset``.
+        """
         return self._chains.observe(agents, self._running("observe"))
 
     def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
-        """The present infos of some agents, racing or not, before their wrappers."""
+        """Returns the agents' current infos, before their wrappers.
+
+        Args:
+            agents: ids of the agents, racing or not.
+
+        Raises:
+            ApiOrderError: called before the first ``reset``.
+        """
         return self._running("infos").infos(agents)
 
     # ------------------------------------------------------------------ helpers
@@ -427,7 +476,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
     def _draw_opponents(
         self, options: RaceOptions, asked: Mapping[str, Any], random: np.random.Generator
     ) -> tuple[RaceOptions, tuple[Driver, ...], list[AgentSpec]]:
-        """The options of a race with its opponents, their drivers, and how they start."""
+        """Draws the opponents; returns the race's options, the drivers and their specs."""
         if self._opponents is None:
             return options, (), []
         drivers, level = self._opponents.draw(random, asked.get("difficulty"))
@@ -435,7 +484,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         return options, drivers, self._opponents.specs(drivers)
 
     def _begin(self, setup: RaceSetup) -> RaceStart:
-        """Starts a race."""
+        """Starts a race in the game; :class:`~stkzoo.env.vec.ahead.AheadRace` overrides it."""
         return self._session.start(setup)
 
     def _running(self, method: str) -> Episode:
@@ -473,11 +522,13 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
 def drive_opponents(
     races: Sequence[RaceParallelEnv], controls: Sequence[npt.NDArray[np.float32]]
 ) -> None:
-    """Adds the opponents' controls to those that :meth:`RaceParallelEnv.decode` gave.
+    """Adds the opponents' controls to those from :meth:`RaceParallelEnv.decode`.
+
+    Karts of the same driver are computed together, also across races.
 
     Args:
-        races: races that are about to be stepped, the karts of one driver together.
-        controls: of each race.
+        races: the races that are about to step.
+        controls: controls of each race, ``(P, 7)`` float32; changed in place.
     """
     driven = [
         (race._opponents, race._running("step"), own)
@@ -493,7 +544,7 @@ def drive_opponents(
 def _opponents(
     opponents: Any, agents: Sequence[object] | int | None, num_kart: int
 ) -> tuple[OpponentChoice | None, int]:
-    """What was asked for as opponents, and how many there are."""
+    """Reads the ``opponents`` argument; returns the choice and the number of opponents."""
     if opponents is None:
         return None, 0
     from stkzoo.env.opponents import OpponentChoice
@@ -509,7 +560,7 @@ def _specs(
     if agents is None:
         agents = num_kart
     if isinstance(agents, (int, np.integer)) and not isinstance(agents, bool):
-        # One too many is refused with the rest; more would only take up memory.
+        # One agent too many is enough for the later check to reject; more only cost memory.
         return [AgentSpec() for _ in range(min(int(agents), num_kart + 1))]
     if isinstance(agents, Sequence) and not isinstance(agents, str):
         return [AgentSpec.of(agent, f"agent {number}") for number, agent in enumerate(agents)]

@@ -1,4 +1,4 @@
-"""The part of the parallel core that shows the race, and its arguments checked."""
+"""Rendering of the parallel environment's race, and the checks of its arguments."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from stkzoo.render.renderer import BACKENDS, RaceRenderer
 from stkzoo.render.scene import Scene
 from stkzoo.wrappers.camera import checked_size
 
-#: ``None`` draws nothing.
+#: The render modes; ``None`` disables rendering.
 RENDER_MODES = ("human", "rgb_array", "rgb_array_list")
 
 _PRESETS = ("ld", "sd", "hd")
@@ -27,14 +27,14 @@ Picture = npt.NDArray[np.uint8]
 
 
 class Rendering:
-    """Shows the races of one environment, in the way its render mode asks for.
+    """Renders the races of one environment according to its render mode.
 
-    Nothing here touches a race: pictures are made from its snapshots.
+    Frames are made from snapshots, so rendering does not affect the race.
 
     Args:
         mode: one of :data:`RENDER_MODES`, or ``None``.
-        backend: what draws: ``"auto"``, ``"engine"`` or ``"map"``.
-        size: width and height of a picture [pixels].
+        backend: renderer: ``"auto"``, ``"engine"`` or ``"map"``.
+        size: width and height of a frame [pixels].
         graphics_config: see :func:`drawing_preset`.
 
     Raises:
@@ -53,11 +53,11 @@ class Rendering:
 
     @property
     def backend(self) -> str:
-        """What draws; see :attr:`stkzoo.render.renderer.RaceRenderer.backend`."""
+        """Renderer in use; see :attr:`stkzoo.render.renderer.RaceRenderer.backend`."""
         return self._renderer.backend
 
     def check(self) -> None:
-        """Checks before a race that it can be shown.
+        """Checks that the next race can be rendered.
 
         Raises:
             ConfigError: there is no display for the window.
@@ -66,13 +66,13 @@ class Rendering:
             check_display("render_mode is 'human'", " or render_mode=None")
 
     def reset(self, episode: Episode) -> None:
-        """An episode has begun."""
+        """Prepares for a new episode."""
         self._list.clear()
         self._renderer.begin(scene_of(episode))
         self.follow(episode)
 
     def follow(self, episode: Episode) -> None:
-        """The episode has come to a new moment."""
+        """Updates the window or the list of frames after a step."""
         if self.mode is None:
             return
         self._renderer.follow(scene_of(episode))
@@ -83,7 +83,7 @@ class Rendering:
             self._list.append(self._renderer.picture(episode.snapshot))
 
     def render(self, episode: Episode | None) -> Any:
-        """What ``render()`` of an environment gives."""
+        """Returns the result of the environment's ``render()``."""
         if self.mode is None:
             warnings.warn(
                 'render() shows nothing without a render mode; pass render_mode="rgb_array" or '
@@ -101,7 +101,7 @@ class Rendering:
         return self._renderer.picture(episode.snapshot)
 
     def frames(self, episode: Episode | None, agents: Sequence[str]) -> dict[str, Picture]:
-        """The picture of each agent that has a camera."""
+        """Returns the frame of each agent that has a camera."""
         episode = _running(episode, "frames")
         self._renderer.follow(scene_of(episode))
         by_kart = self._renderer.pictures(episode.snapshot)
@@ -109,18 +109,18 @@ class Rendering:
         return {agent: by_kart[kart] for agent, kart in karts.items() if kart in by_kart}
 
     def close(self) -> None:
-        """Ends the render process, if there is one."""
+        """Stops the render process, if there is one."""
         self._list.clear()
         self._renderer.close()
 
 
 def available_modes() -> list[str]:
-    """The render modes that work on this machine: without a display there is no window."""
+    """Returns the render modes that work on this machine; ``"human"`` needs a display."""
     return [mode for mode in RENDER_MODES if mode != "human" or has_display()]
 
 
 def scene_of(episode: Episode) -> Scene:
-    """The episode's race as pictures need it."""
+    """Returns the episode's race in the form that renderers use."""
     race = episode.race
     return Scene(episode.setup, episode.track_map, race.kart_types, race.kart_indices)
 
@@ -132,10 +132,10 @@ def _running(episode: Episode | None, method: str) -> Episode:
 
 
 def check_render_mode(mode: str | None, backend: str) -> None:
-    """Checks a render mode and who is to draw.
+    """Checks a render mode and a render backend.
 
     Raises:
-        ConfigError: they are invalid.
+        ConfigError: either is invalid.
     """
     if mode is not None and not (isinstance(mode, str) and mode in RENDER_MODES):
         raise ConfigError(
@@ -151,12 +151,13 @@ def check_render_mode(mode: str | None, backend: str) -> None:
 
 
 def drawing_preset(mode: str | None, choice: Any) -> str | dict[str, Any]:
-    """How finely the game draws, for :class:`stkzoo.engine.render_session.RenderSession`.
+    """Returns the graphics settings for :class:`stkzoo.engine.render_session.RenderSession`.
 
     Args:
         mode: the render mode.
-        choice: a preset's name, a ``pystk2.GraphicsConfig``, or ``None``: the finest in a
-            window if there is a graphics card, else the quickest.
+        choice: name of a preset, a ``pystk2.GraphicsConfig``, or ``None``. ``None`` selects the
+            highest quality for a window on a machine with a graphics card, otherwise the fastest
+            preset.
 
     Raises:
         ConfigError: the choice is invalid.
@@ -173,6 +174,6 @@ def drawing_preset(mode: str | None, choice: Any) -> str | dict[str, Any]:
 
 
 def frame_rate(step_size: float) -> float:
-    """Pictures a second of game time, one a step; whole where it is whole."""
+    """Returns the number of frames per second of game time, one per step; an ``int`` if whole."""
     rate = 1 / step_size
     return round(rate) if abs(rate - round(rate)) < 1e-6 else rate

@@ -1,4 +1,4 @@
-"""A moment of a race as a file: how the race began, and all that was done up to then."""
+"""Scenarios: a moment of a race as a file with the race's setup and all controls up to then."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ _ENGINE = "PySuperTuxKart2"
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """A moment of a race that can be reached again, here or elsewhere, bit for bit.
+    """A moment of a race that can be replayed bit for bit, on this or another machine.
 
-    Made by ``env.scenario()``, taken by ``reset(options={"scenario": ...})``. It holds no
-    state of the game but the way to it, so that reaching it takes as long as the engine needs
-    for the steps (a few milliseconds each).
+    ``env.scenario()`` makes it, and ``reset(options={"scenario": ...})`` accepts it. A scenario
+    does not contain the game's state but the controls that lead to it, so reaching the moment takes
+    the engine a few milliseconds per step.
 
     Attributes:
-        setup: what the engine was told.
-        kart_indices: each agent's kart, in grid order.
-        agents: who was still racing.
-        controls: ``(T, P, 7)`` float32: what the player karts did in each step.
-        digest: of all karts at the moment, to check that it has been reached.
+        setup: setup of the race in the engine.
+        kart_indices: kart of each agent, in grid order.
+        agents: agents that were still racing.
+        controls: ``(T, P, 7)`` float32, controls of the P player karts in each of T steps.
+        digest: digest of all karts at the moment, for verification.
         engine: version of the engine.
-        opponents: each opponent's kart, in grid order.
+        opponents: kart of each opponent, in grid order.
     """
 
     setup: RaceSetup
@@ -55,10 +55,13 @@ class Scenario:
     opponents: tuple[int, ...] = ()
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes a file, whole or not at all.
+        """Writes the scenario to a file atomically.
+
+        Args:
+            path: path of the file.
 
         Raises:
-            ConfigError: it cannot be written.
+            ConfigError: the file cannot be written.
         """
         names = ("kart_indices", "agents", "digest", "engine", "opponents")
         about = {"type": _TYPE, "format": _FORMAT, "setup": asdict(self.setup)}
@@ -72,10 +75,13 @@ class Scenario:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Scenario:
-        """Reads what :meth:`save` wrote.
+        """Reads a file that :meth:`save` wrote.
+
+        Args:
+            path: path of the file.
 
         Raises:
-            ConfigError: there is no such file, or it is damaged or of another kind.
+            ConfigError: the file does not exist, is damaged or is not a scenario.
         """
         file = Path(path)
         try:
@@ -86,7 +92,7 @@ class Scenario:
             raise ConfigError(f"the scenario {file} cannot be read: {error}") from error
         except MemoryError:
             raise
-        except Exception as error:  # zipfile, json and numpy tell of damage in many ways
+        except Exception as error:  # zipfile, json and numpy raise many types
             raise ConfigError(
                 f"{file} is no scenario or is damaged ({type(error).__name__}: {error!s:.200}); "
                 "expected what env.scenario().save(path) wrote"
@@ -94,11 +100,11 @@ class Scenario:
         return scenario
 
     def reach(self, session: Session) -> RaceStart:
-        """Starts the race in a session and brings it to the moment.
+        """Starts the race in a session and replays it up to the moment.
 
         Raises:
-            ConfigError: it was saved with another engine, whose races are not the same.
-            EngineError: the game died or hangs.
+            ConfigError: the scenario was saved with another engine, which races differently.
+            EngineError: the game crashed or hung.
         """
         begun = session.start(self.setup)
         snapshot = begun.snapshot
@@ -115,7 +121,7 @@ class Scenario:
 
     @property
     def roster(self) -> RaceRoster:
-        """Who races."""
+        """Karts and agents of the race."""
         karts = self.setup.karts
         driven = (n for n, kart in enumerate(self.kart_indices) if karts[kart].is_bot)
         return RaceRoster(
@@ -124,7 +130,7 @@ class Scenario:
 
 
 def digest_of(snapshot: Snapshot) -> str:
-    """A name for where all karts are and how they move."""
+    """Returns a digest of the positions and movement of all karts."""
     seen = hashlib.blake2b(digest_size=16)
     for name in ("location", "rotation", "velocity"):
         seen.update(np.ascontiguousarray(snapshot.karts[name], "<f4").tobytes())
@@ -150,7 +156,7 @@ def _read(text: bytes, numbers: bytes) -> Scenario:
 
 
 def _check(scenario: Scenario) -> None:
-    """Nothing reaches the engine that an environment would not have sent."""
+    """Rejects values that an environment would not send to the engine."""
     setup, controls = scenario.setup, scenario.controls
     if len(controls) > _MAX_STEPS or not np.isfinite(controls).all():
         raise ValueError("controls are too many or not finite")

@@ -1,4 +1,4 @@
-"""Where karts start when they do not start on the grid, and which starts come next."""
+"""Start positions other than the grid, and a curriculum of start positions."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from stkzoo.agent_names import by_agent
 from stkzoo.config import RandomStart, Start, start_of
 from stkzoo.errors import ConfigError, check_whole
 
-#: How often a random start is drawn because some kart cannot stand there. For eight karts in rows
-#: two draws of three fail on the track that is worst, and who trains begins thousands of races.
+#: Maximum number of draws of a random start. A draw fails if some kart does not fit there. On the
+#: worst track, two of three draws fail for eight karts, and training starts thousands of races.
 MAX_START_DRAWS = 60
 
-#: Karts that start at one place stand in rows of two, as on the grid [m].
+#: Distance between the rows of two in which karts start, as on the grid [m].
 _ROW_LENGTH = 4.0
 _COLUMN_OFFSET = 1.2
 
@@ -26,19 +26,19 @@ _EXPECTED = (
     "from agents to these"
 )
 
-#: Where karts start: one start for all, or some agents' own; ``None`` is the grid.
+#: Start positions: one for all karts, or one per agent; ``None`` is the grid.
 StartChoice: TypeAlias = Start | RandomStart | Mapping[object, Start | RandomStart] | None
 
 
 def read_start(start: object) -> StartChoice:
-    """What was asked for as ``start``.
+    """Reads the ``start`` option.
 
     Args:
         start: ``None`` for the grid, a distance [m], a start, ``"random"``, a mapping from agents
             to these, or the fields of a start as a mapping (:func:`stkzoo.config.start_of`).
 
     Raises:
-        ConfigError: it is invalid.
+        ConfigError: the option is invalid.
     """
     if start is None:
         return None
@@ -51,7 +51,7 @@ def read_start(start: object) -> StartChoice:
 
 
 def is_random(start: StartChoice) -> bool:
-    """Whether another draw may give another place."""
+    """Whether another draw may give another position."""
     choices = start.values() if isinstance(start, Mapping) else [start]
     return any(isinstance(choice, RandomStart) for choice in choices)
 
@@ -63,17 +63,17 @@ def draw_starts(
     num_kart: int,
     random: np.random.Generator,
 ) -> tuple[Start, ...]:
-    """The start of every kart, in grid order; empty for a start on the grid.
+    """Returns the start of every kart, in grid order; empty for a start on the grid.
 
-    One start for all puts the front row of the grid there and the others behind it. With a
-    mapping, karts that it leaves out stand behind the first agent that it names.
+    A single start places the front row of the grid there and the other karts behind it. With a
+    mapping, karts without an entry stand behind the first agent in the mapping.
 
     Args:
-        start: what was asked for, read.
-        agents: the agents' ids.
-        kart_indices: the agents' karts, in grid order.
-        num_kart: the number of karts.
-        random: draws the random ones.
+        start: start from :func:`read_start`.
+        agents: ids of the agents.
+        kart_indices: karts of the agents, in grid order.
+        num_kart: number of karts.
+        random: random generator.
     """
     if start is None:
         return ()
@@ -91,7 +91,7 @@ def draw_starts(
 
 
 def _names_agent(key: object) -> bool:
-    """Whether a key of a mapping is an agent, by id or number, and not a field of a start."""
+    """Whether a key of a mapping is an agent (id or number) rather than a field of a start."""
     return not isinstance(key, str) or key[-1:].isdecimal()
 
 
@@ -119,7 +119,7 @@ def _drawn(start: Start | RandomStart, random: np.random.Generator) -> Start:
 
 
 def _in_row(first: Start, place: int, num_kart: int) -> Start:
-    """A start some places behind the first."""
+    """Returns the start a number of positions behind the first."""
     if num_kart == 1:
         return first
     side = _COLUMN_OFFSET if place % 2 else -_COLUMN_OFFSET
@@ -129,7 +129,7 @@ def _in_row(first: Start, place: int, num_kart: int) -> Start:
 
 
 class StartCurriculum:
-    """Starts that move from the end of the lap back to its beginning, as a learner succeeds.
+    """Random starts that move from the end of the lap to its beginning as the agent succeeds.
 
     >>> curriculum = StartCurriculum(stages=4, window=2)
     >>> curriculum.start().share
@@ -140,10 +140,11 @@ class StartCurriculum:
     (0.5, 1.0)
 
     Args:
-        stages: in how many steps the starts move back; the last one is the whole lap.
-        window: how many of the latest episodes count.
-        promote_at: the share of them that must succeed before the starts move on.
-        start: everything about the starts but where they are; or a mapping of its fields.
+        stages: number of stages; the last one covers the whole lap.
+        window: number of recent episodes that count.
+        promote_at: success rate over the window that advances the curriculum, in (0, 1].
+        start: offset, heading and speed of the starts, as a :class:`~stkzoo.config.RandomStart` or
+            a mapping of its fields.
 
     Raises:
         ConfigError: a number is invalid.
@@ -170,11 +171,11 @@ class StartCurriculum:
         self._start = own
 
     def start(self) -> RandomStart:
-        """Where the next episode starts: for ``reset(options={"start": ...})``."""
+        """Returns the starts of the current stage, for ``reset(options={"start": ...})``."""
         return replace(self._start, share=(1.0 - self.stage / self.stages, 1.0))
 
     def report(self, success: bool) -> bool:
-        """Records how an episode ended; returns whether the starts move on."""
+        """Records the outcome of an episode; returns whether the curriculum advances."""
         self._latest.append(bool(success))
         is_full = len(self._latest) == self._latest.maxlen
         if not is_full or sum(self._latest) < self._promote_at * len(self._latest):

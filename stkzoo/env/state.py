@@ -1,4 +1,4 @@
-"""A race's whole state as a value: saved once, gone on from as often as you like."""
+"""Saved states: the whole state of a race as a value that you can restore any number of times."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """What an environment knows beside the game, at one moment; nobody changes it.
+    """Immutable state of an environment, without the state of the game.
 
     Attributes:
-        episode: the race and its counts.
-        agents: who is still racing.
-        roster: who races.
-        random: the environment's random stream.
-        memory: what the agents' wrappers remember.
-        opponents: the opponents, if there are any.
+        episode: the race and its counters.
+        agents: agents that are still racing.
+        roster: karts and agents of the race.
+        random: the environment's random generator.
+        memory: state of the agents' wrappers.
+        opponents: state of the opponents, if there are any.
     """
 
     episode: Episode
@@ -41,18 +41,17 @@ class Moment:
 
 
 class RaceState:
-    """One moment of a race, kept: what ``save_state`` gives and ``restore_state`` takes.
+    """A saved moment of a race: ``save_state`` returns it and ``restore_state`` accepts it.
 
-    The game itself stands still in a process of its own, a copy of the race's at that
-    moment, which every restoring copies again; so a state can be restored many times, in
-    the environment that saved it or in others with equal agents, also when that one has
-    been closed. It lives until :meth:`close`, or until nobody refers to it any more, or
-    until the program ends; it cannot be pickled.
+    The state holds a paused copy of the game process. Every restore copies that process again, so
+    you can restore a state any number of times, in the environment that saved it or in another one
+    with the same agents, even after the first environment was closed. The state stays open until
+    :meth:`close`, until it is garbage-collected or until the program ends. It cannot be pickled.
 
     Attributes:
-        front: what the environment around the core remembers, if there is one.
-        is_open: whether the state has not been closed.
-        moment: what the environment knew beside the game.
+        front: state of the Gymnasium environment around the parallel environment, if there is one.
+        is_open: whether the state is still open.
+        moment: state of the environment, without the state of the game.
     """
 
     def __init__(self, session: Session, moment: Moment) -> None:
@@ -67,7 +66,7 @@ class RaceState:
 
     @property
     def pid(self) -> int | None:
-        """Id of the process that keeps the game; ``None`` once it has ended."""
+        """Id of the paused game process; ``None`` after it has ended."""
         return self._session.pid if isinstance(self._session, WorkerSession) else None
 
     @property
@@ -77,30 +76,33 @@ class RaceState:
 
     @property
     def agents(self) -> tuple[str, ...]:
-        """The agents that were still racing."""
+        """Agents that were still racing."""
         return self.moment.agents
 
     @property
     def snapshot(self) -> Snapshot:
-        """The moment as the game told it."""
+        """Snapshot of all karts at the saved moment."""
         return self.moment.episode.snapshot
 
     def resume_in(self, session: Session) -> None:
-        """Makes a session go on with a copy of the saved race.
+        """Continues a copy of the saved race in a session.
+
+        Args:
+            session: the session; its current race ends.
 
         Raises:
             ApiOrderError: the state was closed.
             EngineCrashed: its process was ended from outside.
-            EngineTimeout: its process gave no answer in time.
-            EngineError: the session's races cannot be saved and copied.
+            EngineTimeout: its process did not answer in time.
+            EngineError: the session does not support saved states.
         """
         if not self.is_open:
             raise ApiOrderError("the state was closed; save another with save_state()")
-        with self._lock:  # environments in several threads may restore one state
+        with self._lock:  # several threads may restore the same state
             session.resume(self._session)
 
     def close(self) -> None:
-        """Ends the process that keeps the game; may be called again."""
+        """Ends the paused game process; you may call it more than once."""
         self.is_open = False
         self._session.close()
 

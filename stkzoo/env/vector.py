@@ -1,4 +1,4 @@
-"""Many single-kart races side by side."""
+"""Vector environments of single-agent races."""
 
 from __future__ import annotations
 
@@ -26,21 +26,22 @@ def single_kart_races(
     max_cycles: int | None = None,
     **options: Any,
 ) -> RaceVectorEnv:
-    """What ``gym.make_vec(id, vectorization_mode="vector_entry_point")`` makes of an id.
+    """Vector entry point of the Gymnasium ids, used by ``gym.make_vec``.
 
-    Races of one agent and the game's own karts, in one :class:`RaceVectorEnv`, so with the
-    id's spaces and a slot for each race.
+    Each race has one agent; the game drives the other karts. All races form one
+    :class:`RaceVectorEnv` with the spaces of the id and one slot per race.
 
     Args:
         num_envs: number of races.
-        view: the id's view, of fixed size.
-        agent: every race's agent.
-        max_episode_steps: truncates, as the id's ``TimeLimit`` does.
-        max_cycles: truncates as well; the smaller one counts.
-        **options: keywords of the id, options of its view, and ``prefetch``.
+        view: the id's view; its spaces must have a fixed size.
+        agent: options of the agent in every race.
+        max_episode_steps: number of steps after which an episode is truncated, as by the id's
+            ``TimeLimit``.
+        max_cycles: also truncates; the smaller limit applies.
+        **options: keyword arguments of the id, options of its view, and ``prefetch``.
 
     Raises:
-        ConfigError: an argument is invalid, or the view's values differ in size.
+        ConfigError: an argument is invalid, or the view's spaces have no fixed size.
     """
     view, race = split_keywords(view, options, ("agent", "prefetch"))
     race["reward"] = RewardOver("reference", race.get("reward"))
@@ -62,16 +63,19 @@ def make_stkrace_vec(
     shared_memory: bool | None = None,
     **vec_kwargs: Any,
 ) -> AsyncVectorEnv:
-    """Races of one agent each, every one in a worker process of its own.
+    """Makes an ``AsyncVectorEnv`` of single-agent races, one worker process per race.
 
     Args:
         num_envs: number of races.
-        env_id: a registered id.
-        env_kwargs: keywords of the environment.
-        context: how workers are started: ``"spawn"``, ``"forkserver"`` or ``"fork"``.
-        shared_memory: pass observations through shared memory; by default where their
-            space allows it.
-        **vec_kwargs: further keywords of :class:`gymnasium.vector.AsyncVectorEnv`.
+        env_id: a registered environment id.
+        env_kwargs: keyword arguments of the environment.
+        context: start method of the workers: ``"spawn"``, ``"forkserver"`` or ``"fork"``.
+        shared_memory: whether observations pass through shared memory; ``None`` enables it if the
+            observation space has a fixed size.
+        **vec_kwargs: other keyword arguments of :class:`gymnasium.vector.AsyncVectorEnv`.
+
+    Raises:
+        ConfigError: an argument is invalid.
     """
     check_whole("num_envs", num_envs, 1)
     known = [*inspect.signature(make_stkrace_vec).parameters]
@@ -89,5 +93,5 @@ def make_stkrace_vec(
 
 
 def _make(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
-    """Registers the ids in a worker too, because it belongs to stkzoo."""
+    """Makes an environment in a worker; importing this module there registers the ids."""
     return gym.make(env_id, **env_kwargs)

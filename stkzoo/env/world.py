@@ -1,4 +1,4 @@
-"""The race in the words of ``pystk2.WorldState``, for code that reads it directly."""
+"""Views of the race with the field names of ``pystk2.WorldState``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _FLAGS = ("has_finished_race", "jumping", "is_on_road", "race_result")
 
 @dataclass(frozen=True, slots=True)
 class PowerupView:
-    """What a kart can fire, and how often."""
+    """A kart's powerup and how many times it can fire it."""
 
     type: PowerupType
     num: int
@@ -24,7 +24,7 @@ class PowerupView:
 
 @dataclass(frozen=True, slots=True)
 class AttachmentView:
-    """What hangs on a kart, and for how many more seconds."""
+    """The object attached to a kart and its remaining time [s]."""
 
     type: AttachmentType
     time_left: float
@@ -41,13 +41,13 @@ class ItemView:
 
 
 class KartView:
-    """One kart; has every field of :data:`stkzoo.engine.snapshot.KART_DTYPE` and more.
+    """One kart, with every field of :data:`stkzoo.engine.snapshot.KART_DTYPE`.
 
     Attributes:
         id: index in grid order.
-        kart_type: model name.
-        powerup: what it can fire.
-        attachment: what hangs on it.
+        kart_type: name of the model.
+        powerup: the kart's powerup.
+        attachment: the object attached to the kart.
     """
 
     def __init__(self, record: Any, kart_id: int, kart_type: str) -> None:
@@ -66,12 +66,12 @@ class KartView:
 
     @property
     def powerup(self) -> PowerupView:
-        """What the kart can fire."""
+        """The kart's powerup."""
         return PowerupView(PowerupType(self.powerup_type), self.powerup_num)
 
     @property
     def attachment(self) -> AttachmentView:
-        """What hangs on the kart."""
+        """The object attached to the kart."""
         return AttachmentView(AttachmentType(self.attachment_type), self.attachment_time_left)
 
 
@@ -87,7 +87,7 @@ class WorldView:
 
     @classmethod
     def of(cls, snapshot: Snapshot, kart_types: tuple[str, ...]) -> WorldView:
-        """The view of a snapshot."""
+        """Returns the view of a snapshot."""
         return cls(
             time=float(snapshot.header["time"]),
             aux_ticks=float(snapshot.header["aux_ticks"]),

@@ -169,8 +169,9 @@ def test_a_random_agent_repeats_with_the_seed():
 @pytest.mark.slow
 def test_isolated_and_inline_agents_drive_the_same_race():
     drivers = [str(AGENTS / name) for name in ("plain", "alpha", "beta", "wrapped", "weights")]
-    isolated = race(*drivers, max_steps=120)
-    assert isolated == race(*drivers, max_steps=120, inline=True)
+    settings = {"max_steps": 120, "action_timeout": 60.0}
+    isolated = race(*drivers, **settings)
+    assert isolated == race(*drivers, **settings, inline=True)
     assert min(row.distance for row in isolated.agents) > 10
 
 
@@ -178,6 +179,25 @@ def test_isolated_and_inline_agents_drive_the_same_race():
 def test_an_inline_agent_that_is_too_late_is_ended():
     result = race(hostile("loop"), "ai", inline=True, action_timeout=0.3, max_steps=9)
     assert "its action took longer than 0.3 s" in by_driver(result)["loop"].errors[0].message
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_an_inline_agent_is_ended_even_if_it_drops_the_first_alarm(tmp_path):
+    (tmp_path / "pystk_actor.py").write_text(
+        "class Loops:\n"
+        "    def __del__(self):\n"
+        "        while True:\n"
+        "            pass\n"
+        "def get_actor(folder, observation_space, action_space):\n"
+        "    def act(state, observation):\n"
+        "        Loops()\n"
+        "        while True:\n"
+        "            pass\n"
+        "    return act\n"
+    )
+    result = race(f"{tmp_path}@:loops", "ai", inline=True, action_timeout=0.3, max_steps=9)
+    assert "its action took longer than 0.3 s" in by_driver(result)["loops"].errors[0].message
 
 
 @pytest.mark.slow

@@ -1,3 +1,3 @@
-"""Many races at once, every agent of every race a slot of one batch."""
+"""Vector environments of many races, with one slot per agent."""
 
 __all__: list[str] = []

@@ -1,4 +1,4 @@
-"""A race whose successor can be started while it still runs."""
+"""A race whose next race can be started while it still runs."""
 
 from __future__ import annotations
 
@@ -19,16 +19,15 @@ logger = logging.getLogger(__name__)
 
 
 class AheadRace(RaceParallelEnv):
-    """A race with :meth:`prepare`; in all else the parallel environment.
+    """The parallel environment with :meth:`prepare`.
 
-    Every race is the first of its process, so it makes no difference to a race whether it was
-    started ahead.
+    Every race is the first one in its process, so starting it early does not change it.
 
     Args:
-        **options: those of :class:`~stkzoo.env.parallel.RaceParallelEnv`.
+        **options: options of :class:`~stkzoo.env.parallel.RaceParallelEnv`.
 
     Raises:
-        ConfigError: an option is invalid, or not for a race that others run beside.
+        ConfigError: an option is invalid, or not supported in a vector environment.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -51,10 +50,10 @@ class AheadRace(RaceParallelEnv):
         self._options_now(options).tracks(self._assets.tracks)
 
     def prepare(self, seed: int | None = None, options: Mapping[str, Any] | None = None) -> None:
-        """Starts the race that :meth:`reset` with the same arguments will ask for.
+        """Starts the race for the next :meth:`reset` with the same arguments, and returns at once.
 
-        Returns at once. What ``reset`` draws and gives is the same with and without it. A failure
-        shows when ``reset`` fails as well.
+        The results of ``reset`` do not depend on this call. If it fails, ``reset`` starts the race
+        itself and reports the error if that fails too.
         """
         options = {} if options is None else options
         now = self.options.changed(options)
@@ -82,7 +81,7 @@ class AheadRace(RaceParallelEnv):
         super().close()
 
     def _begin(self, setup: RaceSetup) -> RaceStart:
-        """Starts a race, or takes the one that was started ahead if it is the same."""
+        """Returns the race that was started ahead if the setup matches, otherwise starts one."""
         if self._next is None:
             return super()._begin(setup)
         asked, session = self._next

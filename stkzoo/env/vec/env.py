@@ -24,47 +24,48 @@ VectorStep = tuple[Any, npt.NDArray[np.float64], BoolArray, BoolArray, dict[str,
 
 
 class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
-    """Races side by side, in which every agent of every race is a slot.
+    """A Gymnasium vector environment in which every agent of every race is a slot.
 
-    Slot ``race * num_agents + agent``; one policy that drives all slots plays against
-    itself. The races run in processes of their own, at the same time.
+    The slot number is ``race * num_agents + agent``. If one policy controls all slots, it plays
+    against itself. The races run in parallel, each in its own process.
 
-    **Ends.** A slot whose agent finishes is terminated once, or truncated once when time
-    is up. While others of its race still drive, it *idles*: its observation is all zeros
-    (as near as its space allows), its reward 0, no flag is raised and its actions are not
-    looked at. When the last agent of a race has ended, the race starts again in the same
-    step (``AutoresetMode.SAME_STEP``), and all its slots with it. ``infos["active"]`` says
-    which transitions are real: learn from no others.
+    **Episode ends.** A slot is terminated once when its agent finishes, or truncated once at the
+    time limit. While other agents of its race still drive, the slot is *idle*: its observation is
+    all zeros (or the closest values in its space), its reward is 0, its flags are ``False`` and its
+    actions are ignored. When the last agent of a race has ended, the race and all its slots restart
+    in the same step (``AutoresetMode.SAME_STEP``). ``infos["active"]`` marks the real transitions;
+    do not train on the others.
 
-    **Infos**, as Gymnasium has them: an array over slots for each key of the agents'
-    infos, with a mask ``_<key>``; ``active`` (above); ``crashed``, whose race the game's
-    process has left in this step; ``track``, the slot's track as an index into
-    :attr:`tracks`; ``final_obs`` and ``final_info`` of slots that ended in this step, the
-    latter with ``episode``: ``r`` is the return and ``l`` the length.
+    **Infos** follow Gymnasium's vector format: for each key of the agents' infos, an array over
+    slots and a mask ``_<key>``. Further keys are ``active`` (see above); ``crashed``, slots whose
+    game crashed in this step; ``track``, each slot's track as an index into :attr:`tracks`; and
+    ``final_obs`` and ``final_info`` of the slots that ended in this step. ``final_info`` includes
+    ``episode`` with the return ``r`` and the length ``l``.
 
-    **Crashes.** If the game dies or hangs, its race's slots are truncated with reward 0
-    where they were seen last, the race is replaced and the others go on. It is logged as a
-    warning and counted by ``num_crashes``.
+    **Crashes.** If a game crashes or hangs, its slots are truncated at their last observation with
+    reward 0, its race is replaced, and the other races continue. The crash is logged as a warning
+    and counted in ``num_crashes``.
 
     Args:
-        num_races: how many races.
-        view: as for :class:`~stkzoo.env.parallel.RaceParallelEnv`, the same for all agents,
-            and of fixed size.
-        prefetch: start the next race of each race while it runs; ``None`` does so if there
-            are more processor cores than races. It changes no result.
-        **options: all others of :class:`~stkzoo.env.parallel.RaceParallelEnv`.
+        num_races: number of races.
+        view: see :class:`~stkzoo.env.parallel.RaceParallelEnv`. All agents share it, and its spaces
+            must have a fixed size.
+        prefetch: whether to start each race's successor while the race runs; ``None`` enables it if
+            there are more processor cores than races. It does not change results.
+        **options: other options of :class:`~stkzoo.env.parallel.RaceParallelEnv`.
 
     Attributes:
-        num_races: how many races.
-        num_agents: how many agents in each.
-        num_envs: how many slots, races times agents.
-        races: every race's environment, to look at; step them through this one alone.
-        tracks: the names of all tracks of the game's data, sorted.
-        prefetch: whether the next race of each race is started while it runs.
-        idle_observation: what slots see whose episode has ended before their race.
+        num_races: number of races.
+        num_agents: number of agents per race.
+        num_envs: number of slots, ``num_races * num_agents``.
+        races: environments of the races. Use them for inspection only; step the races through this
+            object.
+        tracks: sorted names of all tracks in the game's data.
+        prefetch: whether each race's successor is started while the race runs.
+        idle_observation: observation of an idle slot.
 
     Raises:
-        ConfigError: an argument is invalid, or agents differ in what they see or do.
+        ConfigError: an argument is invalid, or the agents' spaces differ.
         AssetError: the game's data is missing.
 
     Example:
@@ -117,17 +118,17 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
 
     @property
     def num_crashes(self) -> int:
-        """How often the game died or hung, in all races together."""
+        """Number of times the game crashed or hung, over all races."""
         return sum(row.num_crashes for row in self._rows)
 
     @property
     def racing(self) -> BoolArray:
-        """``(num_envs,)`` bool: whose agent is in its race now, and so will act next."""
+        """``(num_envs,)`` bool, slots whose agent is still racing and acts next."""
         return np.concatenate([row.racing for row in self._rows])
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
-        """Every race's random stream."""
+        """Random generator of each race."""
         return tuple(race.np_random for race in self.races)
 
     def reset(
@@ -136,17 +137,20 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         seed: int | Sequence[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
-        """Starts new races everywhere.
+        """Starts a new race in every environment.
 
         Args:
-            seed: race number ``n`` is seeded with ``seed + n``; or every race's seed, of
-                which ``None`` goes on with the race's random stream, as ``None`` does for
-                all.
-            options: as for :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`, for the
-                first episode of every race alone.
+            seed: an integer seeds race ``n`` with ``seed + n``. A list has one seed per race.
+                ``None``, for all races or in the list, keeps the state of the random generator.
+            options: see :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`. They hold for the first
+                episode of every race only; see :meth:`set_options`.
 
         Returns:
-            Observations of all slots and infos.
+            Observations of all slots, and infos.
+
+        Raises:
+            ConfigError: a seed or an option is invalid.
+            EngineError: the game crashed several times in a row.
         """
         if isinstance(options, Mapping) and "reset_mask" in options:
             raise ConfigError(
@@ -161,11 +165,11 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         seed: int | Sequence[int | None] | None,
         options: Sequence[Mapping[str, Any] | None],
     ) -> SlotSteps:
-        """:meth:`reset` with the results by slot.
+        """Does the same as :meth:`reset` and returns the results by slot.
 
         Args:
-            seed: as for :meth:`reset`.
-            options: each race's options for this episode alone.
+            seed: see :meth:`reset`.
+            options: options of each race for this episode only.
         """
         self._require_open("reset")
         seeds = seeds_of_races(seed, self.num_races)
@@ -182,18 +186,18 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
     def set_options(
         self, options: Mapping[str, Any] | Sequence[Mapping[str, Any] | None] | None
     ) -> None:
-        """Changes every race from its next start on, until the next call; for curricula.
+        """Changes the options of future races until the next call, for example for a curriculum.
 
-        A race that runs is not changed. Options of :meth:`reset` come first, for one episode.
+        Running races are unaffected. Options of :meth:`reset` take precedence for one episode.
 
         Args:
-            options: as for :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`, such as
-                ``{"track": "hacienda", "difficulty": 3}``; or a list of these, one for each
-                race. ``None`` or ``{}`` goes back to the options this was made with.
+            options: see :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`, for example ``{"track":
+                "hacienda", "difficulty": 3}``; or a list with options for each race. ``None`` or
+                ``{}`` restores the options of the constructor.
 
         Raises:
             ConfigError: an option is unknown or invalid; nothing has changed.
-            ApiOrderError: after ``close``.
+            ApiOrderError: called after ``close``.
         """
         self._require_open("set_options")
         if options is None or isinstance(options, Mapping):
@@ -214,23 +218,28 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         """Advances all races by one step.
 
         Args:
-            actions: one of ``action_space``; those of idle slots are not looked at.
+            actions: a value of ``action_space``; actions of idle slots are ignored.
 
         Returns:
             Observations, rewards ``(num_envs,)`` float64, terminations and truncations
-            ``(num_envs,)`` bool, and infos.
+                ``(num_envs,)`` bool, and infos.
 
         Raises:
-            ActionError: an action is invalid; no race has moved.
-            ApiOrderError: before ``reset`` or after ``close``.
+            ActionError: an action is invalid; no race has advanced.
+            ApiOrderError: called before ``reset`` or after ``close``.
         """
         self.step_async(actions)
         return self.step_wait()
 
     def step_async(self, actions: Any) -> None:
-        """Asks all races for a step, which they take while the caller goes on.
+        """Starts a step of all races and returns before it is done.
 
-        Raises: as :meth:`step`; also ApiOrderError, if it is called twice in a row.
+        Args:
+            actions: see :meth:`step`.
+
+        Raises:
+            ActionError: an action is invalid; no race has advanced.
+            ApiOrderError: called before ``reset``, after ``close``, or twice in a row.
         """
         try:
             singles = list(iterate(self.action_space, actions))
@@ -257,7 +266,12 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             row.send(own)
 
     def step_wait(self) -> VectorStep:
-        """What came of the step that :meth:`step_async` asked for; see :meth:`step`."""
+        """Waits for the step from :meth:`step_async` and returns its result; see :meth:`step`.
+
+        Raises:
+            AgentException: a wrapper failed; ``reset`` starts a new race.
+            ApiOrderError: called without :meth:`step_async`.
+        """
         steps = self.wait_slots()
         return (
             self.batch(steps.observations),
@@ -268,16 +282,16 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         )
 
     def wait_slots(self) -> SlotSteps:
-        """:meth:`step_wait` with the results by slot; races that are over have started again.
+        """Does the same as :meth:`step_wait` and returns the results by slot.
 
         Raises:
             AgentException: a wrapper failed; ``reset`` starts a new race.
-            ApiOrderError: no step was asked for.
+            ApiOrderError: called without :meth:`step_async`.
         """
         steps = SlotSteps.idle(self.idle_observation, self.num_envs)
         for row in self._rows:
             row.step_wait(steps)
-            if row.is_over:  # the next one starts while the others are waited for
+            if row.is_over:  # starts while this call waits for the other races
                 row.prepare()
         over = [row for row in self._rows if row.is_over]
         for row in over:
@@ -287,18 +301,18 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         return steps
 
     def batch(self, observations: Sequence[Any]) -> Any:
-        """Every slot's observation as one array, or dict of arrays, that nobody else holds."""
+        """Stacks the observations of all slots into a new array or dict of arrays."""
         space = self.single_observation_space
         empty: Any = create_empty_array(space, len(observations))
         return concatenate(space, observations, empty)
 
     def close_extras(self, **_: Any) -> None:
-        """Ends the games; see :meth:`close`."""
+        """Stops the game processes; called by :meth:`close`."""
         for row in getattr(self, "_rows", ()):
             row.close()
 
     def _name_the_race(self, actions: Sequence[Any]) -> None:
-        """Raises the error of an invalid action with its agent's race in it."""
+        """Raises the error of an invalid action again, with the agent's race in its message."""
         for slot in np.flatnonzero(self.racing & self._is_player).tolist():
             read_action(self.single_action_space, actions[slot], self._names[slot])
 
@@ -331,7 +345,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         return {name: values, f"_{name}": np.ones(self.num_envs, np.bool_)}
 
     def _columns(self, infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """Infos by slot as arrays by key; like ``_add_info`` slot by slot, but quicker."""
+        """Converts infos by slot to arrays by key; a faster ``_add_info`` for all slots."""
         slots = [slot for slot, info in enumerate(infos) if info]
         keys = list(infos[slots[0]]) if slots else []
         is_table = all(list(infos[slot]) == keys for slot in slots)
@@ -352,7 +366,11 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
 
 
 def seeds_of_races(seed: int | Sequence[int | None] | None, num_races: int) -> list[int | None]:
-    """Every race's seed, from one for all of them or a list."""
+    """Returns the seed of each race, from a common integer or a list.
+
+    Raises:
+        ConfigError: the seeds are invalid.
+    """
     if seed is None:
         return [None] * num_races
     if isinstance(seed, (int, np.integer)):
@@ -363,7 +381,7 @@ def seeds_of_races(seed: int | Sequence[int | None] | None, num_races: int) -> l
 
 
 def _shared(by_agent: Mapping[str, spaces.Space[Any]], kind: str) -> spaces.Space[Any]:
-    """The one space of all agents, of a kind that can be one array."""
+    """Returns the space of all agents; raises ``ConfigError`` if its values cannot be stacked."""
     first, *others = by_agent.values()
     if any(space != first for space in others):
         raise ConfigError(
@@ -380,7 +398,7 @@ def _shared(by_agent: Mapping[str, spaces.Space[Any]], kind: str) -> spaces.Spac
 
 
 def is_of_fixed_size(space: spaces.Space[Any]) -> bool:
-    """Whether all values of a space have one size, so that many are one array."""
+    """Whether all values of a space have the same size, so that they stack into one array."""
     if isinstance(space, spaces.Dict):
         return all(map(is_of_fixed_size, space.spaces.values()))
     kinds = spaces.Box, spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary, spaces.Text

@@ -1,4 +1,4 @@
-"""One race as a row of slots, one for each agent, which start again when all have ended."""
+"""One race as a row of slots, one per agent, which restarts when all agents have ended."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stkzoo.errors import EngineCrashed, EngineError, EngineTimeout
 
 logger = logging.getLogger(__name__)
 
-#: How often a race is started again when the game dies at its start.
+#: Maximum number of attempts to start a race when the game crashes at the start.
 _MAX_STARTS = 3
 
 BoolArray = npt.NDArray[np.bool_]
@@ -26,16 +26,16 @@ class SlotSteps:
     """One step of ``S`` slots.
 
     Attributes:
-        observations: what each slot sees next: after the end of its race the first
-            observation of the next one, and while it idles all zeros.
-        rewards: ``(S,)`` float64, zero for idle slots.
-        terminations: ``(S,)`` bool, whose agent has finished in this step.
-        truncations: ``(S,)`` bool, whose agent was cut short in this step.
-        active: ``(S,)`` bool, whose agent has acted in this step.
-        infos: each slot's info, belonging to its observation; empty while it idles.
-        finals: the last observation and info of the slots that ended in this step.
-        crashed: ``(S,)`` bool, whose race the game's process has left in this step.
-        tracks: each slot's track, belonging to its observation.
+        observations: next observation of each slot: after the end of a race, the first observation
+            of the next one; for an idle slot, zeros.
+        rewards: ``(S,)`` float64, 0 for idle slots.
+        terminations: ``(S,)`` bool, whether the slot's agent finished in this step.
+        truncations: ``(S,)`` bool, whether the slot's agent was truncated in this step.
+        active: ``(S,)`` bool, whether the slot's agent acted in this step.
+        infos: info of each slot, for the same moment as its observation; empty for idle slots.
+        finals: last observation and info of the slots that ended in this step, by slot.
+        crashed: ``(S,)`` bool, whether the slot's game crashed in this step.
+        tracks: track of each slot, for the same moment as its observation.
     """
 
     observations: list[Any]
@@ -50,7 +50,7 @@ class SlotSteps:
 
     @classmethod
     def idle(cls, idle_obs: Any, count: int) -> SlotSteps:
-        """A step in which no slot takes part."""
+        """Returns a step in which all slots are idle."""
         flags = ("terminations", "truncations", "active", "crashed")
         return cls(
             observations=[idle_obs] * count,
@@ -66,15 +66,15 @@ class RaceSlots:
     """The slots of one race.
 
     Args:
-        race: the race's environment.
-        number: its number among the races.
+        race: environment of the race.
+        number: number of the race.
 
     Attributes:
-        race: the race's environment.
-        slots: where they stand among the slots of all races.
-        num_crashes: how often the game died or hung.
-        options: what :meth:`reset` changes for every race from the next one on.
-        track: the track of the race that runs.
+        race: environment of the race.
+        slots: range of this race's slots among those of all races.
+        num_crashes: number of times the game crashed or hung.
+        options: options for every race that starts from now on.
+        track: track of the current race.
     """
 
     def __init__(self, race: AheadRace, number: int) -> None:
@@ -93,17 +93,17 @@ class RaceSlots:
 
     @property
     def racing(self) -> BoolArray:
-        """``(S,)`` bool: whose agent is in the race now."""
+        """``(S,)`` bool, whether each slot's agent is still racing."""
         racing = self.race.agents
         return np.array([agent in racing for agent in self._agents], np.bool_)
 
     @property
     def is_over(self) -> bool:
-        """Whether all agents' episodes have ended, so that :meth:`reset` is due."""
+        """Whether all agents' episodes have ended, so that a :meth:`reset` is due."""
         return not self._last
 
     def prepare(self, seed: int | None = None, options: Mapping[str, Any] | None = None) -> None:
-        """Starts the race that :meth:`reset` with the same arguments takes; returns at once."""
+        """Starts the race for the next :meth:`reset` with the same arguments ahead of time."""
         self.race.prepare(seed, {**self.options, **(options or {})})
 
     def reset(
@@ -115,12 +115,12 @@ class RaceSlots:
         """Starts a new race.
 
         Args:
-            steps: of all slots; takes the race's first observations and infos.
-            seed: as for :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`, as ``options``.
-            options: likewise, for this race alone; they come before :attr:`options`.
+            steps: steps of all slots; receives the first observations and infos.
+            seed: see :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`.
+            options: options of this race only; they take precedence over :attr:`options`.
 
         Raises:
-            EngineError: the game died several times in a row.
+            EngineError: the game crashed several times in a row.
         """
         options = {**self.options, **(options or {})}
         observations, infos = self._start(seed, options, _MAX_STARTS)
@@ -134,18 +134,18 @@ class RaceSlots:
                 steps.observations[slot], steps.infos[slot] = self._last[agent]
 
     def decode(self, actions: Sequence[Any]) -> npt.NDArray[np.float32]:
-        """Checks actions, one for each slot, those of idle ones unread; for :meth:`send`."""
+        """Checks one action per slot and returns the controls; ignores actions of idle slots."""
         return self.race.decode(dict(zip(self._agents, actions, strict=True)))
 
     def send(self, controls: npt.NDArray[np.float32]) -> None:
-        """Asks for a step."""
+        """Starts a step in the game; :meth:`step_wait` handles its crash."""
         try:
             self.race.send(controls)
         except (EngineCrashed, EngineTimeout) as error:
             self._failure = error
 
     def step_wait(self, steps: SlotSteps) -> None:
-        """Writes the step that was asked for among those of all slots."""
+        """Waits for the step and writes its results into those of all slots."""
         steps.active[self.slots] = self.racing
         try:
             if self._failure is not None:
@@ -160,7 +160,7 @@ class RaceSlots:
             self._take_in(steps, *result)
 
     def close(self) -> None:
-        """Ends the race."""
+        """Closes the race's environment."""
         self._last = {}
         self.race.close()
 
@@ -203,14 +203,14 @@ class RaceSlots:
                 steps.observations[slot], steps.infos[slot] = self._last[agent]
 
     def _cut_short(self, steps: SlotSteps) -> None:
-        """Ends what the game left undone, where each agent was seen last."""
+        """Truncates the agents of a crashed race at their last observation."""
         steps.crashed[self.slots] = True
         steps.truncations[self.slots] = steps.active[self.slots]
         for row in np.flatnonzero(steps.active[self.slots]).tolist():
             steps.finals[self.slots.start + row] = self._final(row)
 
     def _final(self, row: int) -> tuple[Any, dict[str, Any]]:
-        """The last observation and info of a slot whose episode ends here."""
+        """Returns the last observation and info of a slot whose episode ends in this step."""
         observation, info = self._last.pop(self._agents[row])
         episode = {"r": float(self._returns[row]), "l": self._num_steps}
         return observation, {**info, "episode": episode, "track": self.track}

@@ -17,7 +17,6 @@ from stkzoo.race import RaceListener, RaceSettings, run_race
 from stkzoo.race.replay import ReplayError, ReplayWriter, load_replay, play_replay
 from stkzoo.race.replay.file import DIGEST_SIZE
 from tests.support.paths import AGENTS
-from tests.support.processes import wait_until
 
 
 class Positions(RaceListener):
