@@ -65,6 +65,7 @@ docs: site $(VENV)/.dev
 pictures: $(VENV)/.dev
 	$(BIN)/stkzoo assets install
 	$(BIN)/python -m benchmarks.track_atlas
+	$(BIN)/python -m benchmarks.gallery
 	$(BIN)/python -m benchmarks.bench_charts
 
 # The documentation as pages, in the folder site; every warning and every dead link fails.

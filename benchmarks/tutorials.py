@@ -4,7 +4,8 @@ python -m benchmarks.tutorials                       all, in full: some 30 minut
 python -m benchmarks.tutorials --only first_race     one of them
 python -m benchmarks.tutorials --short --output DIR  whether they run, in a minute
 
-The tutorials are written as Python files, ``examples/tutorials/*.py``.
+The tutorials are written as Python files, ``examples/tutorials/*.py``. Each notebook gets a badge
+that opens it in Colab and a cell that installs stkzoo there.
 """
 
 from __future__ import annotations
@@ -16,12 +17,51 @@ import tempfile
 import time
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
+from stkzoo._installation import repository_url
 from stkzoo._os import write_text
 
 ROOT = Path(__file__).parent.parent
 SOURCES = ROOT / "examples" / "tutorials"
 PAGES = ROOT / "docs" / "tutorials"
+#: What each tutorial needs besides stkzoo itself.
+EXTRAS = {
+    "first_race": "record,tournament",
+    "plan_with_saved_states": "tournament",
+    "self_play_and_ratings": "sb3,tournament",
+    "train_a_driver": "sb3,tournament",
+}
+_BADGE = """\
+[![Open in Colab](../_static/colab.svg)](https://colab.research.google.com/github/{path}/blob/main/docs/tutorials/{name}.ipynb)
+"""
+_SETUP = """\
+# Installs stkzoo where it is missing, such as in Colab. Elsewhere this cell does nothing.
+import importlib.util
+import pathlib
+import subprocess
+import sys
+
+
+def install_stkzoo():
+    \"""Installs the wheel and the game data beside this notebook, or downloads them.\"""
+    wheel = next(pathlib.Path.cwd().glob("stkzoo-*.whl"), None)
+    pack = next(pathlib.Path.cwd().glob("*.tar.xz"), None)
+    source = wheel.as_uri() if wheel else "git+{url}"
+    python = [sys.executable, "-m"]
+    requirement = f"stkzoo[{extras}] @ {{source}}"
+    if subprocess.run([*python, "pip", "install", "-q", requirement]).returncode:
+        raise SystemExit(
+            f"pip cannot install stkzoo from {{source}}. Build a wheel with `make wheel`, "
+            "upload it beside this notebook, and run this cell again."
+        )
+    options = ["--from", str(pack)] if pack else []
+    subprocess.run([*python, "stkzoo", "assets", "install", *options], check=True)
+
+
+if importlib.util.find_spec("stkzoo") is None:
+    install_stkzoo()
+"""
 
 
 def main() -> int:
@@ -50,17 +90,30 @@ def main() -> int:
 
 def executed(name: str, *, short: bool) -> str:
     """A tutorial as the text of a notebook, after it was run in a folder of its own."""
-    import jupytext
     import nbformat
     from nbclient import NotebookClient
 
-    notebook = jupytext.read(SOURCES / f"{name}.py", fmt="py:percent")
+    notebook = unexecuted(name)
     switches = {"STKZOO_SHORT": "1"} if short else {}
     os.environ.update(switches)
     with tempfile.TemporaryDirectory() as folder:
         resources = {"metadata": {"path": folder}}
         NotebookClient(notebook, timeout=3600, resources=resources).execute()
     return nbformat.writes(_without_traces(notebook)) + "\n"
+
+
+def unexecuted(name: str) -> Any:
+    """A tutorial as a notebook that can install stkzoo."""
+    import jupytext
+    from nbformat.v4 import new_code_cell, new_markdown_cell
+
+    notebook = jupytext.read(SOURCES / f"{name}.py", fmt="py:percent")
+    url = repository_url()
+    badge = _BADGE.format(path=urlsplit(url).path.strip("/"), name=name)
+    setup = new_code_cell(_SETUP.format(url=url, extras=EXTRAS[name]).rstrip())
+    setup.metadata["tags"] = ["hide-input"]
+    notebook.cells[1:1] = [new_markdown_cell(badge.rstrip()), setup]
+    return notebook
 
 
 def _without_traces(notebook: Any) -> Any:

@@ -9,8 +9,8 @@
 # %% [markdown]
 # # A first race
 #
-# Four karts on a short track, all of them yours. You will look at what an agent sees, drive by a rule
-# of three lines, and see where the karts went.
+# Race four karts on a short track. Look at what an agent observes, drive by a rule of three lines, and
+# plot where the karts went.
 
 # %%
 import os
@@ -26,8 +26,8 @@ np.set_printoptions(suppress=True, precision=1)
 # %% [markdown]
 # ## Make a race and look at it
 #
-# The view `simple` is a dict of fixed size, with positions in polar form: angle to the right [rad],
-# angle up [rad], distance [m].
+# The view `simple` is a dict of fixed size. Positions are polar: angle to the right [rad], angle up
+# [rad], distance [m].
 
 # %%
 env = race_v0.parallel_env(
@@ -53,7 +53,7 @@ plt.show()
 # ## A rule that drives
 #
 # Steer towards a point of the road ahead, at full throttle. `paths_end[i]` is the end of the i-th
-# segment ahead. Each of our four drivers looks at another one: near, or farther away.
+# segment ahead. Each of the four drivers looks at a different segment.
 
 
 # %%
@@ -88,7 +88,8 @@ while env.agents:
 # %% [markdown]
 # ## What happened
 #
-# Who looks too near turns too late and ends at a wall; who looks farther cuts the corners and wins.
+# A driver that looks at a near segment turns too late and hits a wall. One that looks farther ahead
+# cuts the corners and wins.
 
 # %%
 for ahead, agent in enumerate(env.possible_agents):
@@ -118,7 +119,6 @@ plt.show()
 env.close()
 
 # %% [markdown]
-# The same seed gives the same race again, to the last bit: run the page again and compare.
+# The same seed gives the same race, bit for bit: run the page again and compare.
 #
-# Next: [train a driver](train_a_driver.ipynb), or put your rule into a file and [race
-# it](../reference/agents.md).
+# Next: put your rule into [an agent](first-agent.md), or [train a driver](train_a_driver.ipynb).

@@ -9,9 +9,8 @@
 # %% [markdown]
 # # Plan with saved states
 #
-# The whole state of a running race can be kept, gone back to and copied: karts, items, bots, and the
-# game's hidden random numbers. So the game itself is the model. Here a driver looks ahead into its own
-# futures and takes the best.
+# Save the whole state of a running race, with its bots, items and random numbers, and return to it. The
+# game itself is the model: a driver tries several futures and takes the best.
 
 # %%
 import os
@@ -25,9 +24,9 @@ from stkzoo import race_v0
 SHORT = "STKZOO_SHORT" in os.environ  # a test runs this page in seconds
 
 # %% [markdown]
-# ## Going back in time
+# ## Go back in time
 #
-# Drive for five seconds, go back, and drive the same way again: the same bits. Then another way.
+# Drive for five seconds, go back, and drive the same way again. The result is the same, bit for bit.
 
 # %%
 env = race_v0.parallel_env(agents=1, num_kart=3, track="olivermath", view="simple")
@@ -66,9 +65,9 @@ second, _, _ = follow(env, observation, 50)
 print("the same bits:", first.tobytes() == second.tobytes())
 
 # %% [markdown]
-# ## A fan of futures
+# ## Compare futures
 #
-# `env.lookahead()` is a copy of the race that may be driven on while the original stands still.
+# `env.lookahead()` is a copy of the race. You can step it while the original stays where it is.
 
 # %%
 offsets = np.linspace(-0.6, 0.6, 3 if SHORT else 9)
@@ -105,8 +104,8 @@ plt.show()
 # %% [markdown]
 # ## A driver that plans
 #
-# Every half second it tries some changes of its steering for three seconds, and takes the best. The
-# bots, the items and the collisions in its futures are those that will happen.
+# Every half second, it tries some changes of its steering for three seconds and takes the best. The
+# bots, items and collisions in its futures are those that will happen.
 
 
 # %%
@@ -150,5 +149,5 @@ state.close()
 env.close()
 
 # %% [markdown]
-# [Planning](../how-to/planning.md) has all calls and what they cost; `stkzoo.agents.planner` is a planner that
-# beats the driver that it is made of by more than two seconds a lap.
+# [Save states and plan](../how-to/planning.md) lists all calls and their cost, and describes
+# `stkzoo.agents.planner`, a planner for the heuristic driver.

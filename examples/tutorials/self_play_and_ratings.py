@@ -9,10 +9,9 @@
 # %% [markdown]
 # # Self-play and ratings
 #
-# A policy that races against itself always meets rivals of its own strength. In this tutorial you
-# keep a copy of it after each stage of training, a *generation*, and let a tournament say whether the
-# later ones are better. It takes about five minutes. You need stkzoo with the extras `sb3` and
-# `tournament`: see [Install](../how-to/quickstart.md).
+# A policy that races against itself always meets rivals of its own strength. Train one, save a copy
+# after each stage, a *generation*, and run a tournament to see whether later generations are better. It
+# takes about five minutes and needs the extras `sb3` and `tournament`: see [Install](../how-to/install.md).
 
 # %%
 import os
@@ -32,10 +31,9 @@ torch.set_num_threads(1)  # the network is small; leave the cores to the races
 # %% [markdown]
 # ## Generations
 #
-# The same policy drives all karts of all races. The default reward pays for places as well as for
-# progress, so the policy gains by driving better than its copies.
-# [Train a driver](train_a_driver.ipynb) explains the settings, and why the first policy should
-# press the accelerator and leave the rescue button alone.
+# One policy drives all karts of all races. The default reward pays for places and for progress, so the
+# policy gains by driving better than its copies. [Train a driver](train_a_driver.ipynb) explains the
+# settings.
 
 # %%
 races = RaceVecEnv(
@@ -73,9 +71,9 @@ print(f"{model.num_timesteps:,} steps, {len(generations)} generations")
 # %% [markdown]
 # ## Which one is better?
 #
-# In a tournament, every agent races equally often, on each track and from each place on the grid.
-# The ratings use the whole finishing orders. An interval shows how much a rating would vary
-# with another set of races: where two intervals do not overlap, one agent is better.
+# In a [tournament](../how-to/tournaments.md), every agent races equally often from each grid place. An
+# interval shows how much a rating would vary with other races: if two intervals do not overlap, one
+# agent is better.
 
 # %%
 result = run_tournament(
@@ -107,6 +105,6 @@ plt.show()
 # %% [markdown]
 # ## Past selves as rivals
 #
-# A policy that meets only itself may forget how to beat what it once beat. An
-# [opponent pool](../how-to/opponents.md) puts earlier generations on the grid while it trains.
-# [Tournaments](../how-to/tournaments.md) keep every race as a file and resume after an interruption.
+# A policy that meets only itself may forget how to beat earlier generations. An
+# [opponent pool](../how-to/opponents.md#self-play-against-past-selves) puts them on the grid while it
+# trains.

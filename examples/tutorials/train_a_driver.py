@@ -9,9 +9,9 @@
 # %% [markdown]
 # # Train a driver
 #
-# In this tutorial you train one policy with PPO from Stable-Baselines3 for five to seven minutes. It
-# learns to finish a lap of lighthouse faster than the game's easiest AI. You then save it, hand it in
-# as an agent, and film it. You need stkzoo with the extra `sb3`: see [Install](../how-to/quickstart.md).
+# Train one policy with PPO from Stable-Baselines3 for five to seven minutes. It learns to finish a lap
+# of lighthouse faster than the game's easiest AI. Then save it as an agent, and race it. You need the
+# extra `sb3`: see [Install](../how-to/install.md).
 
 # %%
 import os
@@ -34,11 +34,10 @@ torch.set_num_threads(1)  # the network is small; leave the cores to the races
 # %% [markdown]
 # ## The races
 #
-# The view `racing` suits learning: the road ahead, the other karts and the items are one vector of
-# numbers, and the action is five small choices. All four karts of a race are agents, so each step of
-# the game gives four steps to learn from. With `start="random"` races begin anywhere on the track, and
-# the policy sees every corner from the start. The default reward pays for progress, places and
-# speed; [Choose a reward](../how-to/choose-a-reward.md) explains it.
+# The view `racing` has the road ahead, the other karts and the items as one vector of numbers, and
+# five small choices as its action. All four karts of a race are agents, so each step of the game gives
+# four steps to learn from. With `start="random"`, the policy sees every corner from the beginning. The
+# [default reward](../how-to/choose-a-reward.md) pays for progress, places and speed.
 
 # %%
 TRACK = "lighthouse"
@@ -52,10 +51,10 @@ print(races.observation_space, races.action_space)
 #
 # `ActiveRolloutBuffer` leaves out the steps of agents that have finished and wait for the others.
 #
-# A new policy chooses all actions equally often. It would spend most of its time braking, or being
-# put back on the road by a rescue. So raise the odds of the accelerator and lower those of the rescue
-# button; training can change both later. The five choices follow each other in the last layer:
-# 21 steering angles, then 4 pedals (go, roll, brake, rescue), then three buttons.
+# A new policy chooses all actions equally often, so it would mostly brake or call for a rescue. Raise
+# the odds of the accelerator and lower those of the rescue; training can change both later. The last
+# layer has the choices in this order: 21 steering angles, 4 pedals (go, roll, brake, rescue), three
+# buttons.
 
 # %%
 model = PPO(
@@ -81,9 +80,8 @@ with torch.no_grad():
 # %% [markdown]
 # ## An agent in a folder
 #
-# An agent is a folder with a `pystk_actor.py`. `save_agent` writes one that evaluates the network with
-# numpy: it starts in a tenth of a second and runs where torch is not installed. Keep the untrained
-# policy too, to compare.
+# An agent is a folder with a `pystk_actor.py`. `save_agent` writes one that needs numpy but not torch,
+# and starts in a tenth of a second. Save the untrained policy, to compare.
 
 
 # %%
@@ -129,8 +127,8 @@ if len(curve.speeds) > 20:
 # %% [markdown]
 # ## Before and after
 #
-# Race the trained and the untrained policy from the grid, over a whole lap, against the game's easiest
-# AI and an agent that acts at random. None of them was in the training.
+# Race both policies over a whole lap, from the grid, against the game's easiest AI and random actions.
+# Training had no such rivals.
 
 # %%
 trained = save_agent(model, "my_driver", view="racing", name="Trained")
@@ -151,8 +149,7 @@ for name, rows in table.items():
 # %% [markdown]
 # ## Next steps
 #
-# - Film a race: `stkzoo race my_driver ai ai ai --track lighthouse --video race.mp4`.
-# - Watch one in the browser: `stkzoo race my_driver ai ai ai --track lighthouse --web`.
-# - Train longer, on more tracks (`track="train"`), against rivals ([opponents](../how-to/opponents.md)).
-# - Measure the driver on tracks that it has never seen: `stkzoo benchmark my_driver`
-#   ([the protocol](../reference/benchmark-protocol.md)).
+# - [Film a race](../how-to/rendering.md): `stkzoo race my_driver ai ai ai --track lighthouse --video race.mp4`.
+# - [Watch it in the browser](../how-to/live-page.md): `--web` instead of `--video race.mp4`.
+# - Train longer, on more tracks (`track="train"`), against [opponents](../how-to/opponents.md).
+# - [Measure the driver](../reference/benchmark-protocol.md) on unseen tracks: `stkzoo benchmark my_driver`.

@@ -100,7 +100,7 @@ class RaceFilm:
         cameras = wanted if self._cameras is None else self._cameras
         self._scene = replace(scene, setup=replace(scene.setup, num_cameras=cameras))
         self._karts = camera_karts(self._scene)[: max(cameras, 1)]
-        self._scene = _without_names(self._scene, self._karts)
+        self._scene = without_names(self._scene, self._karts)
         self._fps = self._sub_steps / scene.setup.step_size
         columns, rows = grid_of(len(self._karts))
         self._tile = self._size[0] // columns, self._size[1] // rows
@@ -203,7 +203,7 @@ class RaceFilm:
         self._writer.add(picture)
 
 
-def _without_names(scene: Scene, filmed: Sequence[int]) -> Scene:
+def without_names(scene: Scene, filmed: Sequence[int]) -> Scene:
     """The scene without the game's names above filmed karts, which the labels name already."""
     karts = tuple(
         replace(setup, name="") if kart in filmed else setup

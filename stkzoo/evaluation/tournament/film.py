@@ -18,6 +18,10 @@ _INTERVAL = 0.5  # [s]
 _MAX_MOMENTS = 600
 _SIZE = 800  # pixels of the longer side
 _SPEED = 4.0
+#: What a film in a file of its own needs, which a report's style sheet has for the others.
+_OWN_FILE = ' xmlns="http://www.w3.org/2000/svg"'
+_OWN_ROAD = ' fill="none" stroke="#b3bdcb" stroke-linecap="round"'
+_LOOP = 'begin="0s" repeatCount="indefinite"'
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,12 +96,13 @@ def _rounded(places: npt.NDArray[np.float32]) -> list[list[float]]:
     return rows
 
 
-def draw_film(film: MapFilm, name: str) -> tuple[str, dict[str, str]]:
-    """A film as an SVG picture that plays when it is clicked.
+def draw_film(film: MapFilm, name: str, *, is_looped: bool = False) -> tuple[str, dict[str, str]]:
+    """Draws a film as an SVG picture that plays when you click it.
 
     Args:
         film: the film.
         name: the picture's id in its page.
+        is_looped: whether it is a file of its own that plays by itself, again and again.
 
     Returns:
         The picture, and the colour of each agent by label.
@@ -115,25 +120,30 @@ def draw_film(film: MapFilm, name: str) -> tuple[str, dict[str, str]]:
     path = "".join("M{} {}L{} {}".format(*end) for end in ends)
     width, height = ((high - low) * scale).astype(int).tolist()
     colours = dict(zip(film.karts, race_palette(len(film.karts)), strict=True))
+    timing = _LOOP if is_looped else f'begin="{name}.click" fill="freeze"'
     karts = "".join(
-        _moving(pixels(way), colours[label], name, film.interval)
+        _moving(pixels(way), colours[label], timing, film.interval)
         for label, way in reversed([*film.karts.items()])
     )
-    picture = (
-        f'<svg id="{name}" viewBox="0 0 {width} {height}" role="img" aria-label="map film">'
-        f'<path class="road" stroke-width="{max(film.width * scale, 8):.0f}" d="{path}"/>{karts}'
+    play = (
         f'<text x="{width // 2}" y="{height // 2}" font-size="{_SIZE // 16}">&#9654; play'
-        f'<set attributeName="visibility" to="hidden" begin="{name}.click"/></text></svg>'
+        f'<set attributeName="visibility" to="hidden" begin="{name}.click"/></text>'
+    )
+    picture = (
+        f'<svg{_OWN_FILE * is_looped} id="{name}" viewBox="0 0 {width} {height}" role="img" '
+        f'aria-label="map film"><path class="road"{_OWN_ROAD * is_looped} '
+        f'stroke-width="{max(film.width * scale, 8):.0f}" d="{path}"/>{karts}'
+        f"{play * (not is_looped)}</svg>"
     )
     return picture, colours
 
 
-def _moving(way: npt.NDArray[np.int64], colour: str, name: str, interval: float) -> str:
+def _moving(way: npt.NDArray[np.int64], colour: str, timing: str, interval: float) -> str:
     """A dot that moves along pixels ``(2, moments)``."""
     seconds = max((way.shape[1] - 1) * interval / _SPEED, 0.1)
     moves = "".join(
         f'<animate attributeName="{axis}" values="{";".join(map(str, values))}" '
-        f'dur="{seconds:.1f}s" begin="{name}.click" fill="freeze"/>'
+        f'dur="{seconds:.1f}s" {timing}/>'
         for axis, values in zip(("cx", "cy"), way.tolist(), strict=True)
     )
     x, y = way[:, 0].tolist()

@@ -1,0 +1,298 @@
+"""Draws the gallery of the documentation: each track in pictures, each view as what an agent sees.
+
+    python -m benchmarks.gallery              # all, about ten minutes without a graphics card
+    python -m benchmarks.gallery --only views
+
+A track has a frame by the game's renderer and a film of one lap on the map. A view has a drawing
+of what its observation contains, and its numbers where it is a vector. All views show the same
+moment.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from stkzoo import GroundKind, Start, race_v0
+from stkzoo._os import write_text
+from stkzoo.evaluation import GREY, INK, new_figure, style_axes
+from stkzoo.evaluation.tournament.film import FilmRecorder, draw_film
+from stkzoo.race import RaceListener, RaceProgress, run_race
+from stkzoo.race.video import without_names
+from stkzoo.render.renderer import RaceRenderer
+from stkzoo.tracks import SPLITS
+from stkzoo.views import views
+from stkzoo.wrappers.racing import PLACES
+from stkzoo.wrappers.racing.road import MARKS
+
+IMAGES = Path(__file__).parent.parent / "docs" / "images"
+PAGE = Path(__file__).parent.parent / "docs" / "reference" / "gallery.md"
+_FRAME_SIZE, _FRAME_STEP = (480, 270), 45
+_DRIVERS = ("heuristic", *(f"ai@:AI {number}" for number in range(1, 5)))
+
+#: The moment that all views show: four karts on hacienda, before a curve.
+_TRACK, _SEED = "hacienda", 1
+_STARTS = {
+    "kart_0": Start(share=0.31, speed=12.0),
+    "kart_1": Start(share=0.315, offset=2.0, speed=12.0),
+    "kart_2": Start(share=0.32, offset=-2.0, speed=12.0),
+    "kart_3": Start(share=0.30, speed=12.0),
+}
+_REACH = 60.0  # [m]
+_ROAD, _KART, _ITEM = "#c9ced6", "#d1495b", "#e9a03b"
+_GROUND_COLOURS = {
+    GroundKind.VOID: "#3c5ac8",
+    GroundKind.GROUND: "#b9b9b9",
+    GroundKind.SLOWED: "#e1c878",
+    GroundKind.ZIPPER: "#00a03c",
+    GroundKind.WALL: "#c81e1e",
+}
+
+Array = npt.NDArray[Any]
+#: Segments of the road as start, end and width in the drawing; karts and items ``(N, x and z)``.
+Surroundings = tuple[list[tuple[Array, Array, float]], Array, Array]
+
+
+# ---------------------------------------------------------------------- tracks
+
+
+class FrameRecorder(RaceListener):
+    """Keeps one frame of a race, drawn by the game.
+
+    Attributes:
+        frame: the picture; ``None`` until the race has come there.
+    """
+
+    def __init__(self) -> None:
+        self.frame: Array | None = None
+        self._renderer = RaceRenderer("engine", _FRAME_SIZE, "hd")
+
+    def stepped(self, race: RaceProgress) -> None:
+        """Draws the frame at its step."""
+        if race.steps == _FRAME_STEP:
+            scene = without_names(race.scene, [0])
+            self._renderer.begin(replace(scene, setup=replace(scene.setup, num_cameras=1)))
+            self.frame = next(iter(self._renderer.pictures(race.snapshot).values()))
+            self._renderer.close()
+
+
+def draw_track(track: str) -> None:
+    """Writes a track's frame and its lap film."""
+    frame, film = FrameRecorder(), FilmRecorder()
+    run_race(_DRIVERS, track=track, difficulty=3, seed=1, listeners=[frame, film])
+    assert frame.frame is not None  # noqa: S101 - a lap is longer
+    picture = Image.fromarray(frame.frame)
+    picture.save(IMAGES / "tracks" / f"{track}-frame.webp", quality=70, method=6)
+    svg, _ = draw_film(film.film(), track, is_looped=True)
+    write_text(IMAGES / "tracks" / f"{track}-lap.svg", svg)
+
+
+# ---------------------------------------------------------------------- views
+
+
+def draw_view(name: str) -> None:
+    """Writes the picture of a view."""
+    observation = _observed(name)
+    if name == "camera":
+        picture = Image.fromarray(observation["image"]).resize((336, 336), Image.Resampling.NEAREST)
+    else:
+        vectors = _vectors(observation)
+        figure = new_figure(9.0 if vectors else 4.5, 4.0)
+        left, *right = np.ravel(figure.subplots(1, 2 if vectors else 1))
+        _draw_surroundings(left, name, observation)
+        for axes in right:
+            _draw_numbers(axes, vectors)
+        figure.savefig(IMAGES / "views" / f"{name}.png", dpi=90)
+        picture = Image.open(IMAGES / "views" / f"{name}.png").convert("RGB").quantize(64)
+    picture.save(IMAGES / "views" / f"{name}.png", optimize=True)
+
+
+def _observed(view: str) -> Any:
+    with race_v0.parallel_env(num_kart=len(_STARTS), track=_TRACK, view=view) as env:
+        observations, _ = env.reset(seed=_SEED, options={"start": _STARTS})
+        return observations["kart_0"]
+
+
+def _vectors(observation: Any) -> dict[str, Array]:
+    """The vectors of an observation by name; none if it has the game's entries."""
+    if isinstance(observation, np.ndarray):
+        return {"observation": observation}
+    names = ("observation", "continuous", "discrete", "action_mask")
+    return {name: observation[name] for name in names if name in observation}
+
+
+def _draw_surroundings(axes: Any, name: str, observation: Any) -> None:
+    """Draws what the observation contains from above, the kart looking up."""
+    if name == "ground":
+        _draw_ground(axes, observation)
+        return
+    if name == "racing":
+        road, karts, items = _of_racing(observation)
+    elif name == "full":
+        road, karts, items = _of_dict(observation, np.asarray)
+    else:
+        road, karts, items = _of_dict(_observed("simple"), _from_polar)
+    for start, end, width in road:
+        axes.plot(*np.transpose([start, end]), color=_ROAD, lw=width, solid_capstyle="round")
+    axes.scatter(*np.transpose(items), s=24, marker="s", color=_ITEM, label="items")
+    axes.scatter(*np.transpose(karts), s=60, color=_KART, label="karts")
+    axes.scatter(0, 0, s=110, marker="^", color=INK, label="the agent")
+    axes.set(xlim=(-_REACH, _REACH), ylim=(-_REACH / 3, _REACH * 5 / 3), aspect="equal")
+    axes.set_xlabel("to the right [m]", fontsize=9, color=INK)
+    axes.set_ylabel("ahead [m]", fontsize=9, color=INK)
+    axes.legend(fontsize=8, frameon=False, loc="lower left")
+    style_axes(axes, f"{name}: what the agent sees")
+
+
+def _of_dict(observation: Mapping[str, Any], to_points: Any) -> Surroundings:
+    """The surroundings in a dict observation."""
+    starts, ends = (_flat(to_points(observation[f"paths_{end}"])) for end in ("start", "end"))
+    road = [(start, end, 7.0) for start, end in zip(starts, ends, strict=True)]
+    karts, items = (_flat(to_points(observation[f"{of}_position"])) for of in ("karts", "items"))
+    return road, _present(karts), _present(items)
+
+
+def _of_racing(vector: Array) -> Surroundings:
+    """The surroundings in the view ``racing``, which has points on the road's line."""
+    marks = vector[PLACES["marks_direction"]].reshape(-1, 3) * MARKS[:, None]
+    points = _flat(marks)
+    road = [(start, end, 2.0) for start, end in pairwise(points)]
+    return (
+        road,
+        _nearby(vector, "karts"),
+        np.concatenate([_nearby(vector, "goods"), _nearby(vector, "bads")]),
+    )
+
+
+def _nearby(vector: Array, of: str) -> Array:
+    nearness = vector[PLACES[f"{of}_nearness"]]
+    directions = vector[PLACES[f"{of}_direction"]].reshape(-1, 3)[nearness > 0]
+    return _flat(directions * (5.0 * (1.0 / nearness[nearness > 0] - 1.0))[:, None])
+
+
+def _from_polar(rows: Array) -> Array:
+    """Points of rows: the angles are of x and of y to z, each from -pi to pi."""
+    right, up, distance = np.transpose(rows)
+    z = np.sign(np.cos(right)) * distance / np.sqrt(1 + np.tan(right) ** 2 + np.tan(up) ** 2)
+    return np.transpose([z * np.tan(right), z * np.tan(up), z])
+
+
+def _flat(points: Array) -> Array:
+    """The x and z of points ``(N, 3)``."""
+    return np.reshape(points, (-1, 3))[:, [0, 2]]
+
+
+def _present(points: Array) -> Array:
+    """Without the rows of zeros that fill up fixed sizes."""
+    return points[np.abs(points).sum(axis=1) > 0]
+
+
+def _draw_ground(axes: Any, observation: Mapping[str, Any]) -> None:
+    """Draws the grid of ground kinds: rows ahead, columns from left to right."""
+    colours = [_GROUND_COLOURS[kind] for kind in sorted(_GROUND_COLOURS)]
+    paint = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in colours], np.uint8)
+    axes.imshow(paint[observation["ground_kind"]], origin="lower", aspect="auto")
+    for kind, colour in _GROUND_COLOURS.items():
+        axes.scatter([], [], marker="s", color=colour, label=kind.name.lower())
+    axes.legend(fontsize=8, frameon=False, bbox_to_anchor=(1.0, 1.0), loc="upper left")
+    axes.set(xticks=[], yticks=[])
+    axes.set_xlabel("left to right", fontsize=9, color=INK)
+    axes.set_ylabel("rows ahead", fontsize=9, color=INK)
+    style_axes(axes, "ground: what is beside the road")
+
+
+def _draw_numbers(axes: Any, vectors: Mapping[str, Array]) -> None:
+    """Draws the numbers of the vectors as bars: linear up to 1, logarithmic beyond."""
+    start, ticks = 0, []
+    for name, vector in vectors.items():
+        places = np.arange(start, start + len(vector))
+        axes.bar(places, vector, width=1.0, color=INK)
+        ticks.append((start + len(vector) / 2, f"{name}\n{len(vector)} numbers"))
+        start += len(vector) + 6
+    axes.axhline(0, color=GREY, lw=0.5)
+    axes.set_xticks([place for place, _ in ticks], [text for _, text in ticks])
+    axes.set_yscale("symlog", linthresh=1.0)
+    axes.yaxis.set_major_formatter("{x:g}")
+    style_axes(axes, "the same as numbers")
+
+
+# ---------------------------------------------------------------------- the page
+
+
+def page() -> str:
+    """The gallery's page."""
+    return "\n".join(
+        (
+            "# Gallery",
+            "",
+            "<!-- written by python -m benchmarks.gallery -->",
+            "",
+            "## Tracks",
+            "",
+            "Each track as the game draws it, and as a film of one lap on the map, four times as",
+            "fast as the race. [Tracks](tracks.md) lists lengths, items and lap times.",
+            "",
+            *_grid(_track_cards()),
+            "## Views",
+            "",
+            "What one agent sees at the same moment in each view: from above, and as numbers where",
+            "the observation is a vector. [Views entry by entry](views/index.md) names every",
+            "number.",
+            "",
+            *_grid(_view_cards()),
+        )
+    )
+
+
+def _grid(cards: Iterator[tuple[str, list[str]]]) -> Iterator[str]:
+    yield from ("::::{grid} 1 1 2 2", ":gutter: 3", "")
+    for title, lines in cards:
+        yield from (f":::{{grid-item-card}} {title}", *lines, ":::", "")
+    yield from ("::::", "")
+
+
+def _track_cards() -> Iterator[tuple[str, list[str]]]:
+    for track in SPLITS["all"]:
+        name = f"../images/tracks/{track}"
+        frame = f"![Karts on {track}]({name}-frame.webp)"
+        yield track, [frame, "", f"![One lap of {track} on the map]({name}-lap.svg)"]
+
+
+def _view_cards() -> Iterator[tuple[str, list[str]]]:
+    for view in views().values():
+        picture = f"![What an agent sees in the view {view.name}](../images/views/{view.name}.png)"
+        text = view.description.replace("``", "`")
+        yield f"[{view.name}](views/{view.name}.md)", [picture, "", text]
+
+
+def main() -> None:
+    """Draws the pictures and writes the page."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.gallery",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--only", choices=("tracks", "views"), help="draw these pictures alone")
+    only = parser.parse_args().only
+    for folder in ("tracks", "views"):
+        (IMAGES / folder).mkdir(parents=True, exist_ok=True)
+    if only != "views":
+        for track in SPLITS["all"]:
+            draw_track(track)
+            print(track, flush=True)
+    if only != "tracks":
+        for view in views():
+            draw_view(view)
+    write_text(PAGE, page())
+
+
+if __name__ == "__main__":
+    main()
