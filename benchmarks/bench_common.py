@@ -1,4 +1,4 @@
-"""What the benchmark commands share: arguments, figures, facts of the host, tables, files."""
+"""Shared parts of the benchmark commands: arguments, figures, host facts, tables, files."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The table of ``docs/explanation/robustness.md``, made of the results that are kept.
+"""Makes the table of ``docs/explanation/robustness.md`` from the saved results.
 
 python -m benchmarks.chaos_table            # shows it
-python -m benchmarks.chaos_table --write    # puts it into the page
+python -m benchmarks.chaos_table --write    # writes it to the page
 """
 
 from __future__ import annotations

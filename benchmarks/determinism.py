@@ -1,9 +1,9 @@
-"""Same seed, same race: every track driven to the finish again and again, compared bit by bit.
+"""Checks that races with the same seed are equal bit for bit, on every track up to the finish.
 
-Three agents (the heuristic driver with seeded noise) race three of the game's bots. The
-race of one seed is driven three times in one environment, once in another and once in a
-fresh program; all observations, rewards, ends, infos and the global state must be the same
-bits at every step. A race of another seed must differ.
+Three agents (the heuristic driver with seeded noise) race against three of the game's bots. The
+race of one seed is driven three times in one environment, once in another, and once in a new
+program. All observations, rewards, ends, infos and the global state must be equal bit for bit at
+every step. A race with another seed must differ.
 
     python benchmarks/determinism.py
     python benchmarks/determinism.py --track zengarden lighthouse --seed 3

@@ -1,12 +1,12 @@
-"""Runs each library's example in an environment of its own.
+"""Runs each library's example in a separate virtual environment.
 
 python -m benchmarks.ecosystem                    all of them: some minutes, 12 GB of disk
 python -m benchmarks.ecosystem --only torchrl     one of them
-python -m benchmarks.ecosystem --folder /big/disk environments elsewhere; those there are used again
+python -m benchmarks.ecosystem --folder /big/disk other folder; reuses existing environments
 python -m benchmarks.ecosystem --record           write the results and the table of works-with.md
 
-Without --yes, the command asks before it installs anything. Without --record, it writes the
-results into the folder of the environments only.
+Without --yes, the command asks before it installs anything. Without --record, it writes the results
+only to the folder of the environments.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Events of scripted karts: what the environment counts against what the trajectories say.
+"""Compares the environment's event counts with events derived from recorded trajectories.
 
     python -m benchmarks.events            # 20 races; writes benchmarks/results/events.json
 
-In each race a kart rams others, one leaves the road, and one turns round, among three of the
-game's. The race is recorded in every tick of the physics (120 Hz). The counter sees every twelfth
-of them, as an environment's steps of 0.1 s are; ``events_truth`` sees all. Then the heuristic
-driver races alone, and nothing should be counted but what happens.
+In each race one kart rams others, one leaves the road and one turns round; the game drives three
+more. The race is recorded in every physics tick (120 Hz). The counter sees every twelfth tick, like
+an environment with steps of 0.1 s; ``events_truth`` sees all ticks. Then the heuristic driver races
+alone, to check that no false events are counted.
 """
 
 from __future__ import annotations

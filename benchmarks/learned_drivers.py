@@ -1,10 +1,10 @@
-"""What the learned drivers that come with stkzoo cost: µs a kart and decision.
+"""Measures the cost of the shipped learned drivers: µs per kart and decision.
 
-All karts of some races are driven as one batch, as training and evaluation do it. The moments of
-such races are then decided again, turn by turn, without the game; the quickest of several turns
-counts. Four parts are timed apart: to *see* (the karts' surroundings, of snapshots), to *plan*
-(weigh the plans, gather what the policy is given), to *choose* (the policy, its network or
-ensemble) and to *act* (the controls).
+All karts of some races are driven as one batch, as in training and evaluation. Then the decisions
+at the recorded moments are repeated without the game; the fastest of several repetitions counts.
+Four parts are timed separately: *see* (the karts' surroundings, from snapshots), *plan* (the plans'
+worth and the policy's input), *choose* (the policy, its network or ensemble) and *act* (the
+controls).
 
     python -m benchmarks.learned_drivers
     python -m benchmarks.learned_drivers --karts 32 --track black_forest

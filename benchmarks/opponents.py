@@ -1,8 +1,9 @@
-"""What opponents cost: CPU time of the program in a step, in turns of the same run.
+"""Measures the cost of opponents: CPU time of the program per step.
 
-One agent and eight other karts: those of the game, as bots and as the opponents ``ai:3``; and four
-``pretrained:ace`` and four ``heuristic``, driven one by one and together. The engine's process
-is not counted; it does the same for both of a pair.
+One agent races against eight other karts: the game's own, as bots and as the opponents ``ai:3``;
+and four ``pretrained:ace`` and four ``heuristic``, driven one by one and together. Alternatives are
+measured in turns. The engine's process is not counted, because it does the same work in both
+alternatives.
 
     python -m benchmarks.opponents
     python -m benchmarks.opponents --races 1 --steps 100

@@ -1,8 +1,8 @@
-"""Writes ``docs/reference/tracks.md``: every track with its numbers, the AI's times and two maps.
+"""Writes ``docs/reference/tracks.md``: the numbers, the AI's times and two maps of every track.
 
-``python -m benchmarks.track_atlas`` draws and writes; with ``--measure FOLDER`` it first races the
-game's AI on all tracks (840 races, kept in the folder, gone on with after an interruption) and
-puts its times where ``stkzoo benchmark`` reads them.
+``python -m benchmarks.track_atlas`` draws the maps and writes the page. With ``--measure FOLDER``
+it first races the game's AI on all tracks (840 races, saved in the folder; an interrupted run
+resumes) and stores its times where ``stkzoo benchmark`` reads them.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Runs the tutorials and writes them as notebooks, with what they showed.
+"""Runs the tutorials and writes them as notebooks with their outputs.
 
-python -m benchmarks.tutorials                       all, in full: some 30 minutes
+python -m benchmarks.tutorials                       all, in full: about 30 minutes
 python -m benchmarks.tutorials --only first_race     one of them
-python -m benchmarks.tutorials --short --output DIR  whether they run, in a minute
+python -m benchmarks.tutorials --short --output DIR  only check that they run, in a minute
 
-The tutorials are written as Python files, ``examples/tutorials/*.py``.
+The tutorials are Python files, ``examples/tutorials/*.py``.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ def way(step):
 
 
 generations, steps, duels = map(int, sys.argv[1:] or (12, 25_000, 50))
-torch.set_num_threads(1)  # a small network; the cores are for the races
+torch.set_num_threads(1)  # a small network; leave the cores to the races
 pool, won = OpponentPool(), 0
 race = {"track": TRACKS, "start": "random", "max_cycles": 300, "reward": Reward({"way": way})}
 envs = RaceVecEnv(8, agents=2, num_kart=3, opponents=pool, view="racing", **race)
