@@ -40,7 +40,7 @@ def main(arguments: list[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     words.add_argument("--only", nargs="+", choices=list(BENCHMARKS), default=list(BENCHMARKS))
-    words.add_argument("--quick", action="store_true", help="a trial: figures mean nothing")
+    words.add_argument("--quick", action="store_true", help="trial run; figures mean nothing")
     words.add_argument("--steps", type=int, metavar="N", help="measured steps of each contender")
     words.add_argument("--karts", type=int, nargs="+", metavar="K", help="numbers of karts")
     words.add_argument("--output", type=Path, default=RESULTS, help="folder of the JSON files")

@@ -36,16 +36,14 @@ _TRACK_STEPS = 10
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     words = parser(__doc__, "memory", steps=50, karts=(3,), track="olivermath")
-    words.add_argument(
-        "--resets", type=int, default=500, help="resets on --track; 0 is none (default: 500)"
-    )
+    words.add_argument("--resets", type=int, default=500, help="resets on --track (default: 500)")
     words.add_argument(
         "--tracks",
         nargs="+",
         choices=SPLITS["all"],
         default=list(SPLITS["all"]),
         metavar="NAME",
-        help="tracks that are cycled through (default: all)",
+        help="tracks to race on in turn (default: all)",
     )
     options = words.parse_args(arguments)
     if not Path("/proc/self/smaps_rollup").exists():

@@ -41,7 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     words = parser(__doc__, "profile", steps=300, karts=(3, 10, 20))
     words.add_argument("--view", nargs="+", choices=VIEWS, default=["full", "flattened"])
-    words.add_argument("--top", type=int, default=25, help="functions listed (default: 25)")
+    words.add_argument("--top", type=int, default=25, help="functions to list (default: 25)")
     options = words.parse_args(arguments)
     specs = [
         Spec("stkzoo", "parallel", view, karts, karts, is_worker, cores(options.cores))

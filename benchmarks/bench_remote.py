@@ -113,11 +113,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--steps", type=int, default=300, help="(default: %(default)s)")
-    parser.add_argument("--rounds", type=int, default=5, help="(default: %(default)s)")
-    parser.add_argument("--track", default="lighthouse", help="(default: %(default)s)")
+    parser.add_argument("--steps", type=int, default=300, help="steps (default: %(default)s)")
+    parser.add_argument("--rounds", type=int, default=5, help="rounds (default: %(default)s)")
+    parser.add_argument("--track", default="lighthouse", help="track (default: %(default)s)")
     parser.add_argument(
-        "--output", type=Path, default=RESULTS / "remote.json", help="(default: %(default)s)"
+        "--output", type=Path, default=RESULTS / "remote.json", help="JSON file to write"
     )
     options = parser.parse_args(argv)
     with tempfile.TemporaryDirectory() as folder:

@@ -53,7 +53,7 @@ def _specs(karts: int, pinned: tuple[int, ...]) -> dict[str, Spec]:
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     words = parser(__doc__, "resets", steps=20, karts=(3,), cores=0)
-    words.add_argument("--rounds", type=int, default=5, help="fresh interpreters (default: 5)")
+    words.add_argument("--rounds", type=int, default=5, help="new interpreters (default: 5)")
     words.epilog = "--steps is the number of later resets of each contender, over all rounds."
     options = words.parse_args(arguments)
     results = []

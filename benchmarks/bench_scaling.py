@@ -44,7 +44,7 @@ def main(arguments: list[str] | None = None) -> int:
         choices=SPLITS["all"],
         default=list(SPLITS["all"]),
         metavar="NAME",
-        help="tracks that are compared (default: all)",
+        help="tracks to compare (default: all)",
     )
     words.add_argument(
         "--track-karts", type=int, default=3, help="karts on each of --tracks (default: 3)"

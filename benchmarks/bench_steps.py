@@ -131,7 +131,7 @@ def main(arguments: list[str] | None = None) -> int:
         nargs="+",
         default=[1, 3],
         metavar="K",
-        help="numbers of karts at which the ids of one kart are measured (default: 1 3)",
+        help="numbers of karts for the single-kart ids (default: 1 3)",
     )
     options = words.parse_args(arguments)
     todo = list(matches(options))

@@ -51,9 +51,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    words.add_argument("--faults", type=int, default=1000, metavar="N", help="that hit somebody")
-    words.add_argument("--seed", type=int, default=1, metavar="N", help="decides what they are")
-    words.add_argument("--output", type=Path, default=OUTPUT, help="one line a fault")
+    words.add_argument("--faults", type=int, default=1000, metavar="N", help="faults that hit")
+    words.add_argument("--seed", type=int, default=1, metavar="N", help="seed of the faults")
+    words.add_argument("--output", type=Path, default=OUTPUT, help="JSON lines file")
     words.add_argument("--only", type=int, metavar="N", help="inject fault number N and stop")
     words.add_argument("--batch", type=int, nargs="+", help=argparse.SUPPRESS)
     arguments = words.parse_args(argv)

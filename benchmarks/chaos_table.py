@@ -28,7 +28,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    words.add_argument("--write", action="store_true", help="put it into the page")
+    words.add_argument("--write", action="store_true", help="write it to the page")
     if words.parse_args(argv).write:
         with atomic_write(PAGE) as part:
             part.write_text(updated(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -54,9 +54,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    words.add_argument("--steps", type=int, default=200_000, metavar="N", help="of agents")
-    words.add_argument("--every", type=float, default=20.0, metavar="SECONDS", help="between kills")
-    words.add_argument("--output", type=Path, default=OUTPUT, help="where the JSON goes")
+    words.add_argument("--steps", type=int, default=200_000, metavar="N", help="agent-steps")
+    words.add_argument("--every", type=float, default=20.0, metavar="SECONDS", help="kill interval")
+    words.add_argument("--output", type=Path, default=OUTPUT, help="JSON file to write")
     arguments = words.parse_args(argv)
     result = train(arguments.steps, arguments.every)
     print(json.dumps(result, indent=2))

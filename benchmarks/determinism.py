@@ -161,7 +161,7 @@ def main() -> int:
         "--track", nargs="+", choices=SPLITS["all"], default=SPLITS["all"], metavar="NAME"
     )
     parser.add_argument("--seed", type=int, default=1, help="seed of the races (default: 1)")
-    parser.add_argument("--output", type=Path, default=RESULTS, help="where the JSON goes")
+    parser.add_argument("--output", type=Path, default=RESULTS, help="JSON file to write")
     options = parser.parse_args()
     results = list(_with_progress(options.track, options.seed))
     options.output.parent.mkdir(parents=True, exist_ok=True)

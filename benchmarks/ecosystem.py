@@ -133,14 +133,14 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     names = [example.script for example in LIBRARIES]
-    parser.add_argument("--only", nargs="+", metavar="NAME", help=f"of {', '.join(names)}")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help=f"some of {', '.join(names)}")
     parser.add_argument(
-        "--folder", type=Path, default=ROOT / ".ecosystem", help="where the environments are made"
+        "--folder", type=Path, default=ROOT / ".ecosystem", help="folder of the environments"
     )
     parser.add_argument("--timeout", type=float, default=600.0, help="seconds for one example")
     parser.add_argument("--yes", action="store_true", help="install without asking")
     parser.add_argument(
-        "--record", action="store_true", help="rewrite the saved results and the page's table"
+        "--record", action="store_true", help="update the saved results and the page"
     )
     args = parser.parse_args()
     chosen = [e for e in LIBRARIES if not args.only or any(o in e.script for o in args.only)]

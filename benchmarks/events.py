@@ -36,10 +36,10 @@ Totals = dict[str, npt.NDArray[np.float64]]
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--races", type=int, default=20, help="with scripted karts")
-    parser.add_argument("--solo", type=int, default=10, help="of the heuristic driver alone")
-    parser.add_argument("--seconds", type=float, default=60.0, help="of each race")
-    parser.add_argument("--seed", type=int, default=100, help="of the first race")
+    parser.add_argument("--races", type=int, default=20, help="races with scripted karts")
+    parser.add_argument("--solo", type=int, default=10, help="races of the heuristic driver alone")
+    parser.add_argument("--seconds", type=float, default=60.0, help="duration of a race")
+    parser.add_argument("--seed", type=int, default=100, help="seed of the first race")
     parser.add_argument("--output", type=Path, default=RESULTS)
     arguments = parser.parse_args()
     results: dict[str, Any] = {"seed": arguments.seed, "seconds": arguments.seconds}

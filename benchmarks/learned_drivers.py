@@ -122,11 +122,11 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--karts", type=int, nargs="+", default=[1, 32, 128], help="in one batch (1 32 128)"
+        "--karts", type=int, nargs="+", default=[1, 32, 128], help="batch sizes (1 32 128)"
     )
     parser.add_argument("--track", choices=SPLITS["all"], default="lighthouse", metavar="NAME")
-    parser.add_argument("--steps", type=int, default=100, help="how many moments (100)")
-    parser.add_argument("--output", type=Path, default=RESULTS, help="where the JSON goes")
+    parser.add_argument("--steps", type=int, default=100, help="number of moments (100)")
+    parser.add_argument("--output", type=Path, default=RESULTS, help="JSON file to write")
     options = parser.parse_args()
     found = {
         name: {karts: cost(name, karts, options.track, options.steps) for karts in options.karts}

@@ -77,10 +77,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--races", type=int, nargs="+", default=[1, 4], help="side by side (1 4)")
+    parser.add_argument("--races", type=int, nargs="+", default=[1, 4], help="parallel races (1 4)")
     parser.add_argument("--track", default="lighthouse", metavar="NAME")
-    parser.add_argument("--steps", type=int, default=200, help="measured, of each form (200)")
-    parser.add_argument("--output", type=Path, default=RESULTS, help="where the JSON goes")
+    parser.add_argument("--steps", type=int, default=200, help="steps per measurement (200)")
+    parser.add_argument("--output", type=Path, default=RESULTS, help="JSON file to write")
     options = parser.parse_args()
     found = {races: cost(races, options.steps, options.track) for races in options.races}
     for races, own in found.items():

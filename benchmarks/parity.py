@@ -185,7 +185,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--ids", nargs="+", choices=ENV_IDS, default=ENV_IDS, metavar="ID")
     parser.add_argument("--track", dest="tracks", nargs="+", default=TRACKS, metavar="TRACK")
     parser.add_argument("--modes", nargs="+", choices=MODES, default=MODES, metavar="MODE")
-    parser.add_argument("--steps", type=int, default=300, help="steps a race (default 300)")
+    parser.add_argument("--steps", type=int, default=300, help="steps per race (default 300)")
     parser.add_argument("--output", type=Path, default=_RESULTS, help="JSON file to write")
     return parser
 

@@ -100,7 +100,7 @@ def main() -> None:
         metavar="NAME",
     )
     parser.add_argument("--seeds", type=int, default=3, help="number of races of each (default: 3)")
-    parser.add_argument("--output", type=Path, default=RESULTS, help="where the JSON goes")
+    parser.add_argument("--output", type=Path, default=RESULTS, help="JSON file to write")
     options = parser.parse_args()
     results = [
         race(track, seed, driver)

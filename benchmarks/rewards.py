@@ -176,7 +176,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--record", action="store_true", help="drive all the races again")
-    parser.add_argument("--track", help="drive one race and compare the shipped rewards")
+    parser.add_argument("--track", help="drive one race and compare the built-in rewards")
     arguments = parser.parse_args()
     if arguments.record:
         record()

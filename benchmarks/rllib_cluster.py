@@ -42,11 +42,11 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--folder", type=Path, default=ROOT / ".ecosystem", help="where Ray's environment is made"
+        "--folder", type=Path, default=ROOT / ".ecosystem", help="folder of Ray's environment"
     )
-    parser.add_argument("--iterations", type=int, default=40, help="default: %(default)s")
-    parser.add_argument("--pack", default="", help="headless pack to send; else one is made")
-    parser.add_argument("--timeout", type=float, default=1800.0, help="seconds for all of it")
+    parser.add_argument("--iterations", type=int, default=40, help="total (default: %(default)s)")
+    parser.add_argument("--pack", default="", help="headless pack to send; empty makes one")
+    parser.add_argument("--timeout", type=float, default=1800.0, help="time limit in seconds")
     args = parser.parse_args()
     if args.iterations < 5 * PAUSE:
         parser.error(f"--iterations is {args.iterations}, expected {5 * PAUSE} or more")

@@ -92,8 +92,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    words.add_argument("--races", type=int, default=2000, metavar="N", help="in all")
-    words.add_argument("--output", type=Path, default=OUTPUT, help="one line a race")
+    words.add_argument("--races", type=int, default=2000, metavar="N", help="total races")
+    words.add_argument("--output", type=Path, default=OUTPUT, help="JSON lines file")
     arguments = words.parse_args(argv)
     arguments.output.parent.mkdir(parents=True, exist_ok=True)
     rows = _read(arguments.output)

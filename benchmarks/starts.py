@@ -35,10 +35,10 @@ _HEIGHT = 4.0  # above or below the road; jumps are high [m]
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--starts", type=int, default=1000, help="how many, over all tracks")
+    parser.add_argument("--starts", type=int, default=1000, help="total number of starts")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--track", dest="tracks", nargs="+", default=list(SPLITS["all"]))
-    parser.add_argument("--reverse", action="store_true", help="the tracks the other way round")
+    parser.add_argument("--reverse", action="store_true", help="reverse the tracks")
     parser.add_argument("--output", type=Path, default=RESULTS)
     arguments = parser.parse_args()
     rows = []

@@ -232,7 +232,7 @@ def _tell(progress: BatchProgress) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--measure", metavar="FOLDER", help="measure the AI's times first")
-    parser.add_argument("--jobs", type=int, help="races at a time")
+    parser.add_argument("--jobs", type=int, help="parallel races")
     arguments = parser.parse_args()
     if arguments.measure:
         times = measure_ai_times(arguments.measure, jobs=arguments.jobs, on_race=_tell)

@@ -29,9 +29,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--only", nargs="+", metavar="NAME", help="these alone")
-    parser.add_argument("--short", action="store_true", help="a few steps of everything")
-    parser.add_argument("--output", type=Path, help="a folder (default: docs/tutorials)")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="only these")
+    parser.add_argument("--short", action="store_true", help="run only a few steps")
+    parser.add_argument("--output", type=Path, help="folder (default: docs/tutorials)")
     arguments = parser.parse_args()
     if arguments.short and arguments.output is None:
         parser.error("--short needs --output: the pages show the full runs")
