@@ -75,13 +75,13 @@ _CARD = """\
 
 A learned driver of stkzoo. `stkzoo race pretrained:{name} ai ai ai ai --difficulty 3`
 
-- **Network:** {parameters:,} numbers (`{weights}`, {size:,} bytes, SHA-256 `{sha256}`).
+- **Network:** {parameters:,} parameters (`{weights}`, {size:,} bytes, SHA-256 `{sha256}`).
 {runs}
 - **Command:** TO BE WRITTEN
 - **Results:** TO BE WRITTEN
 - **Limits:** TO BE WRITTEN
 """
-_RUN = "- **Learned from:** {kart_steps} kart-steps of self-play; seed {seed}; tracks {tracks}."
+_RUN = "- **Data:** {kart_steps} kart-steps of self-play; seed {seed}; tracks {tracks}."
 
 Arrays = dict[str, npt.NDArray[np.float32]]
 
