@@ -49,10 +49,10 @@ class ChecksArguments:
     """Options of ``python -m stkzoo.checks``.
 
     Attributes:
-        environment: module:callable that makes it, such as stkzoo.race_v0:parallel_env
+        environment: module:callable that makes the environment, such as stkzoo.race_v0:parallel_env
         view: views to check (default: all registered ones)
         track: tracks to check on (default: one short track)
-        json: print the outcomes as JSON
+        json: print the results as JSON
     """
 
     environment: str = positional(metavar="environment")

@@ -193,7 +193,7 @@ class Reward:
 #: race of L metres in place p of K after N steps earns L/10 + 20 (K - p)/(K - 1) + 10 - 0.02 N; a
 #: kart that stands still earns -0.02 N.
 #: ``reference`` is the formula of pystk2-gymnasium, which also rewards a kart that stands still.
-#: ``placement`` has a return in [0, 2] that increases with the final rank.
+#: ``placement`` has a return in [0, 2], which is higher for a better place.
 REWARDS: Mapping[str, Reward] = {
     "race": Reward(
         {"advance": advance, "place": place, "finish": finish, "time": time}, {"time": 0.2}

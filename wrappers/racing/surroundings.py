@@ -151,7 +151,7 @@ def surroundings_in(
 
 
 def _padded(parts: Sequence[npt.NDArray[Any]], blank: float) -> npt.NDArray[Any]:
-    """Concatenates the races' rows, padded to the same number of columns."""
+    """Stacks arrays of different lengths, each padded at its end with ``blank``."""
     most = max(1, *map(len, parts))
     padded = np.full((len(parts), most, *parts[0].shape[1:]), blank, parts[0].dtype)
     for row, part in zip(padded, parts, strict=True):
