@@ -217,6 +217,7 @@ class BranchingRace(ClonableEnv):
         Raises:
             ApiOrderError: the other environment was not reset yet.
             ConfigError: the other environment has other karts or agents.
+            AgentException: an agent's wrapper holds an object that cannot be copied.
             EngineError: this platform cannot fork races, or the game crashed.
         """
         other._running("clone")

@@ -21,7 +21,7 @@ ViewFactory: TypeAlias = Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]]
 #: All views by name. Each has a Gymnasium id; ``stkzoo.register_view`` adds views.
 VIEWS: dict[str, ViewFactory] = {}
 
-#: Views that need rendering. Environments support them; agents in other processes do not.
+#: Views that need rendering. Environments support them; drivers do not.
 CAMERA_VIEWS: dict[str, ViewFactory] = {}
 
 _TELLS = {"ground": "shows the ground", "motion": "tells how the other karts move"}
