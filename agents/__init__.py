@@ -1,17 +1,17 @@
-"""Drivers that come with stkzoo, each found by its name: ``stkzoo.agents.<name>``.
+"""Drivers that come with stkzoo, each a package ``stkzoo.agents.<name>`` found by its name.
 
 A driver is a package with
 
 ``env_name``
-    id of the environment that it was made for, which says what it sees and how it acts;
+    id of the environment that it was made for, which determines its observations and actions;
 ``player_name``
-    the name to show;
+    display name;
 ``get_actor(module_dir, observation_space, action_space)``
-    makes a callable ``actor(state, observation) -> action``;
+    returns a callable ``actor(state, observation) -> action``;
 ``create_state()``
-    makes what the actor remembers in one race; optional.
+    returns the actor's state for one race; optional.
 
-These packages use only what a user's own driver could use.
+These packages use only interfaces that are available to your own drivers.
 """
 
 __all__: list[str] = []

@@ -1,1 +1,1 @@
-"""Measurements behind the figures in the documentation, one command each."""
+"""Benchmarks behind the figures in the documentation, one command each."""

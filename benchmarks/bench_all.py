@@ -1,12 +1,12 @@
-"""Runs all benchmarks one after the other and writes their page of the documentation.
+"""Runs all benchmarks one after another and writes the documentation page of their results.
 
     python -m benchmarks.bench_all
     python -m benchmarks.bench_all --only steps transport
     python -m benchmarks.bench_all --quick --output trial
 
-Results go into one folder, a JSON file each. The page is written only where the results
-are those of the project (``benchmarks/results``). ``--steps`` and ``--karts`` replace the
-defaults of every benchmark; ``python -m benchmarks.bench_steps --help`` and so on tell them.
+The results are JSON files in one folder. The page is written only if that folder is the project's
+own (``benchmarks/results``). ``--steps`` and ``--karts`` override the defaults of every benchmark;
+to see these, run ``python -m benchmarks.bench_steps --help`` and likewise for the others.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def main(arguments: list[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     words.add_argument("--only", nargs="+", choices=list(BENCHMARKS), default=list(BENCHMARKS))
-    words.add_argument("--quick", action="store_true", help="a trial: figures mean nothing")
+    words.add_argument("--quick", action="store_true", help="trial run; figures mean nothing")
     words.add_argument("--steps", type=int, metavar="N", help="measured steps of each contender")
     words.add_argument("--karts", type=int, nargs="+", metavar="K", help="numbers of karts")
     words.add_argument("--output", type=Path, default=RESULTS, help="folder of the JSON files")

@@ -1,4 +1,4 @@
-"""What the benchmark commands share: arguments, figures, facts of the host, tables, files."""
+"""Shared parts of the benchmark commands: arguments, figures, host facts, tables, files."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def parser(
         help=f"cores for a contender and its processes, 0 for all (default: {cores})",
     )
     output = RESULTS / f"{name}.json"
-    made.add_argument("--output", type=Path, default=output, help="where the JSON goes")
+    made.add_argument("--output", type=Path, default=output, help="JSON file to write")
     return made
 
 

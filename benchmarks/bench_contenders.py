@@ -1,7 +1,7 @@
-"""The interpreter of one contender: it answers requests and measures their time.
+"""The process of one contender: it answers requests and measures their time.
 
-:class:`benchmarks.bench_driver.Contender` starts this module and sends requests by lines of
-JSON; nothing heavy is imported here before it is asked for, so that imports can be timed.
+:class:`benchmarks.bench_driver.Contender` starts this module and sends requests as lines of JSON.
+Heavy imports happen on request, so that they can be timed.
 """
 
 from __future__ import annotations

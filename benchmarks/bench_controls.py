@@ -1,4 +1,4 @@
-"""The same driving for all contenders, whatever action each of them takes."""
+"""The same driving for all contenders, whatever form of action each accepts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Contenders, from the side of the program that measures them."""
+"""Contenders, as seen by the program that measures them."""
 
 from __future__ import annotations
 

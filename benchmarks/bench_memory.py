@@ -1,12 +1,12 @@
-"""Resident memory of the program, the fork server and the race's process, and how it grows.
+"""Measures the resident memory of the program, the fork server and the game process.
 
     python -m benchmarks.bench_memory
     python -m benchmarks.bench_memory --karts 3 --resets 500
 
-Measured after the import, in a race, after a race on every track, and over many resets on
-one short track. ``resident`` counts pages that processes share in each of them, ``share``
-(the kernel's proportional set size) divides them, ``own`` leaves them out: a forked race
-shares most of its pages with the fork server. Needs Linux.
+Memory is measured after the import, in a race, after a race on every track, and over many resets on
+one short track. ``resident`` counts pages that processes share in each of them, ``share`` (the
+kernel's proportional set size) divides them among the processes, and ``own`` excludes them: a
+forked race shares most of its pages with the fork server. Needs Linux.
 """
 
 from __future__ import annotations
@@ -36,16 +36,14 @@ _TRACK_STEPS = 10
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     words = parser(__doc__, "memory", steps=50, karts=(3,), track="olivermath")
-    words.add_argument(
-        "--resets", type=int, default=500, help="resets on --track; 0 is none (default: 500)"
-    )
+    words.add_argument("--resets", type=int, default=500, help="resets on --track (default: 500)")
     words.add_argument(
         "--tracks",
         nargs="+",
         choices=SPLITS["all"],
         default=list(SPLITS["all"]),
         metavar="NAME",
-        help="tracks that are cycled through (default: all)",
+        help="tracks to race on in turn (default: all)",
     )
     options = words.parse_args(arguments)
     if not Path("/proc/self/smaps_rollup").exists():

@@ -1,17 +1,17 @@
-"""What is left of a step beside the engine's own: its parts, and function by function.
+"""Profiles the part of a step outside the engine, by phase and by function.
 
     python -m benchmarks.bench_profile
     python -m benchmarks.bench_profile --karts 10 --view full --steps 300
 
-First the parts, each timed by itself many times in a race in this process, so with warm
-caches: after a step of the engine's, each costs half as much again. ``update``, ``write`` and
-``motion`` are the engine's: rebuilding its world, writing that as bytes, and the karts'
-attributes that the bytes lack. ``read`` has the last two in it and the copying; ``controls`` is
-reading the actions, and ``outcome`` all that the agents get.
+First, each phase is timed on its own in an in-process race, many times and therefore with warm
+caches; right after a step of the engine it takes half as long again. ``update``, ``write`` and
+``motion`` belong to the engine: it rebuilds its world, writes it as bytes, and provides the karts'
+attributes that the bytes lack. ``read`` includes the last two and the copying; ``controls``
+converts the actions, and ``outcome`` makes the agents' results.
 
-Then stkzoo under cProfile, in process and with the default worker: the functions that take the
-most time by themselves. The profiler makes Python's own calls look dearer than they are;
-``bench_steps`` says what a step costs without it.
+Then stkzoo runs under cProfile, in process and with the default worker, and the functions that take
+the most time are listed. The profiler exaggerates the cost of Python calls; ``bench_steps``
+measures steps without it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     words = parser(__doc__, "profile", steps=300, karts=(3, 10, 20))
     words.add_argument("--view", nargs="+", choices=VIEWS, default=["full", "flattened"])
-    words.add_argument("--top", type=int, default=25, help="functions listed (default: 25)")
+    words.add_argument("--top", type=int, default=25, help="functions to list (default: 25)")
     options = words.parse_args(arguments)
     specs = [
         Spec("stkzoo", "parallel", view, karts, karts, is_worker, cores(options.cores))

@@ -1,14 +1,13 @@
-"""A race over two servers on this machine, against the same race here.
+"""Compares a race over two servers on this machine with the same local race.
 
     python -m benchmarks.bench_remote
     python -m benchmarks.bench_remote --steps 300 --rounds 5
 
-Four karts on one track; two of them are served by each server, or all four drive here. Each
-contender races in turn, so that a busy machine slows all alike. ``files`` are agents from
-files that see the ``flattened_discrete`` view, each in a process of its own on either side;
-``heuristic`` is the driver of that name, which sees ``full`` and runs in the server's process
-or in the race's. The time of a step is measured from step to step; that the results are the
-same is checked.
+Four karts race on one track; each server drives two of them, or all four are driven locally.
+Contenders take turns, so that a busy machine slows all of them equally. ``files`` are agents from
+files in the ``flattened_discrete`` view, each in its own process on either side. ``heuristic`` is
+the driver of that name; it uses ``full`` and runs in the server's process or in the race's. The
+benchmark measures the time between steps and checks that the results are equal.
 """
 
 from __future__ import annotations
@@ -114,11 +113,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--steps", type=int, default=300, help="(default: %(default)s)")
-    parser.add_argument("--rounds", type=int, default=5, help="(default: %(default)s)")
-    parser.add_argument("--track", default="lighthouse", help="(default: %(default)s)")
+    parser.add_argument("--steps", type=int, default=300, help="steps (default: %(default)s)")
+    parser.add_argument("--rounds", type=int, default=5, help="rounds (default: %(default)s)")
+    parser.add_argument("--track", default="lighthouse", help="track (default: %(default)s)")
     parser.add_argument(
-        "--output", type=Path, default=RESULTS / "remote.json", help="(default: %(default)s)"
+        "--output", type=Path, default=RESULTS / "remote.json", help="JSON file to write"
     )
     options = parser.parse_args(argv)
     with tempfile.TemporaryDirectory() as folder:

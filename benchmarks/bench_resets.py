@@ -1,14 +1,14 @@
-"""Imports, first resets and later resets, against what the engine itself takes.
+"""Measures imports, first resets and later resets, compared with the engine's own time.
 
     python -m benchmarks.bench_resets
     python -m benchmarks.bench_resets --steps 20 --rounds 5 --karts 3
 
-Each round starts fresh interpreters, one contender after the other: the import, making the
-environment, the first reset and the first step (the reference compiles in these). Later
-resets are then measured in turn. The engine's part of a reset is ``Race(config)``,
-``start`` and the steps until the karts stand on the grid: again and again in one process,
-and, as stkzoo's worker does it, as the first race of a forked process. The interpreter's
-own start is not counted; files are in the system's cache.
+Each round starts new interpreters, one contender after another, and measures the import, the
+construction of the environment, the first reset and the first step (in which the reference
+compiles). Later resets are then measured in turn. The engine's part of a reset consists of
+``Race(config)``, ``start`` and the steps until the karts are on the grid. It is measured repeatedly
+in one process and, as in stkzoo's worker, as the first race of a forked process. The start of the
+interpreter is not counted; files are in the system's cache.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def _specs(karts: int, pinned: tuple[int, ...]) -> dict[str, Spec]:
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     words = parser(__doc__, "resets", steps=20, karts=(3,), cores=0)
-    words.add_argument("--rounds", type=int, default=5, help="fresh interpreters (default: 5)")
+    words.add_argument("--rounds", type=int, default=5, help="new interpreters (default: 5)")
     words.epilog = "--steps is the number of later resets of each contender, over all rounds."
     options = words.parse_args(arguments)
     results = []

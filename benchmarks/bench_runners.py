@@ -1,6 +1,6 @@
-"""The contenders themselves: what each of them imports, makes, resets and steps.
+"""The contenders: how each of them imports, makes, resets and steps its environment.
 
-Nothing heavy is imported here before it is asked for, so that imports can be timed.
+Heavy imports happen on request, so that they can be timed.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
-"""How the cost of a step grows with karts, items and the length of the path.
+"""Measures how the cost of a step grows with karts, items and the length of the path.
 
     python -m benchmarks.bench_scaling
     python -m benchmarks.bench_scaling --karts 1 10 100 --tracks lighthouse --steps 100
 
-First more and more karts on one track, then every track with the same karts: time inside
-the engine, what stkzoo adds, and the engine's share of the step. All karts are agents.
+The benchmark first varies the number of karts on one track, then the track with a fixed number of
+karts. It reports the time inside the engine, the time that stkzoo adds, and the engine's fraction
+of the step. All karts are agents.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def main(arguments: list[str] | None = None) -> int:
         choices=SPLITS["all"],
         default=list(SPLITS["all"]),
         metavar="NAME",
-        help="tracks that are compared (default: all)",
+        help="tracks to compare (default: all)",
     )
     words.add_argument(
         "--track-karts", type=int, default=3, help="karts on each of --tracks (default: 3)"

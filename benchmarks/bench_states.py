@@ -1,11 +1,11 @@
-"""What it costs to save a moment of a race, to go back to it, and to start from it.
+"""Measures the cost of saving a race, restoring it, and starting from a saved state.
 
     python -m benchmarks.bench_states
     python -m benchmarks.bench_states --steps 100 --karts 3 10
 
-A turn is ``save_state``, a few steps, ``restore_state``, the first step after it, ``reset`` to
-a parked start, and an ordinary reset. The first step after a copy is slow because the copy's
-memory is the original's until it is written to.
+A turn consists of ``save_state``, a few steps, ``restore_state``, the first step after it, a
+``reset`` to a saved start, and an ordinary reset. The first step after a copy is slow because
+processes share memory until they write to it.
 """
 
 from __future__ import annotations

@@ -1,21 +1,21 @@
-"""What a step costs: the bare engine, stkzoo and pystk2-gymnasium, side by side.
+"""Compares the cost of a step of the bare engine, stkzoo and pystk2-gymnasium.
 
     python -m benchmarks.bench_steps
     python -m benchmarks.bench_steps --karts 3 10 --view full flattened --steps 300
 
-All contenders run the same race on the same actions, a few steps each in turn, so that a
-noisy machine is equally noisy to all; the results say whether the karts ended at the same
-places, bit for bit. A step's ratio is its time over the time that the same step spent inside
-``pystk2.Race.step``. Compiling and the first steps are not counted.
+All contenders run the same race with the same actions, a few steps each in turn, so that noise on
+the machine affects all of them equally. The results state whether the karts ended at the same
+positions, bit for bit. The ratio of a step is its time over the time spent inside
+``pystk2.Race.step`` in that step. Compilation and the first steps are not counted.
 
-Three groups: ``parallel`` is stkzoo's ParallelEnv in each view, all karts agents, also counting
-events and without the compiled kernel; ``multi`` the id multi-full-v0, all karts agents, in stkzoo
-and the reference; ``single`` the ids of one kart in each view that the reference has, the others
-driven by the game, in both.
+There are three groups. ``parallel`` is stkzoo's ParallelEnv in each view with all karts as agents,
+also with events and without the compiled kernel. ``multi`` is the id multi-full-v0 with all karts
+as agents, in stkzoo and in the reference. ``single`` are the ids with one agent in each view of the
+reference, in both; the game drives the other karts.
 
-The views ``control`` and ``flattened_control`` act by speed and steering angle. Their controls
-depend on the kart's state to the last bit, so they have no contender ``engine`` and their races
-are not compared.
+Actions of the views ``control`` and ``flattened_control`` are a speed and a steering angle. Their
+controls depend on the kart's state to the last bit, so they have no ``engine`` contender and their
+races are not compared.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def main(arguments: list[str] | None = None) -> int:
         nargs="+",
         default=[1, 3],
         metavar="K",
-        help="numbers of karts at which the ids of one kart are measured (default: 1 3)",
+        help="numbers of karts for the single-kart ids (default: 1 3)",
     )
     options = words.parse_args(arguments)
     todo = list(matches(options))

@@ -57,7 +57,7 @@ def main(arguments: list[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     words.add_argument("--results", type=Path, default=RESULTS, help="folder of the JSON files")
-    words.add_argument("--output", type=Path, default=PAGE, help="the page")
+    words.add_argument("--output", type=Path, default=PAGE, help="page to write")
     options = words.parse_args(arguments)
     reports = {
         name: json.loads(path.read_text())

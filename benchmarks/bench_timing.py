@@ -1,9 +1,8 @@
-"""A clock around the engine's own step, in whichever process that step runs.
+"""Times the engine's own steps, in the process in which they run.
 
-:func:`time_the_engine` puts a thin shell around ``pystk2.Race`` when that is imported. The
-seconds of the last step go into memory that a process shares with those that it starts, so
-that the caller can read what its step cost inside the engine. The shell costs about a
-microsecond a step. This module needs the standard library alone.
+:func:`time_the_engine` wraps ``pystk2.Race`` when it is imported. The duration of the last step is
+stored in memory that a process shares with its children, so that the caller can read it. The
+wrapper costs about a microsecond per step. This module needs only the standard library.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""Gymnasium's own benchmark functions on the single-kart ids, and what cameras cost.
+"""Runs Gymnasium's benchmark functions on the single-kart ids, and measures the cost of cameras.
 
     python -m benchmarks.bench_tool_belt
     python -m benchmarks.bench_tool_belt --seconds 3 --rounds 3
 
-``benchmark_step``, ``benchmark_init`` and ``benchmark_render`` of
-``gymnasium.utils.performance``, as they are: random actions, each init with its first reset.
-pystk2-gymnasium has the same ids and no pictures. ``cameras``: a step of a race whose agents
-all see through cameras (``CameraObservations``), 84 by 84 pixels, and the same race without.
-Every figure comes from an interpreter of its own; contenders take turns.
+The benchmark uses ``benchmark_step``, ``benchmark_init`` and ``benchmark_render`` of
+``gymnasium.utils.performance`` unchanged: with random actions, and a first reset in each init.
+pystk2-gymnasium has the same ids but does not render. ``cameras`` compares a step of a race whose
+agents all have cameras (``CameraObservations``), 84 by 84 pixels, with the same race without
+cameras. Every figure comes from a separate interpreter; contenders take turns.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ _WARM_UP = 5
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     words = parser(__doc__, "tool_belt", steps=60, karts=(1, 4), cores=0)
-    words.add_argument("--seconds", type=int, default=2, help="of each measurement (default: 2)")
-    words.add_argument("--rounds", type=int, default=3, help="turns of each (default: 3)")
+    words.add_argument("--seconds", type=int, default=2, help="per measurement (default: 2)")
+    words.add_argument("--rounds", type=int, default=3, help="measurements of each (default: 3)")
     words.add_argument("--contender", help=argparse.SUPPRESS)
     options = words.parse_args(arguments)
     if options.contender:

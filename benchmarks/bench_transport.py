@@ -1,17 +1,18 @@
-"""What it costs that the game runs in a process of its own, and nothing else.
+"""Measures the cost of running the game in a separate process.
 
     python -m benchmarks.bench_transport
     python -m benchmarks.bench_transport --cores 0 --karts 3
 
-The same race in process and in the default worker, a few steps each in turn. Step by step:
+The same race runs in process and in the default worker, a few steps each in turn. The figures per
+step are:
 
-- ``step``: the worker's step minus the one in process;
-- ``outside the engine``: the same without the time that each spent inside
-  ``pystk2.Race.step``, whose noise is larger than what is sought: the transport's figure;
-- ``pipes alone``: the floor, measured right after: two processes that do nothing but send as
-  many bytes there and back over pipes, the other one busy in between for as long as the engine.
+- ``step``: time of the worker's step minus that of the in-process step; - ``outside the engine``:
+the same without the time inside ``pystk2.Race.step``, whose noise exceeds the measured difference;
+this is the cost of the transport; - ``pipes alone``: the lower bound, measured right afterwards:
+two processes that send the same number of bytes back and forth over pipes, while the other process
+is busy for as long as the engine.
 
-``--cores 1`` holds program and game on one core, where no wake-up crosses cores.
+``--cores 1`` pins program and game to one core, so that no wake-up crosses cores.
 """
 
 from __future__ import annotations

@@ -1,13 +1,14 @@
-"""Agent-steps a second of many races side by side.
+"""Measures agent-steps per second of many parallel races.
 
     python -m benchmarks.bench_vector
     python -m benchmarks.bench_vector --steps 300 --rounds 5 --races 1 2
 
-Two groups. ``slots``: :class:`stkzoo.RaceVectorEnv` with more and more races, all karts
-agents, on all cores; the gain is over one race in the same round. ``single``: two races of
-one agent each in the ``flattened`` view, the other karts driven by the game, beside
-pystk2-gymnasium's ``make_stkrace_vec``; the gain is over that. All karts go straight ahead
-at full throttle. Every figure comes from an interpreter of its own; contenders take turns.
+There are two groups. ``slots`` is :class:`stkzoo.RaceVectorEnv` with an increasing number of races,
+all karts as agents, on all cores; the gain is relative to one race in the same round. ``single``
+are two races of one agent each in the ``flattened`` view, with the other karts driven by the game,
+compared with pystk2-gymnasium's ``make_stkrace_vec``; the gain is relative to that. All karts drive
+straight ahead at full throttle. Every figure comes from a separate interpreter; contenders take
+turns.
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ _WARM_UP = 40
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     words = parser(__doc__, "vector", steps=300, karts=(10,), cores=0)
-    words.add_argument("--races", type=int, nargs="+", default=[1, 2, 4], help="(default: 1 2 4)")
-    words.add_argument("--rounds", type=int, default=3, help="turns of each (default: 3)")
+    words.add_argument("--races", type=int, nargs="+", default=[1, 2, 4], help="races (1 2 4)")
+    words.add_argument("--rounds", type=int, default=3, help="measurements of each (default: 3)")
     words.add_argument("--contender", help=argparse.SUPPRESS)
     options = words.parse_args(arguments)
     if options.contender:

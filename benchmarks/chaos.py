@@ -1,12 +1,12 @@
-"""Faults by the thousand: processes killed and stopped at random moments, and what remains.
+"""Injects thousands of faults: kills and stops processes at random moments.
 
-Each fault has a number; the seed decides what it is. A hundred at a time are injected by a
-program of their own, beside a race that must not notice; whole programs are hit from outside.
-What came of each is written down as it comes, and the same command goes on where it was.
+Each fault has a number; the seed determines it. A separate program injects a hundred faults at a
+time, beside a race that must not be affected; whole programs are hit from outside. Each result is
+written immediately, and the same command resumes an interrupted run.
 
     python -m benchmarks.chaos                        # 1,000 faults that hit, 40 minutes
-    python -m benchmarks.chaos --faults 50 --seed 7   # others, fewer
-    python -m benchmarks.chaos --only 137             # one again, with all it says
+    python -m benchmarks.chaos --faults 50 --seed 7   # fewer and different faults
+    python -m benchmarks.chaos --only 137             # repeat one fault, with all its output
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    words.add_argument("--faults", type=int, default=1000, metavar="N", help="that hit somebody")
-    words.add_argument("--seed", type=int, default=1, metavar="N", help="decides what they are")
-    words.add_argument("--output", type=Path, default=OUTPUT, help="one line a fault")
+    words.add_argument("--faults", type=int, default=1000, metavar="N", help="faults that hit")
+    words.add_argument("--seed", type=int, default=1, metavar="N", help="seed of the faults")
+    words.add_argument("--output", type=Path, default=OUTPUT, help="JSON lines file")
     words.add_argument("--only", type=int, metavar="N", help="inject fault number N and stop")
     words.add_argument("--batch", type=int, nargs="+", help=argparse.SUPPRESS)
     arguments = words.parse_args(argv)

@@ -1,7 +1,7 @@
-"""The table of ``docs/explanation/robustness.md``, made of the results that are kept.
+"""Makes the table of ``docs/explanation/robustness.md`` from the saved results.
 
 python -m benchmarks.chaos_table            # shows it
-python -m benchmarks.chaos_table --write    # puts it into the page
+python -m benchmarks.chaos_table --write    # writes it to the page
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    words.add_argument("--write", action="store_true", help="put it into the page")
+    words.add_argument("--write", action="store_true", help="write it to the page")
     if words.parse_args(argv).write:
         with atomic_write(PAGE) as part:
             part.write_text(updated(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

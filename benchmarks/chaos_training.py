@@ -1,9 +1,9 @@
-"""A training run that survives: PPO against itself, while a game is killed every 20 seconds.
+"""Trains with PPO in self-play while a game process is killed every 20 seconds.
 
-Stable-Baselines3's PPO drives all karts of two races (`stkzoo.sb3.RaceVecEnv`) until so many
-steps of agents are done. Meanwhile a thread kills or stops one of the processes that hold the
-games, or their fork server. The run has to end by itself, with the right number of steps, without a
-number that is not finite, and without a process left.
+Stable-Baselines3's PPO drives all karts of two races (`stkzoo.sb3.RaceVecEnv`) for a number of
+agent-steps. Meanwhile a thread kills or stops one of the game processes or their fork server. The
+run must end by itself, with the right number of steps, without values that are not finite, and
+without remaining processes.
 
     python -m benchmarks.chaos_training                     # 200,000 steps, ten minutes
     python -m benchmarks.chaos_training --steps 20000 --every 5
@@ -54,9 +54,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    words.add_argument("--steps", type=int, default=200_000, metavar="N", help="of agents")
-    words.add_argument("--every", type=float, default=20.0, metavar="SECONDS", help="between kills")
-    words.add_argument("--output", type=Path, default=OUTPUT, help="where the JSON goes")
+    words.add_argument("--steps", type=int, default=200_000, metavar="N", help="agent-steps")
+    words.add_argument("--every", type=float, default=20.0, metavar="SECONDS", help="kill interval")
+    words.add_argument("--output", type=Path, default=OUTPUT, help="JSON file to write")
     arguments = words.parse_args(argv)
     result = train(arguments.steps, arguments.every)
     print(json.dumps(result, indent=2))

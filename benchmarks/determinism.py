@@ -1,9 +1,9 @@
-"""Same seed, same race: every track driven to the finish again and again, compared bit by bit.
+"""Checks that races with the same seed are equal bit for bit, on every track up to the finish.
 
-Three agents (the heuristic driver with seeded noise) race three of the game's bots. The
-race of one seed is driven three times in one environment, once in another and once in a
-fresh program; all observations, rewards, ends, infos and the global state must be the same
-bits at every step. A race of another seed must differ.
+Three agents (the heuristic driver with seeded noise) race against three of the game's bots. The
+race of one seed is driven three times in one environment, once in another, and once in a new
+program. All observations, rewards, ends, infos and the global state must be equal bit for bit at
+every step. A race with another seed must differ.
 
     python benchmarks/determinism.py
     python benchmarks/determinism.py --track zengarden lighthouse --seed 3
@@ -161,7 +161,7 @@ def main() -> int:
         "--track", nargs="+", choices=SPLITS["all"], default=SPLITS["all"], metavar="NAME"
     )
     parser.add_argument("--seed", type=int, default=1, help="seed of the races (default: 1)")
-    parser.add_argument("--output", type=Path, default=RESULTS, help="where the JSON goes")
+    parser.add_argument("--output", type=Path, default=RESULTS, help="JSON file to write")
     options = parser.parse_args()
     results = list(_with_progress(options.track, options.seed))
     options.output.parent.mkdir(parents=True, exist_ok=True)

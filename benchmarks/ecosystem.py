@@ -1,12 +1,12 @@
-"""Runs each library's example in an environment of its own.
+"""Runs each library's example in a separate virtual environment.
 
 python -m benchmarks.ecosystem                    all of them: some minutes, 12 GB of disk
 python -m benchmarks.ecosystem --only torchrl     one of them
-python -m benchmarks.ecosystem --folder /big/disk environments elsewhere; those there are used again
+python -m benchmarks.ecosystem --folder /big/disk other folder; reuses existing environments
 python -m benchmarks.ecosystem --record           write the results and the table of works-with.md
 
-Without --yes, the command asks before it installs anything. Without --record, it writes the
-results into the folder of the environments only.
+Without --yes, the command asks before it installs anything. Without --record, it writes the results
+only to the folder of the environments.
 """
 
 from __future__ import annotations
@@ -133,14 +133,14 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     names = [example.script for example in LIBRARIES]
-    parser.add_argument("--only", nargs="+", metavar="NAME", help=f"of {', '.join(names)}")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help=f"some of {', '.join(names)}")
     parser.add_argument(
-        "--folder", type=Path, default=ROOT / ".ecosystem", help="where the environments are made"
+        "--folder", type=Path, default=ROOT / ".ecosystem", help="folder of the environments"
     )
     parser.add_argument("--timeout", type=float, default=600.0, help="seconds for one example")
     parser.add_argument("--yes", action="store_true", help="install without asking")
     parser.add_argument(
-        "--record", action="store_true", help="rewrite the saved results and the page's table"
+        "--record", action="store_true", help="update the saved results and the page"
     )
     args = parser.parse_args()
     chosen = [e for e in LIBRARIES if not args.only or any(o in e.script for o in args.only)]

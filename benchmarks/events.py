@@ -1,11 +1,11 @@
-"""Events of scripted karts: what the environment counts against what the trajectories say.
+"""Compares the environment's event counts with events derived from recorded trajectories.
 
     python -m benchmarks.events            # 20 races; writes benchmarks/results/events.json
 
-In each race a kart rams others, one leaves the road, and one turns round, among three of the
-game's. The race is recorded in every tick of the physics (120 Hz). The counter sees every twelfth
-of them, as an environment's steps of 0.1 s are; ``events_truth`` sees all. Then the heuristic
-driver races alone, and nothing should be counted but what happens.
+In each race one kart rams others, one leaves the road and one turns round; the game drives three
+more. The race is recorded in every physics tick (120 Hz). The counter sees every twelfth tick, like
+an environment with steps of 0.1 s; ``events_truth`` sees all ticks. Then the heuristic driver races
+alone, to check that no false events are counted.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ Totals = dict[str, npt.NDArray[np.float64]]
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--races", type=int, default=20, help="with scripted karts")
-    parser.add_argument("--solo", type=int, default=10, help="of the heuristic driver alone")
-    parser.add_argument("--seconds", type=float, default=60.0, help="of each race")
-    parser.add_argument("--seed", type=int, default=100, help="of the first race")
+    parser.add_argument("--races", type=int, default=20, help="races with scripted karts")
+    parser.add_argument("--solo", type=int, default=10, help="races of the heuristic driver alone")
+    parser.add_argument("--seconds", type=float, default=60.0, help="duration of a race")
+    parser.add_argument("--seed", type=int, default=100, help="seed of the first race")
     parser.add_argument("--output", type=Path, default=RESULTS)
     arguments = parser.parse_args()
     results: dict[str, Any] = {"seed": arguments.seed, "seconds": arguments.seconds}

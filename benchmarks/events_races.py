@@ -1,4 +1,4 @@
-"""Races of karts that follow a script, recorded at the rate of the game's physics."""
+"""Races of scripted karts, recorded at the rate of the game's physics."""
 
 from __future__ import annotations
 

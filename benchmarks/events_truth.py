@@ -1,7 +1,7 @@
-"""What happened in a recorded race, from its trajectories at 120 Hz.
+"""Derives the events of a recorded race from its trajectories at 120 Hz.
 
-Nothing here is the counter's code, and it sees twelve times as much: where a kart was in
-every tick of the game's physics, and what became of it later.
+This module shares no code with the counter and has twelve times as much data: the position of every
+kart in every physics tick, including later ones.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""What the learned drivers that come with stkzoo cost: µs a kart and decision.
+"""Measures the cost of the shipped learned drivers: µs per kart and decision.
 
-All karts of some races are driven as one batch, as training and evaluation do it. The moments of
-such races are then decided again, turn by turn, without the game; the quickest of several turns
-counts. Four parts are timed apart: to *see* (the karts' surroundings, of snapshots), to *plan*
-(weigh the plans, gather what the policy is given), to *choose* (the policy, its network or
-ensemble) and to *act* (the controls).
+All karts of some races are driven as one batch, as in training and evaluation. Then the decisions
+at the recorded moments are repeated without the game; the fastest of several repetitions counts.
+Four parts are timed separately: *see* (the karts' surroundings, from snapshots), *plan* (the plans'
+worth and the policy's input), *choose* (the policy, its network or ensemble) and *act* (the
+controls).
 
     python -m benchmarks.learned_drivers
     python -m benchmarks.learned_drivers --karts 32 --track black_forest
@@ -122,11 +122,11 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--karts", type=int, nargs="+", default=[1, 32, 128], help="in one batch (1 32 128)"
+        "--karts", type=int, nargs="+", default=[1, 32, 128], help="batch sizes (1 32 128)"
     )
     parser.add_argument("--track", choices=SPLITS["all"], default="lighthouse", metavar="NAME")
-    parser.add_argument("--steps", type=int, default=100, help="how many moments (100)")
-    parser.add_argument("--output", type=Path, default=RESULTS, help="where the JSON goes")
+    parser.add_argument("--steps", type=int, default=100, help="number of moments (100)")
+    parser.add_argument("--output", type=Path, default=RESULTS, help="JSON file to write")
     options = parser.parse_args()
     found = {
         name: {karts: cost(name, karts, options.track, options.steps) for karts in options.karts}

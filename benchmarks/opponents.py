@@ -1,8 +1,9 @@
-"""What opponents cost: CPU time of the program in a step, in turns of the same run.
+"""Measures the cost of opponents: CPU time of the program per step.
 
-One agent and eight other karts: those of the game, as bots and as the opponents ``ai:3``; and four
-``pretrained:ace`` and four ``heuristic``, driven one by one and together. The engine's process
-is not counted; it does the same for both of a pair.
+One agent races against eight other karts: the game's own, as bots and as the opponents ``ai:3``;
+and four ``pretrained:ace`` and four ``heuristic``, driven one by one and together. Alternatives are
+measured in turns. The engine's process is not counted, because it does the same work in both
+alternatives.
 
     python -m benchmarks.opponents
     python -m benchmarks.opponents --races 1 --steps 100
@@ -76,10 +77,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--races", type=int, nargs="+", default=[1, 4], help="side by side (1 4)")
+    parser.add_argument("--races", type=int, nargs="+", default=[1, 4], help="parallel races (1 4)")
     parser.add_argument("--track", default="lighthouse", metavar="NAME")
-    parser.add_argument("--steps", type=int, default=200, help="measured, of each form (200)")
-    parser.add_argument("--output", type=Path, default=RESULTS, help="where the JSON goes")
+    parser.add_argument("--steps", type=int, default=200, help="steps per measurement (200)")
+    parser.add_argument("--output", type=Path, default=RESULTS, help="JSON file to write")
     options = parser.parse_args()
     found = {races: cost(races, options.steps, options.track) for races in options.races}
     for races, own in found.items():

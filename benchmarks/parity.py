@@ -1,11 +1,11 @@
-"""Runs the same races here and in pystk2-gymnasium 0.10.0 and compares every step.
+"""Runs the same races in stkzoo and in pystk2-gymnasium 0.10.0 and compares every step.
 
     python -m benchmarks.parity --steps 300
 
-Each race is drawn by stkzoo (seed, grid places), then run by both on the same actions:
-keys, types, shapes, values, rewards, ends and infos are compared at every step. What may
-differ is listed in ``benchmarks.parity_compare.INTENDED``; anything else ends the command
-with exit code 1.
+stkzoo draws each race (seed, grid positions), and both run it with the same actions. Keys, types,
+shapes, values, rewards, ends and infos are compared at every step.
+``benchmarks.parity_compare.INTENDED`` lists the intended differences; any other difference ends the
+command with exit code 1.
 """
 
 from __future__ import annotations
@@ -185,7 +185,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--ids", nargs="+", choices=ENV_IDS, default=ENV_IDS, metavar="ID")
     parser.add_argument("--track", dest="tracks", nargs="+", default=TRACKS, metavar="TRACK")
     parser.add_argument("--modes", nargs="+", choices=MODES, default=MODES, metavar="MODE")
-    parser.add_argument("--steps", type=int, default=300, help="steps a race (default 300)")
+    parser.add_argument("--steps", type=int, default=300, help="steps per race (default 300)")
     parser.add_argument("--output", type=Path, default=_RESULTS, help="JSON file to write")
     return parser
 

@@ -1,4 +1,4 @@
-"""Two recordings of one race, compared entry by entry; ``INTENDED`` lists what may differ."""
+"""Compares two recordings of one race entry by entry; ``INTENDED`` lists allowed differences."""
 
 from __future__ import annotations
 

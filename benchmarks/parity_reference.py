@@ -1,9 +1,9 @@
-"""The side of pystk2-gymnasium in the parity measurement: recording races step by step.
+"""The pystk2-gymnasium side of the parity check: records races step by step.
 
-The reference and stkzoo register the same ids, so the reference runs in an interpreter of
-its own (:class:`ReferenceProcess`). Only the first race of a process repeats where game
-bots drive, so that interpreter races never, and forks a child a race. The child runs the
-engine itself, or leaves it to the process that the reference starts by default.
+The reference and stkzoo register the same ids, so the reference runs in a separate interpreter
+(:class:`ReferenceProcess`). With the game's bots, only the first race of a process is reproducible,
+so that interpreter forks a child process per race. The child runs the engine itself, or leaves it
+to the process that the reference starts by default.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Does looking ahead with the real game pay? The planner against its own base policy.
+"""Compares the planner, which looks ahead with the real game, with its own base policy.
 
-One kart races two of the game's bots to the finish, driven once by the heuristic driver
-alone and once by the planner, which tries changes of that driver's actions in copies of the
-race (docs/how-to/planning.md). Same tracks, same seeds, so the same races at the start.
+One kart races against two of the game's bots to the finish: once driven by the heuristic driver,
+and once by the planner, which tries changes of that driver's actions in copies of the race
+(docs/how-to/planning.md). Both drive the same tracks and seeds, so the races start identically.
 
     python benchmarks/planning.py
     python benchmarks/planning.py --track olivermath --seeds 5
@@ -100,7 +100,7 @@ def main() -> None:
         metavar="NAME",
     )
     parser.add_argument("--seeds", type=int, default=3, help="number of races of each (default: 3)")
-    parser.add_argument("--output", type=Path, default=RESULTS, help="where the JSON goes")
+    parser.add_argument("--output", type=Path, default=RESULTS, help="JSON file to write")
     options = parser.parse_args()
     results = [
         race(track, seed, driver)

@@ -1,13 +1,14 @@
-"""Records who earns what: one race on each track and in each direction, with six karts.
+"""Records the rewards of six different drivers on each track and in each direction.
 
-Three karts do nothing useful (one stands still, one presses rescue, one reverses); the game's AI
-at difficulty 0, the pursuit driver and the heuristic driver race. The record has the distance
-and the position of each kart once a second, so that rewards can be computed from it again, as
-``tests/mdp/test_reward_order.py`` does::
+Three karts do nothing useful (one stands still, one presses rescue, one reverses). The game's AI at
+difficulty 0, the pursuit driver and the heuristic driver race. The record has the distance and the
+position of each kart once per second, so that rewards can be recomputed, as in
+``tests/mdp/test_reward_order.py``::
 
     python -m benchmarks.rewards            # the table, from the record
     python -m benchmarks.rewards --record   # drive all the races again (about three minutes)
-    python -m benchmarks.rewards --track lighthouse   # drive one, with the shipped rewards compared
+    python -m benchmarks.rewards --track lighthouse   # drive one, with the built-in rewards
+        compared
 """
 
 from __future__ import annotations
@@ -175,7 +176,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--record", action="store_true", help="drive all the races again")
-    parser.add_argument("--track", help="drive one race and compare the shipped rewards")
+    parser.add_argument("--track", help="drive one race and compare the built-in rewards")
     arguments = parser.parse_args()
     if arguments.record:
         record()

@@ -1,12 +1,12 @@
-"""Self-play with RLlib on a cluster of two nodes, one env runner and then a node being killed.
+"""Tests self-play with RLlib on a two-node cluster while an env runner and a node are killed.
 
 python -m benchmarks.rllib_cluster                  some minutes, 2 GB of disk for Ray
 python -m benchmarks.rllib_cluster --folder /big    Ray's environment elsewhere, or used again
 
-Both nodes are on this machine, but the second has a home of its own without the game's data, which
-must be sent to it. In the middle of the run the second node's env runner is killed by SIGKILL; when
-it has come back the whole node is killed, and then a third one joins. The run must do all its
-iterations. The result is ``benchmarks/results/rllib_cluster.json``.
+Both nodes are on this machine, but the second one has its own home directory without the game's
+data, which must be sent to it. During the run, the second node's env runner is killed with SIGKILL.
+After it has been restarted, the whole node is killed, and later a third node joins. The run must
+complete all iterations. The result is ``benchmarks/results/rllib_cluster.json``.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--folder", type=Path, default=ROOT / ".ecosystem", help="where Ray's environment is made"
+        "--folder", type=Path, default=ROOT / ".ecosystem", help="folder of Ray's environment"
     )
-    parser.add_argument("--iterations", type=int, default=40, help="default: %(default)s")
-    parser.add_argument("--pack", default="", help="headless pack to send; else one is made")
-    parser.add_argument("--timeout", type=float, default=1800.0, help="seconds for all of it")
+    parser.add_argument("--iterations", type=int, default=40, help="total (default: %(default)s)")
+    parser.add_argument("--pack", default="", help="headless pack to send; empty makes one")
+    parser.add_argument("--timeout", type=float, default=1800.0, help="time limit in seconds")
     args = parser.parse_args()
     if args.iterations < 5 * PAUSE:
         parser.error(f"--iterations is {args.iterations}, expected {5 * PAUSE} or more")

@@ -1,9 +1,9 @@
-"""Races by the thousand, on all tracks, with random actions and bots, in one program.
+"""Drives thousands of races in one program, on all tracks, with random actions and bots.
 
-After each race: what the game wrote, whether a number is not finite, how much memory, how many
-open files, threads and processes there are. One race in twenty is driven again in another
-environment and must be the same bits. Everything is written down as it comes, and the same
-command goes on where it was.
+After each race it checks the game's output, values that are not finite, and the numbers of open
+files, threads and processes, and records the memory. One race in twenty is repeated in another
+environment and must be equal bit for bit. Each result is written immediately, and the same command
+resumes an interrupted run.
 
     python -m benchmarks.soak                  # 2,000 races, an hour
     python -m benchmarks.soak --races 100 --output soak.jsonl
@@ -92,8 +92,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    words.add_argument("--races", type=int, default=2000, metavar="N", help="in all")
-    words.add_argument("--output", type=Path, default=OUTPUT, help="one line a race")
+    words.add_argument("--races", type=int, default=2000, metavar="N", help="total races")
+    words.add_argument("--output", type=Path, default=OUTPUT, help="JSON lines file")
     arguments = words.parse_args(argv)
     arguments.output.parent.mkdir(parents=True, exist_ok=True)
     rows = _read(arguments.output)

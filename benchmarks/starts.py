@@ -1,11 +1,11 @@
-"""Random starts over all tracks: does every kart stand, and drive on, where it was asked to?
+"""Checks random starts over all tracks: whether every kart starts and drives where requested.
 
     python -m benchmarks.starts            # 1,000 starts; writes benchmarks/results/starts.json
 
-Each start is drawn on a track (share of the lap, speed, offset and heading). Checked are the
-distance between the place asked for and the kart, its speed, that it is on the lap that it
-should be on, and that after two seconds behind the heuristic driver it is still at the height
-of the road. Draws that the game refuses, because there is nothing to stand on, are counted.
+Each start is drawn on a track (share of the lap, speed, offset and heading). The benchmark checks
+the distance between the requested position and the kart, its speed, its lap, and that it is still
+at the height of the road after two seconds with the heuristic driver. It counts draws that the game
+rejects because there is no ground.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ _HEIGHT = 4.0  # above or below the road; jumps are high [m]
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--starts", type=int, default=1000, help="how many, over all tracks")
+    parser.add_argument("--starts", type=int, default=1000, help="total number of starts")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--track", dest="tracks", nargs="+", default=list(SPLITS["all"]))
-    parser.add_argument("--reverse", action="store_true", help="the tracks the other way round")
+    parser.add_argument("--reverse", action="store_true", help="reverse the tracks")
     parser.add_argument("--output", type=Path, default=RESULTS)
     arguments = parser.parse_args()
     rows = []

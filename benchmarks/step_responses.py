@@ -1,11 +1,11 @@
-"""What a kart can do, and how well the controllers of ``stkzoo.wrappers.control`` follow.
+"""Measures what a kart can do, and how well ``stkzoo.wrappers.control`` follows requests.
 
     python -m benchmarks.step_responses          # writes results/control.json and the plot
 
-The first half measures the kart: thrust, drag, brake and steering range over the speed, the
-lag of its turning, and wheel base and range of every kart model. The constants of
-``stkzoo.wrappers.control`` come from here. The second half gives each kind of action a step
-and records what the kart does.
+The first half measures the kart: thrust, drag, brake and steering range over the speed, the lag of
+its turning, and wheel base and range of every kart model. The constants of
+``stkzoo.wrappers.control`` come from here. The second half gives each kind of action a step and
+records the kart's response.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Writes ``docs/reference/tracks.md``: every track with its numbers, the AI's times and two maps.
+"""Writes ``docs/reference/tracks.md``: the numbers, the AI's times and two maps of every track.
 
-``python -m benchmarks.track_atlas`` draws and writes; with ``--measure FOLDER`` it first races the
-game's AI on all tracks (840 races, kept in the folder, gone on with after an interruption) and
-puts its times where ``stkzoo benchmark`` reads them.
+``python -m benchmarks.track_atlas`` draws the maps and writes the page. With ``--measure FOLDER``
+it first races the game's AI on all tracks (840 races, saved in the folder; an interrupted run
+resumes) and stores its times where ``stkzoo benchmark`` reads them.
 """
 
 from __future__ import annotations
@@ -233,7 +233,7 @@ def _tell(progress: BatchProgress) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--measure", metavar="FOLDER", help="measure the AI's times first")
-    parser.add_argument("--jobs", type=int, help="races at a time")
+    parser.add_argument("--jobs", type=int, help="parallel races")
     arguments = parser.parse_args()
     if arguments.measure:
         times = measure_ai_times(arguments.measure, jobs=arguments.jobs, on_race=_tell)

@@ -1,11 +1,11 @@
-"""Runs the tutorials and writes them as notebooks, with what they showed.
+"""Runs the tutorials and writes them as notebooks with their outputs.
 
-python -m benchmarks.tutorials                       all, in full: some 30 minutes
+python -m benchmarks.tutorials                       all, in full: about 30 minutes
 python -m benchmarks.tutorials --only first_race     one of them
-python -m benchmarks.tutorials --short --output DIR  whether they run, in a minute
+python -m benchmarks.tutorials --short --output DIR  only check that they run, in a minute
 
-The tutorials are written as Python files, ``examples/tutorials/*.py``. Each notebook gets a badge
-that opens it in Colab and a cell that installs stkzoo there.
+The tutorials are Python files, ``examples/tutorials/*.py``. Each notebook gets a badge that opens
+it in Colab and a cell that installs stkzoo there.
 """
 
 from __future__ import annotations
@@ -69,9 +69,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--only", nargs="+", metavar="NAME", help="these alone")
-    parser.add_argument("--short", action="store_true", help="a few steps of everything")
-    parser.add_argument("--output", type=Path, help="a folder (default: docs/tutorials)")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="only these")
+    parser.add_argument("--short", action="store_true", help="run only a few steps")
+    parser.add_argument("--output", type=Path, help="folder (default: docs/tutorials)")
     arguments = parser.parse_args()
     if arguments.short and arguments.output is None:
         parser.error("--short needs --output: the pages show the full runs")

@@ -1,8 +1,8 @@
-"""Wrappers: other forms of an agent's observation and action.
+"""Wrappers that change the observations and actions of an agent.
 
-Each wrapper is an ordinary Gymnasium wrapper around one kart's environment.
-:class:`MonoAgentWrapperAdapter` puts such wrappers around each agent of an environment of
-many; :mod:`stkzoo.views` runs them for all agents of a race.
+Each wrapper is an ordinary Gymnasium wrapper around the environment of one kart.
+:class:`MonoAgentWrapperAdapter` applies such wrappers to each agent of a multi-agent environment;
+:mod:`stkzoo.views` runs them for all agents of a race.
 """
 
 from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper

@@ -1,4 +1,4 @@
-"""Other forms of actions: no buttons, steps instead of numbers, one number for all choices."""
+"""Wrappers that change actions: continuous parts only, discrete steps, or a single number."""
 
 from __future__ import annotations
 
@@ -19,12 +19,15 @@ if TYPE_CHECKING:
 
 
 class OnlyContinuousActionsWrapper(ActionFormWrapper, CompiledWrapper):
-    """Keeps the continuous parts of an action; no button is ever pressed.
+    """Keeps the continuous parts of an action; all buttons stay released.
 
-    The game AI's own ``action``, where the observation carries it, loses its buttons too.
+    If the observation includes the game AI's ``action``, that action loses its buttons too.
+
+    Args:
+        env: an environment with the actions of the ``full`` view.
 
     Attributes:
-        discrete_actions: the space of what is left out.
+        discrete_actions: space of the dropped parts.
 
     Raises:
         ConfigError: the environment's actions have no continuous part.
@@ -55,7 +58,7 @@ class OnlyContinuousActionsWrapper(ActionFormWrapper, CompiledWrapper):
         return True
 
     def action(self, action: dict[str, Any]) -> dict[str, Any]:
-        """The action with all buttons 0."""
+        """Returns the action with all buttons set to 0."""
         key, box = next(iter(self._boxes.items()))
         shape = np.shape(action[key])
         lead = shape[: max(len(shape) - len(box.shape or ()), 0)]
@@ -65,25 +68,26 @@ class OnlyContinuousActionsWrapper(ActionFormWrapper, CompiledWrapper):
         }
 
     def observed_action(self, action: dict[str, Any]) -> dict[str, Any]:
-        """The continuous part of an action."""
+        """Returns the continuous parts of an action."""
         return {key: action[key] for key in self._boxes}
 
 
 class Discretizer:
-    """Numbers from an interval as the nearest of evenly spaced steps, both ends included.
+    """Maps numbers in an interval to the nearest of evenly spaced steps, including both ends.
 
     Attributes:
         space: ``Discrete(values)``, the steps.
         values: number of steps.
-        min_value: the number that step 0 stands for.
-        max_value: the number that the last step stands for.
+        min_value: number of step 0.
+        max_value: number of the last step.
 
     Args:
-        space: a ``Box`` of one entry; its bounds are the interval.
+        space: a ``Box`` with one entry; its bounds are the interval.
         values: number of steps, at least 2.
 
     Raises:
-        ConfigError: fewer than two steps, or no bounded ``Box`` of one entry.
+        ConfigError: there are fewer than two steps, or the space is not a bounded ``Box`` with one
+            entry.
 
     Example:
         >>> steps = Discretizer(spaces.Box(-1, 1, (1,)), 5)
@@ -100,21 +104,21 @@ class Discretizer:
         self.space = spaces.Discrete(self.values)
 
     def discretize(self, value: Any) -> int:
-        """The nearest step to one number (or array of one entry)."""
+        """Returns the step nearest to a number (or to an array with one entry)."""
         return int(self.nearest_steps(np.asarray(value, np.float64).reshape(())))
 
     def continuous(self, value: int) -> float:
-        """The number that one step stands for."""
+        """Returns the number of a step."""
         return float(self.numbers(np.asarray(value, np.float64).reshape(())))
 
     def nearest_steps(self, numbers: npt.ArrayLike) -> npt.NDArray[np.int64]:
-        """The nearest step to each number, an int64 array of the same shape."""
+        """Returns the step nearest to each number, int64 of the same shape."""
         share = (np.asarray(numbers, np.float64) - self.min_value) / self._width
         nearest = np.floor(share * (self.values - 1) + 0.5)
         return np.asarray(np.clip(nearest, 0, self.values - 1).astype(np.int64))
 
     def numbers(self, steps: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """The number that each step stands for, a float64 array of the same shape."""
+        """Returns the number of each step, float64 of the same shape."""
         share = np.asarray(steps, np.float64) / (self.values - 1)
         return np.asarray(self._width * share + self.min_value)
 
@@ -124,19 +128,18 @@ class Discretizer:
 
 
 class DiscreteActionsWrapper(ActionFormWrapper, CompiledWrapper):
-    """Makes ``acceleration`` and ``steer`` a choice among evenly spaced steps.
+    """Discretizes ``acceleration`` and ``steer`` into evenly spaced steps.
 
-    The game AI's own ``action``, where the observation carries it, is given as the
-    nearest steps.
+    If the observation includes the game AI's ``action``, it is converted to the nearest steps.
 
     Args:
         env: an environment with the actions of the ``full`` view.
-        acceleration_steps: number of accelerations, from 0 to 1.
-        steer_steps: number of steering angles, from full left to full right; an odd
-            number has straight ahead among them.
+        acceleration_steps: number of acceleration values, from 0 to 1.
+        steer_steps: number of steering values, from full left to full right; an odd number includes
+            straight ahead.
 
     Raises:
-        ConfigError: fewer than 2 steps, or an environment without these actions.
+        ConfigError: there are fewer than 2 steps, or the environment has other actions.
     """
 
     def __init__(
@@ -165,7 +168,7 @@ class DiscreteActionsWrapper(ActionFormWrapper, CompiledWrapper):
         return True
 
     def action(self, action: dict[str, Any]) -> dict[str, Any]:
-        """The action with numbers, ``(..., 1)`` float32, for steps ``(...)``."""
+        """Returns the action with steps ``(...)`` converted to numbers ``(..., 1)`` float32."""
         changed = dict(action)
         for key, discretizer in self._discretizers.items():
             numbers = discretizer.numbers(action[key])
@@ -173,7 +176,7 @@ class DiscreteActionsWrapper(ActionFormWrapper, CompiledWrapper):
         return changed
 
     def observed_action(self, action: dict[str, Any]) -> dict[str, Any]:
-        """The action in steps."""
+        """Returns the action with numbers converted to steps."""
         changed = dict(action)
         for key, discretizer in self._discretizers.items():
             steps = discretizer.nearest_steps(np.asarray(changed[key])[..., 0])
@@ -192,11 +195,14 @@ def _required(space: spaces.Dict, key: str) -> spaces.Space[Any]:
 class FlattenMultiDiscreteActions(ActionFormWrapper, CompiledWrapper):
     """Numbers all combinations of a ``MultiDiscrete`` action.
 
-    The first choice varies fastest: number 1 differs from number 0 in the first choice.
-    The game AI's own ``action``, where the observation carries it, becomes its number.
+    The first choice varies fastest: actions 0 and 1 differ in the first choice. If the observation
+    includes the game AI's ``action``, it is converted to its number.
+
+    Args:
+        env: an environment whose action space is a ``MultiDiscrete`` vector.
 
     Raises:
-        ConfigError: the environment's action space is no ``MultiDiscrete`` vector.
+        ConfigError: the environment's action space is not a ``MultiDiscrete`` vector.
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
@@ -220,14 +226,14 @@ class FlattenMultiDiscreteActions(ActionFormWrapper, CompiledWrapper):
         return True
 
     def action(self, action: Any) -> npt.NDArray[np.int64]:
-        """The choices ``(..., m)`` int64 that a number ``(...)`` stands for."""
+        """Returns the choices ``(..., m)`` int64 for a number ``(...)``."""
         numbers = np.asarray(action, np.int64)[..., None]
         choices = numbers // self._strides
-        # The last choice takes no remainder: a number that is too large stays too large.
+        # The last choice is not reduced modulo its size, so numbers out of range stay invalid.
         choices[..., :-1] %= self.nvec[:-1]
         return np.asarray(choices + self._start)
 
     def observed_action(self, action: Any) -> Any:
-        """The number of the choices ``(..., m)``."""
+        """Returns the number of the choices ``(..., m)``."""
         numbers = (np.asarray(action) - self._start) @ self._strides
         return numbers if np.ndim(numbers) else int(numbers)

@@ -1,4 +1,4 @@
-"""Wrappers of single agents on an environment of many."""
+"""Applies single-agent wrappers to the agents of a multi-agent environment."""
 
 from __future__ import annotations
 
@@ -20,34 +20,32 @@ from stkzoo.views.walker import ChainWalker, Factories, StepParts
 class MonoAgentWrapperAdapter:
     """Gives each agent of an environment its own wrappers.
 
-    Around a Gymnasium environment whose spaces are ``Dict`` by agent
-    (``supertuxkart/multi-full-v0``) this is a Gymnasium wrapper,
-    :class:`GymAgentAdapter`; around a PettingZoo ``ParallelEnv`` it is a ``ParallelEnv``,
-    :class:`ParallelAgentAdapter`. Any Gymnasium wrapper may be used, with a ``step`` or
-    ``reset`` of its own too: it is reset with the race, and what it does to the reward,
-    the ends and the info of its agent counts.
+    Around a Gymnasium environment with ``Dict`` spaces by agent (``supertuxkart/multi-full-v0``),
+    the result is a Gymnasium wrapper, :class:`GymAgentAdapter`. Around a PettingZoo
+    ``ParallelEnv``, it is a ``ParallelEnv``, :class:`ParallelAgentAdapter`. Any Gymnasium wrapper
+    works, including those with their own ``step`` or ``reset``. Wrappers are reset with the race,
+    and their changes to rewards, ends and infos apply to their agent.
 
     Args:
-        env: the environment of many agents.
-        wrapper_factories: for an agent, named by id, number or number as a string, its view: a
-            name (``stkzoo.views()``), a function that wraps its environment, or a pair of one of
-            these and options, such as ``("simple", {"state_items": 3})``. Agents that are left
-            out, or ``None``, have no wrappers.
-        keep_original: also hand out what each agent would see without its wrappers, as
-            copies. The Gymnasium form adds ``original/<agent>`` to the observations; in
-            the ``ParallelEnv`` form each observation becomes ``{"observation": wrapped,
-            "original": unwrapped}``, in the spaces too.
+        env: the multi-agent environment.
+        wrapper_factories: views by agent. Agents are keys by id, number or number as a string. A
+            view is a name (``stkzoo.views()``), a function that wraps the agent's environment, or a
+            pair of either and its options, such as ``("simple", {"state_items": 3})``. Agents that
+            are missing or ``None`` have no wrappers.
+        keep_original: also return copies of the unwrapped observations. The Gymnasium form adds
+            ``original/<agent>`` to the observations. In the ``ParallelEnv`` form, each observation
+            and its space become ``{"observation": wrapped, "original": unwrapped}``.
 
     Raises:
-        ConfigError: ``env`` is of neither kind, a name is no agent's, or a view is unknown or
-            refuses its environment or options.
-        AgentException: a function or (later) a wrapper failed; ``key`` names the agent.
+        ConfigError: ``env`` is neither kind of environment, an agent does not exist, or a view is
+            unknown or rejects its environment or options.
+        AgentException: a factory or, later, a wrapper failed; ``key`` names the agent.
     """
 
     def __new__(
         cls, env: Any = None, wrapper_factories: Any = None, **options: Any
     ) -> MonoAgentWrapperAdapter:
-        """Chooses the form that fits the environment."""
+        """Selects the class for the kind of environment."""
         if cls is not MonoAgentWrapperAdapter:
             return super().__new__(cls)
         for name in options.keys() - {"keep_original"}:
@@ -76,11 +74,10 @@ class GymAgentAdapter(
 ):
     """:class:`MonoAgentWrapperAdapter` around a Gymnasium environment.
 
-    Rewards of single agents are read from ``info["reward"]`` and ends from
-    ``info["terminated"]``, dicts by agent, where the environment gives them; the changed
-    ones take their place, together with ``info["truncated"]`` and ``info["infos"]``,
-    and the scalar reward moves by the sum of the changes. Agents that are not in the
-    observations or actions of a step are passed over.
+    If the environment provides ``info["reward"]`` and ``info["terminated"]`` by agent, the wrappers
+    see them as their agent's reward and end. The wrapped values replace them, as well as
+    ``info["truncated"]`` and ``info["infos"]``, and the scalar reward changes by the sum of the
+    differences. Agents that are missing in a step's observations or actions are skipped.
     """
 
     def __init__(
@@ -117,7 +114,7 @@ class GymAgentAdapter(
     def step(
         self, actions: Mapping[str, Any]
     ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Steps the environment with the base actions of the agents' actions."""
+        """Converts the agents' actions, steps the environment and wraps the results."""
         base = self._walker.begin_step(actions, self._present)
         try:
             observations, reward, terminated, truncated, info = self.env.step(base)
@@ -152,7 +149,7 @@ class GymAgentAdapter(
         }
 
     def _handed_out(self, by_agent: Mapping[str, Any]) -> dict[str, Any]:
-        """What is handed out beside the wrapped observations; taken before wrappers run."""
+        """Returns copies of unwrapped observations if requested; call it before wrappers run."""
         own = self._known(by_agent) if self.keep_original else {}
         return {f"original/{agent}": copy.deepcopy(value) for agent, value in own.items()}
 
@@ -160,8 +157,8 @@ class GymAgentAdapter(
 class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any, Any]):
     """:class:`MonoAgentWrapperAdapter` around a PettingZoo ``ParallelEnv``.
 
-    An agent whose wrapper ends its episode early leaves ``agents``; its kart stays in the
-    race with an action of zeros.
+    An agent whose wrapper ends its episode early leaves ``agents``; its kart stays in the race with
+    an action of zeros.
     """
 
     def __init__(
@@ -188,15 +185,15 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
 
     @property
     def agents(self) -> list[str]:
-        """The agents whose episode goes on."""
+        """Agents whose episode has not ended."""
         return [agent for agent in self.env.agents if agent not in self._retired]
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """What the agent sees; the same object each time."""
+        """Returns the agent's wrapped observation space, the same object on every call."""
         return of_agent(self._observation_spaces, agent)
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """What the agent chooses from; the same object each time."""
+        """Returns the agent's wrapped action space, the same object on every call."""
         return of_agent(self._walker.action_spaces, agent)
 
     def reset(
@@ -211,7 +208,7 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
         return self._with_originals(observations, originals), infos
 
     def step(self, actions: dict[str, Any]) -> StepParts:
-        """Steps the environment with the base actions of the agents' actions."""
+        """Converts the agents' actions, steps the environment and wraps the results."""
         agents = self.agents
         if not agents:
             return {}, {}, {}, {}, {}
@@ -247,7 +244,7 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
         }
 
     def _copies(self, observations: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Copies of unwrapped observations, if they are asked for; taken before wrappers run."""
+        """Returns copies of unwrapped observations if requested; call it before wrappers run."""
         return copy.deepcopy(dict(observations)) if self.keep_original else {}
 
 
@@ -260,7 +257,7 @@ def _spaces_by_agent(space: spaces.Space[Any]) -> dict[str, spaces.Space[Any]]:
 def _parts_by_agent(
     observations: dict[str, Any], info: Mapping[str, Any], terminated: bool, truncated: bool
 ) -> StepParts:
-    """The agents' shares of a step of a Gymnasium environment of many."""
+    """Splits the result of a Gymnasium multi-agent step by agent."""
     rewards, ends, cuts, infos = (
         info.get(key, {}) for key in ("reward", "terminated", "truncated", "infos")
     )
@@ -275,7 +272,7 @@ def _parts_by_agent(
 
 
 def _changed_info(info: Mapping[str, Any], parts: StepParts) -> dict[str, Any]:
-    """The info of a step with the agents' parts replaced, where it has such parts."""
+    """Returns the info of a step with its entries by agent replaced, if it has them."""
     changed = dict(info)
     _, rewards, terminations, truncations, infos = parts
     own: dict[str, Mapping[str, Any]] = {

@@ -1,4 +1,4 @@
-"""What wrappers share: checks of arguments and spaces, and the base of other forms of actions."""
+"""Checks of arguments and spaces, and the base class of wrappers that change actions."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from stkzoo.views.bases import ActionObservationWrapper
 
 
 def dict_space(space: spaces.Space[Any], what: str, wrapper: str) -> spaces.Dict:
-    """Returns ``space``, which must be a ``Dict``.
+    """Returns ``space`` if it is a ``Dict``.
 
     Args:
-        space: the space that a wrapper is about to change.
-        what: what it is a space of, such as ``"actions"``, for the message.
-        wrapper: name of the wrapper that asks, for the message.
+        space: the space to check.
+        what: kind of values, such as ``"actions"``, for the message.
+        wrapper: name of the wrapper, for the message.
 
     Raises:
-        ConfigError: the space is of another kind.
+        ConfigError: the space is not a ``Dict``.
     """
     if not isinstance(space, spaces.Dict):
         raise ConfigError(
@@ -31,12 +31,12 @@ def dict_space(space: spaces.Space[Any], what: str, wrapper: str) -> spaces.Dict
 
 
 def observed_action(space: spaces.Space[Any]) -> spaces.Space[Any] | None:
-    """The space of the game AI's own ``action`` in an observation space, if it is there."""
+    """Returns the space of the game AI's ``action`` in an observation space, if it has one."""
     return space.spaces.get("action") if isinstance(space, spaces.Dict) else None
 
 
 class ActionFormWrapper(ActionObservationWrapper):
-    """Another form of actions, also of the game AI's own ``action`` where it is observed."""
+    """Base class of wrappers that change actions, including the AI's ``action`` in observations."""
 
     def _change_action_space(self, space: spaces.Space[Any]) -> None:
         self.action_space = space
@@ -47,11 +47,11 @@ class ActionFormWrapper(ActionObservationWrapper):
             self.observation_space = spaces.Dict(parts)
 
     def observed_action(self, action: Any) -> Any:
-        """This wrapper's form of an action of the wrapped environment."""
+        """Converts an action of the wrapped environment to one of this wrapper."""
         raise NotImplementedError
 
     def observation(self, observation: Any) -> Any:
-        """The observation with the AI's ``action``, if it has one, in this wrapper's form."""
+        """Returns the observation with the AI's ``action``, if it has one, converted."""
         if not self._has_action:
             return observation
         return {**observation, "action": self.observed_action(observation["action"])}

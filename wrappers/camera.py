@@ -1,4 +1,4 @@
-"""What a kart's camera sees, beside what the kart knows."""
+"""Camera images in observations."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _SMALLEST, _LARGEST = 32, 4096
 
 @dataclass(frozen=True, slots=True)
 class CameraKind:
-    """What pictures a camera takes; cameras of one kind are drawn together.
+    """Kind of a camera; cameras of one kind are rendered together.
 
     Attributes:
         size: width and height [pixels].
-        depth: whether it measures distances too.
-        backend: what draws: ``"engine"``, ``"map"`` or ``"auto"``.
+        depth: whether to return depth, too.
+        backend: renderer: ``"engine"``, ``"map"`` or ``"auto"``.
     """
 
     size: tuple[int, int]
@@ -35,12 +35,11 @@ class CameraKind:
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """What a camera saw at one moment.
+    """Image of a camera at one moment.
 
     Attributes:
         image: ``(H, W, 3)`` uint8.
-        depth: ``(H, W, 1)`` float32, if it was asked for: 0 is at the camera and 1 at the
-            horizon.
+        depth: ``(H, W, 1)`` float32 if requested, 0 at the camera and 1 at the horizon.
     """
 
     image: npt.NDArray[np.uint8]
@@ -48,38 +47,38 @@ class Shot:
 
 
 class Camera(Protocol):
-    """One agent's camera, as an environment offers it under the name ``camera``."""
+    """One agent's camera; environments provide it as their attribute ``camera``."""
 
     def open(self, kind: CameraKind) -> None:
-        """Says what pictures will be asked for."""
+        """Announces the kind of images that :meth:`look` will request."""
 
     def look(self, kind: CameraKind) -> Shot:
-        """What it sees now."""
+        """Returns the current image."""
 
 
 class CameraObservations(gym.ObservationWrapper[Any, Any, Any], RecordedWrapper):
-    """Adds the picture of the kart's camera to its observation.
+    """Adds the image of the kart's camera to its observation.
 
-    The observation gets an entry ``image``, ``(height, width, 3)`` uint8, and with ``depth``
-    another, ``depth``, ``(height, width, 1)`` float32: the game's depth buffer, 0 at the camera
-    and 1 at the horizon. An observation that is no dict becomes the entry ``observation``.
+    The observation gets an entry ``image``, ``(height, width, 3)`` uint8. With ``depth``, it also
+    gets ``depth``, ``(height, width, 1)`` float32: the game's depth buffer, 0 at the camera and 1
+    at the horizon. An observation that is not a dict becomes the entry ``observation``.
 
-    It goes around a Gymnasium id of one kart, or into a view of the parallel environment;
-    there one drawing serves all agents whose cameras are of one size and kind. Use it outside
-    of the wrappers that flatten. Pictures come from a process beside the race and never change
-    it (``docs/how-to/rendering.md``); each environment has its own.
+    Use the wrapper around a Gymnasium id with one kart, or in a view of the parallel environment;
+    there, one rendering serves all agents with the same kind of camera. Put it outside wrappers
+    that flatten. A separate process renders the images and does not affect the race
+    (``docs/how-to/rendering.md``); each environment has its own.
 
     Args:
         env: the environment of one kart.
         size: width and height [pixels].
-        depth: adds the depth; the map has none.
-        every: so many steps a new picture; between them the last one stays.
-        backend: what draws: ``"engine"``, the game; ``"map"``, the race from above, following
-            the kart; ``"auto"``, the game where it can, else the map.
+        depth: whether to add the depth; not available on the map.
+        every: number of steps per image; the last image is repeated in between.
+        backend: renderer: ``"engine"``, the game; ``"map"``, a top-down map that follows the kart;
+            ``"auto"``, the game if it can render, otherwise the map.
 
     Raises:
-        ConfigError: an argument is invalid, the environment has no camera, or more than 8
-            agents have one.
+        ConfigError: an argument is invalid, the environment has no camera, or more than 8 agents
+            have one.
 
     Example:
         >>> import gymnasium as gym
@@ -113,12 +112,12 @@ class CameraObservations(gym.ObservationWrapper[Any, Any, Any], RecordedWrapper)
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Resets the environment and takes the first picture."""
+        """Resets the environment and takes the first image."""
         self._shot = None
         return super().reset(seed=seed, options=options)
 
     def observation(self, observation: Any) -> dict[str, Any]:
-        """The observation with the picture."""
+        """Returns the observation with the image."""
         if self._shot is None or self._age >= self._every:
             self._shot, self._age = self._camera().look(self._kind), 0
         self._age += 1
@@ -139,14 +138,14 @@ class CameraObservations(gym.ObservationWrapper[Any, Any, Any], RecordedWrapper)
 
 
 def checked_size(size: Sequence[int], name: str = "size") -> tuple[int, int]:
-    """Width and height of a picture as Python's own numbers [pixels].
+    """Returns width and height of an image as Python integers [pixels].
 
     Args:
-        size: what was asked for.
-        name: what the message calls it.
+        size: the size to check.
+        name: name of the size in the message.
 
     Raises:
-        ConfigError: it is invalid.
+        ConfigError: the size is invalid.
     """
     try:
         width, height = (int(side) for side in size if int(side) == side)

@@ -1,4 +1,4 @@
-"""Observations and actions as plain vectors."""
+"""Wrappers that flatten observations and actions to vectors."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ class SpaceFlattener:
     """Flattens the entries of a ``Dict`` space, in the order of their keys.
 
     ``Box`` entries go to ``"continuous"``, ``Discrete`` and ``MultiDiscrete`` entries to
-    ``"discrete"``. A space with entries of one sort only gives the plain ``Box`` or
-    ``MultiDiscrete``. ``Text`` entries and a game AI's ``action`` are left out.
+    ``"discrete"``. If all entries are of one sort, the flattened space is a plain ``Box`` or
+    ``MultiDiscrete``. ``Text`` entries and the game AI's ``action`` are dropped.
 
     Attributes:
         space: the flattened space.
-        vectors: the spaces of its vectors by name.
-        parts: the entries of each vector by key, sorted.
-        continuous_keys: the keys of the ``Box`` entries, sorted.
-        discrete_keys: the keys of the other entries, sorted.
+        vectors: spaces of its vectors, by name.
+        parts: entries of each vector by key, sorted.
+        continuous_keys: keys of the ``Box`` entries, sorted.
+        discrete_keys: keys of the other entries, sorted.
         only_continuous: whether ``space`` is a plain ``Box``.
         only_discrete: whether ``space`` is a plain ``MultiDiscrete``.
 
@@ -40,7 +40,7 @@ class SpaceFlattener:
         space: the space to flatten.
 
     Raises:
-        ConfigError: an entry of another kind, or no entry at all.
+        ConfigError: an entry has another kind of space, or there is no entry.
     """
 
     def __init__(self, space: spaces.Dict) -> None:
@@ -70,27 +70,27 @@ class SpaceFlattener:
         self.space = _sole(self.vectors) if len(self.vectors) == 1 else spaces.Dict(self.vectors)
 
     def flatten_parts(self, value: Mapping[str, Any]) -> dict[str, npt.NDArray[Any]]:
-        """The vectors, ``(..., n)`` float32 and ``(..., m)`` int64, of a value of the space."""
+        """Returns the vectors of a value, ``(..., n)`` float32 and ``(..., m)`` int64."""
         return {
             name: _joined(value, parts, self.vectors[name].dtype)
             for name, parts in self.parts.items()
         }
 
     def continuous(self, value: Mapping[str, Any]) -> npt.NDArray[np.float32]:
-        """The numbers of a value of the space, ``(..., n)`` float32."""
+        """Returns the continuous vector of a value, ``(..., n)`` float32."""
         return self.flatten_parts(value)["continuous"]
 
     def discrete(self, value: Mapping[str, Any]) -> npt.NDArray[np.int64]:
-        """The choices of a value of the space, ``(..., m)`` int64."""
+        """Returns the discrete vector of a value, ``(..., m)`` int64."""
         return self.flatten_parts(value)["discrete"]
 
     def flatten(self, value: Mapping[str, Any]) -> Any:
-        """A value of the given space as a value of ``self.space``."""
+        """Converts a value of the original space to one of ``self.space``."""
         vectors = self.flatten_parts(value)
         return _sole(vectors) if len(vectors) == 1 else vectors
 
     def unflatten(self, flat: Any) -> dict[str, Any]:
-        """A value of ``self.space`` as a value of the given space, without what was left out."""
+        """Converts a value of ``self.space`` to the original space, without dropped entries."""
         value: dict[str, Any] = {}
         for name, parts in self.parts.items():
             vector = flat if len(self.parts) == 1 else flat[name]
@@ -99,21 +99,20 @@ class SpaceFlattener:
 
 
 class FlattenerWrapper(ActionFormWrapper, CompiledWrapper):
-    """Joins all numbers into one vector and all choices into another.
+    """Joins all continuous entries into one vector and all discrete entries into another.
 
-    The observation becomes ``{"continuous": (n,) float32, "discrete": (m,) int64}``, the
-    entries in the order of their keys; ``kart_type``, a text, is left out. An action with
-    numbers and choices becomes a dict of the same two keys; one with numbers only a plain
-    ``Box``, one with choices only a plain ``MultiDiscrete``. The game AI's own ``action``,
-    where the observation carries it, stays beside the two keys, in the flattened action
-    space.
+    The observation becomes ``{"continuous": (n,) float32, "discrete": (m,) int64}``, with entries
+    in the order of their keys; the text ``kart_type`` is dropped. An action with continuous and
+    discrete entries becomes a dict with the same two keys; one with only continuous entries becomes
+    a ``Box``, and one with only discrete entries a ``MultiDiscrete``. If the observation includes
+    the game AI's ``action``, it stays a separate entry, in the flattened action space.
 
     Args:
         env: an environment whose observations have a fixed size.
         flatten_observations: ``False`` flattens only the actions.
 
     Raises:
-        ConfigError: a space that is no ``Dict``, or an entry that cannot be flattened.
+        ConfigError: a space is not a ``Dict``, or an entry cannot be flattened.
     """
 
     def __init__(self, env: gym.Env[Any, Any], flatten_observations: bool = True) -> None:
@@ -150,7 +149,7 @@ class FlattenerWrapper(ActionFormWrapper, CompiledWrapper):
         return True
 
     def observation(self, observation: dict[str, Any]) -> Any:
-        """The observation as vectors, ``(..., n)`` and ``(..., m)``."""
+        """Returns the observation as vectors, ``(..., n)`` and ``(..., m)``."""
         if not self.flatten_observations:
             return super().observation(dict(observation))
         if not self._has_action:
@@ -159,27 +158,27 @@ class FlattenerWrapper(ActionFormWrapper, CompiledWrapper):
         return {"action": action, **self.observation_flattener.flatten_parts(observation)}
 
     def observed_action(self, action: dict[str, Any]) -> Any:
-        """The action as vectors."""
+        """Returns the action as vectors."""
         return self.action_flattener.flatten(action)
 
     def action(self, action: Any) -> dict[str, Any]:
-        """The action as a dict of its parts."""
+        """Returns the action as a dict of its entries."""
         return self.action_flattener.unflatten(action)
 
 
 class JoinedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
     """Joins the ``continuous`` and ``discrete`` vectors of a flattened view into one.
 
-    The observation becomes ``(n + v,)`` float32: the ``n`` numbers as they are, then one place
-    for each of the ``v`` values of all choices, 1 for the value that holds and 0 for the others.
-    If the view has further entries (``action_mask``, or ``action`` of the game's AI), it stays a
-    dict, with the vector under ``observation`` beside them.
+    The observation becomes ``(n + v,)`` float32: the ``n`` continuous values, followed by a one-hot
+    encoding of the discrete entries, ``v`` values in total. If the view has further entries
+    (``action_mask``, or the game AI's ``action``), the observation stays a dict, with the vector
+    under ``observation``.
 
     Args:
         env: an environment in a flattened view.
 
     Raises:
-        ConfigError: the environment's observations have no such two vectors.
+        ConfigError: the environment's observations do not have these two vectors.
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
@@ -215,7 +214,7 @@ class JoinedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
         return True
 
     def observation(self, observation: Any) -> Any:
-        """The observation as one vector, ``(..., n + v)``, and what stands beside it."""
+        """Returns the observation as one vector, ``(..., n + v)``, with any further entries."""
         choices = np.asarray(observation["discrete"], np.int64) + self._places
         ones = np.zeros((*choices.shape[:-1], self._count), np.float32)
         np.put_along_axis(ones, choices, 1.0, axis=-1)
@@ -251,7 +250,7 @@ def _joined_choices(parts: Mapping[str, Any]) -> spaces.MultiDiscrete:
 def _joined(
     value: Mapping[str, Any], parts: Mapping[str, spaces.Space[Any]], dtype: Any
 ) -> npt.NDArray[Any]:
-    """Entries ``(..., *shape)`` side by side as ``(..., n)``; a bare number is one entry."""
+    """Joins entries ``(..., *shape)`` to ``(..., n)``; a plain number counts as one value."""
     columns = []
     for key, part in parts.items():
         array, shape = np.asarray(value[key], dtype), part.shape or ()
@@ -261,7 +260,7 @@ def _joined(
 
 
 def _entries(array: npt.NDArray[Any], parts: Mapping[str, spaces.Space[Any]]) -> dict[str, Any]:
-    """``(..., n)`` cut up into ``(..., *shape)``, one piece for each part."""
+    """Splits ``(..., n)`` into entries ``(..., *shape)``, one per part."""
     shapes = {key: part.shape or () for key, part in parts.items()}
     ends = np.cumsum([math.prod(shape) for shape in shapes.values()]).tolist()
     if array.ndim == 0 or array.shape[-1] != ends[-1]:

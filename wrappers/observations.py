@@ -1,4 +1,4 @@
-"""Observations of fixed size, in polar coordinates."""
+"""Wrappers that give observations a fixed size and polar coordinates."""
 
 from __future__ import annotations
 
@@ -24,33 +24,33 @@ _LISTS = {
     "items": ("items_position", "items_type"),
     "karts": ("karts_position",),
 }
-#: How the other karts move; only where the environment tells of it.
+#: Entries for the motion of other karts, if the environment provides them.
 MOTION = ("karts_velocity", "karts_heading")
 _POSITIONS = ("center_path", "items_position", "karts_position", "paths_end", "paths_start")
 
 
 class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
-    """Cuts or zero-pads what is near the kart to a fixed number of entries.
+    """Truncates or zero-pads the lists of an observation to a fixed number of entries.
 
     ``paths_distance`` becomes ``(state_paths, 2)``, ``paths_width`` ``(state_paths, 1)``,
-    ``paths_start`` and ``paths_end`` ``(state_paths, 3)``, ``items_position``
-    ``(state_items, 3)`` and ``karts_position`` ``(state_karts, 3)``, all float32 with the
-    units and frames of the ``full`` view; ``items_type`` becomes ``(state_items,)`` int64.
-    With ``karts_motion``, ``karts_velocity`` ``(state_karts, 3)`` [m/s] is how fast these karts are
-    over the ground, in the observing kart's frame, and ``karts_heading`` ``(state_karts, 1)`` where
-    they point, to the right of where the observing kart points [rad].
+    ``paths_start`` and ``paths_end`` ``(state_paths, 3)``, ``items_position`` ``(state_items, 3)``
+    and ``karts_position`` ``(state_karts, 3)``, all float32 with the units and frames of the
+    ``full`` view; ``items_type`` becomes ``(state_items,)`` int64. With ``karts_motion``,
+    ``karts_velocity`` ``(state_karts, 3)`` is the velocity of these karts over the ground in the
+    observing kart's frame [m/s], and ``karts_heading`` ``(state_karts, 1)`` their heading relative
+    to the observing kart, positive to the right [rad].
 
     Args:
         env: an environment in the ``full`` view.
         state_items: number of items.
         state_karts: number of other karts.
         state_paths: number of track segments.
-        add_mask: add ``paths_mask``, ``items_mask`` and ``karts_mask``: int8, 1 where an
-            entry is real and 0 where it is padding.
-        karts_motion: keep how the other karts move, which the environment has to tell.
+        add_mask: add ``paths_mask``, ``items_mask`` and ``karts_mask``: int8, 1 for real entries
+            and 0 for padding.
+        karts_motion: keep the motion of the other karts, which the environment must provide.
 
     Raises:
-        ConfigError: a number below 1, or an environment without these lists.
+        ConfigError: a number is below 1, or the environment does not have these lists.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledW
         return spaces.Dict(entries)
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
-        """The observation with arrays of one size for tuples and ``(..., M, n)`` arrays."""
+        """Returns the observation with fixed-size arrays in place of lists."""
         changed = {key: observation[key] for key in observation if key not in MOTION}
         for group, keys in self._lists.items():
             for key in keys:
@@ -120,11 +120,11 @@ class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledW
 
 
 class PolarBox(spaces.Box):
-    """The space of positions that are angles and a distance; equal to a ``Box`` of its bounds."""
+    """The space of polar positions; equal to a ``Box`` with the same bounds."""
 
     @classmethod
     def of(cls, space: spaces.Space[Any]) -> spaces.Space[Any]:
-        """The space of what polar positions become of those in ``space``."""
+        """Returns the polar space for a space of positions."""
         if isinstance(space, spaces.Sequence):
             return spaces.Sequence(cls.of(space.feature_space))
         assert isinstance(space, spaces.Box)  # noqa: S101 - the space of a position
@@ -132,13 +132,16 @@ class PolarBox(spaces.Box):
 
 
 class PolarObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
-    """Turns positions in the kart frame into two angles and a distance.
+    """Converts positions in the kart frame to two angles and a distance.
 
-    ``(x, y, z)`` [m], x right, y up, z forward, becomes ``(atan2(x, z), atan2(y, z),
-    norm)`` [rad, rad, m], float32: 0 is straight ahead, a positive first angle is to the
-    right, a positive second one above. Padding (zeros) stays zero. Keys: ``center_path``,
-    ``items_position``, ``karts_position``, ``paths_start`` and ``paths_end``, those that
-    the environment has; lists stay tuples.
+    ``(x, y, z)`` [m] with x right, y up and z forward becomes ``(atan2(x, z), atan2(y, z), norm)``
+    [rad, rad, m], float32. Angle 0 is straight ahead; the first angle is positive to the right, the
+    second one upwards. Zero padding stays zero. The wrapper converts ``center_path``,
+    ``items_position``, ``karts_position``, ``paths_start`` and ``paths_end``, if the environment
+    has them; lists stay tuples.
+
+    Args:
+        env: an environment in the ``full`` view, perhaps with fixed sizes.
 
     Raises:
         ConfigError: the environment has none of these keys, or they are polar already.
@@ -172,7 +175,7 @@ class PolarObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
         return True
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
-        """The observation with polar positions; ``(..., 3)`` arrays keep their shape."""
+        """Returns the observation with polar positions; ``(..., 3)`` arrays keep their shape."""
         changed = dict(observation)
         for key in self._keys:
             value = observation[key]
@@ -188,7 +191,7 @@ def _is_polar(space: spaces.Space[Any]) -> bool:
 
 
 def _repeated(key: str, space: spaces.Space[Any] | None, size: int) -> spaces.Space[Any]:
-    """The space of ``size`` entries of a list."""
+    """Returns the space of a list with ``size`` entries."""
     entry = space.feature_space if isinstance(space, spaces.Sequence) else None
     if isinstance(entry, spaces.Discrete):
         return spaces.MultiDiscrete([entry.n] * size)
@@ -202,7 +205,7 @@ def _repeated(key: str, space: spaces.Space[Any] | None, size: int) -> spaces.Sp
 
 
 def _resized(value: Any, space: spaces.Space[Any]) -> tuple[npt.NDArray[Any], int]:
-    """A list as an array of the space's size, and the number of its real entries."""
+    """Returns a list as an array of the space's size, and the number of real entries."""
     size, *entry = space.shape or ()
     rows = np.asarray(value, space.dtype)
     axis = max(rows.ndim - 1 - len(entry), 0)
@@ -212,6 +215,6 @@ def _resized(value: Any, space: spaces.Space[Any]) -> tuple[npt.NDArray[Any], in
     if length == size:
         return rows[kept].copy(), length
     resized = np.zeros((*lead, size, *entry), space.dtype)
-    if length:  # an empty list of vectors does not know their length
+    if length:  # an empty list has no vector length
         resized[kept] = rows[kept]
     return resized, length

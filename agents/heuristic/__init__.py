@@ -1,7 +1,7 @@
-"""A driver made of rules, with nothing learned: it beats the game's bots on most tracks.
+"""A rule-based driver without learning that beats the game's bots on most tracks.
 
-It is the planner (:mod:`stkzoo.agents.planning`) for one kart: of all plans it begins the one that
-is worth most. It sees the ``full`` view and does not look at other karts.
+It runs the planner (:mod:`stkzoo.agents.planning`) for one kart and begins the plan with the
+highest worth. It uses the ``full`` view and ignores other karts.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ __all__ = [
     "player_name",
 ]
 
-#: The environment that the driver was made for.
+#: Id of the environment that the driver was made for.
 env_name = "supertuxkart/full-v0"
 
-#: The name to show.
+#: Display name.
 player_name = "heuristic"
 
-#: The numbers that plans are weighed by: other karts cost nothing.
+#: Parameters of the plans, in which other karts have no cost.
 PARAMETERS = replace(DriverParameters(), bump_cost=0.0)
 
 
 def create_state(parameters: DriverParameters = PARAMETERS) -> PlanDriver:
-    """What the driver remembers in one race.
+    """Returns the driver's state for one race.
 
     Args:
-        parameters: the numbers that plans are weighed by.
+        parameters: parameters of the plans.
     """
     return PlanDriver(1, parameters)
 
@@ -44,19 +44,19 @@ def create_state(parameters: DriverParameters = PARAMETERS) -> PlanDriver:
 def get_actor(
     module_dir: object, observation_space: Any, action_space: Any
 ) -> Callable[[PlanDriver, Mapping[str, Any]], dict[str, Any]]:
-    """The driver; it needs none of the arguments, which every driver is given.
+    """Returns the driver; it ignores the arguments.
 
     Args:
-        module_dir: folder of the driver's module, where others keep their weights.
-        observation_space: the agent's observation space.
-        action_space: the agent's action space.
+        module_dir: folder of the driver's module.
+        observation_space: observation space of the agent.
+        action_space: action space of the agent.
     """
     del module_dir, observation_space, action_space
     return PlanDriver.drive
 
 
 def get_batch_actor(module_dir: object) -> Callable[..., list[dict[str, Any]]]:
-    """The driver of several karts at once.
+    """Returns the driver of several karts at once.
 
     Args:
         module_dir: folder of the driver's module.

@@ -1,8 +1,8 @@
-"""A driver that looks ahead with the game itself: random shooting on saved states.
+"""A driver that plans with the game itself, by random shooting on saved states.
 
-Every few steps it saves the race, tries some random changes of what the heuristic driver
-would do, each in a copy of the race, and goes on with the best. It needs the environment,
-not only what a kart sees, so that it is used by itself and not by a driver's name:
+Every few steps it saves the race, tries random changes of the heuristic driver's actions, each in a
+copy of the race, and continues with the best one. It needs the environment and not only
+observations, so it has no driver name; use it directly:
 
     planner = Planner(seed=0)
     while env.agents:
@@ -19,15 +19,15 @@ from .planner import Plan, Planner, PlannerSettings
 
 __all__ = ["Plan", "Planner", "PlannerSettings", "env_name", "get_actor", "player_name"]
 
-#: The environment whose views the planner reads.
+#: Id of the environment whose observations the planner reads.
 env_name = "supertuxkart/full-v0"
 
-#: The name to show.
+#: Display name.
 player_name = "planner"
 
 
 def get_actor(module_dir: object, observation_space: Any, action_space: Any) -> NoReturn:
-    """Refuses: no view of a kart is enough for this driver.
+    """Raises an error, because this driver needs the environment.
 
     Raises:
         ConfigError: always.

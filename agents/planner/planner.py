@@ -1,4 +1,4 @@
-"""Random shooting: try some changes of a policy in copies of the race, keep the best."""
+"""Random shooting: tries changes of a policy's actions in copies of the race and keeps the best."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from stkzoo.errors import ConfigError
 
 Action = dict[str, Any]
 
-#: What a step that is left after the finish line is worth [m].
+#: Worth of each remaining step after the finish line [m].
 _STEP_AFTER_FINISH = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class PlannerSettings:
-    """How far, how often and how widely the planner looks.
+    """Settings of the search.
 
     Attributes:
-        horizon: steps that a plan reaches ahead.
-        commitment: steps after which another plan is made.
-        num_plans: plans that are tried each time; the first is to change nothing.
-        num_parts: parts of equal length that a plan consists of.
-        steer_spread: standard deviation of the changes of steering.
-        drift_chance: how often a part of a plan forbids or forces a drift.
-        speed_weight: what a speed of 1 m/s at a plan's end is worth [m].
+        horizon: length of a plan in steps.
+        commitment: steps after which a new plan is made.
+        num_plans: number of plans to try; the first one changes nothing.
+        num_parts: number of parts of equal length in a plan.
+        steer_spread: standard deviation of the steering changes.
+        drift_chance: probability that a part of a plan forbids or forces a drift.
+        speed_weight: worth of a speed of 1 m/s at the end of a plan [m].
     """
 
     horizon: int = 24
@@ -52,11 +52,11 @@ class PlannerSettings:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Changes of what the base policy does.
+    """Changes of the base policy's actions.
 
     Attributes:
         steer: ``(H,)`` float64, added to its steering.
-        drift: ``(H,)`` int64: 1 drifts, 0 does not, -1 leaves it to the base policy.
+        drift: ``(H,)`` int64: 1 drifts, 0 does not, -1 keeps the base policy's choice.
     """
 
     steer: npt.NDArray[np.float64]
@@ -64,12 +64,12 @@ class Plan:
 
     @classmethod
     def nothing(cls, settings: PlannerSettings) -> Plan:
-        """The plan that changes nothing."""
+        """Returns the plan without changes."""
         return cls(np.zeros(settings.horizon), np.full(settings.horizon, -1))
 
     @classmethod
     def draw(cls, settings: PlannerSettings, random: np.random.Generator) -> Plan:
-        """A random plan, constant in each of its parts."""
+        """Draws a random plan that is constant in each of its parts."""
         steer = random.normal(0.0, settings.steer_spread, settings.num_parts)
         drift = random.integers(0, 2, settings.num_parts)
         drift[random.random(settings.num_parts) >= settings.drift_chance] = -1
@@ -77,12 +77,12 @@ class Plan:
         return cls(steer[part], drift[part])
 
     def rest(self, done: int) -> Plan:
-        """What is left after some steps, and then nothing more."""
+        """Returns the remaining plan after some steps, padded with no change."""
         steer = np.concatenate([self.steer[done:], np.zeros(done)])
         return Plan(steer, np.concatenate([self.drift[done:], np.full(done, -1)]))
 
     def change(self, action: Action, step: int) -> Action:
-        """The base policy's action for a step of the plan, changed."""
+        """Returns the base policy's action with the changes of a step."""
         steer = np.clip(action["steer"] + self.steer[step], -1.0, 1.0).astype(np.float32)
         drift = action["drift"] if self.drift[step] < 0 else int(self.drift[step])
         return {**action, "steer": steer, "drift": drift}
@@ -90,14 +90,14 @@ class Plan:
 
 @dataclass(slots=True)
 class Planner:
-    """Drives the one agent of an environment by looking ahead in copies of its race.
+    """Drives the only agent of an environment by searching in copies of its race.
 
-    It remembers its plan, so every race needs a new one.
+    It keeps its current plan, so use a new planner for every race.
 
     Args:
-        settings: how far, how often and how widely it looks.
-        base: the state of the heuristic driver that it improves on, at the start of a race.
-        seed: of its random plans; the same seed drives the same race.
+        settings: settings of the search.
+        base: initial state of the heuristic driver, which is the base policy.
+        seed: seed of its random plans; the same seed drives the same race.
     """
 
     settings: PlannerSettings = field(default_factory=PlannerSettings)
@@ -112,15 +112,15 @@ class Planner:
         self._plan = Plan.nothing(self.settings)
 
     def act(self, env: RaceParallelEnv, observation: Mapping[str, Any]) -> Action:
-        """Picks the agent's action; the environment stays where it is.
+        """Returns the agent's action; the environment does not advance.
 
         Args:
-            env: an environment of one agent, in the ``full`` view.
-            observation: what the agent sees now.
+            env: an environment with one agent in the ``full`` view.
+            observation: current observation of the agent.
 
         Raises:
             ConfigError: the environment has several agents.
-            EngineError: its races do not support saved states.
+            EngineError: the environment does not support saved states.
         """
         if len(env.possible_agents) != 1:
             raise ConfigError(
@@ -145,7 +145,7 @@ class Planner:
         return plans[int(np.argmax(values))]
 
     def _value(self, branch: RaceParallelEnv, observation: Mapping[str, Any], plan: Plan) -> float:
-        """How far a plan leads [m], counting the speed at its end as distance too."""
+        """Returns the distance that a plan reaches [m], with a bonus for the final speed."""
         (agent,) = branch.possible_agents
         base = copy.deepcopy(self.base)
         distance = speed = 0.0

@@ -1,13 +1,14 @@
-"""The planner of the heuristic driver and of the learned ones, for any number of karts at once.
+"""The planner of the heuristic and the learned drivers, for any number of karts at once.
 
-Ten times a second it lists what each kart can do in the next two seconds (:mod:`.plans`): which
-lane to drive in, whether to brake, when to drift and for how long. It drives all plans over the
-road ahead by a simple model of a kart, and weighs them in metres of way (:mod:`.worth`): boosts and
-items count, and so do the edge of the road and slower karts ahead. :class:`PlanDriver` holds what
-karts remember between steps and turns a policy's choices among the best plans into controls.
+Ten times per second it lists what each kart can do in the next two seconds (:mod:`.plans`): which
+lane to drive in, whether to brake, when to drift and for how long. It simulates all plans on the
+road ahead with a simple model of a kart and assigns each a worth in metres (:mod:`.worth`). Boosts
+and items increase the worth; the edge of the road and slower karts ahead decrease it.
+:class:`PlanDriver` keeps the karts' state between steps and converts a policy's choices among the
+best plans to controls.
 
-It was built on the training tracks of :mod:`stkzoo.tracks` alone, and an evolution strategy found
-most of its numbers there (:mod:`stkzoo.agents.training.tune_plans`).
+It was developed on the training tracks of :mod:`stkzoo.tracks` only. An evolution strategy tuned
+most of its parameters there (:mod:`stkzoo.agents.training.tune_plans`).
 """
 
 __all__: list[str] = []

@@ -1,4 +1,4 @@
-"""Types of arrays, for all agents."""
+"""Array types shared by all agents."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Karts driven by a policy over plans: what the policy sees, and what its choices do.
+"""Karts driven by a policy over plans: the policy's inputs and the effect of its choices.
 
-A policy chooses four things a step: what to begin (go on, brake, drift to the left, drift to the
-right), how much to turn beside what the best plan that begins so wants, whether to use nitro, and
-whether to fire. It starts from a *prior*: the logits by which the worth of the plans alone would
-choose. What is learned is added to them.
+In each step a policy makes four choices: which manoeuvre to begin (go on, brake, drift left, drift
+right), a steering offset from the best plan for that manoeuvre, whether to use nitro, and whether
+to fire. It starts from a *prior*, logits that follow from the worth of the plans; learned logits
+are added to them.
 """
 
 from __future__ import annotations
@@ -34,28 +34,28 @@ from .rivals import RIVALS_MIRROR, Rivals, RivalTracker
 from .road import LINE_MARKS, RoadAhead
 from .worth import PlanOptions, PlanScene, weigh
 
-#: How much to turn beside what the plan wants [share of full lock].
+#: Steering offsets from the plan [fraction of full lock].
 OFFSETS = np.array([-0.45, -0.2, -0.08, 0.0, 0.08, 0.2, 0.45], np.float32)
 
-#: What is chosen, between how many; and where their logits stand.
+#: Names of the choices, their numbers of options, and the slices of their logits.
 CHOICE_NAMES = ("begin", "turn", "nitro", "fire")
 CHOICES = (MANOEUVRES, len(OFFSETS), 2, 2)
 _ENDS = np.cumsum(CHOICES)
 HEADS = tuple(slice(int(e) - n, int(e)) for e, n in zip(_ENDS, CHOICES, strict=True))
 
-#: Where the road is looked at [m].
+#: Distances at which the road is observed [m].
 ALL_LOOKS = np.concatenate([LOOKS, LINE_MARKS])
 
 # The prior's logits.
-_METRE = 2.0  # of a metre that a plan is worth
+_METRE = 2.0  # per metre of worth
 _NEVER = -30.0
 _OFFSET_PRIOR = np.array([-5.5, -4.5, -3.5, 0.0, -3.5, -4.5, -5.5], np.float32)
-_BUTTON_PRIOR = np.array([[2.0, -2.0], [-2.0, 2.0]], np.float32)  # as the rules would do
+_BUTTON_PRIOR = np.array([[2.0, -2.0], [-2.0, 2.0]], np.float32)  # the rules' choice
 
-#: What is pressed, in the order of the controls.
+#: Buttons in the order of the controls.
 _BUTTONS = ("brake", "drift", "fire", "nitro", "rescue")
 
-#: A drift begins to the side of steer, which must not be too small to tell.
+#: Minimum steering at the start of a drift, whose sign determines the side.
 START_STEER = 0.3
 
 _OPTION_SIGNS = np.array([1, 1, -1, 1], np.float32)
@@ -67,7 +67,7 @@ INPUT_SIZE = _OPTIONS_AT + 4 * MANOEUVRES + 3 + len(RIVALS_MIRROR)
 
 
 def _mirror() -> tuple[IntArray, FloatArray]:
-    """Which inputs of the mirrored race are which of this one, and with which sign."""
+    """Returns the permutation and the signs that mirror the inputs."""
     order = np.arange(INPUT_SIZE)
     left, right = (_OPTIONS_AT + 4 * drift + np.arange(4) for drift in (DRIFT_LEFT, DRIFT_RIGHT))
     order[left], order[right] = right, left
@@ -88,18 +88,18 @@ _PRIOR_ORDER = np.concatenate(
 
 
 def mirrored_inputs(inputs: FloatArray) -> FloatArray:
-    """The inputs ``(..., INPUT_SIZE)`` of the mirrored race, left for right."""
+    """Mirrors inputs ``(..., INPUT_SIZE)`` left to right."""
     mirrored: FloatArray = inputs[..., _MIRROR_ORDER] * _MIRROR_SIGNS
     return mirrored
 
 
 def mirrored_prior(prior: FloatArray) -> FloatArray:
-    """The prior of the mirrored race."""
+    """Mirrors the prior left to right."""
     return prior[..., _PRIOR_ORDER]
 
 
 def mirrored_choices(choices: IntArray) -> IntArray:
-    """The choices ``(..., 4)`` that do in the mirrored race what these do."""
+    """Mirrors choices ``(..., 4)`` left to right."""
     mirrored: IntArray = choices.copy()
     mirrored[..., 0] = _SWAPPED[choices[..., 0]]
     mirrored[..., 1] = len(OFFSETS) - 1 - choices[..., 1]
@@ -107,23 +107,23 @@ def mirrored_choices(choices: IntArray) -> IntArray:
 
 
 def plan_turns(inputs: FloatArray) -> FloatArray:
-    """How much the best plan of each manoeuvre turns by now, ``(A, 4)``: shares of full lock."""
+    """Returns the turn of each manoeuvre's best plan, ``(A, 4)`` [fraction of full lock]."""
     turns: FloatArray = inputs[:, _PLAN_TURNS]
     return turns
 
 
 def is_drifting(inputs: FloatArray) -> BoolArray:
-    """Which karts are in a drift, ``(A,)``."""
+    """Returns whether each kart is in a drift, ``(A,)`` bool."""
     return np.asarray(inputs[:, _DRIFT_TIME] > 0)
 
 
 @dataclass(frozen=True, slots=True)
 class PolicyInput:
-    """What a policy is given for A karts.
+    """Input of a policy for A karts.
 
     Attributes:
-        inputs: ``(A, INPUT_SIZE)``.
-        prior: ``(A, sum(CHOICES))``.
+        inputs: ``(A, INPUT_SIZE)`` float32.
+        prior: ``(A, sum(CHOICES))`` float32.
     """
 
     inputs: FloatArray
@@ -131,11 +131,11 @@ class PolicyInput:
 
 
 class PlanDriver:
-    """Drives A karts by choices among their best plans, and remembers what that needs.
+    """Drives A karts by choices among their best plans, and keeps the state for that.
 
     Args:
-        count: A.
-        rules: the numbers that plans are weighed by.
+        count: number of karts, A.
+        rules: parameters of the plans.
     """
 
     def __init__(self, count: int, rules: DriverParameters | None = None) -> None:
@@ -149,11 +149,12 @@ class PlanDriver:
         observation: Mapping[str, Any],
         choose: Callable[[PolicyInput], IntArray] | None = None,
     ) -> dict[str, Any]:
-        """The action of one kart, once a step.
+        """Returns the action of one kart; call it once per step.
 
         Args:
-            observation: of the ``full`` view.
-            choose: a policy's choices ``(1, 4)``; by default the prior's likeliest.
+            observation: observation in the ``full`` view.
+            choose: returns a policy's choices ``(1, 4)``; ``None`` takes the prior's most likely
+                ones.
 
         Returns:
             An action of the ``full`` view.
@@ -166,12 +167,13 @@ class PlanDriver:
         observations: Sequence[Mapping[str, Any]],
         choose: Callable[[PolicyInput], IntArray] | None = None,
     ) -> list[dict[str, Any]]:
-        """The actions that :meth:`drive` gives each, to the bit, in less time.
+        """Returns the same actions as :meth:`drive` for each driver, bit for bit, in less time.
 
         Args:
-            drivers: of one kart each, with equal rules.
-            observations: theirs, of any races.
-            choose: a policy's choices ``(A, 4)``, none of which depends on the other karts.
+            drivers: drivers of one kart each, with equal rules.
+            observations: their observations, also from different races.
+            choose: returns a policy's choices ``(A, 4)``; those of a kart must not depend on other
+                karts.
         """
         controls = np.eye(1, 7, dtype=np.float32).repeat(len(drivers), 0)  # full throttle
         racing = [n for n, own in enumerate(observations) if own["phase"] >= Phase.GO_PHASE]
@@ -196,11 +198,11 @@ class PlanDriver:
         return joined
 
     def look(self, own: Mapping[str, Any], around: Surroundings) -> PolicyInput:
-        """A step has passed: what the policy sees now.
+        """Advances the state by one step and returns the policy's input.
 
         Args:
-            own: what the karts know of themselves, in batch form.
-            around: what is around them, the road at :data:`ALL_LOOKS`.
+            own: own state of the karts, in batch form.
+            around: their surroundings, with the road at :data:`ALL_LOOKS`.
         """
         self._pass_step(own)
         seen = self.view(own, around)
@@ -208,7 +210,7 @@ class PlanDriver:
         return seen
 
     def view(self, own: Mapping[str, Any], around: Surroundings) -> PolicyInput:
-        """What the policy sees, when no step has passed."""
+        """Returns the policy's input without advancing the state."""
         road = _road(around)
         rivals = self._tracker.watch(around.karts, own["velocity"], road)
         prior = self._weigh(own, around, road, rivals)
@@ -221,7 +223,7 @@ class PlanDriver:
         return PolicyInput(np.concatenate(parts, axis=1), prior)
 
     def plan(self, own: Mapping[str, Any], around: Surroundings) -> FloatArray:
-        """A step has passed: the prior alone, ``(A, sum(CHOICES))``; the road at the marks."""
+        """Advances the state by one step and returns the prior, ``(A, sum(CHOICES))``."""
         self._pass_step(own)
         road = _road(around)
         rivals = None
@@ -243,7 +245,7 @@ class PlanDriver:
         road: RoadAhead,
         rivals: Rivals | None,
     ) -> FloatArray:
-        """Weighs the plans; the prior."""
+        """Weighs the plans and returns the prior."""
         scene = PlanScene(
             speed=np.asarray(own["velocity"][:, 2], np.float32),
             max_steer_angle=np.reshape(own["max_steer_angle"], -1),
@@ -264,26 +266,26 @@ class PlanDriver:
 
     @property
     def options(self) -> PlanOptions:
-        """The best plans, of what was seen last."""
+        """The best plans for the latest observation."""
         assert self._options is not None  # noqa: S101 - since view
         return self._options
 
     def moves(self, choices: IntArray) -> tuple[IntArray, FloatArray]:
-        """What choices ``(A, 4)`` mean: to which side to drift, and which share of full lock."""
+        """Converts choices ``(A, 4)`` to drift sides and turns [fraction of full lock]."""
         begin, offset = choices[:, 0], choices[:, 1]
         side = (begin == DRIFT_RIGHT).astype(np.intp) - (begin == DRIFT_LEFT)
         turn = self.options.turn[np.arange(len(choices)), begin] + OFFSETS[offset]
         return side, np.minimum(np.maximum(turn, -1.0), 1.0)
 
     def act(self, choices: IntArray) -> tuple[FloatArray, BoolArray]:
-        """The controls for choices.
+        """Returns the controls for choices.
 
         Args:
             choices: ``(A, 4)``.
 
         Returns:
-            Controls ``(A, 7)``, in the order of ``stkzoo.engine.snapshot.CONTROLS``; and
-            ``(A,)``: whose choices count; a stuck kart frees itself instead.
+            Controls ``(A, 7)`` in the order of ``stkzoo.engine.snapshot.CONTROLS``; and ``(A,)``
+                bool, whether the choices apply: a stuck kart frees itself instead.
         """
         options = self.options
         side, turn = self.moves(choices)
@@ -310,7 +312,7 @@ class PlanDriver:
     def _prior(
         self, own: Mapping[str, Any], around: Surroundings, scene: PlanScene, options: PlanOptions
     ) -> FloatArray:
-        """The logits by which rules would choose, ``(A, sum(CHOICES))``."""
+        """Returns the logits of the rules, ``(A, sum(CHOICES))``."""
         rules, rows = self._rules, np.arange(len(options.worth))
         best = options.worth.argmax(axis=1)
         behind = options.worth - options.worth[rows, best][:, None]
@@ -337,7 +339,7 @@ class PlanDriver:
         return prior
 
     def _is_useful(self, own: Mapping[str, Any], around: Surroundings) -> BoolArray:
-        """Which karts have something to fire; the switch would spoil items close ahead."""
+        """Whether each kart should fire; the switch is not used near items that it would spoil."""
         items = around.items
         is_close = (items[..., 2] > 0) & (squared(items) < self._rules.switch_reach**2)
         is_close &= around.item_types >= 0
@@ -347,23 +349,23 @@ class PlanDriver:
 
 
 def likeliest(logits: FloatArray) -> IntArray:
-    """The likeliest choices ``(A, 4)`` of logits ``(A, sum(CHOICES))``."""
+    """Returns the most likely choices ``(A, 4)`` for logits ``(A, sum(CHOICES))``."""
     return np.stack([logits[:, head].argmax(axis=1) for head in HEADS], axis=1)
 
 
 def _road(around: Surroundings) -> RoadAhead:
-    """The road at :data:`LINE_MARKS`, which come last of what was looked at."""
+    """Returns the road at :data:`LINE_MARKS`, which come last in the surroundings."""
     return RoadAhead.of(around.road[:, -len(LINE_MARKS) :])
 
 
 def _action(controls: FloatArray) -> dict[str, Any]:
-    """The action of the ``full`` view for controls ``(7,)``."""
+    """Converts controls ``(7,)`` to an action of the ``full`` view."""
     buttons = {key: int(controls[n]) for n, key in enumerate(_BUTTONS, start=2)}
     return {"acceleration": controls[:1], "steer": controls[1:2], **buttons}
 
 
 def _numbers(options: PlanOptions) -> FloatArray:
-    """What the policy sees of the plans, ``(A, 4 * MANOEUVRES + 3)``."""
+    """Returns the policy's inputs from the plans, ``(A, 4 * MANOEUVRES + 3)``."""
     behind = options.worth - options.worth.max(axis=1, keepdims=True)
     numbers = np.empty((len(behind), 4 * MANOEUVRES + 3), np.float32)
     numbers[:, 0:-3:4] = behind > _NEVER / _METRE * 10
@@ -377,12 +379,12 @@ def _numbers(options: PlanOptions) -> FloatArray:
 
 
 def steer_of_turn(side: IntArray, turn: FloatArray, begins: BoolArray) -> FloatArray:
-    """What to steer, so that karts in a drift turn as much as they should.
+    """Returns the steering that gives a turn, also during drifts.
 
     Args:
-        side: ``(A,)`` to which they drift: 1 to the right, -1 to the left, 0 not at all.
-        turn: ``(A,)`` share of full lock, positive to the right.
-        begins: ``(A,)`` whose drift begins.
+        side: ``(A,)`` side of the drift: 1 right, -1 left, 0 none.
+        turn: ``(A,)`` turn, positive to the right [fraction of full lock].
+        begins: ``(A,)`` bool, whether the drift begins now.
     """
     least, most = DRIFT_TURN
     inwards = 2.0 * (turn * side - least) / (most - least) - 1.0

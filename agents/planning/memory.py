@@ -1,4 +1,4 @@
-"""What learned drivers remember from step to step, for any number of karts at once."""
+"""Memory of drivers between steps, for any number of karts at once."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from .kart import (
 )
 from .parameters import DriverParameters
 
-#: The engine has ended a drift if the skid factor is still 1 after so many steps.
+#: If the skid factor is still 1 after this many steps, the engine has ended the drift.
 _DRIFT_SHOWS = 4
-#: Times since something are not counted further [steps].
+#: Upper limit of elapsed times [steps].
 _LONG_AGO = 40.0
 
-#: What :meth:`DriverMemory.numbers` gives and what of it changes its sign in a mirrored race.
+#: Entries of :meth:`DriverMemory.numbers`, and their signs in a mirrored race.
 _SIGNS = {
     "turn": -1,
     "drift turn": -1,
@@ -47,18 +47,18 @@ MEMORY_MIRROR = np.array(list(_SIGNS.values()), np.float32)
 
 @dataclass(frozen=True, slots=True)
 class KartSituation:
-    """What A karts are in the middle of, ``(A,)`` each; times in steps.
+    """Ongoing manoeuvres of A karts, ``(A,)`` each; times in steps.
 
     Attributes:
-        turn: the share of full lock of the last step, positive to the right.
-        drift_turn: the same of the last step in a drift.
-        drift_side: 1 in a drift to the right, -1 to the left, 0 in none.
-        drift_steps: how long the drift has lasted.
+        turn: turn in the last step, positive to the right [fraction of full lock].
+        drift_turn: turn in the last step of a drift [fraction of full lock].
+        drift_side: 1 in a drift to the right, -1 to the left, 0 outside drifts.
+        drift_steps: duration of the drift so far.
         may_hop: whether a drift can begin.
-        release_steps: how much longer the kart turns after a drift.
-        boost_steps: how much longer the boost of a short drift lasts.
-        big_boost_steps: how much longer that of a long one lasts.
-        is_cautious: whether something was hit lately.
+        release_steps: remaining time of the turn after a drift.
+        boost_steps: remaining time of the boost of a short drift.
+        big_boost_steps: remaining time of the boost of a long drift.
+        is_cautious: whether the kart hit an obstacle recently.
     """
 
     turn: FloatArray
@@ -74,7 +74,7 @@ class KartSituation:
 
 @dataclass(slots=True)
 class _Fields:
-    """One number a kart each, ``(A,)`` float32; times in steps."""
+    """One number per kart each, ``(A,)`` float32; times in steps."""
 
     speed: FloatArray
     gain: FloatArray
@@ -88,7 +88,7 @@ class _Fields:
     reverses: FloatArray
     lost_steps: FloatArray
     since_fire: FloatArray
-    # times that run out
+    # countdowns
     hop_steps: FloatArray
     release_steps: FloatArray
     boost_steps: FloatArray
@@ -100,7 +100,7 @@ class _Fields:
 
 
 _NAMES = tuple(entry.name for entry in fields(_Fields))
-#: Times that run out, which come one after the other.
+#: Columns of the countdowns, which are contiguous.
 _CLOCKS = slice(_NAMES.index("hop_steps"), _NAMES.index("rescue_steps") + 1)
 
 
@@ -108,8 +108,8 @@ class DriverMemory:
     """The memory of A karts.
 
     Args:
-        count: A.
-        rules: how long what lasts, and what counts as a crash or as standing still.
+        count: number of karts, A.
+        rules: durations, and thresholds for crashes and for standing still.
     """
 
     def __init__(self, count: int, rules: DriverParameters) -> None:
@@ -123,26 +123,26 @@ class DriverMemory:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._of = _Fields(*self._all)  # a copy's rows are those of its own array
+        self._of = _Fields(*self._all)  # a copy needs views of its own array
 
     @classmethod
     def joined(cls, memories: Sequence[DriverMemory]) -> DriverMemory:
-        """The memory of all karts of some, which have equal rules."""
+        """Returns the joint memory of several memories with equal rules."""
         joined = copy.copy(memories[0])
         joined._all = np.concatenate([memory._all for memory in memories], axis=1)
         joined._of = _Fields(*joined._all)
         return joined
 
     def take(self, joined: DriverMemory, rows: slice) -> None:
-        """Remembers what some karts of :meth:`joined` do."""
+        """Copies the state of some karts from a joint memory."""
         self._all[:] = joined._all[:, rows]
 
     def look(self, speed: FloatArray, skeed_factor: FloatArray) -> None:
-        """A step has passed.
+        """Advances the memory by one step.
 
         Args:
-            speed: ``(A,)`` forward [m/s].
-            skeed_factor: ``(A,)``.
+            speed: ``(A,)`` forward speed [m/s].
+            skeed_factor: ``(A,)`` skid factor.
         """
         of, clocks = self._of, self._all[_CLOCKS]
         np.maximum(clocks - 1, 0, out=clocks)
@@ -161,17 +161,17 @@ class DriverMemory:
         of.drift_side[is_over] = of.drift_steps[is_over] = 0
 
     def look_around(self, beyond: FloatArray) -> None:
-        """The same step, once the road has been seen.
+        """Completes the step once the road is known.
 
         Args:
-            beyond: ``(A,)`` how far beyond the edge of the road the karts are [m].
+            beyond: ``(A,)`` distance of the karts beyond the edge of the road [m].
         """
         of = self._of
         is_off = (beyond >= self._rules.lost_room) & (of.rescue_steps == 0)
         of.lost_steps[:] = np.where(is_off, of.lost_steps + 1, 0)
 
     def situation(self) -> KartSituation:
-        """What the karts are in the middle of."""
+        """Returns the ongoing manoeuvres of the karts."""
         of = self._of
         return KartSituation(
             turn=of.turn.copy(),
@@ -186,7 +186,7 @@ class DriverMemory:
         )
 
     def numbers(self) -> FloatArray:
-        """``(A, MEMORY_SIZE)``, what the policy sees of it."""
+        """Returns the policy's inputs from the memory, ``(A, MEMORY_SIZE)``."""
         of = self._of
         drift = np.minimum(of.drift_steps / 30.0, 2.0)
         columns = (
@@ -210,16 +210,16 @@ class DriverMemory:
 
     @property
     def may_fire(self) -> BoolArray:
-        """``(A,)``: the last shot was some steps ago."""
+        """Returns whether enough steps have passed since the last shot, ``(A,)`` bool."""
         return np.asarray(self._of.since_fire >= self._rules.fire_every)
 
     @property
     def may_boost(self) -> BoolArray:
-        """``(A,)``: the last burst of nitro is over."""
+        """Returns whether the last burst of nitro is over, ``(A,)`` bool."""
         return np.asarray(self._of.nitro_steps == 0)
 
     def stuck(self) -> tuple[BoolArray, BoolArray]:
-        """Updates stuck karts: which back out now, and which call the rescue, ``(A,)`` each."""
+        """Updates stuck karts; returns which reverse and which call the rescue, ``(A,)``."""
         of = self._of
         is_lost = of.lost_steps * STEP > self._rules.lost_time
         is_stuck = of.still_steps > self._stuck_steps
@@ -236,16 +236,16 @@ class DriverMemory:
         return of.reverse_steps > 0, calls
 
     def act(self, side: IntArray, turn: FloatArray, nitro: BoolArray, fire: BoolArray) -> BoolArray:
-        """Notes what the karts do.
+        """Records the actions of the karts.
 
         Args:
-            side: ``(A,)`` 1 for a drift to the right, -1 to the left, 0 for none.
-            turn: ``(A,)`` the share of full lock, positive to the right.
-            nitro: ``(A,)``.
-            fire: ``(A,)``.
+            side: ``(A,)`` side of the drift: 1 right, -1 left, 0 none.
+            turn: ``(A,)`` turn, positive to the right [fraction of full lock].
+            nitro: ``(A,)`` bool.
+            fire: ``(A,)`` bool.
 
         Returns:
-            ``(A,)``: whose drift begins.
+            ``(A,)`` bool, whether a drift begins.
         """
         of = self._of
         ends = (of.drift_side != 0) & (side == 0)

@@ -14,57 +14,57 @@ _LARGEST = 1e6
 
 @dataclass(frozen=True, slots=True)
 class DriverParameters:
-    """How plans are made and weighed. The worth of a plan is in metres of way.
+    """Parameters of plans and of their worth, which is in metres of distance.
 
     Attributes:
-        wheel_base: turns the maximum steering angle into a curve [m].
-        aim_distance: how far ahead a kart aims at standstill [m].
-        aim_time: how much farther it aims for each m/s [s].
+        wheel_base: wheel base, which relates the steering angle to the curvature [m].
+        aim_distance: distance ahead at which a kart aims at standstill [m].
+        aim_time: additional aiming distance per speed [s].
         margin: distance to keep from the edge of the road [m].
         lane_changes: number of lanes between which plans change; 0 for none.
         greatest_room: maximum distance from the middle of the road [m].
         over_cost: cost of each second spent one metre beyond that distance [m].
-        late_time: a plan goes straight on for this time after its end [s].
-        late_cost: cost of each metre beyond the edge of the road at that time [m].
+        late_time: time for which a plan continues straight after its end [s].
+        late_cost: cost per metre beyond the edge of the road at that time [m].
         angle_cost: cost of ending at an angle of one radian to the road [m].
-        drift_speed: no drift begins below this speed [m/s].
-        brake_speed: no plan brakes below this speed, where the brake drives backwards [m/s].
+        drift_speed: minimum speed at which a drift begins [m/s].
+        brake_speed: minimum speed at which a plan brakes [m/s]; at lower speeds the brake reverses.
         boost_worth: worth of the boost of a short drift [m].
         big_boost_worth: worth of the boost of a long drift [m].
         boost_wait_cost: cost of each second until the boost begins [m].
         box_worth: worth of a bonus box [m].
-        second_box_worth: worth of a bonus box to a kart that has a power-up [m].
-        small_nitro_worth: worth of a small bottle of nitro [m].
-        big_nitro_worth: worth of a big bottle [m].
+        second_box_worth: worth of a bonus box to a kart that has a powerup [m].
+        small_nitro_worth: worth of a small nitro bottle [m].
+        big_nitro_worth: worth of a big nitro bottle [m].
         banana_cost: cost of a banana [m].
         gum_cost: cost of bubble gum [m].
-        item_radius: a kart hits a good item that it passes within this distance [m].
-        bad_item_radius: the same for a bad item [m].
+        item_radius: distance within which a kart hits a good item [m].
+        bad_item_radius: distance within which a kart hits a bad item [m].
         nitro_wait: minimum time between two bursts of nitro [s].
         nitro_speed: minimum speed for nitro [m/s].
-        nitro_turn: maximum turn for nitro [share of full lock].
-        danger: maximum cost beyond the edge of the road for nitro and power-ups [m].
-        straight_angle: power-ups are fired where the road turns less than this [rad]
-        straight_time: within this time [s],
-        straight_aim: by karts at less than this angle to the road [rad].
+        nitro_turn: maximum turn for nitro [fraction of full lock].
+        danger: maximum cost beyond the edge of the road for nitro and powerups [m].
+        straight_angle: maximum turn of the road ahead for firing a powerup [rad].
+        straight_time: time ahead over which that turn is measured [s].
+        straight_aim: maximum angle of the kart to the road for firing a powerup [rad].
         switch_reach: the switch is kept while an item is nearer than this [m].
         fire_every: minimum number of steps between two shots.
-        crash_drop: a kart that loses this much speed in a step has hit something [m/s].
-        caution_time: after that it stays near the middle of the road for this time [s],
-        caution_room: within this distance [m].
+        crash_drop: loss of speed in a step that counts as a crash [m/s].
+        caution_time: time after a crash in which a kart stays near the middle of the road [s].
+        caution_room: maximum distance from the middle in that time [m].
         stuck_speed: a kart below this speed stands still [m/s].
-        stuck_time: it backs out, or calls the rescue, after standing for this time [s].
+        stuck_time: time of standing still after which a kart reverses or calls the rescue [s].
         crawl_speed: a kart below this speed crawls [m/s].
-        crawl_time: after crawling for this time it is stuck too [s].
-        reverse_time: how long it backs out [s].
-        rescue_reverses: how often it backs out before it calls the rescue.
-        rescued_reverses: how much more often if the last rescue did not help.
-        free_time: after driving for this time it is free again [s].
-        lost_room: a kart farther than this beyond the edge of the road [m]
-        lost_time: for this time is lost and calls the rescue [s].
-        bump_cost: cost of running into a slower kart ahead for each m/s of difference [m];
-            0 ignores other karts.
-        bump_width: a kart is hit if its middle is within this distance of the way [m].
+        crawl_time: time of crawling after which a kart counts as stuck [s].
+        reverse_time: duration of reversing [s].
+        rescue_reverses: number of reverses before a kart calls the rescue.
+        rescued_reverses: additional number of reverses if the last rescue did not help.
+        free_time: time of driving after which a kart is no longer stuck [s].
+        lost_room: a kart farther than this beyond the edge of the road is lost [m].
+        lost_time: time of being lost after which a kart calls the rescue [s].
+        bump_cost: cost of hitting a slower kart ahead, per m/s of speed difference [m]; 0 ignores
+            other karts.
+        bump_width: a kart within this distance of the path is hit [m].
     """
 
     wheel_base: float = 0.89

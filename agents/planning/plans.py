@@ -1,8 +1,8 @@
-"""What a kart can do in the next two seconds: tables of plans, by what it is doing now.
+"""Tables of the plans for the next two seconds, by the kart's ongoing manoeuvre.
 
-A plan says, moment by moment, between which shares of full lock the kart may turn, whether it
-drifts, and which lane of the road it steers for. All tables have the same number of plans, so
-one array can hold those of many karts; plans that a kart does not have are marked.
+For each moment, a plan gives the range of turns, whether the kart drifts, and the lane that it
+steers for. All tables have the same number of plans, so that one array holds those of many karts;
+plans that a kart does not have are masked.
 """
 
 from __future__ import annotations
@@ -20,49 +20,49 @@ from stkzoo.kernel import PlanTable
 from .arrays import FloatArray, IntArray
 from .kart import BOOST_STEPS, BRAKING, DRIFT_TURN, RELEASE_STEPS, STEP
 
-#: How long the moments of a plan last [s].
+#: Durations of the moments of a plan [s].
 SPANS = np.array([0.1] * 4 + [0.2] * 8, np.float32)
-#: When they end [s].
+#: Ends of the moments [s].
 ENDS = np.cumsum(SPANS)
 _BEGINS, _MIDDLES = ENDS - SPANS, ENDS - SPANS / 2
 
-#: What plans begin with; each plan has one of these.
+#: Manoeuvres with which a plan begins.
 FREE, BRAKE, DRIFT_LEFT, DRIFT_RIGHT = range(4)
 MANOEUVRES = 4
 
 
-#: Plans aim at so many items, each at one of its own.
+#: Number of items at which plans aim, one per plan.
 ITEM_LANES = 2
 
-#: Lanes to aim at, before and after a change: -1 is the left edge of the road, 1 the right one.
+#: Target lanes before and after a change; -1 is the left edge of the road, 1 the right edge.
 Lanes = Sequence[tuple[float, float]]
 SOME_LANES: Lanes = [(lane, lane) for lane in np.linspace(-0.9, 0.9, 5).tolist()]
 FEW_LANES: Lanes = [(lane, lane) for lane in np.linspace(-0.8, 0.8, 4).tolist()]
 
-#: A lane is changed after this time [s].
+#: Time of the lane change [s].
 CHANGE_AT = 0.8
 
-#: Before a drift the kart may turn away from it for so many steps.
+#: Possible numbers of steps for which the kart turns away before a drift.
 SWINGS = (1, 2, 3)
 
-#: A plan with brakes brakes for so long [s], then gains speed [m/s²].
+#: Duration of braking [s], and acceleration afterwards [m/s²], in plans that brake.
 BRAKE_TIME, GAIN = 0.3, 4.0
 
-#: The big boost counts for plans that come so near to it [steps].
+#: Plans that come this close to the big boost get credit for it [steps].
 BIG_BOOST_IN_SIGHT = 20
 
 
 def all_lanes(changes: int) -> Lanes:
-    """Nine lanes, and those of plans that go over from one of ``changes`` lanes to another."""
+    """Returns nine lanes, and all changes between ``changes`` lanes."""
     kept = [(lane, lane) for lane in np.linspace(-1.0, 1.0, 9).tolist()]
     return [*kept, *itertools.permutations(np.linspace(-0.9, 0.9, changes).tolist(), 2)]
 
 
-#: The types of the columns that are not float32.
+#: Types of the columns that are not float32.
 _TYPES = {"items": np.intp, "manoeuvres": np.intp, "boosts": np.intp, "needs_drift": np.bool_}
 
 _ZEROS, _ONES = np.zeros_like(SPANS), np.ones_like(SPANS)
-#: A plan is a table of one state and one plan, without their axes; this one is none.
+#: A masked plan. A single plan is a table without the axes of states and plans.
 _NO_PLAN = PlanTable(
     SPANS,
     *(_ZEROS, _ZEROS, _ZEROS, _ZEROS, _ZEROS, _ZEROS),
@@ -77,7 +77,7 @@ def _changed(plan: PlanTable, **columns: Any) -> PlanTable:
 
 
 def _free(lanes: Lanes, release: int, *, boost: int = -1, brake: bool = False) -> list[PlanTable]:
-    """Plans without any drift."""
+    """Returns plans without a drift."""
     lost = -BRAKING * BRAKE_TIME
     regained = lost + GAIN * (ENDS[-1] - BRAKE_TIME)
     slower = np.interp(_BEGINS, [0.0, BRAKE_TIME, ENDS[-1]], [0.0, lost, regained])
@@ -103,7 +103,7 @@ def _drift(
     swing: int = 0,
     is_new: bool = False,
 ) -> list[PlanTable]:
-    """Plans with one drift: wait for the end of the last, swing away, drift, release."""
+    """Returns plans with one drift: wait out the last release, swing away, drift, release."""
     swings, begin = wait * STEP, (wait + swing) * STEP
     end = begin + steps * STEP
     is_swing, is_drift = _between(swings, begin), _between(begin, end)
@@ -124,7 +124,7 @@ def _drift(
 
 
 def _in_lanes(plan: PlanTable, lanes: Lanes) -> list[PlanTable]:
-    """The plan in each lane, and for each item."""
+    """Returns the plan for each lane and for each item."""
     in_lanes = [
         _changed(plan, lanes=np.where(_MIDDLES < CHANGE_AT, before, after))
         for before, after in lanes
@@ -133,12 +133,12 @@ def _in_lanes(plan: PlanTable, lanes: Lanes) -> list[PlanTable]:
 
 
 def _between(begin: float, end: float) -> FloatArray:
-    """1 for the moments that lie between two times [s], ``(T,)``."""
+    """Returns 1 for the moments between two times [s] and 0 for others, ``(T,)``."""
     return (np.greater_equal(_MIDDLES, begin) & np.less(_MIDDLES, end)).astype(np.float32)
 
 
 def _without_drift(release: int, lanes: Lanes) -> list[PlanTable]:
-    """The plans of a kart that does not drift but still turns for some steps after one."""
+    """Returns the plans of a kart that is not drifting but may still turn after a drift."""
     plans = _free(lanes, release) + _free(FEW_LANES, release, brake=True)
     for side in (-1, 1):
         drift = partial(_drift, side=side, steps=BOOST_STEPS[0], boost=0, wait=release, is_new=True)
@@ -149,7 +149,7 @@ def _without_drift(release: int, lanes: Lanes) -> list[PlanTable]:
 
 
 def _in_drift(side: int, steps: int, lanes: Lanes) -> list[PlanTable]:
-    """The plans of a kart that has drifted to a side for some steps."""
+    """Returns the plans of a kart in a drift."""
     small, big = (max(earned - steps, 0) for earned in BOOST_STEPS)
     earned = 1 if not big else 0 if not small else -1
     release = min(steps, RELEASE_STEPS)
@@ -166,10 +166,10 @@ _LONGEST = BOOST_STEPS[1]
 
 @lru_cache(maxsize=8)
 def plan_table(changes: int) -> PlanTable:
-    """The plans of all states.
+    """Returns the plans of all states.
 
     Args:
-        changes: between so many lanes plans may change.
+        changes: number of lanes between which plans may change.
     """
     lanes = all_lanes(changes)
     states = [_without_drift(release, lanes) for release in range(RELEASE_STEPS + 1)]
@@ -179,19 +179,19 @@ def plan_table(changes: int) -> PlanTable:
     columns: dict[str, npt.NDArray[Any]] = {}
     for name in PlanTable._fields[1:]:
         column = np.array([[getattr(plan, name) for plan in plans] for plans in rows])
-        if column.ndim == 3:  # by moments too
+        if column.ndim == 3:  # has an axis of moments
             column = np.ascontiguousarray(column.swapaxes(1, 2))
         columns[name] = column.astype(_TYPES.get(name, np.float32))
     return PlanTable(spans=SPANS, **columns)
 
 
 def table_rows(drift_side: IntArray, drift_steps: IntArray, release_steps: IntArray) -> IntArray:
-    """The rows of :func:`plan_table` for karts, ``(A,)``.
+    """Returns the rows of :func:`plan_table` for karts, ``(A,)``.
 
     Args:
-        drift_side: ``(A,)`` 1 in a drift to the right, -1 to the left, 0 in none.
-        drift_steps: ``(A,)`` how long it has lasted.
-        release_steps: ``(A,)`` how much longer the kart turns after the last one.
+        drift_side: ``(A,)`` 1 in a drift to the right, -1 to the left, 0 outside drifts.
+        drift_steps: ``(A,)`` duration of the drift [steps].
+        release_steps: ``(A,)`` remaining time of the turn after the last drift [steps].
     """
     steps = np.minimum(drift_steps, _LONGEST)
     drifting = RELEASE_STEPS + 1 + np.where(drift_side > 0, _LONGEST + 1, 0) + steps

@@ -1,8 +1,9 @@
-"""How the karts nearby move, estimated from where they were a step ago.
+"""Estimates the motion of nearby karts from their positions in successive steps.
 
-An observation says where others are, not how fast, nor which is which. The kart's own motion is
-known: its velocity, and its turn by how the road has turned before it. With that taken off a
-kart moves little in a step, so each is taken to be the one that was nearest to its place.
+An observation has the positions of other karts but neither their velocities nor their identities.
+The observing kart's own motion is known: its velocity, and its rotation from the apparent rotation
+of the road. Once this is subtracted, other karts move little in a step, so each is matched with the
+nearest previous position.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from .arrays import BoolArray, FloatArray, IntArray
 from .kart import STEP
 from .road import MARK_COUNT, RoadAhead
 
-#: So many are watched, the nearest, within this [m].
+#: Number of nearest karts to track, and their maximum distance [m].
 RIVALS, _REACH = 4, 25.0
-#: A kart on another level of the track is farther above or below than this [m].
+#: Karts farther above or below than this are on another level of the track [m].
 _LEVEL = 4.0
-#: A kart that seems faster is another one [m/s].
+#: A match that implies a higher speed is rejected [m/s].
 _FASTEST = 50.0
 _NOWHERE = np.float32(1e3)
 
@@ -33,11 +34,11 @@ class Rivals:
     """The nearest karts of A karts, nearest first, ``(A, RIVALS)`` each.
 
     Attributes:
-        is_there: whether there is one; the others' numbers are 0.
-        along: how far ahead it is [m].
-        across: how far to the right of the road's middle [m].
-        gain: by how much it is faster along the road [m/s].
-        drift: how fast it goes to the right across the road [m/s].
+        is_there: whether there is such a kart; otherwise its numbers are 0.
+        along: distance ahead along the road [m].
+        across: offset from the middle of the road, positive to the right [m].
+        gain: speed along the road relative to the observing kart [m/s].
+        drift: speed across the road, positive to the right [m/s].
     """
 
     is_there: BoolArray
@@ -47,17 +48,18 @@ class Rivals:
     drift: FloatArray
 
     def columns(self) -> npt.NDArray[np.float64]:
-        """The numbers as one array, ``(A, RIVALS, 5)``, in the order of the attributes."""
+        """The attributes as one array, ``(A, RIVALS, 5)``, in their order."""
         columns = np.empty((*self.is_there.shape, 5))
         for number, entry in enumerate(fields(self)):
             columns[..., number] = getattr(self, entry.name)
         return columns
 
     def numbers(self, offset: FloatArray) -> FloatArray:
-        """What a policy sees of them, ``(A, 5 * RIVALS)``.
+        """Returns a policy's inputs from the rivals, ``(A, 5 * RIVALS)``.
 
         Args:
-            offset: ``(A,)`` how far the kart itself is to the right of the road's middle [m].
+            offset: ``(A,)`` offset of the observing kart from the middle of the road, positive to
+                the right [m].
         """
         numbers = np.empty((*self.is_there.shape, 5), np.float32)
         numbers[..., 0] = self.is_there
@@ -68,18 +70,18 @@ class Rivals:
         return numbers.reshape(len(offset), -1)
 
 
-#: What of :meth:`Rivals.numbers` changes its sign in a mirrored race.
+#: Signs of :meth:`Rivals.numbers` in a mirrored race.
 RIVALS_MIRROR = np.tile(np.array([1, 1, -1, 1, -1], np.float32), RIVALS)
 
 
 @dataclass(frozen=True, slots=True)
 class _Moment:
-    """What A karts saw.
+    """Observations of A karts at one moment.
 
     Attributes:
-        spots: ``(A, RIVALS, 2)``: the nearest karts, to the right and ahead [m].
-        velocity: ``(A, 2)`` of the kart itself, to the right and ahead [m/s].
-        headings: ``(A, 36)`` of the road ahead [rad].
+        spots: ``(A, RIVALS, 2)`` positions of the nearest karts, right and ahead [m].
+        velocity: ``(A, 2)`` velocity of the observing kart, right and ahead [m/s].
+        headings: ``(A, 36)`` headings of the road ahead [rad].
     """
 
     spots: FloatArray
@@ -109,10 +111,10 @@ class _Moment:
 
 
 class RivalTracker:
-    """Watches the nearest karts of A karts from step to step.
+    """Tracks the nearest karts of A karts from step to step.
 
     Args:
-        count: A.
+        count: number of karts, A.
     """
 
     def __init__(self, count: int) -> None:
@@ -121,26 +123,27 @@ class RivalTracker:
 
     @classmethod
     def joined(cls, trackers: Sequence[RivalTracker]) -> RivalTracker:
-        """What watches for all karts of some, for one step."""
+        """Returns a joint tracker of several trackers for one step."""
         joined = cls(0)
         joined._now = _Moment.joined([tracker._now for tracker in trackers])
         return joined
 
     def take(self, joined: RivalTracker, rows: slice) -> None:
-        """Goes on from what some karts of :meth:`joined` saw in the step."""
+        """Copies the observations of some karts from a joint tracker."""
         self._before, self._now = joined._before.of(rows), joined._now.of(rows)
 
     def look(self) -> None:
-        """A step has passed."""
+        """Advances the tracker by one step."""
         self._before = self._now
 
     def watch(self, karts: FloatArray, velocity: FloatArray, road: RoadAhead) -> Rivals:
-        """The karts nearby; may be asked again before the next step.
+        """Returns the nearby karts; you may call it again before the next step.
 
         Args:
-            karts: ``(A, K, 3)``: the others in the kart's frame [m]; not finite where none is.
-            velocity: ``(A, 3)`` of the kart itself in its frame [m/s].
-            road: what they drive on.
+            karts: ``(A, K, 3)`` other karts in the observing kart's frame [m]; not finite if
+                missing.
+            velocity: ``(A, 3)`` velocity of the observing kart in its frame [m/s].
+            road: the road ahead.
         """
         spots, is_there = _nearest(karts)
         at = road.place(spots)
@@ -164,14 +167,14 @@ class RivalTracker:
         )
 
     def _moved(self, road: RoadAhead) -> FloatArray:
-        """The velocities of the karts nearby, right and forward, ``(A, RIVALS, 2)`` [m/s]."""
+        """Returns velocities of nearby karts, right and forward, ``(A, RIVALS, 2)`` [m/s]."""
         now, before = self._now, self._before
         way = (now.velocity + before.velocity) * np.float32(STEP / 2)
         half = road.turned_since(before.headings, _length(way)) * np.float32(0.5)
-        # where they would be now had they stayed: this kart has turned on its way
+        # previous positions in the current frame, after this kart's motion and rotation
         stayed = _turned(_turned(before.spots, half) - way[:, None], half)
         moved = (now.spots[:, :, None] - stayed[:, None]) / np.float32(STEP)
-        # of those that were there, the one that has kept its distance best
+        # match each kart with the nearest previous position
         strangeness = np.abs(moved - now.velocity[:, None, None]).sum(-1)
         same = strangeness.argmin(axis=2)
         found: FloatArray = moved[np.arange(len(same))[:, None], np.arange(RIVALS), same]
@@ -185,14 +188,14 @@ class RivalTracker:
 
 
 def _length(vectors: FloatArray) -> FloatArray:
-    """The lengths ``(...)`` of ``(..., 2)``, quicker than ``np.linalg.norm``."""
+    """Returns lengths ``(...)`` of vectors ``(..., 2)``; faster than ``np.linalg.norm``."""
     right, ahead = vectors[..., 0], vectors[..., 1]
     lengths: FloatArray = np.sqrt(right * right + ahead * ahead)
     return lengths
 
 
 def _turned(spots: FloatArray, angles: FloatArray) -> FloatArray:
-    """Spots ``(A, I, 2)``, to the right and ahead, as karts see them that have turned right."""
+    """Rotates positions ``(A, I, 2)``, right and ahead, for karts that turned right."""
     sines, cosines = np.sin(angles)[:, None], np.cos(angles)[:, None]
     right, ahead = spots[..., 0], spots[..., 1]
     turned = np.empty_like(spots)
@@ -202,7 +205,7 @@ def _turned(spots: FloatArray, angles: FloatArray) -> FloatArray:
 
 
 def _nearest(karts: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """The nearest karts ``(A, RIVALS, 3)``, and which of them there are."""
+    """Returns the nearest karts ``(A, RIVALS, 3)``, and a mask of those that exist."""
     if (missing := RIVALS - karts.shape[1]) > 0:
         nobody = np.full((len(karts), missing, 3), np.inf, np.float32)
         karts = np.concatenate([karts, nobody], axis=1)

@@ -1,4 +1,4 @@
-"""The road ahead of any number of karts, in its own coordinates: along it, and across."""
+"""The road ahead of any number of karts, in coordinates along and across it."""
 
 from __future__ import annotations
 
@@ -10,24 +10,26 @@ from stkzoo.mdp import squared
 
 from .arrays import FloatArray
 
-#: The road is known at so many marks, from the kart on, so far apart [m].
+#: Number of marks along the road, starting at the kart, and their spacing [m].
 MARK_COUNT, MARK_SPACING = 36, 3.0
 LINE_MARKS = (MARK_SPACING * np.arange(MARK_COUNT + 1)).astype(np.float32)
 
-#: A kart's turn is measured at so many marks; a larger one is a change of the road [rad].
+#: Number of marks that measure a kart's rotation, and the largest rotation [rad]; a larger one is
+#: due to a change of the road.
 _TURN_MARKS, _MOST_TURNED = 9, 0.6
 
 
 @dataclass(frozen=True, slots=True)
 class RoadPlaces:
-    """Where spots are, ``(A, I)`` each.
+    """Positions relative to the road, ``(A, I)`` each.
 
     Attributes:
-        along: how far ahead along the road [m].
-        across: how far to the right of its middle [m].
-        above: how far above it [m].
-        half_widths: the road's, there [m].
-        headings: its direction there, 0 is the kart's, positive to the right [rad].
+        along: distance ahead along the road [m].
+        across: offset from its middle, positive to the right [m].
+        above: height above it [m].
+        half_widths: half of the road's width at that point [m].
+        headings: direction of the road at that point, relative to the kart's, positive to the right
+            [rad].
     """
 
     along: FloatArray
@@ -42,12 +44,12 @@ class RoadAhead:
     """The road ahead of A karts.
 
     Attributes:
-        points: ``(A, 36, 3)``: the marks in the kart's frame [m].
-        headings: ``(A, 36)`` direction of the road from each on, 0 is the kart's [rad].
+        points: ``(A, 36, 3)`` marks in the kart's frame [m].
+        headings: ``(A, 36)`` direction of the road after each mark, relative to the kart's [rad].
         curvature: ``(A, 36)`` [1/m].
         half_widths: ``(A, 36)`` [m].
-        offset: ``(A,)`` how far the kart is to the right of the middle [m].
-        angle: ``(A,)`` the kart's direction, 0 is the road's [rad].
+        offset: ``(A,)`` offset of the kart from the middle, positive to the right [m].
+        angle: ``(A,)`` direction of the kart relative to the road's [rad].
     """
 
     points: FloatArray
@@ -59,7 +61,7 @@ class RoadAhead:
 
     @classmethod
     def of(cls, line: FloatArray) -> RoadAhead:
-        """The road of a line ``(A, 37, 4)``: :data:`LINE_MARKS` in the kart's frame, half width."""
+        """Returns the road of a line ``(A, 37, 4)``: :data:`LINE_MARKS`, and half widths [m]."""
         points = line[..., :3]
         steps = points[:, 1:] - points[:, :-1]
         headings = np.arctan2(steps[..., 0], steps[..., 2])
@@ -78,7 +80,7 @@ class RoadAhead:
         return cls(points[:, :-1], headings, curvature, line[:, :-1, 3], offset, -own)
 
     def bends(self, lengths: FloatArray) -> FloatArray:
-        """Mean curvature ``(A, 36)`` [1/m] over lengths ``(A,)`` [m] from each mark on."""
+        """Returns mean curvatures ``(A, 36)`` [1/m] over lengths ``(A,)`` [m] after each mark."""
         ahead = (lengths / MARK_SPACING).astype(np.intp)
         ahead = np.minimum(np.maximum(ahead, 1), MARK_COUNT - 1)[:, None]
         marks = np.arange(MARK_COUNT) + ahead
@@ -87,20 +89,20 @@ class RoadAhead:
         return np.where(marks < MARK_COUNT, (there - self.headings) / (ahead * MARK_SPACING), 0)
 
     def straightness(self, lengths: FloatArray) -> FloatArray:
-        """By how much the road turns at most over lengths ``(A,)`` [m] from the kart on [rad]."""
+        """Returns the largest turn of the road within lengths ``(A,)`` [m] from the kart [rad]."""
         count = np.maximum((lengths / MARK_SPACING).astype(np.intp), 1)[:, None]
         turned = np.abs(self.headings - self.headings[:, :1])
         straightness: FloatArray = np.where(np.arange(MARK_COUNT) < count, turned, 0).max(axis=1)
         return straightness
 
     def turned_since(self, before: FloatArray, way: FloatArray) -> FloatArray:
-        """By how much karts have turned to the right since the road ahead was another, ``(A,)``.
+        """Returns the rotation of karts to the right since an earlier observation, ``(A,)`` [rad].
 
-        The road stays where it is: what is seen of it turns to the left when a kart turns.
+        The road itself is fixed, so its headings change to the left when a kart turns right.
 
         Args:
-            before: ``(A, 36)``: :attr:`headings` then; not finite where it is not known.
-            way: ``(A,)`` how far they have driven since [m].
+            before: ``(A, 36)`` earlier :attr:`headings`; not finite if unknown.
+            way: ``(A,)`` distance driven since then [m].
         """
         place = np.arange(_TURN_MARKS) + np.minimum(way / MARK_SPACING, 1)[:, None]
         mark = place.astype(np.intp)
@@ -113,8 +115,8 @@ class RoadAhead:
         return np.where(np.abs(turned) < _MOST_TURNED, turned, 0).astype(np.float32)
 
     def place(self, spots: FloatArray) -> RoadPlaces:
-        """Where spots ``(A, I, 3)`` in the kart's frame are."""
-        # of |point - spot|² what differs from point to point
+        """Locates spots ``(A, I, 3)`` in the kart's frame [m] relative to the road."""
+        # |point - spot|² without the constant term |spot|²
         apart = squared(self.points)[:, None] - 2.0 * (spots @ self.points.transpose(0, 2, 1))
         nearest = apart.argmin(-1)
         rows = np.arange(len(spots))[:, None]

@@ -1,8 +1,8 @@
-"""Weighs plans for the next two seconds, for any number of karts at once.
+"""Computes the worth of plans for the next two seconds, for any number of karts at once.
 
-For each kart a few dozen plans (:mod:`.plans`) are driven over the road ahead by a simple model of
-a kart. The results are grouped by what a plan begins with: go on, brake, drift to the left, drift
-to the right. A policy sees the best of each and chooses among them.
+For each kart, a few dozen plans (:mod:`.plans`) are simulated on the road ahead with a simple model
+of a kart. The results are grouped by the manoeuvre with which a plan begins: go on, brake, drift
+left, drift right. A policy sees the best plan of each and chooses among them.
 """
 
 from __future__ import annotations
@@ -27,43 +27,44 @@ from .road import MARK_COUNT, MARK_SPACING, RoadAhead
 
 DoubleArray = npt.NDArray[np.float64]
 
-#: Items weighed.
+#: Number of items considered.
 _ITEMS = 8
-#: An item on another level of the track is farther above or below than this [m].
+#: Items farther above or below than this are on another level of the track [m].
 _LEVEL = 4.0
-#: Items nearer than this are too near to steer for, farther ones are ignored [m].
+#: Items nearer than the first distance are too close to steer for; farther than the second, they
+#: are ignored [m].
 _NEAREST, _FARTHEST = 1.0, 60.0
-#: Items this far beyond the edge of the road are not on it [m].
+#: Items farther than this beyond the edge of the road are ignored [m].
 _BEYOND = 1.0
-#: A miss by so much more than the radius earns nothing [m].
+#: A miss by this much more than the radius earns nothing [m].
 _BLUR = 0.5
 
-#: The centres of karts that run into one another are so far apart [m].
+#: Distance between the centres of colliding karts [m].
 _LENGTH = 1.8
-#: A rival less far ahead is beside the kart [m]; approaching more slowly does no harm [m/s].
+#: A rival less far ahead is beside the kart [m]; a lower approach speed is harmless [m/s].
 _BESIDE, _HARMLESS = 0.5, 1.0
-#: For how long rivals go on across the road as they do now [s].
+#: Time for which rivals are assumed to keep their speed across the road [s].
 _CROSSING = 0.5
 
-#: Karts are taken to be at least so fast [m/s].
+#: Minimum assumed speed of karts [m/s].
 _SLOWEST = 5.0
-#: The worth of a manoeuvre that no plan begins with.
+#: Worth of a manoeuvre without plans.
 NEVER = -1e4
 
 
 @dataclass(frozen=True, slots=True)
 class PlanScene:
-    """What A karts see that bears on plans.
+    """Observations of A karts that affect plans.
 
     Attributes:
-        speed: ``(A,)`` forward [m/s].
+        speed: ``(A,)`` forward speed [m/s].
         max_steer_angle: ``(A,)`` [rad].
-        is_jumping: ``(A,)``.
-        has_powerup: ``(A,)``.
-        road: what lies ahead.
+        is_jumping: ``(A,)`` bool.
+        has_powerup: ``(A,)`` bool.
+        road: the road ahead.
         items: ``(A, M, 3)`` in the kart's frame [m].
-        item_types: ``(A, M)`` numbers of :class:`~stkzoo.ItemType`; others are none.
-        rivals: the nearest karts; ``None`` to leave them out.
+        item_types: ``(A, M)`` numbers of :class:`~stkzoo.ItemType`; other numbers are ignored.
+        rivals: the nearest karts; ``None`` to ignore them.
     """
 
     speed: FloatArray
@@ -78,16 +79,16 @@ class PlanScene:
 
 @dataclass(frozen=True, slots=True)
 class PlanOptions:
-    """The best plan of each manoeuvre, ``(A, 4)`` each; and the road.
+    """The best plan of each manoeuvre, ``(A, 4)`` each, and the road.
 
     Attributes:
-        worth: what it is worth [m]; :data:`NEVER` where there is none.
-        turn: the share of full lock to turn by now, positive to the right.
-        danger: what it costs beyond the edge of the road [m].
-        angle: ``(A,)`` the kart's direction, 0 is the road's [rad].
-        offset: ``(A,)`` how far it is from the middle, positive to the right [m].
-        beyond: ``(A,)`` how far it is beyond the edge of the road, negative on it [m].
-        straightness: ``(A,)`` by how much the road turns at most in a while [rad].
+        worth: worth of the plan [m]; :data:`NEVER` if there is none.
+        turn: current turn, positive to the right [fraction of full lock].
+        danger: cost beyond the edge of the road [m].
+        angle: ``(A,)`` direction of the kart relative to the road's [rad].
+        offset: ``(A,)`` offset from the middle, positive to the right [m].
+        beyond: ``(A,)`` distance beyond the edge of the road, negative on the road [m].
+        straightness: ``(A,)`` largest turn of the road in the near future [rad].
     """
 
     worth: FloatArray
@@ -100,12 +101,12 @@ class PlanOptions:
 
 
 def weigh(scene: PlanScene, now: KartSituation, rules: DriverParameters) -> PlanOptions:
-    """The best plan of each manoeuvre.
+    """Returns the best plan of each manoeuvre.
 
     Args:
-        scene: what the karts see.
-        now: what they are in the middle of.
-        rules: what plans are worth.
+        scene: observations of the karts.
+        now: their ongoing manoeuvres.
+        rules: parameters of the plans.
     """
     road, count = scene.road, len(scene.speed)
     speed = np.maximum(scene.speed, _SLOWEST)
@@ -152,12 +153,12 @@ def weigh(scene: PlanScene, now: KartSituation, rules: DriverParameters) -> Plan
 
 
 def road_columns(road: RoadAhead, reach: FloatArray, room: npt.NDArray[np.floating]) -> FloatArray:
-    """The road at its marks, ``(A, 3, 36)``: how far it bends aside, room [m], curvature [1/m].
+    """Returns the road at its marks, ``(A, 3, 36)``: sideways bend [m], room [m], curvature [1/m].
 
     Args:
         road: the road.
-        reach: ``(A,)`` how far ahead karts aim [m].
-        room: ``(A, 36)`` how far from its middle they may be [m].
+        reach: ``(A,)`` distance at which karts aim [m].
+        room: ``(A, 36)`` largest offset from the middle [m].
     """
     columns = np.empty((len(reach), 3, MARK_COUNT), np.float32)
     columns[:, 0] = road.bends(reach) * (0.5 * reach * reach)[:, None]
@@ -167,7 +168,7 @@ def road_columns(road: RoadAhead, reach: FloatArray, room: npt.NDArray[np.floati
 
 @lru_cache(maxsize=64)
 def rule_columns(rules: DriverParameters) -> DoubleArray:
-    """What holds for all karts, in the order of :func:`stkzoo.kernel.weigh_plans`."""
+    """Returns the parameters for all karts, in the order of :func:`stkzoo.kernel.weigh_plans`."""
     return np.array(
         [
             RELEASE_TURN,
@@ -193,11 +194,11 @@ def rule_columns(rules: DriverParameters) -> DoubleArray:
 
 
 def _items(scene: PlanScene, rules: DriverParameters) -> DoubleArray:
-    """The items ahead that matter, nearest first, ``(A, I, 4)``; of worth 0 where none is.
+    """Returns the relevant items ahead, nearest first, ``(A, I, 4)``; missing ones have worth 0.
 
-    Along the road, across it, what they are worth and how near karts must come [m].
+    The columns are position along the road, position across it, worth, and hit radius [m].
     """
-    types = np.minimum(np.maximum(scene.item_types, -1), max(ItemType) + 1)  # -1 is the last one
+    types = np.minimum(np.maximum(scene.item_types, -1), max(ItemType) + 1)  # -1: last entry
     worth = _worths(rules)[scene.has_powerup.astype(np.intp)[:, None], types]
     rows = np.arange(len(types))[:, None]
     squares = squared(scene.items)
@@ -218,7 +219,7 @@ def _items(scene: PlanScene, rules: DriverParameters) -> DoubleArray:
 
 @lru_cache(maxsize=64)
 def _worths(rules: DriverParameters) -> FloatArray:
-    """What items are worth by type [m], to karts without and with a power-up, ``(2, types)``."""
+    """Returns the worth of item types [m] for karts without and with a powerup, ``(2, types)``."""
     worths = np.zeros((2, max(ItemType) + 3), np.float32)
     worths[:, ItemType.BONUS_BOX] = rules.box_worth, rules.second_box_worth
     worths[:, ItemType.NITRO_BIG] = rules.big_nitro_worth

@@ -1,4 +1,4 @@
-"""A stateful filter between a policy's choices and a kart."""
+"""A stateful filter between a policy's choices and the kart."""
 
 from __future__ import annotations
 
@@ -15,43 +15,42 @@ from stkzoo.agents.planning.memory import MEMORY_MIRROR, MEMORY_SIZE, DriverMemo
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.wrappers.racing import BRAKE, CHOICES, MIRROR, PLACES, RESCUE, SIZE, STEERS
 
-#: How many numbers a policy sees with the filter: the view, and the filter's memory.
+#: Size of a policy's input with the filter: the view, and the filter's memory.
 INPUT_SIZE = SIZE + MEMORY_SIZE
-#: It times this is what would be seen if left were right.
+#: Multiplying an input by this mirrors it left to right.
 INPUT_MIRROR = np.concatenate([MIRROR, MEMORY_MIRROR])
 
-#: The columns of choices.
+#: Columns of the choices.
 _STEER, _PEDAL, _DRIFT, _NITRO, _FIRE = range(5)
-#: Where the view has the speed forwards [20 m/s] and other parts, vectors by their first number.
+#: Indices in the view of the forward speed [20 m/s] and of the first value of other parts.
 _SPEED = PLACES["velocity"].start + 2
 _SKEED, _ENERGY, _LINE, _ROOM, _HEADING = (
     PLACES[part].start
     for part in ("skeed_factor", "energy", "line_position", "line_room", "marks_heading")
 )
-#: A drift begins to the side to which the kart steers, if so much and at such a speed [20 m/s];
-#: steering so much to the other side ends it.
+#: Minimum speed of a drift [20 m/s], and steering to the other side that ends it. A drift begins
+#: to the side to which the kart steers.
 _DRIFT_SPEED, _OTHER_SIDE = 10.0 / 20.0, 0.3
-#: What lies between two choices of steering belongs to the nearer one.
+#: Boundaries between the steering choices.
 _BETWEEN = (STEERS[1:] + STEERS[:-1]) / 2
-#: A kart that has been so fast has left its place on the grid [20 m/s].
+#: A kart that has reached this speed has left the grid [20 m/s].
 _MOVES = 3.0 / 20.0
 
 
 class ActionFilter:
-    """Changes a policy's choices by what the karts remember, which the policy sees too.
+    """Modifies a policy's choices with a memory that the policy observes, too.
 
-    - **Drifts last.** A drift pays after a second. A policy that chooses at random in each step
-      whether to go on rarely gets that far, so the filter holds a drift for a minimum time. The
-      game also turns a drifting kart by other shares of full lock; the filter steers so that the
-      kart turns as much as the same choice would without a drift, within a drift's limits. Steering
-      to the other side ends the drift.
-    - **Nitro is not wasted.** One burst ends before the next begins.
-    - **Stuck karts free themselves**, as those of the planner do.
+    - **Drifts last.** A drift earns a boost after one second. A policy that decides randomly in
+    each step whether to continue rarely drifts that long, so the filter holds a drift for a minimum
+    time. The game maps steering differently in a drift; the filter compensates, so that a choice
+    turns the kart as much as without a drift, within the limits of a drift. Steering to the other
+    side ends the drift. - **Nitro is not wasted.** A burst ends before the next one begins. -
+    **Stuck karts free themselves**, as with the planner.
 
     Args:
-        karts: how many.
-        hold: for how many steps a drift goes on at least; 0 leaves drifts and nitro to the choices.
-        memory: theirs, if the caller keeps it up to date and never calls :meth:`look`.
+        karts: number of karts.
+        hold: minimum steps of a drift; 0 leaves drifts and nitro to the choices.
+        memory: the karts' memory, if the caller updates it and never calls :meth:`look`.
     """
 
     def __init__(self, karts: int, hold: int, memory: DriverMemory | None = None) -> None:
@@ -61,11 +60,11 @@ class ActionFilter:
         self._views = np.zeros((karts, SIZE), np.float32)
 
     def drive(self, observation: FloatArray, choose: Callable[[FloatArray], IntArray]) -> IntArray:
-        """The choices ``(5,)`` of the one kart, once a step.
+        """Returns the choices ``(5,)`` of one kart; call it once per step.
 
         Args:
-            observation: of the view ``racing``, ``(165,)``.
-            choose: a policy's choices ``(1, 5)``.
+            observation: observation in the view ``racing``, ``(165,)``.
+            choose: returns a policy's choices ``(1, 5)``.
         """
         return self.drive_together([self], [observation], choose)[0]
 
@@ -75,12 +74,13 @@ class ActionFilter:
         observations: Sequence[FloatArray],
         choose: Callable[[FloatArray], IntArray],
     ) -> list[IntArray]:
-        """The choices that :meth:`drive` gives each, to the bit, in less time.
+        """Returns the same choices as :meth:`drive` for each filter, bit for bit, in less time.
 
         Args:
-            filters: of one kart each, which hold drifts equally long.
-            observations: theirs.
-            choose: a policy's choices ``(A, 5)``, none of which depends on the other karts.
+            filters: filters of one kart each, with equal ``hold``.
+            observations: their observations.
+            choose: returns a policy's choices ``(A, 5)``; those of a kart must not depend on other
+                karts.
         """
         joined = filters[0] if len(filters) == 1 else ActionFilter._joined(filters)
         done = joined.apply(choose(joined.look(np.stack(observations))))
@@ -98,28 +98,28 @@ class ActionFilter:
         return joined
 
     def look(self, views: FloatArray) -> FloatArray:
-        """A step has passed.
+        """Advances the memory by one step.
 
         Args:
             views: ``(karts, 165)``.
 
         Returns:
-            What the policy sees, ``(karts, 177)``: the views, and what is remembered.
+            Input of the policy, ``(karts, 177)``: the views and the memory.
         """
         self._memory.look(20.0 * views[:, _SPEED], views[:, _SKEED])
         aside = np.hypot(views[:, _LINE], views[:, _LINE + 2]) - views[:, _ROOM]
         self._memory.look_around(10.0 * aside)
         self._has_moved |= np.abs(views[:, _SPEED]) > _MOVES
-        self._memory.forget(np.flatnonzero(~self._has_moved))  # on the grid all stand still
+        self._memory.forget(np.flatnonzero(~self._has_moved))  # karts on the grid are not stuck
         return self.see(views)
 
     def see(self, views: FloatArray) -> FloatArray:
-        """What the policy sees when no step has passed."""
+        """Returns the policy's input without advancing the memory."""
         self._views = views
         return np.concatenate([views, self._memory.numbers()], axis=1)
 
     def apply(self, choices: npt.NDArray[Any]) -> IntArray:
-        """What is done of one step's choices ``(karts, 5)``, made by what was seen last."""
+        """Returns the filtered choices ``(karts, 5)`` for choices made from the latest input."""
         done, now = np.array(choices, np.int64), self._memory.situation()
         backs, calls = self._memory.stuck()
         side = np.where(backs | calls, 0, self._drift_side(done, now))
@@ -132,8 +132,8 @@ class ActionFilter:
             steer = steer_of_turn(side, turn, begins)
             done[:, _STEER] = np.where(side == 0, done[:, _STEER], _nearest(steer))
             done[:, _DRIFT] = side != 0
-        is_left = self._views[:, _LINE] + self._views[:, _HEADING] > 0  # of the road, or its way
-        away = np.where(is_left, 0, CHOICES[_STEER] - 1)  # backwards a kart turns the other way
+        is_left = self._views[:, _LINE] + self._views[:, _HEADING] > 0  # or heads left
+        away = np.where(is_left, 0, CHOICES[_STEER] - 1)  # steering is inverted in reverse
         done[backs, _STEER], turn[backs] = away[backs], STEERS[away[backs]]
         done[backs, _PEDAL] = BRAKE
         done[calls, _PEDAL] = RESCUE
@@ -147,7 +147,7 @@ class ActionFilter:
         self._has_moved[karts] = False
 
     def _drift_side(self, chosen: IntArray, now: KartSituation) -> IntArray:
-        """To which side karts drift now: 1 to the right, -1 to the left, 0 for not at all."""
+        """Returns the side to which each kart drifts now: 1 right, -1 left, 0 none."""
         turn, is_asked = STEERS[chosen[:, _STEER]], chosen[:, _DRIFT] == 1
         begins = is_asked & (np.abs(turn) >= START_STEER) & now.may_hop
         begins &= self._views[:, _SPEED] > _DRIFT_SPEED
@@ -158,12 +158,12 @@ class ActionFilter:
 
 
 def steering(side: npt.NDArray[Any], turn: FloatArray, begins: npt.NDArray[np.bool_]) -> IntArray:
-    """Which choices of steering make karts turn as they should, arrays of one shape or alike.
+    """Returns the steering choices that give a turn; all arrays have broadcastable shapes.
 
     Args:
-        side: to which they drift: 1 to the right, -1 to the left, 0 not at all.
-        turn: share of full lock, positive to the right.
-        begins: whose drift begins: they steer far enough to that side.
+        side: side of the drift: 1 right, -1 left, 0 none.
+        turn: turn, positive to the right [fraction of full lock].
+        begins: whether a drift begins, which needs enough steering to that side.
     """
     return _nearest(np.where(begins, side * np.maximum(turn * side, START_STEER), turn))
 

@@ -23,18 +23,18 @@ from .mlp import MlpDriver, is_network
 from .policy import RacingPolicy, network_shapes
 from .weights import load_weights
 
-#: What chooses among plans, and what chooses at once.
+#: Policies over plans, ensembles, and networks without plans.
 Policy = RacingPolicy | EnsemblePolicy | MlpDriver
 
-#: An agent's files.
+#: Names of an agent's files.
 CARD, WEIGHTS = "card.json", "weights.safetensors"
 
 
 def read_policy(folder: str | Path) -> Policy:
-    """The policy of an agent's folder, checked against its card.
+    """Reads the policy of an agent's folder and verifies it against the card.
 
     Raises:
-        ConfigError: a file is missing or broken, or the weights are no policy's.
+        ConfigError: a file is missing or damaged, or the weights are not a policy.
     """
     file = Path(folder) / WEIGHTS
     card = read_card(folder)
@@ -45,14 +45,14 @@ def read_policy(folder: str | Path) -> Policy:
 
 
 def policy_of(weights: Mapping[str, FloatArray], name: str) -> RacingPolicy | MlpDriver:
-    """The policy that arrays are of.
+    """Returns the policy with the given weights.
 
     Args:
-        weights: the arrays.
-        name: what errors call them.
+        weights: arrays by name.
+        name: name of the weights in error messages.
 
     Raises:
-        ConfigError: they are no policy's.
+        ConfigError: the weights are not a policy.
     """
     if is_network(weights):
         return MlpDriver(weights, repr(name))
@@ -61,10 +61,14 @@ def policy_of(weights: Mapping[str, FloatArray], name: str) -> RacingPolicy | Ml
 
 
 def check_shapes(weights: Mapping[str, FloatArray], name: str) -> None:
-    """Checks that arrays are a policy's.
+    """Checks that arrays are the weights of a policy over plans.
+
+    Args:
+        weights: arrays by name.
+        name: name of the weights in error messages.
 
     Raises:
-        ConfigError: they are not.
+        ConfigError: a name or a shape is wrong.
     """
     hidden = [weights[key].size if key in weights else 0 for key in ("b0", "b1")]
     wanted = network_shapes(hidden)
@@ -77,10 +81,13 @@ def check_shapes(weights: Mapping[str, FloatArray], name: str) -> None:
 
 
 def new_state(folder: str | Path) -> PlanDriver | ActionFilter:
-    """What the driver of an agent's folder remembers in one race.
+    """Returns the driver's state for one race.
+
+    Args:
+        folder: folder of the agent.
 
     Raises:
-        ConfigError: as :func:`read_policy` and :func:`read_numbers`.
+        ConfigError: see :func:`read_policy` and :func:`read_numbers`.
     """
     policy = read_policy(folder)
     if isinstance(policy, MlpDriver):
@@ -89,10 +96,10 @@ def new_state(folder: str | Path) -> PlanDriver | ActionFilter:
 
 
 def read_numbers(folder: str | Path) -> DriverParameters:
-    """The numbers on an agent's card, which its plans go by; with them it has learned.
+    """Returns the plan parameters on an agent's card, with which it was trained.
 
     Raises:
-        ConfigError: the card is missing or broken.
+        ConfigError: the card is missing or damaged.
     """
     file, rules = str(Path(folder) / CARD), read_card(folder).rules
     what = f"the rules on {file!r} are not those of this version"
@@ -138,15 +145,15 @@ def _reading_card(folder: str | Path) -> AbstractContextManager[None]:
 def make_actor(
     module_dir: str | Path, observation_space: Any = None, action_space: Any = None
 ) -> Callable[[Any, Any], Any]:
-    """The actor of an agent's folder: for the view ``racing`` if it has no plans, else ``full``.
+    """Returns the actor of an agent, for the view ``full``, or ``racing`` if it has no plans.
 
     Args:
-        module_dir: the folder.
-        observation_space: not needed; an agent's ``get_actor`` is given it.
-        action_space: not needed either.
+        module_dir: folder of the agent.
+        observation_space: ignored; ``get_actor`` receives it.
+        action_space: ignored; ``get_actor`` receives it.
 
     Raises:
-        ConfigError: as :func:`read_policy`.
+        ConfigError: see :func:`read_policy`.
     """
     del observation_space, action_space
     policy = read_policy(module_dir)
@@ -156,17 +163,17 @@ def make_actor(
 def make_batch_actor(
     module_dir: str | Path,
 ) -> Callable[[Sequence[Any], Sequence[Any]], Sequence[Any]]:
-    """What drives several karts of an agent's folder at once, as :func:`make_actor` does each.
+    """Returns a function that drives several karts of an agent at once, like :func:`make_actor`.
 
     Args:
-        module_dir: the folder.
+        module_dir: folder of the agent.
 
     Raises:
-        ConfigError: as :func:`read_policy`.
+        ConfigError: see :func:`read_policy`.
     """
     policy = read_policy(module_dir)
     return lambda states, seen: type(states[0]).drive_together(states, seen, policy.best)
 
 
-# Agents without plans that were exported before import these names.
+# Agents without plans that older versions exported import these names.
 make_network_actor, new_network_state, new_seat = make_actor, new_state, new_state

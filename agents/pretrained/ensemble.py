@@ -1,7 +1,7 @@
 """An ensemble of plans and networks.
 
-Networks of self-play know how races go; plans know where the road goes. Both give probabilities of
-choices, and the product decides (a product of experts: Hinton, 2002).
+Networks from self-play know how races develop; plans know the road ahead. Both give probabilities
+of choices, and the ensemble multiplies them (product of experts: Hinton, 2002).
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from .action_filter import INPUT_SIZE, steering
 from .mlp import SPLITS, MlpDriver
 from .policy import log_sum
 
-#: Which pedal a manoeuvre needs, whether it drifts, and to which side.
+#: Pedal, drift and side of each manoeuvre.
 _PEDALS = np.array([BRAKE if m == BRAKE_PLAN else 0 for m in range(MANOEUVRES)])
 _SIDES = np.array([(m == DRIFT_RIGHT) - (m == DRIFT_LEFT) for m in range(MANOEUVRES)], np.float32)
 _DRIFTS = np.abs(_SIDES).astype(np.intp)
-#: Where the logits of each choice are.
+#: Slices of the logits of each choice.
 _PARTS = [slice(begin, end) for begin, end in itertools.pairwise([0, *SPLITS, None])]
-#: What a file calls the arrays of its networks.
+#: Prefix of the arrays of each network in a file.
 _IN_FILE = "adviser{}."
 
 
@@ -36,7 +36,7 @@ def check_ensemble_weight(weight: object) -> None:
     """Checks the weight of the networks.
 
     Raises:
-        ConfigError: it is no number of 0 or more.
+        ConfigError: the weight is not a number of at least 0.
     """
     if not (isinstance(weight, (int, float)) and 0 <= weight < np.inf):
         raise ConfigError(
@@ -45,18 +45,18 @@ def check_ensemble_weight(weight: object) -> None:
 
 
 class EnsemblePolicy:
-    """Chooses among plans by their worth and by what networks would do.
+    """Chooses among plans by their worth and by the probabilities of networks.
 
-    The logit of a manoeuvre with a turn is the prior's, of what the plan is worth, and ``weight``
-    times the mean logarithm of the networks' probabilities of what it comes to: steering, pedal,
-    drift. Likewise for nitro and fire.
+    The logit of a manoeuvre with a turn is the prior's logit plus ``weight`` times the networks'
+    mean log-probability of the equivalent steering, pedal and drift. The logits of nitro and fire
+    are computed in the same way.
 
     Args:
-        networks: on the view ``racing``, one or more.
-        weight: how much they count; 0 is the plans alone.
+        networks: one or more networks on the view ``racing``.
+        weight: weight of the networks; with 0, only the plans count.
 
     Raises:
-        ConfigError: as :func:`check_ensemble_weight`.
+        ConfigError: see :func:`check_ensemble_weight`.
     """
 
     def __init__(self, networks: Sequence[MlpDriver], weight: float) -> None:
@@ -64,7 +64,7 @@ class EnsemblePolicy:
         self.networks, self.weight = tuple(networks), weight
 
     def best(self, view: PolicyInput) -> IntArray:
-        """The likeliest choices ``(A, 4)``, as those of a policy over plans."""
+        """Returns the most likely choices ``(A, 4)``, in the form of a policy over plans."""
         steer, pedal, drift, nitro, fire = self._log_probabilities(view.inputs[:, :INPUT_SIZE])
         begin, turn, *buttons = (view.prior[:, head] for head in HEADS)
         rows = np.arange(len(begin))[:, None, None]
@@ -81,14 +81,14 @@ class EnsemblePolicy:
         return choices
 
     def _log_probabilities(self, seen: FloatArray) -> list[FloatArray]:
-        """The networks' mean logarithms of probabilities, an array for each choice."""
+        """Returns the networks' mean log-probabilities, one array per choice."""
         logits = np.array([network.logits(seen[:, None])[:, 0] for network in self.networks])
         parts = (logits[..., part] for part in _PARTS)
         return [(part - log_sum(part)).mean(axis=0) for part in parts]
 
 
 def _steering(inputs: FloatArray) -> IntArray:
-    """Which choice of steering each manoeuvre comes to with each turn, ``(A, 4, 7)``."""
+    """Returns the steering choice for each manoeuvre and turn, ``(A, 4, 7)``."""
     turn = np.minimum(np.maximum(plan_turns(inputs)[..., None] + OFFSETS, -1.0), 1.0)
     sides = _SIDES[:, None]
     begins = (sides != 0) & ~is_drifting(inputs)[:, None, None]
@@ -96,7 +96,7 @@ def _steering(inputs: FloatArray) -> IntArray:
 
 
 def join_networks(networks: Sequence[Mapping[str, FloatArray]]) -> dict[str, FloatArray]:
-    """The arrays of several networks as those of one file."""
+    """Returns the arrays of several networks with names for a single file."""
     return {
         _IN_FILE.format(number) + name: array
         for number, weights in enumerate(networks)
@@ -105,14 +105,14 @@ def join_networks(networks: Sequence[Mapping[str, FloatArray]]) -> dict[str, Flo
 
 
 def networks_of(weights: Mapping[str, FloatArray], name: str) -> list[MlpDriver]:
-    """The networks that :func:`join_networks` joined; none, if it did not.
+    """Returns the networks from :func:`join_networks`; an empty list if there are none.
 
     Args:
-        weights: a file's arrays.
-        name: what errors call it.
+        weights: arrays of a file.
+        name: name of the file in error messages.
 
     Raises:
-        ConfigError: one is no network on the view ``racing``.
+        ConfigError: an array set is not a network on the view ``racing``.
     """
     networks: list[MlpDriver] = []
     while own := _own(weights, _IN_FILE.format(len(networks))):

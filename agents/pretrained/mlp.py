@@ -1,6 +1,6 @@
-"""A Stable-Baselines3 ``MlpPolicy`` on the view ``racing``, in numpy.
+"""A Stable-Baselines3 ``MlpPolicy`` on the view ``racing``, evaluated with numpy.
 
-A file of it is a safetensors file of its state dict, and of how long it holds a drift.
+The file format is safetensors with the policy's state dict and its minimum steps of a drift.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from .weights import load_weights
 
 _LAYER = "mlp_extractor.policy_net.{}.{}"
 _LAST = "action_net.{}"
-#: Where the logits of one choice end and those of the next begin.
+#: Boundaries between the logits of the choices.
 SPLITS = np.cumsum(CHOICES)[:-1].tolist()
-#: Under this name a file says for how many steps a drift is held.
+#: Name of the array with the minimum steps of a drift.
 HOLD = "drift_hold"
 _MAX_HOLD = 1000
 
 
 class MlpDriver:
-    """The policy's part of a state dict, for any number of karts at once.
+    """The policy network of a state dict, for any number of karts at once.
 
     Args:
-        weights: a state dict, its arrays in numpy; what is not the policy's is left alone.
-        name: what errors call it.
+        weights: a state dict with numpy arrays; arrays outside the policy network are ignored.
+        name: name of the weights in error messages.
 
     Attributes:
-        hold: for how many steps it holds a drift.
-        inputs: how many numbers it sees: the view, and mostly what the the action filter remembers.
+        hold: minimum steps of a drift.
+        inputs: size of the input: the view, and usually the memory of the action filter.
 
     Raises:
-        ConfigError: they are not of an ``MlpPolicy`` on the view ``racing``.
+        ConfigError: the weights are not an ``MlpPolicy`` on the view ``racing``.
     """
 
     def __init__(self, weights: Mapping[str, FloatArray], name: str = "the weights") -> None:
@@ -51,7 +51,7 @@ class MlpDriver:
         number = 0
         while _LAYER.format(number, "weight") in weights:
             self._layers.append(_layer(weights, _LAYER, number))
-            number += 2  # every other one is the tanh
+            number += 2  # every second module is the tanh
         if _LAST.format("weight") in weights:
             self._layers.append(_layer(weights, "action_net.{1}", 0))
         found = [matrix.shape for matrix, _ in self._layers]
@@ -73,9 +73,9 @@ class MlpDriver:
             )
 
     def logits(self, observations: FloatArray) -> FloatArray:
-        """Those of all choices, ``(..., 31)``, of what karts see, ``(..., 177)``.
+        """Returns the logits of all choices, ``(..., 31)``, for inputs ``(..., 177)``.
 
-        A kart's depend in their last bits on how many rows there are.
+        The last bits of a kart's logits depend on the number of rows.
         """
         x = np.asarray(observations[..., : self.inputs], np.float32)
         *hidden, (matrix, bias) = self._layers
@@ -85,19 +85,19 @@ class MlpDriver:
         return logits
 
     def best(self, observations: FloatArray) -> IntArray:
-        """The likeliest choices, ``(A, 5)``; none depends on the other karts, to the bit."""
+        """Returns the most likely choices, ``(A, 5)``; a kart's do not depend on other karts."""
         parts = np.split(self.logits(observations[:, None])[:, 0], SPLITS, axis=1)
         return np.stack([part.argmax(axis=1) for part in parts], axis=1)
 
     def seat(self) -> NoReturn:
-        """What agents that older versions wrote call."""
+        """Rejects a call from agents that older versions exported."""
         raise ConfigError(
             "this agent is of another version of stkzoo; make it again from its "
             "policy.safetensors with python -m stkzoo.agents.training.export"
         )
 
     def sample(self, observations: FloatArray, random: np.random.Generator) -> IntArray:
-        """Choices drawn by their probabilities, ``(A, 5)``."""
+        """Samples choices from their probabilities, ``(A, 5)``."""
         logits = self.logits(observations)
         noisy = logits + random.gumbel(size=logits.shape).astype(np.float32)
         parts = np.split(noisy, SPLITS, axis=1)
@@ -105,7 +105,7 @@ class MlpDriver:
 
 
 def is_network(weights: Mapping[str, FloatArray]) -> bool:
-    """Whether a file's arrays are such a policy's, and not one's that chooses among plans."""
+    """Whether arrays are a network without plans, not a policy over plans."""
     return _LAST.format("weight") in weights
 
 
@@ -120,9 +120,9 @@ def _layer(
 
 
 def load_driver(path: str | Path) -> MlpDriver:
-    """Reads a policy's file.
+    """Reads the file of a policy.
 
     Raises:
-        ConfigError: it cannot be read or holds something else.
+        ConfigError: the file is unreadable or has other content.
     """
     return MlpDriver(load_weights(path), f"the weights {str(path)!r}")

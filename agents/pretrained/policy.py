@@ -1,4 +1,4 @@
-"""A small network in numpy: from what a kart sees and remembers to its choices."""
+"""A small network in numpy that maps a kart's observation and memory to choices."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from stkzoo.agents.planning.arrays import FloatArray, IntArray
 from stkzoo.agents.planning.driver import CHOICES, HEADS, INPUT_SIZE, PolicyInput, likeliest
 
-#: No normalised input is farther from 0.
+#: Largest absolute value of a normalized input.
 INPUT_CLIP = 8.0
 
 
 def network(weights: Mapping[str, FloatArray], inputs: FloatArray) -> FloatArray:
-    """Two layers of rectified units and one of none.
+    """Evaluates a network with two hidden layers of rectified linear units and a linear output.
 
     Args:
         weights: ``mean`` and ``scale`` ``(F,)`` of the input, and ``w0``, ``b0``, ``w1``, ``b1``,
@@ -30,7 +30,7 @@ def network(weights: Mapping[str, FloatArray], inputs: FloatArray) -> FloatArray
 
 
 def network_shapes(hidden: Sequence[int]) -> dict[str, tuple[int, ...]]:
-    """The shapes of the weights of a policy's :func:`network` with such hidden layers."""
+    """Returns the shapes of the weights of a policy's :func:`network` with these hidden layers."""
     sizes = (INPUT_SIZE, *hidden, sum(CHOICES))
     shapes: dict[str, tuple[int, ...]] = {"mean": (INPUT_SIZE,), "scale": (INPUT_SIZE,)}
     for layer in range(3):
@@ -39,7 +39,7 @@ def network_shapes(hidden: Sequence[int]) -> dict[str, tuple[int, ...]]:
 
 
 def log_sum(logits: FloatArray) -> FloatArray:
-    """The logarithm of the sum of exponentials along the last axis, which stays, of size 1."""
+    """Returns the log-sum-exp along the last axis, which is kept with size 1."""
     top = logits.max(axis=-1, keepdims=True)
     total: FloatArray = np.log(np.exp(logits - top).sum(axis=-1, keepdims=True)) + top
     return total
@@ -47,27 +47,27 @@ def log_sum(logits: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class RacingPolicy:
-    """Logits of all choices: the prior's and what is learned.
+    """A policy over plans: its logits are the sum of the prior's and the learned ones.
 
     Attributes:
-        weights: of the :func:`network`.
+        weights: weights of the :func:`network`.
     """
 
     weights: Mapping[str, FloatArray]
 
     @classmethod
     def of_plans_alone(cls) -> RacingPolicy:
-        """A policy that adds nothing to the prior."""
+        """Returns a policy that adds nothing to the prior."""
         shapes = network_shapes((1, 1)).items()
         return cls({name: np.zeros(shape, np.float32) for name, shape in shapes})
 
     def logits(self, view: PolicyInput) -> FloatArray:
-        """The logits ``(A, sum(CHOICES))``."""
+        """Returns the logits, ``(A, sum(CHOICES))``."""
         learned: FloatArray = view.prior + network(self.weights, view.inputs)
         return learned
 
     def best(self, view: PolicyInput) -> IntArray:
-        """The likeliest choices ``(A, 4)``; none depends on the other karts, to the bit."""
+        """Returns the most likely choices, ``(A, 4)``; a kart's do not depend on other karts."""
         return likeliest(view.prior + network(self.weights, view.inputs[:, None])[:, 0])
 
     def sample(
@@ -76,9 +76,9 @@ class RacingPolicy:
         random: np.random.Generator,
         columns: Sequence[int] = range(len(HEADS)),
     ) -> tuple[IntArray, FloatArray]:
-        """Choices ``(A, 4)`` drawn by their probabilities, and the logarithms of these ``(A,)``.
+        """Samples choices ``(A, 4)``; returns them and their log-probabilities ``(A,)``.
 
-        Only ``columns`` are drawn; the others are the likeliest, and count as certain.
+        Only ``columns`` are sampled; other choices are the most likely ones and count as certain.
         """
         logits = self.logits(view)
         noise = random.gumbel(size=logits.shape).astype(np.float32)

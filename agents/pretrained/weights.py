@@ -1,4 +1,4 @@
-"""Weights as safetensors files, which hold numbers and nothing that can run."""
+"""Weights as safetensors files, which contain arrays and no executable code."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ _MOST_BYTES = 1 << 26
 
 
 def digest_of(path: str | os.PathLike[str]) -> str:
-    """The SHA-256 of a file, in hexadecimal."""
+    """Returns the SHA-256 of a file in hexadecimal."""
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
 def save_weights(path: str | os.PathLike[str], weights: Mapping[str, FloatArray]) -> None:
-    """Writes arrays of float32 to a file, whole or not at all."""
+    """Writes float32 arrays to a file atomically."""
     arrays = {name: np.ascontiguousarray(array, "<f4") for name, array in weights.items()}
     with atomic_write(path) as part:
         part.write_bytes(safetensors.numpy.save(arrays))
 
 
 def load_weights(path: str | os.PathLike[str], digest: str | None = None) -> dict[str, FloatArray]:
-    """Reads arrays of float32 from a file.
+    """Reads float32 arrays from a file.
 
     Args:
-        path: the file.
-        digest: what :func:`digest_of` must give.
+        path: path of the file.
+        digest: expected result of :func:`digest_of`; ``None`` skips the check.
 
     Raises:
-        ConfigError: the file is missing, broken, or not the one that the digest names.
+        ConfigError: the file is missing or damaged, or has another digest.
     """
     with reading(f"the weights {str(path)!r} cannot be read", "a safetensors file of an agent"):
         data = read_file(path, _MOST_BYTES)

@@ -1,4 +1,4 @@
-"""Pure pursuit: the arc through the kart and a point of the road ahead."""
+"""Pure pursuit: drives on the arc through the kart and a point of the road ahead."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from stkzoo.wrappers.racing import surroundings_of
 
 FloatArray = npt.NDArray[np.float64]
 
-#: The curve ahead is looked at so far apart [m].
+#: Spacing of the points at which the curve ahead is measured [m].
 _APART = 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class PursuitParameters:
-    """The numbers that the driver goes by.
+    """Parameters of the driver.
 
     Attributes:
-        aim_distance: how far ahead it aims at rest [m].
-        aim_time: how much farther for each m/s [s].
-        top_speed: how fast it goes on a straight [m/s].
-        least_speed: how fast it goes in the sharpest curve [m/s].
-        side_accl: how hard it takes a curve [m/s^2].
-        wheel_base: the kart's [m].
-        gain: steering beyond the arc's own angle.
-        stuck_steps: steps without moving after which it calls for rescue.
+        aim_distance: distance of the target point at rest [m].
+        aim_time: additional distance per speed [s].
+        top_speed: speed on a straight [m/s].
+        least_speed: speed in the sharpest curve [m/s].
+        side_accl: lateral acceleration in a curve [m/s^2].
+        wheel_base: wheel base of the kart [m].
+        gain: factor on the steering angle of the arc.
+        stuck_steps: steps without motion after which it calls the rescue.
     """
 
     aim_distance: float = 5.0
@@ -45,10 +45,10 @@ class PursuitParameters:
 
 @dataclass(slots=True)
 class PursuitState:
-    """What the driver remembers in one race.
+    """State of the driver in one race.
 
     Attributes:
-        still_steps: how long the kart has stood still.
+        still_steps: steps for which the kart has stood still.
     """
 
     still_steps: int = 0
@@ -56,16 +56,16 @@ class PursuitState:
 
 @dataclass(frozen=True, slots=True)
 class PursuitDriver:
-    """Drives a kart that sees the ``full`` view by speed and steering angle.
+    """Drives a kart from observations in the ``full`` view, with speed and steering angle.
 
     Args:
-        parameters: the numbers that it goes by.
+        parameters: parameters of the driver.
     """
 
     parameters: PursuitParameters = field(default_factory=PursuitParameters)
 
     def __call__(self, state: PursuitState, observation: Mapping[str, Any]) -> dict[str, Any]:
-        """An action of the ``full`` observation with ``control`` and ``rescue``."""
+        """Returns an action with ``control`` and ``rescue``; observations are in ``full``."""
         speed = float(observation["velocity"][2])
         is_still = abs(speed) < 0.5 and observation["phase"] >= 2
         state.still_steps = state.still_steps + 1 if is_still else 0
@@ -78,7 +78,7 @@ class PursuitDriver:
         return {"control": control, "rescue": int(rescue)}
 
     def aim(self, observation: Mapping[str, Any]) -> tuple[float, float]:
-        """The steering angle [rad], positive to the right, and the speed [m/s] to drive with."""
+        """Returns the steering angle [rad], positive to the right, and the target speed [m/s]."""
         rules = self.parameters
         speed = max(float(observation["velocity"][2]), 0.0)
         aim = rules.aim_distance + rules.aim_time * speed
@@ -94,7 +94,7 @@ class PursuitDriver:
         return rules.gain * math.atan(rules.wheel_base * arc), self._speed(points[1:])
 
     def _speed(self, points: FloatArray) -> float:
-        """The lowest speed that the curve through some points, a few metres apart, allows."""
+        """Returns the lowest speed that the curve through some points allows [m/s]."""
         rules = self.parameters
         steps = np.diff(points, axis=0)
         turns = np.abs(np.diff(np.unwrap(np.arctan2(steps[:, 0], steps[:, 2]))))

@@ -1,3 +1,3 @@
-"""Programs that make drivers better: tuning and learning. None of them is a driver itself."""
+"""Programs that train and tune drivers."""
 
 __all__: list[str] = []

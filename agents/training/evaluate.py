@@ -1,16 +1,17 @@
-"""Evaluates policies in the same races, on training tracks; quicker than the benchmark.
+"""Compares policies in the same races on training tracks; faster than the benchmark.
 
     python -m stkzoo.agents.training.evaluate prior runs/first/policy-*.safetensors
     python -m stkzoo.agents.training.evaluate prior runs/first runs/second/agent --track train
 
-Each policy drives one race per track, direction and number, by its most likely choices. A policy is
+Each policy drives one race per track, direction and starting point, and always takes its most
+likely choice. A policy is one of:
 
-    runs/first/policy-000500000.safetensors   a policy file of a run of any script
+    runs/first/policy-000500000.safetensors   a policy file from any training script
     runs/first                                the newest policy of a run
     agents/swift                              the folder of an exported agent
-    prior, prior:tuned/best.json              the plans with nothing learned, by these parameters
+    prior, prior:tuned/best.json              the plans without learning, with these parameters
 
-The first one is what the others are compared with.
+The other policies are compared with the first one.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ from .common.command import limit_threads, run_command
 from .common.fleet import Finish
 from .common.matches import Match, MatchDriver, match_driver, play_matches
 
-#: Races of learning have starting points from 0 on; these are others.
+#: First starting point for evaluation; training numbers its starting points from 0.
 _FIRST_NUMBER = 1000
-#: Starting points that all policies drive before the next ones are started.
+#: Number of starting points that all policies drive in parallel.
 _SIDE_BY_SIDE = 28
 
 
@@ -47,15 +48,18 @@ def evaluate(
     bots: int = 4,
     first_number: int = _FIRST_NUMBER,
 ) -> list[list[list[Finish]]]:
-    """Drives the races; for each driver, race by race, how its karts finished.
+    """Drives the races.
 
     Args:
-        drivers: of the policies.
-        tracks: driven in both directions.
+        drivers: drivers of the policies.
+        tracks: tracks, driven in both directions.
         numbers: races per track and direction.
-        karts: karts of the policy in a race.
-        bots: karts of the game's AI at its hardest.
+        karts: karts of the policy in each race.
+        bots: karts of the game's AI at its highest difficulty in each race.
         first_number: number of the first starting point.
+
+    Returns:
+        For each driver and race, the finishes of its karts.
     """
     starts = range(first_number, first_number + numbers)
     places = list(itertools.product(tracks, (False, True), starts))
@@ -71,7 +75,7 @@ def evaluate(
 
 
 def newest_policy(source: str) -> str:
-    """The newest policy file of a run's folder; anything else is returned as it is."""
+    """Returns the newest policy file of a run's folder; returns other sources unchanged."""
     return str(max(Path(source).glob("policy-*.safetensors"), default=source))
 
 
@@ -92,7 +96,7 @@ def _report(sources: Sequence[str], results: Sequence[Sequence[Sequence[Finish]]
 
 
 def _ratios(results: Sequence[Sequence[Finish]]) -> npt.NDArray[np.float64]:
-    """The mean time ratio of the karts of each race."""
+    """Returns the mean time ratio of each race's karts."""
     return np.array([np.mean([finish.counted_ratio for finish in ends]) for ends in results])
 
 
@@ -102,7 +106,7 @@ class EvaluationOptions:
 
     Attributes:
         policies: policy files, folders, or prior; see above.
-        form: karts: P the policy's, A the game's AI's.
+        form: karts per race: P for the policy's, A for the game's AI's.
         numbers: races per track and direction.
         tracks: tracks, or train.
     """

@@ -1,17 +1,16 @@
-r"""Makes an agent of learned weights: a folder to race, to ship and to send around.
+r"""Exports learned weights as an agent: a folder that you can race and share.
 
     python -m stkzoo.agents.training.export runs/first/policy-002000000.safetensors \
         --name swift --output agents/pretrained/swift
 
-The run is one of ``ppo``, ``sb3``, ``rllib``, ``imitation`` or ``league``. With ``--ensemble-weight
-1`` one or several networks that answer at once form an ensemble with the plans: a plan is chosen by
-its worth and, with this weight, by how likely the networks are to do the same.
+The weights come from a run of ``ppo``, ``sb3``, ``rllib``, ``imitation`` or ``league``. With
+``--ensemble-weight 1``, one or more networks without plans form an ensemble with the plans: the
+agent chooses a plan by its worth and, with this weight, by its probability under the networks.
 
-The folder has the weights, ``card.json`` with their digest, how they were learned (from the runs'
-``arguments.json`` beside them, if it is there) and, if they choose among plans, the parameters of
-these; ``CARD.md`` for people, whose gaps you fill in by hand; and the module of an agent. ``stkzoo
-race agents/pretrained/swift`` races it from any place, and ``pretrained:swift`` if it is among
-stkzoo's own.
+The folder contains the weights; ``card.json`` with their digest, the training arguments (from
+``arguments.json`` beside the weights, if it exists) and, for policies over plans, the parameters of
+the plans; a ``CARD.md`` template for you to complete; and the agent's module. Race it with ``stkzoo
+race agents/pretrained/swift``, or with ``pretrained:swift`` if it is one of stkzoo's own agents.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ from stkzoo.errors import ConfigError
 from .common.command import run_command
 from .common.run_folder import ARGUMENTS, read_run_file, run_parameters, write_json
 
-#: Part of the names of a value network's arrays.
+#: Arrays with this in their name belong to the value network.
 _VALUES = "value"
 
 _MODULE = '''"""A learned driver; see ``CARD.md``."""
@@ -77,13 +76,13 @@ _CARD = """\
 
 A learned driver of stkzoo. `stkzoo race pretrained:{name} ai ai ai ai --difficulty 3`
 
-- **Network:** {parameters:,} numbers (`{weights}`, {size:,} bytes, SHA-256 `{sha256}`).
+- **Network:** {parameters:,} parameters (`{weights}`, {size:,} bytes, SHA-256 `{sha256}`).
 {runs}
 - **Command:** TO BE WRITTEN
 - **Results:** TO BE WRITTEN
 - **Limits:** TO BE WRITTEN
 """
-_RUN = "- **Learned from:** {kart_steps} kart-steps of self-play; seed {seed}; tracks {tracks}."
+_RUN = "- **Data:** {kart_steps} kart-steps of self-play; seed {seed}; tracks {tracks}."
 
 Arrays = dict[str, npt.NDArray[np.float32]]
 
@@ -94,20 +93,21 @@ def export_policy(
     folder: str | Path,
     ensemble_weight: float | None = None,
 ) -> Path:
-    """Makes the folder of an agent; an existing one must be an agent's, and is replaced.
+    """Writes the folder of an agent; replaces an existing agent, but no other folder.
 
     Args:
-        weights: a policy of a run; with ``ensemble_weight`` one or more networks of an ensemble.
-        name: name of the agent, a Python name.
-        folder: the agent's.
-        ensemble_weight: the weight of the networks beside the worth of plans.
+        weights: a policy of a run; with ``ensemble_weight``, one or more networks for the ensemble.
+        name: name of the agent, a Python identifier.
+        folder: folder of the agent.
+        ensemble_weight: weight of the networks relative to the worth of plans; ``None`` for no
+            ensemble.
 
     Returns:
         The folder.
 
     Raises:
-        ConfigError: the weights are no policy's, the name is invalid, or the folder is not that of
-            an agent.
+        ConfigError: the weights are not a policy, the name is invalid, or the folder exists and is
+            not an agent.
     """
     if not name.isidentifier():
         raise ConfigError(f"the name {name!r} is invalid; expected letters, digits and _")
@@ -140,7 +140,7 @@ def export_policy(
 def _agent_of(
     sources: Sequence[Path], ensemble_weight: float | None
 ) -> tuple[Arrays, str, dict[str, Any]]:
-    """An agent's arrays, its view, and the parameters of its plans."""
+    """Returns an agent's arrays, its view, and the parameters of its plans."""
     if ensemble_weight is not None:
         check_ensemble_weight(ensemble_weight)
         joined = join_networks([_network(source) for source in sources])
@@ -159,18 +159,18 @@ def _agent_of(
 
 
 def _network(source: Path) -> Arrays:
-    """What a network needs to drive."""
+    """Returns the arrays that a network needs for driving."""
     arrays = load_weights(source)
     MlpDriver(arrays, repr(str(source)))
     return {name: array for name, array in arrays.items() if _VALUES not in name}
 
 
 def _run_of(source: Path) -> dict[str, Any]:
-    """How weights were learned."""
+    """Returns the training run's arguments."""
     arguments = source.with_name(ARGUMENTS)
     digits = source.stem.rpartition("-")[2]
     history: Any = read_run_file(Any, arguments) if arguments.exists() else []
-    if isinstance(history, dict):  # a run whose arguments never change
+    if isinstance(history, dict):  # a run with fixed arguments
         history = [{"from": 0, "arguments": history}]
     with reading(f"{str(arguments)!r} cannot be read", "the file that the run wrote"):
         typed(tuple[_Learned, ...], history)
@@ -210,7 +210,7 @@ class ExportOptions:
         weights: policy-STEPS.safetensors of a run.
         name: name of the agent.
         output: folder of the agent.
-        ensemble_weight: let networks choose among plans with this weight; 1 is usual.
+        ensemble_weight: make an ensemble of networks and plans with this weight; 1 is usual.
     """
 
     weights: tuple[Path, ...] = positional()

@@ -2,8 +2,8 @@
 
     python -m stkzoo.agents.training.plot runs/first runs/second --output curves.png
 
-There is one panel per group of figures that the runs have: time ratios, places, rewards, wins, and
-the ratings of evaluations beside the training.
+The plot has one panel per group of figures in the logs: time ratios, places, rewards, wins, and
+ratings from evaluations during training.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from stkzoo.evaluation import GREY, INK, new_figure, save_figure, style_axes
 from .common.command import run_command
 from .common.run_folder import LOG, read_run_file, require_log
 
-#: A rating: its value, and both ends of its interval.
+#: A rating and both ends of its interval.
 Interval = Sequence[float]
 
 #: A figure of a log; ``None`` where it was not measured.
 _Figure = float | None
 
-#: Panels: title, and the log's figures with their labels.
+#: Panels: title, and labels by name of the figure in the log.
 _PANELS: tuple[tuple[str, dict[str, str]], ...] = (
     (
         "Time over the AI's median time",
@@ -113,8 +113,8 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
     """Plots the curves of runs.
 
     Args:
-        folders: of the runs.
-        output: the plot's file.
+        folders: folders of the runs.
+        output: file of the plot.
 
     Raises:
         ConfigError: a run has no log, or matplotlib is missing.
@@ -155,7 +155,7 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
 
 
 def _x(line: Mapping[str, Any]) -> float:
-    """Where a line of a log is drawn."""
+    """Returns the x coordinate of a log line."""
     return float(line["kart_steps"] / 1e6 if "kart_steps" in line else line["round"])
 
 
@@ -187,14 +187,14 @@ def _check_line(line: Mapping[str, Any], place: str) -> None:
 
 
 def _smooth(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """A running mean of up to nine values; shorter at the ends, and none of few values."""
+    """Returns a running mean over up to nine values, with shorter windows at the ends."""
     window = np.ones(min(1 + len(values) // 10, 9))
     sums = np.convolve(values, window, mode="same")
     return sums / np.convolve(np.ones_like(values), window, mode="same")
 
 
 def _draw_evaluations(rating_axis: Any, time_axis: Any, run: str, ratings: RunRatings) -> None:
-    """Ratings and time ratios of a run's kept policies."""
+    """Draws the ratings and time ratios of a run's saved policies."""
     policies = ratings.policies
     steps = [policy.kart_steps / 1e6 for policy in policies]
     names = ("rating", "rating_low", "rating_high")
@@ -218,13 +218,13 @@ def _draw_evaluations(rating_axis: Any, time_axis: Any, run: str, ratings: RunRa
 def draw_ratings(
     axis: Any, label: str, steps: Sequence[float], ratings: Sequence[Interval]
 ) -> None:
-    """Draws the ratings of kept policies with their intervals.
+    """Draws the ratings of saved policies with their intervals.
 
     Args:
-        axis: of matplotlib.
-        label: whose they are.
-        steps: millions of kart-steps of each.
-        ratings: the rating of each.
+        axis: axis of matplotlib.
+        label: label of the curve.
+        steps: kart-steps of each policy [millions].
+        ratings: rating of each policy.
     """
     values, lows, highs = np.array(ratings, float).reshape(-1, 3).T
     (curve,) = axis.plot(steps, values, marker="o", markersize=3, label=label, gid=f"curve {label}")
@@ -236,7 +236,7 @@ def _draw_band(axis: Any, curve: Any, steps: Any, lows: Any, highs: Any) -> None
 
 
 def draw_levels(axis: Any, values: Mapping[str, float]) -> None:
-    """Draws lines across with their names; names at nearly the same height are joined."""
+    """Draws labelled horizontal lines; lines at nearly the same height share a label."""
     room = 0.04 * float(np.ptp([*axis.get_ylim(), *values.values()]))
     groups: list[list[str]] = []
     for name in sorted(values, key=lambda name: (values[name], name)):
@@ -257,12 +257,12 @@ def rating_figure(
     levels: Mapping[str, float],
     title: str | None = None,
 ) -> Any:
-    """A figure of ratings over kart-steps.
+    """Returns a figure of ratings over kart-steps.
 
     Args:
-        curves: by name: millions of kart-steps and rating of each policy.
-        levels: ratings of drivers that do not learn.
-        title: of the figure.
+        curves: kart-steps [millions] and rating of each policy, by name of the curve.
+        levels: ratings of fixed drivers, by name.
+        title: title of the figure.
     """
     figure = new_figure(8, 4.5)
     axis = figure.subplots()
@@ -283,7 +283,7 @@ class PlotOptions:
 
     Attributes:
         runs: folders of runs.
-        output: the plot's file.
+        output: file of the plot.
     """
 
     runs: tuple[Path, ...] = positional()

@@ -1,18 +1,19 @@
-"""Rates the kept policies of runs in races against one another: does self-play improve?
+"""Rates the saved policies of runs in races against each other.
 
     python -m stkzoo.agents.training.rate runs/first runs/second --output ratings
     python -m stkzoo.agents.training.rate runs/first --policy policy-000200000
 
-The first command plays races of four policies and one kart of the game's AI at its hardest, on
-training tracks; policies and places are drawn evenly. Each race is a line of ``matches.jsonl``: the
-same command with more ``--matches`` continues, and so does the same command after a kill. All
-orders of finish together give ratings with intervals (``ratings.json``), the plot of them over
-kart-steps (``ratings.png``), and how often, of two policies, the one with more kart-steps was
-ahead. ``start`` is the policy that the first run started from.
+The first command drives races of four policies and one kart of the game's AI at its highest
+difficulty, on training tracks, with policies and grid positions drawn uniformly. Each race is a
+line of ``matches.jsonl``. To continue, also after a kill, run the same command again, perhaps with
+more ``--matches``. From all finishing orders it computes ratings with intervals (``ratings.json``),
+a plot of them over kart-steps (``ratings.png``), and how often the policy with more kart-steps
+finished ahead of one with fewer. ``start`` is the initial policy of the first run.
 
-The second command rates one policy of a run: against ``start``, one of its past selves, random
-choices and one of the game's bots, easy and hard in turn. The results are in the run's folder:
-``evaluations``, and ``ratings.json`` of all of them. ``sb3.selfplay`` runs it beside the training.
+The second command rates one policy of a run against ``start``, one of its past selves, random
+choices, and a game bot that is easy and hard in turn. It writes its results to the run's folder:
+``evaluations``, and ``ratings.json`` over all of them. ``sb3.selfplay`` runs this command during
+training.
 """
 
 from __future__ import annotations
@@ -54,15 +55,15 @@ from .common.matches import (
 from .common.run_folder import read_json_lines, read_run_file, run_parameters, write_json
 from .plot import rating_figure
 
-#: The policy that runs start from, and one that chooses at random.
+#: Names of the initial policy of runs, and of a policy with random choices.
 START, RANDOM = "start", "random"
-#: A run's ratings, and the folder of the races that they come from.
+#: File of a run's ratings, and folder of the underlying races.
 RATINGS, EVALUATIONS = "ratings.json", "evaluations"
 _MATCHES, _PLOT = "matches.jsonl", "ratings.png"
 _KEPT = "policy-*.safetensors"
-#: Races between two writes.
+#: Number of races between two writes.
 _AT_ONCE = 16
-#: Bootstrap samples of an interval.
+#: Number of bootstrap samples of an interval.
 _DRAWS = 2000
 
 
@@ -70,14 +71,14 @@ _DRAWS = 2000
 
 
 def kept_policies(runs: Sequence[Path], every: int) -> dict[str, Path]:
-    """The policies that runs have kept, named by run and millions of kart-steps.
+    """Returns the saved policies of runs, named by run and millions of kart-steps.
 
     Args:
-        runs: their folders.
-        every: least kart-steps between two policies.
+        runs: folders of the runs.
+        every: minimum number of kart-steps between two policies.
 
     Raises:
-        ConfigError: a folder has none, or two runs have the same name.
+        ConfigError: a folder has no policy, or two runs have the same name.
     """
     found: dict[str, Path] = {}
     for run in runs:
@@ -97,14 +98,14 @@ def kept_policies(runs: Sequence[Path], every: int) -> dict[str, Path]:
 
 
 def run_drivers(runs: Sequence[Path], files: Mapping[str, Path]) -> dict[str, MatchDriver]:
-    """The drivers of kept policies by name, ``start`` among them.
+    """Returns the drivers of saved policies by name, including ``start``.
 
     Args:
-        runs: the runs' folders.
-        files: the policies' files by name.
+        runs: folders of the runs.
+        files: policy files by name.
 
     Raises:
-        ConfigError: a file is no policy.
+        ConfigError: a file is not a policy.
     """
     drivers = {name: match_driver(file) for name, file in files.items()}
     first = min(runs[0].glob(_KEPT))
@@ -115,7 +116,7 @@ def run_drivers(runs: Sequence[Path], files: Mapping[str, Path]) -> dict[str, Ma
 
 
 def _steps_of(name: str) -> int:
-    """The kart-steps in the name of a kept policy."""
+    """Returns the kart-steps in the name of a saved policy."""
     return int(re.findall(r"\d+", name)[-1])
 
 
@@ -123,9 +124,9 @@ def _steps_of(name: str) -> int:
 
 
 def draw_match(names: Sequence[str], number: int) -> Match:
-    """The match of a number; the same arguments give the same match.
+    """Draws the match with a number; the same arguments give the same match.
 
-    All names come equally often: they are shuffled, dealt, and shuffled again.
+    Names are shuffled, dealt and shuffled again, so that all occur equally often.
     """
     seats = [number * SEATS + seat for seat in range(SEATS)]
     rounds = {seat // len(names) for seat in seats}
@@ -139,13 +140,13 @@ def draw_match(names: Sequence[str], number: int) -> Match:
 
 @dataclass(frozen=True, slots=True)
 class LearningProgress:
-    """How often a policy that has learned for longer is ahead.
+    """How often a policy with more training finishes ahead.
 
     Attributes:
         duels: pairs of policies with different kart-steps, in all races.
-        ahead: the share of these in which the one with more kart-steps finished first.
-        low: lower end of its interval: a bootstrap over races.
-        high: upper end.
+        ahead: fraction of these pairs in which the policy with more kart-steps finished first.
+        low: lower end of its interval, from a bootstrap over races.
+        high: upper end of its interval.
     """
 
     duels: int
@@ -155,7 +156,7 @@ class LearningProgress:
 
 
 def learning_progress(records: Sequence[MatchRecord]) -> LearningProgress:
-    """Compares policies with more and fewer kart-steps in matches of kept policies."""
+    """Compares policies with more and fewer kart-steps in matches of saved policies."""
     counts = np.array([_duels(record.order) for record in records])
     rows = np.random.default_rng(0).integers(len(counts), size=(_DRAWS, len(counts)))
     ahead, duels = counts[rows].sum(axis=1).T
@@ -165,14 +166,14 @@ def learning_progress(records: Sequence[MatchRecord]) -> LearningProgress:
 
 
 def _duels(order: Sequence[str]) -> tuple[int, int]:
-    """In how many pairs of a race the policy with more kart-steps is ahead, and in how many not."""
+    """Counts the pairs of a race in which the policy with more kart-steps is ahead, and is not."""
     steps = [_millions(name) for name in order if name != AI]
     unlike = [(a, b) for a, b in itertools.combinations(steps, 2) if a != b]
     return sum(a > b for a, b in unlike), len(unlike)
 
 
 def _millions(name: str) -> float:
-    """A policy's kart-steps [millions], from its name."""
+    """Returns a policy's kart-steps [millions] from its name."""
     return 0.0 if name == START else float(name.rpartition(" ")[2])
 
 
@@ -228,11 +229,11 @@ class PolicyEvaluation:
     """The races of one policy of a run.
 
     Attributes:
-        name: the policy's; ``start`` for the run's first.
-        kart_steps: that it has learned from.
-        orders: the order of finish of each race.
-        ratios: by name, for each race: time over the AI's median time in such a race; estimated
-            from the pace for a kart that did not finish.
+        name: name of the policy; ``start`` for the initial one.
+        kart_steps: kart-steps of its training.
+        orders: finishing order of each race.
+        ratios: time ratios by name, one per race: finish time over the AI's median time; estimated
+            from the pace if the kart did not finish.
     """
 
     name: str
@@ -245,13 +246,13 @@ def evaluate_policy(run: Path, name: str, tracks: Sequence[str], races: int) -> 
     """Drives a policy's races and writes the results.
 
     Args:
-        run: the run's folder.
-        name: the name of a kept policy.
-        tracks: driven in turn.
-        races: how many.
+        run: folder of the run.
+        name: name of a saved policy.
+        tracks: tracks, driven in turn.
+        races: number of races.
 
     Raises:
-        ConfigError: there is no such policy.
+        ConfigError: the policy does not exist.
     """
     older = sorted(path.stem for path in run.glob(_KEPT) if path.stem < name)
     own = name if older else START
@@ -279,7 +280,7 @@ def evaluate_policy(run: Path, name: str, tracks: Sequence[str], races: int) -> 
 
 
 def read_evaluations(run: Path) -> list[PolicyEvaluation]:
-    """All evaluations of a run, by kart-steps."""
+    """Returns all evaluations of a run, ordered by kart-steps."""
     files = sorted((run / EVALUATIONS).glob("policy-*.json"))
     found = [read_run_file(PolicyEvaluation, file) for file in files]
     for file, each in zip(files, found, strict=True):
@@ -289,10 +290,10 @@ def read_evaluations(run: Path) -> list[PolicyEvaluation]:
 
 
 def write_ratings(run: Path) -> list[str]:
-    """Writes ``ratings.json`` of all evaluations of a run.
+    """Writes ``ratings.json`` from all evaluations of a run.
 
     Returns:
-        A table as text, line by line.
+        The lines of a table of ratings.
     """
     evaluations = read_evaluations(run)
     ratings = rate_orders([order for each in evaluations for order in each.orders])
@@ -335,13 +336,14 @@ class RatingOptions:
     Attributes:
         runs: folders of runs of any script.
         output: folder for races and ratings.
-        policy: rate only this policy of one run, in the run's folder.
+        policy: rate only this policy of one run, and write to the run's folder.
         matches: total races (default: 200; 6 with --policy).
-        every: kart-steps between two policies; the last one is always rated.
-        tracks: with --policy: tracks.
+        every: minimum kart-steps between two policies; the last one is always rated.
+        tracks: tracks; only with --policy.
 
     Raises:
-        ConfigError: there are both an output and a policy or neither, or several runs of a policy.
+        ConfigError: output and policy are both given or both missing, or a policy is given with
+            several runs.
     """
 
     runs: tuple[Path, ...] = positional()
@@ -370,7 +372,7 @@ def _run(options: RatingOptions) -> None:
         _rate_runs(options.runs, options.output, options.matches or 200, options.every)
         return
     if hasattr(os, "nice"):
-        os.nice(5)  # the training beside it goes first
+        os.nice(5)  # yields to the training process
     run = options.runs[0]
     evaluate_policy(run, options.policy, track_names(options.tracks), options.matches or 6)
     print("\n".join(write_ratings(run)))

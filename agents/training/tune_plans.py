@@ -1,17 +1,17 @@
-"""Tunes the parameters of the plans of the heuristic and the learned drivers.
+"""Tunes the parameters of the plans that the heuristic and the learned drivers use.
 
     python -m stkzoo.agents.training.tune_plans --output tuned --generations 60
 
 CMA-ES (Hansen, "The CMA Evolution Strategy: A Tutorial", 2016; library ``cma``) proposes sets of
-:class:`~stkzoo.agents.planning.DriverParameters` around its present mean, and gets how well each
-drove: the mean logarithm of its time over the game AI's median time there. In a generation all sets
-drive the same races on all training tracks, in both directions, by the plans alone and many races
-side by side. They drive alone by default: then a race shows only how well it was driven, while in
-company collisions decide more than the parameters do. The test tracks of :mod:`stkzoo.tracks` are
-never driven.
+:class:`~stkzoo.agents.planning.DriverParameters` around its current mean. The loss of a set is the
+mean logarithm of its race time over the game AI's median time. In a generation, all sets drive the
+same races on all training tracks, in both directions, with the plans only, and in parallel. By
+default each kart drives alone, because collisions would have more influence than the parameters.
+The test tracks of :mod:`stkzoo.tracks` are never used.
 
-The folder has ``log.jsonl``, one line per generation with all proposals and results, from which the
-same command continues exactly, also after a kill; and ``best.json``, the mean's parameters.
+The folder contains ``log.jsonl``, one line per generation with all proposals and results, and
+``best.json``, the parameters of the mean. To continue exactly from the log, also after a kill, run
+the same command again.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from .common.command import limit_threads, run_command, training_library
 from .common.matches import Match, plan_match_driver, play_matches
 from .common.run_folder import LOG, read_json_lines, write_json
 
-#: What is tuned, and between which values.
+#: The tuned parameters and their bounds.
 BOUNDS: dict[str, tuple[float, float]] = {
     "wheel_base": (0.8, 1.2),
     "aim_distance": (1.0, 10.0),
@@ -66,13 +66,13 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "nitro_wait": (0.8, 4.0),
 }
 
-#: Races of learning and of judging begin with other numbers.
+#: First starting point; training and evaluation use other numbers.
 _FIRST_NUMBER = 5000
 _BEST = "best.json"
 
 
 def from_unit(point: Sequence[float]) -> DriverParameters:
-    """The parameters that a point of the unit cube stands for; it is moved into the cube."""
+    """Returns the parameters for a point of the unit cube; clips the point to the cube."""
     values: dict[str, Any] = {
         name: low + min(max(float(share), 0.0), 1.0) * (high - low)
         for (name, (low, high)), share in zip(BOUNDS.items(), point, strict=True)
@@ -81,7 +81,7 @@ def from_unit(point: Sequence[float]) -> DriverParameters:
 
 
 def to_unit(parameters: DriverParameters) -> list[float]:
-    """The point of the unit cube that stands for parameters."""
+    """Returns the point of the unit cube for parameters."""
     return [
         (getattr(parameters, name) - low) / (high - low) for name, (low, high) in BOUNDS.items()
     ]
@@ -90,12 +90,12 @@ def to_unit(parameters: DriverParameters) -> list[float]:
 def drive_all(
     sets: Sequence[DriverParameters], bots: int, places: Sequence[tuple[str, bool, int]]
 ) -> list[float]:
-    """How well each set drives: the mean logarithm of its times over the AI's median times.
+    """Returns the loss of each set: the mean logarithm of its times over the AI's median times.
 
     Args:
-        sets: the parameters.
+        sets: the parameter sets.
         bots: karts of the game's AI in each race.
-        places: track, direction and number of the starting point of each race.
+        places: track, direction (whether reverse) and starting point of each race.
     """
     plans = RacingPolicy.of_plans_alone()
     drivers = {str(number): plan_match_driver(plans, each) for number, each in enumerate(sets)}
@@ -110,7 +110,7 @@ class TuningOptions:
     """Options of the command.
 
     Attributes:
-        output: the search's folder.
+        output: folder of the search.
     """
 
     output: Path = option(Path("tuned"), metavar="FOLDER")
@@ -124,7 +124,7 @@ class TuningArguments(RunArguments):
         generations: total generations.
         population: sets per generation.
         bots: karts of the game's AI.
-        sigma: first step, as a share of the ranges.
+        sigma: initial step size, as a fraction of the ranges.
         tracks: training tracks.
     """
 
@@ -156,7 +156,7 @@ class Generation:
 
 
 def tune(options: TuningOptions, arguments: TuningArguments) -> None:
-    """Searches, or continues a search.
+    """Starts or continues a search.
 
     Raises:
         ConfigError: a library is missing.
@@ -180,7 +180,7 @@ def tune(options: TuningOptions, arguments: TuningArguments) -> None:
         number = _FIRST_NUMBER + 1000 * arguments.seed + generation
         places = list(itertools.product(arguments.tracks, (False, True), [number]))
         asked = [list(map(float, point)) for point in strategy.ask()]
-        points = [*asked, present]  # the last one is for comparison
+        points = [*asked, present]  # the last one is the reference
         *told, default = drive_all([from_unit(point) for point in points], arguments.bots, places)
         strategy.tell(asked, told)
         line = {"generation": generation, "asked": asked, "told": told}

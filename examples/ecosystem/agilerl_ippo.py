@@ -14,8 +14,8 @@ from stkzoo import race_v0
 
 
 def main(steps: int = 256) -> None:
-    """Trains one agent a kart, all of one group, in two races at once."""
-    torch.set_num_threads(1)  # small networks; the cores are for the races
+    """Trains one agent per kart, all in one group, in two parallel races."""
+    torch.set_num_threads(1)  # small networks; leave the cores to the races
     make_env = functools.partial(
         race_v0.parallel_env, num_kart=2, track="lighthouse", view="box_continuous", max_cycles=60
     )

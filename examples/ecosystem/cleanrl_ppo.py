@@ -1,4 +1,4 @@
-"""PPO with shared parameters in one file, in CleanRL's manner: torch and nothing else.
+"""PPO with shared parameters in one file, in the style of CleanRL, with PyTorch only.
 
 python examples/ecosystem/cleanrl_ppo.py --total-steps 1000000
 """
@@ -40,7 +40,7 @@ def layer(inputs: int, outputs: int, std: float = 2**0.5) -> nn.Linear:
 
 
 class Agent(nn.Module):
-    """An actor and a critic; masked actions are never drawn."""
+    """An actor and a critic; masked actions are never sampled."""
 
     def __init__(self, size: int, actions: int) -> None:
         super().__init__()
@@ -52,7 +52,7 @@ class Agent(nn.Module):
         )
 
     def forward(self, seen, mask, action=None):
-        seen = torch.sign(seen) * torch.log1p(seen.abs())  # metres and ticks of any size
+        seen = torch.sign(seen) * torch.log1p(seen.abs())  # compresses large distances and times
         logits = self.actor(seen).masked_fill(mask == 0, -1e8)
         choice = Categorical(logits=logits)
         action = choice.sample() if action is None else action
@@ -62,7 +62,7 @@ class Agent(nn.Module):
 def main() -> None:
     args = arguments()
     torch.manual_seed(args.seed)
-    torch.set_num_threads(1)  # small networks; the cores are for the races
+    torch.set_num_threads(1)  # small networks; leave the cores to the races
     envs = stkzoo.RaceVectorEnv(
         args.races, num_kart=args.karts, track=args.track, view="masked_discrete"
     )
@@ -93,7 +93,7 @@ def main() -> None:
             observations, reward, terminated, truncated, infos = envs.step(action.numpy())
             rewards[t] = torch.as_tensor(reward / 10)
             dones[t] = torch.as_tensor(terminated | truncated)
-            active[t] = torch.as_tensor(infos["active"])  # others have finished: no transitions
+            active[t] = torch.as_tensor(infos["active"])  # finished agents have no transitions
             seen, mask = tensors(observations)
             steps += int(infos["active"].sum())
             if "final_info" in infos:

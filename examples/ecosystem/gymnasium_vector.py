@@ -1,4 +1,4 @@
-"""Gymnasium's vector API: many races as one batch of agents, and many ids as one.
+"""Gymnasium's vector API: many races as one batch of agents, and `gym.make_vec`.
 
 python examples/ecosystem/gymnasium_vector.py
 """
@@ -13,7 +13,7 @@ RACE = {"track": "lighthouse", "max_cycles": 60}
 
 
 def many_agents() -> None:
-    """Every agent of two races is a slot; `infos["active"]` says whose step was real."""
+    """Every agent of two races is a slot; `infos["active"]` marks real steps."""
     envs = stkzoo.RaceVectorEnv(2, num_kart=3, view="box_discrete", **RACE)
     observations, infos = envs.reset(seed=1)
     returns = np.zeros(envs.num_envs)
@@ -26,7 +26,7 @@ def many_agents() -> None:
 
 
 def one_agent_a_race() -> None:
-    """The ids of single karts, through `gym.make_vec`."""
+    """Single-kart ids through `gym.make_vec`."""
     envs = gym.make_vec(
         "supertuxkart/box_discrete-v0",
         num_envs=2,

@@ -1,4 +1,4 @@
-"""Minari: races of the game's own AI as an offline dataset, with what it saw and did.
+"""Minari: races of the game's AI as an offline dataset of its observations and actions.
 
 python examples/ecosystem/minari_dataset.py
 """
@@ -19,7 +19,7 @@ from stkzoo.wrappers import JoinedObservations
 
 
 class Expert(gym.Wrapper):
-    """Keeps the AI's choice, and shows what other agents see."""
+    """Keeps the AI's choice and removes it from the observation."""
 
     def __init__(self, env: gym.Env) -> None:
         super().__init__(env)
@@ -37,7 +37,7 @@ class Expert(gym.Wrapper):
 
 
 def main() -> None:
-    """Writes a dataset of two races, reads it and looks at it."""
+    """Writes a dataset of two races, reads it and checks it."""
     env = gym.make(
         "supertuxkart/flattened_continuous_actions-v0",
         agent=AgentSpec(use_ai=True),
@@ -50,7 +50,7 @@ def main() -> None:
         recorder.reset(seed=seed)
         done = False
         while not done:
-            choice = recorder.env.choice  # the AI drives; this is what it does
+            choice = recorder.env.choice  # the action of the AI, which drives
             *_, terminated, truncated, _ = recorder.step(choice)
             done = terminated or truncated
     dataset = recorder.create_dataset(

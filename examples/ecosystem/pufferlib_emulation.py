@@ -1,4 +1,4 @@
-"""PufferLib: its emulation makes flat arrays of any view, and of all agents of many races.
+"""PufferLib: its emulation converts any view, and all agents of many races, to flat arrays.
 
 python examples/ecosystem/pufferlib_emulation.py
 """
@@ -13,7 +13,7 @@ from stkzoo import race_v0
 
 
 def make_env(view: str, buf=None, seed: int = 0) -> pufferlib.emulation.PettingZooPufferEnv:
-    """A race behind PufferLib's emulation."""
+    """Returns a race inside PufferLib's emulation."""
     make_race = functools.partial(
         race_v0.parallel_env, num_kart=3, track="lighthouse", view=view, max_cycles=50
     )
@@ -21,7 +21,7 @@ def make_env(view: str, buf=None, seed: int = 0) -> pufferlib.emulation.PettingZ
 
 
 def main(view: str) -> None:
-    """Drives two races at once by chance, through their ends."""
+    """Drives two parallel races at random, beyond their ends."""
     envs = pufferlib.vector.make(
         make_env, env_args=[view], num_envs=2, backend=pufferlib.vector.Serial
     )

@@ -12,7 +12,7 @@ from stkzoo import race_v0
 
 
 def make_env(config: dict) -> ParallelPettingZooEnv:
-    """A race as RLlib takes it."""
+    """Returns a race in RLlib's form."""
     return ParallelPettingZooEnv(
         race_v0.parallel_env(
             num_kart=3, track="lighthouse", view="box_discrete", max_cycles=64, **config
@@ -21,7 +21,7 @@ def make_env(config: dict) -> ParallelPettingZooEnv:
 
 
 def main(iterations: int = 2) -> None:
-    """Trains for some iterations."""
+    """Trains for a number of iterations."""
     register_env("stkzoo_race", make_env)
     config = (
         PPOConfig()

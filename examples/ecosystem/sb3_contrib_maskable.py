@@ -1,4 +1,4 @@
-"""sb3-contrib: MaskablePPO never presses nitro or fire in vain.
+"""sb3-contrib: MaskablePPO never presses nitro or fire without effect.
 
 python examples/ecosystem/sb3_contrib_maskable.py
 """
@@ -15,7 +15,7 @@ from stkzoo.sb3 import RaceVecEnv
 
 
 class Masks(VecEnvWrapper):
-    """Hands out the mask of the last observation in the way that MaskablePPO asks for it."""
+    """Provides the mask of the last observation in the form that MaskablePPO expects."""
 
     def __init__(self, venv: RaceVecEnv) -> None:
         super().__init__(venv, observation_space=venv.observation_space["observation"])
@@ -23,7 +23,7 @@ class Masks(VecEnvWrapper):
 
     def _seen(self, observations: Any) -> Any:
         self.masks = observations["action_mask"].astype(bool)
-        self.masks[~self.masks.any(axis=1)] = True  # agents that wait for their race's end
+        self.masks[~self.masks.any(axis=1)] = True  # idle agents
         return observations["observation"]
 
     def reset(self) -> Any:
@@ -46,8 +46,8 @@ class Masks(VecEnvWrapper):
 
 
 def main(steps: int = 768) -> None:
-    """Trains for a moment; checks that no masked action is chosen."""
-    torch.set_num_threads(1)  # small networks; the cores are for the races
+    """Trains briefly and checks that no masked action is chosen."""
+    torch.set_num_threads(1)  # small networks; leave the cores to the races
     envs = Masks(RaceVecEnv(2, num_kart=3, track="lighthouse", view="masked_discrete"))
     model = MaskablePPO("MlpPolicy", envs, n_steps=64, batch_size=128, n_epochs=2, device="cpu")
     model.learn(steps)

@@ -10,13 +10,13 @@ from stkzoo.sb3 import ActiveRolloutBuffer, RaceVecEnv
 
 
 def main(steps: int = 768) -> None:
-    """Trains for a moment and drives on with what was learnt."""
-    torch.set_num_threads(1)  # small networks; the cores are for the races
+    """Trains briefly and continues to drive with the trained policy."""
+    torch.set_num_threads(1)  # small networks; leave the cores to the races
     envs = RaceVecEnv(2, num_kart=3, track="train", view="box_continuous", max_cycles=300)
     model = PPO(
         "MlpPolicy",
         envs,
-        rollout_buffer_class=ActiveRolloutBuffer,  # leaves out agents that have finished
+        rollout_buffer_class=ActiveRolloutBuffer,  # excludes agents that have finished
         n_steps=64,
         batch_size=128,
         n_epochs=2,

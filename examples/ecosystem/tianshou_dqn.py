@@ -1,4 +1,4 @@
-"""Tianshou: a DQN and a random driver take turns through PettingZoo's AEC form.
+"""Tianshou: a DQN agent and a random agent take turns through PettingZoo's AEC API.
 
 python examples/ecosystem/tianshou_dqn.py
 """
@@ -17,15 +17,15 @@ from stkzoo import race_v0
 
 
 def make_env() -> PettingZooEnv:
-    """A race of two; Tianshou finds the mask beside the observation by itself."""
+    """Returns a race of two agents; Tianshou finds the mask beside the observation itself."""
     return PettingZooEnv(
         race_v0.env(num_kart=2, track="lighthouse", view="masked_discrete", max_cycles=40)
     )
 
 
 def main(steps: int = 160) -> None:
-    """Collects and updates."""
-    torch.set_num_threads(1)  # small networks; the cores are for the races
+    """Collects data and updates the policy."""
+    torch.set_num_threads(1)  # small networks; leave the cores to the races
     env = make_env()
     net = Net(
         state_shape=env.observation_space["observation"].shape,

@@ -1,4 +1,4 @@
-"""TorchRL: a short MAPPO, with a critic that sees the state of the whole race.
+"""TorchRL: a short MAPPO whose critic sees the state of the whole race.
 
 python examples/ecosystem/torchrl_mappo.py
 """
@@ -14,12 +14,12 @@ from torchrl.objectives import ClipPPOLoss, ValueEstimators
 from stkzoo import race_v0
 
 KARTS = 3
-#: All agents of a race are one group, because their names differ only in the number.
+#: All agents of a race form one group, because their names differ only in the number.
 GROUP = "kart"
 
 
 def make_env() -> PettingZooWrapper:
-    """A race in which nobody is done before the end, as a central critic wants it."""
+    """Returns a race in which no agent is done before the end, as a centralized critic needs it."""
     race = race_v0.parallel_env(
         num_kart=KARTS, track="lighthouse", view="box_discrete", max_cycles=64
     )
@@ -29,14 +29,14 @@ def make_env() -> PettingZooWrapper:
 
 
 class Squash(nn.Module):
-    """Metres, seconds and ticks as numbers of like size."""
+    """Compresses distances and times to similar magnitudes."""
 
     def forward(self, seen: torch.Tensor) -> torch.Tensor:
         return torch.sign(seen) * torch.log1p(seen.abs())
 
 
 class CentralCritic(nn.Module):
-    """One value an agent from the state of the race."""
+    """Estimates one value per agent from the state of the race."""
 
     def __init__(self, size: int) -> None:
         super().__init__()
@@ -47,9 +47,9 @@ class CentralCritic(nn.Module):
 
 
 def main(iterations: int = 3) -> None:
-    """Checks the specs, collects whole races and updates."""
+    """Checks the specs, collects whole races and updates the policy."""
     torch.manual_seed(1)
-    torch.set_num_threads(1)  # small networks; the cores are for the races
+    torch.set_num_threads(1)  # small networks; leave the cores to the races
     env = make_env()
     check_env_specs(env)
     size = env.observation_spec[GROUP, "observation"].shape[-1]

@@ -1,18 +1,17 @@
 """Conformance checks for PettingZoo environments, stricter than PettingZoo's own.
 
-Each check is a function of a factory (anything that returns a fresh ``ParallelEnv``) and
-raises :class:`CheckFailed` with a text that says which agent, step and key broke the rule.
+Each check takes a factory, a callable that returns a new ``ParallelEnv``. It raises
+:class:`CheckFailed` with a message that names the agent, step and key that broke the rule.
 
 >>> from stkzoo import race_v0
 >>> from stkzoo.checks import check_spaces_are_constant
 >>> check_spaces_are_constant(race_v0.parallel_env)
 
-Run them all with ``python -m stkzoo.checks stkzoo.race_v0:parallel_env``, or on your own
-environment or wrapper with ``python -m stkzoo.checks my_module:make_env``. A factory that
-names ``agents``, ``num_kart``, ``track`` or ``max_cycles`` in its signature, as
-:func:`stkzoo.race_v0.parallel_env` does, is given values that make short whole races in
-which agents finish at different times; keywords that ``functools.partial`` has bound are
-left alone.
+Run all checks with ``python -m stkzoo.checks stkzoo.race_v0:parallel_env``, or on your own
+environment or wrapper with ``python -m stkzoo.checks my_module:make_env``. If the factory's
+signature names ``agents``, ``num_kart``, ``track`` or ``max_cycles``, as that of
+:func:`stkzoo.race_v0.parallel_env` does, the checks pass values that make short whole races in
+which agents finish at different times. Arguments bound by ``functools.partial`` are kept.
 """
 
 from stkzoo.checks import conduct, determinism, values
@@ -35,7 +34,7 @@ from stkzoo.checks.play import (
 )
 from stkzoo.checks.values import *  # noqa: F403
 
-#: Every check by its name without ``check_``.
+#: All checks by name, without the prefix ``check_``.
 CHECKS: dict[str, Check] = {
     name.removeprefix("check_"): check
     for module in (values, conduct, determinism)

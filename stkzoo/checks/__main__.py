@@ -1,4 +1,4 @@
-"""``python -m stkzoo.checks module:callable``: all checks, a line each."""
+"""The command ``python -m stkzoo.checks module:callable``, which runs all checks."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command.
 
     Args:
-        arguments: the command line; the process's own by default.
+        arguments: the command line; ``None`` for that of the process.
 
     Returns:
-        The exit code: 0 if nothing failed, else 1; 2 for a bad command line.
+        The exit code: 0 if no check failed, 1 if one failed, 2 for an invalid command line.
     """
     options = _parser().parse_args(arguments)
     out = Console(soft_wrap=True, highlight=False, markup=False)
@@ -49,10 +49,10 @@ class ChecksArguments:
     """Options of ``python -m stkzoo.checks``.
 
     Attributes:
-        environment: module:callable that makes it, such as stkzoo.race_v0:parallel_env
+        environment: module:callable that makes the environment, such as stkzoo.race_v0:parallel_env
         view: views to check (default: all registered ones)
         track: tracks to check on (default: one short track)
-        json: print the outcomes as JSON
+        json: print the results as JSON
     """
 
     environment: str = positional(metavar="environment")
@@ -77,7 +77,7 @@ def _parser() -> CommandParser:
 def _variants(
     target: str, views: Sequence[str] | None, tracks: Sequence[str] | None
 ) -> dict[str, EnvFactory]:
-    """The factories to check, by what to call them; ``""`` where there is no choice."""
+    """Returns the factories to check by label; the label is ``""`` if there is only one."""
     make_env = load_factory(target)
     if views is None:
         views = list(VIEWS) if takes(make_env, "view") else []

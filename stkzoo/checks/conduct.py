@@ -1,4 +1,4 @@
-"""Checks of who acts and leaves, and of calls and actions that users get wrong."""
+"""Checks of agents' participation, and of wrong calls and actions."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ _FEW_STEPS = 20
 
 
 def check_keys_are_the_acting_agents(make_env: EnvFactory) -> None:
-    """All dicts have exactly the keys of the agents that acted, on their last step too.
+    """All result dicts have exactly the agents that acted as keys, also in their last step.
 
     Raises:
-        CheckFailed: an agent is missing or too many; the text names it, step and dict.
+        CheckFailed: an agent is missing or unexpected; the message names it, the step and the dict.
     """
     for step in _whole_race(make_env, 4):
         for name, part in step.parts.items():
@@ -51,10 +51,10 @@ def check_keys_are_the_acting_agents(make_env: EnvFactory) -> None:
 
 
 def check_agents_leave_when_done(make_env: EnvFactory) -> None:
-    """Agents start in the order of ``possible_agents``, leave on their end and stay away.
+    """Agents start in the order of ``possible_agents`` and leave ``agents`` for good when they end.
 
     Raises:
-        CheckFailed: an agent leaves at another time, or comes back.
+        CheckFailed: an agent leaves at another time, or returns.
     """
     with closing(whole_race(make_env)()) as env:
         for step in play(env, 5):
@@ -70,10 +70,10 @@ def check_agents_leave_when_done(make_env: EnvFactory) -> None:
 
 
 def check_types_of_rewards_and_ends(make_env: EnvFactory) -> None:
-    """Rewards are Python's ``float`` and finite, both ends Python's ``bool`` and not both true.
+    """Rewards are finite Python ``float``; ends are Python ``bool`` and never both true.
 
     Raises:
-        CheckFailed: one is of another type.
+        CheckFailed: a value has another type or is not finite, or both ends are true.
     """
     for step in _whole_race(make_env, 6):
         for name, kind in (("rewards", float), ("terminations", bool), ("truncations", bool)):
@@ -92,10 +92,10 @@ def check_types_of_rewards_and_ends(make_env: EnvFactory) -> None:
 
 
 def check_finished_agents_leave_the_rest_racing(make_env: EnvFactory) -> None:
-    """After the first agents' end the race moves on for the rest, and pays the others nothing.
+    """After the first agents' end, the race continues for the others only.
 
     Raises:
-        CheckFailed: the rest stands still, or a departed agent is still served.
+        CheckFailed: the race stops, or a departed agent still gets results.
         NotApplicable: all agents ended in the same step.
     """
     departed: set[Any] = set()
@@ -117,10 +117,10 @@ def check_finished_agents_leave_the_rest_racing(make_env: EnvFactory) -> None:
 
 
 def check_step_after_the_end_is_empty(make_env: EnvFactory) -> None:
-    """``step`` after the end returns five empty dicts, with and without actions.
+    """``step`` after the end returns five empty dicts, with or without actions.
 
     Raises:
-        CheckFailed: it returns something, or raises.
+        CheckFailed: it returns other values, or raises.
     """
     with closing(whole_race(make_env)()) as env:
         last = [step.number for step in play(env, 8)][-1]
@@ -142,10 +142,10 @@ def check_step_after_the_end_is_empty(make_env: EnvFactory) -> None:
 
 
 def check_actions_of_departed_agents_are_ignored(make_env: EnvFactory) -> None:
-    """A race in which departed agents still send actions is the same race.
+    """Actions of departed agents do not change the race.
 
     Raises:
-        CheckFailed: it is another one, or an action was refused.
+        CheckFailed: the race differs, or an action was rejected.
         NotApplicable: all agents ended in the same step.
     """
     with closing(whole_race(make_env)()) as env:
@@ -176,17 +176,17 @@ def _check_moved(before: Step, step: Step) -> None:
 
 
 def check_nothing_is_written_to_the_terminal(make_env: EnvFactory) -> None:
-    """A fresh process that makes, plays and closes an environment writes nothing.
+    """A new process that makes, plays and closes an environment prints nothing.
 
     Raises:
-        CheckFailed: something came out of its standard streams.
+        CheckFailed: the process wrote to a standard stream.
     """
     _, output = run_fresh(_play_a_little, short_race(make_env))
     expect(not output, f"a short race wrote to the terminal: {output!r}; expected silence")
 
 
 def check_close_can_be_repeated_and_undone(make_env: EnvFactory) -> None:
-    """``close`` may be called twice or before any reset; ``reset`` still works after it.
+    """``close`` works twice and before any reset, and ``reset`` works after it.
 
     Raises:
         CheckFailed: the race after ``close`` differs.
@@ -204,10 +204,10 @@ def check_close_can_be_repeated_and_undone(make_env: EnvFactory) -> None:
 
 
 def check_render_without_a_mode_warns(make_env: EnvFactory) -> None:
-    """``render`` of an environment without a render mode returns ``None`` and warns.
+    """``render`` without a render mode returns ``None`` and warns.
 
     Raises:
-        CheckFailed: it returns something, or does not warn.
+        CheckFailed: it returns a value, or does not warn.
         NotApplicable: the factory chooses a render mode itself.
     """
     with closing(short_race(make_env)()) as env:
@@ -222,10 +222,10 @@ def check_render_without_a_mode_warns(make_env: EnvFactory) -> None:
 
 
 def check_bad_actions_are_refused(make_env: EnvFactory) -> None:
-    """Actions outside their space raise an error that names the agent; the race does not advance.
+    """Invalid actions raise an error that names the agent, and the race does not advance.
 
     Raises:
-        CheckFailed: one was accepted, the error names no agent, or the race has moved.
+        CheckFailed: an action was accepted, the error names no agent, or the race advanced.
     """
     with closing(short_race(make_env)()) as env:
         expected = trace(play(env, _SEED, max_steps=_FEW_STEPS))
@@ -235,7 +235,7 @@ def check_bad_actions_are_refused(make_env: EnvFactory) -> None:
 
 
 class _Misbehaving(RandomPolicy):
-    """Tries all bad actions on the environment before it chooses the next good ones."""
+    """A policy that tries all invalid actions before it returns the next valid ones."""
 
     def __init__(self, env: Env) -> None:
         super().__init__(env)
@@ -267,7 +267,7 @@ def _expect_refusal(env: Env, actions: dict[Any, Any], agent: Any, what: str) ->
 
 
 def _bad_actions(space: spaces.Space[Any], good: Any, path: str) -> Iterator[tuple[str, Any]]:
-    """Actions that are not in a space, with descriptions."""
+    """Yields descriptions and actions that are not in a space."""
     yield f"{path}=None", None
     yield f"{path}='left'", "left"
     if isinstance(space, spaces.Dict):

@@ -1,4 +1,4 @@
-"""Checks that a seed means one race and no other, wherever and whenever it is run."""
+"""Checks that a seed determines a race, in any environment and process and at any time."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ _SOME_STEPS = 120
 
 
 def check_seed_repeats_in_one_env(make_env: EnvFactory) -> None:
-    """Whole races of one environment with one seed are the same, after another seed too.
+    """One environment repeats a whole race with the same seed, also after another seed.
 
     Raises:
-        CheckFailed: they differ; the text names step, agent and key.
+        CheckFailed: the races differ; the message names step, agent and key.
     """
     with closing(whole_race(make_env)()) as env:
         first = trace(play(env, _SEED))
@@ -48,20 +48,20 @@ def check_seed_repeats_in_one_env(make_env: EnvFactory) -> None:
 
 
 def check_seed_repeats_in_two_envs(make_env: EnvFactory) -> None:
-    """Whole races of two environments with one seed are the same.
+    """Two environments with the same seed play the same whole race.
 
     Raises:
-        CheckFailed: they differ.
+        CheckFailed: the races differ.
     """
     first, second = (_one_race(whole_race(make_env), _SEED) for _ in range(2))
     expect_equal(first, second, "races of two environments with one seed")
 
 
 def check_seed_repeats_in_a_fresh_process(make_env: EnvFactory) -> None:
-    """A whole race is the same in a new interpreter with another order of hashes.
+    """A whole race is the same in a new interpreter with another hash seed.
 
     Raises:
-        CheckFailed: it differs.
+        CheckFailed: the races differ.
     """
     make = whole_race(make_env)
     there, _ = run_fresh(_one_race, make, _SEED)
@@ -69,10 +69,10 @@ def check_seed_repeats_in_a_fresh_process(make_env: EnvFactory) -> None:
 
 
 def check_seed_repeats_after_a_killed_worker(make_env: EnvFactory) -> None:
-    """A whole race is the same after the game's process was killed, in a race or after one.
+    """A whole race is the same after the game process was killed, during or after a race.
 
     Raises:
-        CheckFailed: it differs.
+        CheckFailed: the races differ.
         NotApplicable: the environment starts no process.
     """
     before = descendants()
@@ -91,10 +91,10 @@ def check_seed_repeats_after_a_killed_worker(make_env: EnvFactory) -> None:
 
 
 def check_other_seed_differs(make_env: EnvFactory) -> None:
-    """Races of three seeds with the same actions are not all the same.
+    """Races with three seeds and the same actions are not all equal.
 
     Raises:
-        CheckFailed: they are.
+        CheckFailed: all three races are equal.
     """
     with closing(whole_race(make_env)()) as env:
         races = [trace(play(env, _SEED + i, max_steps=_SOME_STEPS)) for i in range(3)]
@@ -105,10 +105,10 @@ def check_other_seed_differs(make_env: EnvFactory) -> None:
 
 
 def check_unseeded_resets_continue_the_stream(make_env: EnvFactory) -> None:
-    """``reset(seed)``, ``reset()``, ``reset()`` repeats as a whole, and its races differ.
+    """``reset(seed)``, ``reset()``, ``reset()`` repeats as a sequence, and its races differ.
 
     Raises:
-        CheckFailed: it does not, or all three races are the same.
+        CheckFailed: the sequence does not repeat, or all three races are equal.
     """
     with closing(short_race(make_env)()) as env:
         once, again = (_three_races(env) for _ in range(2))
@@ -122,10 +122,10 @@ def check_unseeded_resets_continue_the_stream(make_env: EnvFactory) -> None:
 
 
 def check_global_random_state_is_left_alone(make_env: EnvFactory) -> None:
-    """Neither ``random`` nor ``numpy.random`` is drawn from or seeded.
+    """The environment neither draws from nor seeds ``random`` and ``numpy.random``.
 
     Raises:
-        CheckFailed: the state of one of them has changed.
+        CheckFailed: the state of either generator has changed.
     """
     before = _global_states()
     with closing(short_race(make_env)()) as env:
@@ -137,10 +137,10 @@ def check_global_random_state_is_left_alone(make_env: EnvFactory) -> None:
 
 
 def check_envs_in_turn_do_not_meet(make_env: EnvFactory) -> None:
-    """Two environments stepped in turn play the races that each plays alone.
+    """Two environments stepped in turn play the same races as each does alone.
 
     Raises:
-        CheckFailed: they do not.
+        CheckFailed: a race differs.
     """
     make = whole_race(make_env)
     alone = [_one_race(make, seed) for seed in (_SEED, _SEED + 1)]
@@ -156,10 +156,10 @@ def check_envs_in_turn_do_not_meet(make_env: EnvFactory) -> None:
 def check_pickled_copies_play_the_same_race(make_env: EnvFactory) -> None:
     """Copies by cloudpickle, before a reset and in mid-race, play the same whole race.
 
-    The race that a copy was taken from goes on undisturbed.
+    Copying does not disturb the original race.
 
     Raises:
-        CheckFailed: they do not, or there is no copy.
+        CheckFailed: the races differ, or the environment cannot be copied.
     """
     make = whole_race(make_env)
     with closing(make()) as env:

@@ -1,7 +1,7 @@
-"""Races as the checks make, play, record and compare them.
+"""Plays, records and compares the races of the checks.
 
-A check is given a factory of environments. It plays races of a fixed seed and looks at every
-step, or compares fingerprints of whole races bit by bit.
+A check takes a factory of environments. It plays races with a fixed seed and inspects every step,
+or compares fingerprints of whole races bit by bit.
 """
 
 from __future__ import annotations
@@ -25,33 +25,33 @@ from stkzoo.errors import ConfigError, StkzooError
 
 
 class CheckFailed(StkzooError):
-    """The environment breaks a rule; the text says where, and what was expected."""
+    """The environment breaks a rule; the message says where, and what was expected."""
 
 
 class NotApplicable(StkzooError):
-    """The check does not apply to this environment; the text says why."""
+    """The check does not apply to this environment; the message says why."""
 
 
 def expect(is_met: object, failure: str) -> None:
-    """Raises :class:`CheckFailed` with a text, unless something is true."""
+    """Raises :class:`CheckFailed` with a message unless a condition is true."""
     if not is_met:
         raise CheckFailed(failure)
 
 
-#: Makes a fresh environment at every call.
+#: Returns a new environment at every call.
 EnvFactory: TypeAlias = Callable[..., ParallelEnv[Any, Any, Any]]
 
-#: A track on which the game's own drivers need some 300 steps.
+#: A track that the game's AI finishes in about 300 steps.
 _TRACK = "olivermath"
 _SHORT_RACE_STEPS = 60
 _WHOLE_RACE_STEPS = 380
 
 
 def load_factory(target: str) -> EnvFactory:
-    """Loads the factory that ``"module:callable"`` names.
+    """Loads the factory named ``"module:callable"``.
 
     Raises:
-        ConfigError: it does not exist.
+        ConfigError: the module or the callable does not exist.
     """
     if not all(target.partition(":")):
         raise ConfigError(
@@ -74,16 +74,16 @@ def load_factory(target: str) -> EnvFactory:
 
 
 def takes(make_env: EnvFactory, name: str) -> bool:
-    """Whether the factory has a keyword in its signature that is not bound yet."""
+    """Whether the factory's signature has a keyword that is not bound yet."""
     bound = make_env.keywords if isinstance(make_env, functools.partial) else {}
     return name in _parameters(make_env) and name not in bound
 
 
 def bind(make_env: EnvFactory, name: str, value: Any) -> EnvFactory:
-    """Binds one keyword of a factory.
+    """Returns the factory with one keyword bound.
 
     Raises:
-        ConfigError: the factory does not take it.
+        ConfigError: the factory does not accept the keyword.
     """
     parameters = _parameters(make_env)
     takes_any = any(p.kind == inspect.Parameter.VAR_KEYWORD for p in parameters.values())
@@ -95,15 +95,15 @@ def bind(make_env: EnvFactory, name: str, value: Any) -> EnvFactory:
 
 
 def short_race(make_env: EnvFactory) -> EnvFactory:
-    """Binds what makes races of 60 steps of three agents, as far as the factory takes it."""
+    """Binds arguments for races of 60 steps with three agents, if the factory accepts them."""
     return _fitted(make_env, track=_TRACK, num_kart=3, max_cycles=_SHORT_RACE_STEPS)
 
 
 def whole_race(make_env: EnvFactory) -> EnvFactory:
-    """Binds what makes agents end at different times, as far as the factory takes it.
+    """Binds arguments for races whose agents end at different times, if the factory accepts them.
 
-    Where it takes the keywords of :func:`stkzoo.race_v0.parallel_env`, one agent acts at
-    random, two are driven by the game to the finish, and a fourth kart is a bot.
+    With the keywords of :func:`stkzoo.race_v0.parallel_env`, one agent acts at random, the game
+    drives two agents to the finish, and a fourth kart is a bot.
     """
     options: dict[str, Any] = {"track": _TRACK, "max_cycles": _WHOLE_RACE_STEPS}
     if takes(make_env, "agents") and takes(make_env, "num_kart"):
@@ -126,10 +126,10 @@ def _fitted(make_env: EnvFactory, **options: Any) -> EnvFactory:
 
 Env: TypeAlias = ParallelEnv[Any, Any, Any]
 
-#: What ``step`` returns, in its order.
+#: The values that ``step`` returns, in order.
 PARTS = ("observations", "rewards", "terminations", "truncations", "infos")
 
-#: An episode that is longer than this has no end.
+#: Step limit; a longer episode counts as endless.
 _MAX_STEPS = 20_000
 
 
@@ -139,14 +139,14 @@ class Step:
 
     Attributes:
         number: 0 for the reset, then 1, 2, ...
-        acting: the agents before it; those that the reset brought, for the reset.
-        actions: what was passed in, by agent.
-        observations: by agent, as for the other parts; a reset has no rewards and ends.
-        rewards: by agent.
-        terminations: by agent.
-        truncations: by agent.
-        infos: by agent.
-        agents: the agents after it.
+        acting: agents before the step; for a reset, the agents after it.
+        actions: actions by agent.
+        observations: observations by agent.
+        rewards: rewards by agent; empty for a reset, as are the ends.
+        terminations: terminations by agent.
+        truncations: truncations by agent.
+        infos: infos by agent.
+        agents: agents after the step.
     """
 
     number: int
@@ -161,26 +161,26 @@ class Step:
 
     @property
     def parts(self) -> dict[str, dict[Any, Any]]:
-        """The results, by the names of :data:`PARTS`."""
+        """Returns the results by the names in :data:`PARTS`."""
         names = ("observations", "infos") if self.number == 0 else PARTS
         return {name: getattr(self, name) for name in names}
 
     def is_end_of(self, agent: Any) -> bool:
-        """Whether the agent was terminated or truncated here."""
+        """Whether the agent was terminated or truncated in this step."""
         return bool(self.terminations.get(agent) or self.truncations.get(agent))
 
 
-#: Chooses the actions that follow a step.
+#: Returns the actions for the step after a given one.
 Policy: TypeAlias = Callable[[Step], Mapping[Any, Any]]
 
 
 class RandomPolicy:
-    """Samples from copies of the action spaces, so that the samples of others do not change.
+    """Samples actions from copies of the action spaces, so that other samplers are unaffected.
 
     Args:
         env: the environment.
-        seed: of the samples.
-        with_departed: also send actions for agents that have left.
+        seed: seed of the samples.
+        with_departed: whether to return actions for agents that have left, too.
     """
 
     def __init__(self, env: Env, seed: int = 0, with_departed: bool = False) -> None:
@@ -191,7 +191,7 @@ class RandomPolicy:
             space.seed(1000 * seed + number)
 
     def __call__(self, step: Step) -> dict[Any, Any]:
-        """Actions by agent."""
+        """Returns actions by agent."""
         agents = self._spaces if self._with_departed else step.agents
         return {agent: self._spaces[agent].sample() for agent in agents}
 
@@ -204,14 +204,14 @@ def play(
     policy: Policy | None = None,
     options: dict[str, Any] | None = None,
 ) -> Iterator[Step]:
-    """Resets an environment and steps it to its end.
+    """Resets an environment and steps it to the end.
 
     Args:
         env: the environment.
-        seed: for ``reset``.
-        max_steps: stop after so many steps.
-        policy: random actions of a fixed seed by default.
-        options: for ``reset``.
+        seed: seed for ``reset``.
+        max_steps: number of steps after which to stop.
+        policy: chooses actions; ``None`` samples them with a fixed seed.
+        options: options for ``reset``.
 
     Yields:
         The reset and every step.
@@ -250,17 +250,17 @@ def _dicts(method: str, result: Any, count: int) -> tuple[dict[Any, Any], ...]:
     return result
 
 
-#: For each step, a fingerprint of every value that came out, by the value's path.
+#: For each step, a fingerprint of every result, by its path.
 Trace: TypeAlias = list[dict[str, str]]
 
 
 def trace(steps: Iterable[Step]) -> Trace:
-    """The fingerprints of a race; the steps may come from a generator."""
+    """Returns the fingerprints of a race's steps."""
     return [dict(_fingerprints_of_step(step)) for step in steps]
 
 
 def fingerprint(value: Any) -> str:
-    """A hash of a value's types and bits, through dicts, tuples and lists, 16 hex digits."""
+    """Returns a hash of a value's types and bits as 16 hex digits, including nested containers."""
     packed = msgpack.packb(
         value, default=_packable, strict_types=True, unicode_errors="surrogatepass"
     )
@@ -279,15 +279,15 @@ def first_difference(expected: Trace, actual: Trace) -> str | None:
 
 
 def expect_equal(expected: Trace, actual: Trace, what: str) -> None:
-    """Compares two races that should be the same.
+    """Compares two races that should be equal.
 
     Args:
         expected: one race.
-        actual: the other.
-        what: what the two are, as the subject of a sentence.
+        actual: the other race.
+        what: description of both races, as the subject of a sentence.
 
     Raises:
-        CheckFailed: they differ.
+        CheckFailed: the races differ.
     """
     difference = first_difference(expected, actual)
     expect(difference is None, f"{what} differ, {difference}; expected the same bits")
@@ -309,7 +309,7 @@ def _fingerprints(path: str, value: Any) -> Iterator[tuple[str, str]]:
 
 
 def _packable(value: Any) -> Any:
-    """The type and content of what msgpack does not know."""
+    """Converts a value that msgpack does not support to its type and content."""
     kind = type(value).__name__
     if isinstance(value, (np.ndarray, np.generic)):
         return [kind, value.dtype.str, list(value.shape), value.tobytes()]
@@ -339,10 +339,10 @@ class CheckResult:
 
 
 def run_check(check: Check, make_env: EnvFactory) -> CheckResult:
-    """Runs a check; an exception becomes a failure.
+    """Runs a check; any exception counts as a failure.
 
     Args:
-        check: a function that takes the factory.
+        check: function that takes the factory.
         make_env: makes the environment.
     """
     start = time.perf_counter()

@@ -1,4 +1,4 @@
-"""Fresh interpreters to play in, and the processes that an environment has started."""
+"""New interpreters to play in, and the processes that an environment has started."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ _CHILD = "import sys; from stkzoo.checks.processes import main; main(sys.argv[1]
 
 
 def run_fresh(function: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:
-    """Calls a function in a new interpreter, with another order of hashes.
+    """Calls a function in a new interpreter with another hash seed.
 
     Args:
-        function: what to call; it and the arguments are sent by cloudpickle.
+        function: the function; it is sent by cloudpickle, as are its arguments.
         *arguments: its arguments.
 
     Returns:
-        What the function returned, and everything that was written to the standard streams.
+        The function's result, and the output on the standard streams.
 
     Raises:
-        CheckFailed: the function raised there.
+        CheckFailed: the function raised.
     """
     with tempfile.TemporaryDirectory(prefix="stkzoo-check-") as folder:
         Path(folder, "call").write_bytes(cloudpickle.dumps((function, arguments)))
@@ -56,7 +56,7 @@ def run_fresh(function: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:
 
 
 def main(folder: str) -> None:
-    """The fresh interpreter's side of :func:`run_fresh`."""
+    """Runs the function in the new interpreter; see :func:`run_fresh`."""
     function, arguments = pickle.loads(Path(folder, "call").read_bytes())  # noqa: S301
     try:
         answer = True, function(*arguments)
@@ -66,16 +66,16 @@ def main(folder: str) -> None:
 
 
 def descendants() -> frozenset[int]:
-    """Ids of all living processes below this one.
+    """Returns the ids of all living descendants of this process.
 
     Raises:
-        NotApplicable: the system does not tell.
+        NotApplicable: the system does not report them.
     """
     parents: dict[int, int] = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             status = Path(folder, "stat").read_text(errors="replace")
-        except OSError:  # it has ended in the meantime
+        except OSError:  # the process has ended
             continue
         state, parent = status.rpartition(")")[2].split()[:2]
         if state not in "ZX":

@@ -1,4 +1,4 @@
-"""Checks of the spaces, of the values that must be in them, and of whose memory these are."""
+"""Checks of spaces, of values in these spaces, and of shared memory."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ from stkzoo.checks.play import (
 def expect_in(space: spaces.Space[Any], value: Any, path: str) -> None:
     """Checks that a value is in a space.
 
-    Stricter than ``space.contains``: arrays must have the space's own dtype.
+    It is stricter than ``space.contains``: arrays must have the dtype of the space.
 
     Args:
         space: the space.
         value: the value.
-        path: what the value is called in the text.
+        path: name of the value in the message.
 
     Raises:
-        CheckFailed: it is not.
+        CheckFailed: the value is not in the space.
     """
     if isinstance(space, spaces.Dict):
         expect(isinstance(value, Mapping), f"{path} is a {type(value).__name__}, expected a dict")
@@ -62,7 +62,7 @@ def expect_in(space: spaces.Space[Any], value: Any, path: str) -> None:
 
 
 def arrays_in(value: Any, path: str) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
-    """All arrays inside nested dicts, tuples and lists, with their paths."""
+    """Yields all arrays in nested dicts, tuples and lists, with their paths."""
     if isinstance(value, np.ndarray):
         yield path, value
     elif isinstance(value, Mapping):
@@ -78,12 +78,12 @@ _KINDS = ("observation_space", "action_space")
 
 
 def check_spaces_are_constant(make_env: EnvFactory) -> None:
-    """Every agent's spaces are the same objects before reset and after, equal in a group.
+    """Agents' spaces stay the same objects across resets, and are equal within a group.
 
     Learners group agents whose names differ only in the number after the last underscore.
 
     Raises:
-        CheckFailed: they are not.
+        CheckFailed: a space changes, or differs within a group.
     """
     with closing(short_race(make_env)()) as env:
         first = {(kind, a): getattr(env, kind)(a) for a in env.possible_agents for kind in _KINDS}
@@ -96,10 +96,10 @@ def check_spaces_are_constant(make_env: EnvFactory) -> None:
 
 
 def check_observations_are_in_their_spaces(make_env: EnvFactory) -> None:
-    """Every observation of a whole race is in its agent's space, the last ones included.
+    """Every observation of a whole race is in its agent's space, including the last ones.
 
     Raises:
-        CheckFailed: one is not; the text names agent, step and key.
+        CheckFailed: an observation is not; the message names agent, step and key.
     """
     with closing(whole_race(make_env)()) as env:
         for step in play(env, 2):
@@ -109,10 +109,10 @@ def check_observations_are_in_their_spaces(make_env: EnvFactory) -> None:
 
 
 def check_state_is_in_its_space(make_env: EnvFactory) -> None:
-    """``state()`` is in ``state_space`` at every step of a whole race, in an array of its own.
+    """``state()`` is in ``state_space`` at every step of a whole race, as a new array.
 
     Raises:
-        CheckFailed: it is not.
+        CheckFailed: the state is not in the space, or an array is reused.
         NotApplicable: the environment has no ``state_space``.
     """
     with closing(whole_race(make_env)()) as env:
@@ -153,13 +153,13 @@ def _check_groups(spaces: dict[tuple[str, Any], Any]) -> None:
 
 
 def check_infos_are_plain_numbers(make_env: EnvFactory) -> None:
-    """Infos hold numbers under the same keys from reset on, for all agents, in fresh dicts.
+    """Infos are new dicts of numbers, with the same keys for all agents in every step.
 
     Raises:
-        CheckFailed: they do not; the text names agent, step and key.
+        CheckFailed: an info differs from that; the message names agent, step and key.
     """
     keys: list[Any] | None = None
-    seen: list[Any] = []  # kept alive, so that no id comes twice by itself
+    seen: list[Any] = []  # kept alive, so that ids are not reused
     with closing(whole_race(make_env)()) as env:
         for step in play(env, 10):
             for agent, info in step.infos.items():
@@ -179,10 +179,10 @@ def check_infos_are_plain_numbers(make_env: EnvFactory) -> None:
 
 
 def check_results_share_no_memory(make_env: EnvFactory) -> None:
-    """No two arrays share memory: of two agents, of two steps, of results and actions.
+    """No two arrays share memory, across agents, steps, results and actions.
 
     Raises:
-        CheckFailed: two do; the text names both.
+        CheckFailed: two arrays share memory; the message names both.
     """
     found: list[tuple[str, np.ndarray[Any, Any]]] = []
     with closing(short_race(make_env)()) as env:
@@ -197,12 +197,13 @@ def check_results_share_no_memory(make_env: EnvFactory) -> None:
 
 
 def check_results_are_the_callers_own(make_env: EnvFactory) -> None:
-    """Results stay as they are when the race goes on, and spoiling them spoils no race.
+    """Results do not change later, and overwriting them does not affect the race.
 
-    The same is asked of actions: they are not changed, and may be changed afterwards.
+    The same holds for actions: the environment does not change them, and later changes have no
+    effect.
 
     Raises:
-        CheckFailed: something changed.
+        CheckFailed: a value changed.
     """
     with closing(short_race(make_env)()) as env:
         expected = trace(play(env, 12, max_steps=_NUM_STEPS))
@@ -220,7 +221,7 @@ def check_results_are_the_callers_own(make_env: EnvFactory) -> None:
 
 
 class _Watched(RandomPolicy):
-    """Notices when the last actions were changed by the environment."""
+    """Detects whether the environment changes the actions of the last step."""
 
     _last: tuple[dict[Any, Any], dict[Any, Any]] | None = None
 
@@ -246,7 +247,7 @@ def _check_numbers(info: Mapping[Any, Any], where: str) -> None:
 
 
 def _spoiling(steps: Iterator[Step]) -> Iterator[Step]:
-    """Passes steps on and, once they are recorded, overwrites all that they carry."""
+    """Yields the steps and overwrites their values once they are recorded."""
     for step in steps:
         yield step
         for _, array in arrays_in([step.actions, step.parts], ""):
@@ -260,13 +261,13 @@ def _spoiling(steps: Iterator[Step]) -> Iterator[Step]:
 
 
 def _overlaps(arrays: list[tuple[str, np.ndarray[Any, Any]]]) -> Iterator[tuple[Any, Any]]:
-    """Pairs of arrays that share memory, the later one first."""
+    """Yields pairs of arrays that share memory, the later one first."""
     spans = sorted(
         (*np.lib.array_utils.byte_bounds(array), number)
         for number, (_, array) in enumerate(arrays)
         if array.size
     )
-    active: list[tuple[int, int]] = []  # end and number of arrays that may still reach ahead
+    active: list[tuple[int, int]] = []  # end and number of arrays that may still overlap
     for start, end, number in spans:
         active = [(other_end, other) for other_end, other in active if other_end > start]
         for _, other in active:

@@ -221,6 +221,7 @@ class BranchingRace(ClonableEnv):
         Raises:
             ApiOrderError: the other environment was not reset yet.
             ConfigError: the other environment has other karts or agents.
+            AgentException: an agent's wrapper holds an object that cannot be copied.
             EngineError: this platform cannot fork races, or the game crashed.
         """
         with self._turn.of("follow"), other._turn.of("clone"):

@@ -1,6 +1,6 @@
-"""The decision process: observations, rewards, actions and endings, in plain numpy.
+"""The decision process in numpy: observations, rewards, actions and episode ends.
 
-Every part sees the whole race at once, as arrays with a leading axis of karts or agents.
+All functions process the whole race at once, as arrays with a leading axis of karts or agents.
 """
 
 from stkzoo.mdp.geometry import squared

@@ -1,8 +1,8 @@
-"""What happens to karts in a race: contacts, hits, items, overtakes, rescues, time lost.
+"""Events of karts in a race: contacts, hits, items, overtakes, rescues, and time off the road.
 
-The engine reports ranks, and what karts carry. The kernel's ``EventCounter`` reads the rest from
-where karts are and how they move before and after a step. ``python -m benchmarks.events`` compares
-it with races that are recorded at 120 Hz; its thresholds are for steps of about 0.1 s.
+The engine reports ranks and what karts carry. The kernel's ``EventCounter`` derives the other
+events from the karts' positions and velocities before and after a step. Its thresholds are meant
+for steps of about 0.1 s; ``python -m benchmarks.events`` compares it with races recorded at 120 Hz.
 """
 
 from __future__ import annotations
@@ -16,56 +16,56 @@ from stkzoo.engine.snapshot import Snapshot
 from stkzoo.engine.track import TrackMap
 from stkzoo.kernel import EventCounter
 
-#: The events of a step, in the order of :attr:`RaceEvents.counts`. Numbers, but for the last two,
-#: which are seconds.
+#: The events of a step, in the order of :attr:`RaceEvents.counts`. The last two are durations [s],
+#: the others are counts.
 EVENTS = (
-    "kart_contact",  # its box and another kart's begin to touch, 0.5 s after they last did
-    "wall_contact",  # driving forwards, it hits what is no kart and loses 5 m/s at once
-    "hit",  # it is thrown over, meets bubble gum, or gets a parachute, an anvil or a bomb
-    "item_taken",  # a powerup or nitro
-    "item_used",  # a powerup is fired
-    "overtake",  # a kart that was ahead in the ranking is behind it now
-    "overtaken",  # the reverse
-    "rescue",  # it is lifted and put back on the road
-    "off_road",  # [s] beside the driving line's segments
-    "wrong_way",  # [s] faster than 1 m/s against the road's direction
+    "kart_contact",  # its box touches another kart's, at least 0.5 s after their last contact
+    "wall_contact",  # while driving forwards, it loses 5 m/s at once, but not to a kart
+    "hit",  # an item flips it, it touches bubble gum, or it gets a parachute, an anvil or a bomb
+    "item_taken",  # it collects a powerup or nitro
+    "item_used",  # it fires a powerup
+    "overtake",  # a kart that ranked ahead of it now ranks behind
+    "overtaken",  # a kart that ranked behind it now ranks ahead
+    "rescue",  # it is lifted and placed back on the road
+    "off_road",  # [s] outside the driving line's segments
+    "wrong_way",  # [s] faster than 1 m/s against the direction of the road
 )
-#: What :attr:`RaceEvents.seconds` counts, in order.
+#: The columns of :attr:`RaceEvents.seconds`.
 STREAKS = ("off_road", "wrong_way", "stuck")
-#: Of the kernel's memory, beside a column for each kart.
+#: Number of columns in the kernel's memory, in addition to one column per kart.
 _NUM_OWN = 8
 _PLACE = slice(3, 6)
 
 
 class RaceEvents:
-    """The events of all K karts of a race. Copies count on their own.
+    """Counts the events of all K karts of a race. A deep copy counts independently.
 
     Args:
-        track: the race's track.
+        track: map of the track.
         step_size: game time of a step [s].
         num_kart: number of karts, K.
 
     Attributes:
-        counts: ``(K, E)`` float64: the latest step's :data:`EVENTS`.
+        counts: ``(K, E)`` float64, the :data:`EVENTS` of the latest step.
     """
 
     def __init__(self, track: TrackMap, step_size: float, num_kart: int) -> None:
         self.counts = np.zeros((num_kart, len(EVENTS)))
         self._track, self._step_size = track, step_size
         self._memory = np.zeros((num_kart, _NUM_OWN + num_kart))
-        self._memory[:, _PLACE] = np.inf  # not known yet
+        self._memory[:, _PLACE] = np.inf  # unknown before the first step
         self._counter = EventCounter(track.path_nodes, step_size, self._memory, self.counts)
 
     @property
     def seconds(self) -> npt.NDArray[np.float64]:
-        """``(K, 3)``: for how long each kart has been in each of :data:`STREAKS` [s].
+        """``(K, 3)`` float64, how long each kart has been in each state of :data:`STREAKS` [s].
 
-        A kart is stuck while it stays within 3 m.
+        A kart counts as stuck while it stays within 3 m.
         """
         return self._memory[:, : len(STREAKS)]
 
     def count(self, before: Snapshot, after: Snapshot) -> None:
-        """Counts what happened in the step between two moments; before GO, nothing does."""
+        """Counts the events of the step between two snapshots; none occur before the GO phase."""
         self._counter.count(before.data, after.data)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> RaceEvents:

@@ -1,4 +1,4 @@
-"""Frames: from the world to each kart's own view of it."""
+"""Transformations from the world frame to the frames of karts."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float32]
 
 
-#: The entries of the matrix as sums of products of a quaternion's parts.
+#: The entries of the rotation matrix as sums of products of quaternion components.
 _ENTRIES = (
     *("+ww+xx-yy-zz", "+xy+xy-wz-wz", "+xz+xz+wy+wy"),
     *("+xy+xy+wz+wz", "+ww-xx+yy-zz", "+yz+yz-wx-wx"),
@@ -17,7 +17,7 @@ _ENTRIES = (
 
 
 def _product_weights() -> FloatArray:
-    """``(16, 9)``: how the matrix's entries are made of the products of w, x, y, z."""
+    """Returns the weights ``(16, 9)`` of the products of w, x, y, z in the matrix entries."""
     weights = np.zeros((4, 4, 9), np.float32)
     for column, entry in enumerate(_ENTRIES):
         for sign, first, second in zip(entry[::3], entry[1::3], entry[2::3], strict=True):
@@ -29,13 +29,16 @@ _FROM_PRODUCTS = _product_weights()
 
 
 def rotation_matrices(quaternions: FloatArray) -> FloatArray:
-    """Matrices of the quaternions ``(..., 4)`` in the order w, x, y, z.
+    """Converts quaternions ``(..., 4)`` in the order w, x, y, z to rotation matrices.
 
-    The usual formula (`q v q*` written out for a unit quaternion). For the engine's
-    kart rotations the matrix applied to (point - kart location) gives the kart frame.
+    The formula is the usual expansion of `q v q*` for a unit quaternion. For the engine's kart
+    rotations, the matrix maps (point - kart location) to the kart frame.
+
+    Args:
+        quaternions: ``(..., 4)`` floats.
 
     Returns:
-        ``(..., 3, 3)`` of the same type.
+        ``(..., 3, 3)`` of the same dtype.
     """
     products = quaternions[..., :, None] * quaternions[..., None, :]
     flat = products.reshape(*quaternions.shape[:-1], 16)
@@ -44,29 +47,29 @@ def rotation_matrices(quaternions: FloatArray) -> FloatArray:
 
 
 def to_kart_frame(points: FloatArray, locations: FloatArray, matrices: FloatArray) -> FloatArray:
-    """Points as the karts see them: x right, y up, z forward [m].
+    """Transforms points to the frame of each kart: x right, y up, z forward [m].
 
     Args:
-        points: ``(A, M, 3)`` or ``(1, M, 3)`` [m], world frame.
-        locations: ``(A, 3)`` of the karts [m], world frame.
+        points: ``(A, M, 3)`` or ``(1, M, 3)`` points in the world frame [m].
+        locations: ``(A, 3)`` locations of the karts in the world frame [m].
         matrices: ``(A, 3, 3)`` from :func:`rotation_matrices`.
 
     Returns:
-        ``(A, M, 3)`` float32.
+        ``(A, M, 3)`` float32 [m].
     """
     seen: FloatArray = np.matmul(points - locations[:, None], matrices.transpose(0, 2, 1))
     return seen
 
 
 def squared(vectors: FloatArray) -> FloatArray:
-    """The squared lengths ``(...)`` of ``(..., 3)``, quicker than by a sum."""
+    """Returns the squared lengths ``(...)`` of vectors ``(..., 3)``; faster than ``np.sum``."""
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     squares: FloatArray = x * x + y * y + z * z
     return squares
 
 
 def to_polar(positions: FloatArray) -> FloatArray:
-    """``(..., 3)`` positions [m] as two angles [rad] and a distance [m]."""
+    """Converts positions ``(..., 3)`` [m] to two angles [rad] and a distance [m]."""
     x, y, z = positions[..., 0], positions[..., 1], positions[..., 2]
     polar = np.empty_like(positions)
     polar[..., 0] = np.arctan2(x, z)

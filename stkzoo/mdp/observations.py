@@ -1,8 +1,8 @@
-"""What karts see: the ``full`` view of all asked-for karts at once.
+"""Observations of karts in the ``full`` view, computed for several karts at once.
 
-In batch form every key of :func:`stkzoo.mdp.spaces.kart_observation_space` has a leading
-axis of A agents; sequences are rectangular ``(A, M, ...)`` arrays. Positions are in each
-kart's own frame: x right, y up, z forward [m].
+In batch form, every key of :func:`stkzoo.mdp.spaces.kart_observation_space` has a leading axis of A
+agents; sequences are rectangular ``(A, M, ...)`` arrays. Positions are in the frame of the
+observing kart: x right, y up, z forward [m].
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ _Kind = TypeVar("_Kind", bound=np.generic)
 
 
 class TrackLines(Protocol):
-    """What observations need of a track; a :class:`~stkzoo.engine.track.TrackMap` has it."""
+    """The part of a :class:`~stkzoo.engine.track.TrackMap` that observations use."""
 
     path_nodes: FloatArray
     path_width: FloatArray
     path_distance: FloatArray
 
     def nodes_ahead(self, nodes: IntArray, max_paths: int | None = None) -> IntArray:
-        """The segments ahead of some segments."""
+        """Returns the segments ahead of each given segment."""
 
 
 def observe_karts(
@@ -41,14 +41,14 @@ def observe_karts(
     karts: IntArray,
     max_paths: int | None = None,
 ) -> Batch:
-    """The ``full`` view of some karts, in batch form.
+    """Returns the observations of some karts in the ``full`` view, in batch form.
 
     Args:
-        track: the race's track.
-        kart_types: model name of each kart, in grid order.
-        snapshot: the moment.
+        track: map of the track.
+        kart_types: model of each kart, in grid order.
+        snapshot: current snapshot.
         karts: ``(A,)`` indices of the observing karts.
-        max_paths: how many track segments ahead are seen; all by default.
+        max_paths: number of track segments ahead; ``None`` for all.
     """
     records = snapshot.karts[karts]
     ahead = track.nodes_ahead(records["node"], max_paths)
@@ -70,16 +70,16 @@ def observe_karts(
 
 
 def karts_motion(snapshot: Snapshot, karts: IntArray) -> Batch:
-    """How the other karts move, in the order of ``karts_position``.
+    """Returns the motion of the other karts, in the order of ``karts_position``.
 
     Args:
-        snapshot: the moment.
+        snapshot: current snapshot.
         karts: ``(A,)`` indices of the observing karts.
 
     Returns:
-        ``karts_velocity`` ``(A, K - 1, 3)`` float32: over the ground, in the observing kart's frame
-        [m/s]; and ``karts_heading`` ``(A, K - 1, 1)`` float32: where they point, to the right of
-        where the observing kart points, seen from above it [rad].
+        ``karts_velocity``, ``(A, K - 1, 3)`` float32, velocity over the ground in the observing
+            kart's frame [m/s]; and ``karts_heading``, ``(A, K - 1, 1)`` float32, heading relative
+            to the observing kart, positive to the right, seen from above it [rad].
     """
     records, others = snapshot.karts[karts], _others(snapshot, karts)
     own = rotation_matrices(records["rotation"])
@@ -96,7 +96,7 @@ def karts_motion(snapshot: Snapshot, karts: IntArray) -> Batch:
 
 
 def _others(snapshot: Snapshot, karts: IntArray) -> IntArray:
-    """``(A, K - 1)`` indices of the karts beside each."""
+    """Returns the indices of all other karts for each kart, ``(A, K - 1)``."""
     others = np.arange(len(snapshot.karts) - 1)[None] + np.zeros((len(karts), 1), np.intp)
     others += others >= karts[:, None]
     return others
@@ -105,12 +105,11 @@ def _others(snapshot: Snapshot, karts: IntArray) -> IntArray:
 def _seen(
     track: TrackLines, snapshot: Snapshot, records: Any, karts: IntArray, ahead: IntArray
 ) -> list[FloatArray]:
-    """Everything that has a place, in the karts' frames, all turned at once.
+    """Transforms all observed points to the karts' frames in one operation.
 
     Returns:
-        ``(A, n, 3)`` float32 each: the kart's front, the two ends of its track segment,
-        the items, the other karts, and the ends of the segments ahead, start and end in
-        turn.
+        ``(A, n, 3)`` float32 each: the kart's front, both ends of its track segment, the items, the
+            other karts, and the ends of the segments ahead (start and end alternate).
     """
     nodes, count = track.path_nodes, len(records)
     groups = (
@@ -126,7 +125,7 @@ def _seen(
     return [seen[:, begin:end] for begin, end in zip([0, *ends], ends, strict=False)]
 
 
-#: What a kart knows of itself: the observation's keys and the fields of ``KART_DTYPE``.
+#: Observation keys of the kart's own state, and their fields of ``KART_DTYPE``.
 _NUMBERS = {
     "attachment_time_left": "attachment_time_left",
     "max_steer_angle": "max_steer_angle",
@@ -144,12 +143,12 @@ _CHOICES = {
 }
 
 
-#: What :func:`own_state` gives.
+#: The keys that :func:`own_state` returns.
 OWN_KEYS = (*_NUMBERS, *_CHOICES)
 
 
 def own_state(records: Any) -> Batch:
-    """What karts know of themselves, from their records ``(A,)``."""
+    """Returns the observation entries of the karts' own state, from their records ``(A,)``."""
     count = len(records)
     numbers = {key: records[field].reshape(count, -1) for key, field in _NUMBERS.items()}
     choices = {key: records[field].astype(np.int64) for key, field in _CHOICES.items()}
@@ -158,27 +157,27 @@ def own_state(records: Any) -> Batch:
 
 
 def ai_actions(snapshot: Snapshot, karts: IntArray) -> Batch:
-    """What the game's AI chose for some karts that report it, as a batch of actions."""
+    """Returns the actions that the game's AI chose for the given karts, as a batch."""
     return as_actions(snapshot.karts["control"][karts])
 
 
 def as_actions(controls: FloatArray) -> Batch:
-    """The game's own actions for controls ``(..., 7)``: numbers ``(..., 1)``, buttons ``(...)``."""
+    """Converts controls ``(..., 7)`` to actions: floats ``(..., 1)`` and buttons ``(...)``."""
     buttons = {name: controls[..., CONTROLS.index(name)].astype(np.int64) for name in CONTROLS[2:]}
     return {"acceleration": controls[..., 0:1], "steer": controls[..., 1:2], **buttons}
 
 
 def _center_path(ends: FloatArray) -> Batch:
-    """The way from the centre line of the segment whose start and end are ``(A, 2, 3)``.
+    """Returns the offset from the centre line of the segment with the ends ``(A, 2, 3)``.
 
-    ``center_path`` is the vector to the kart from the nearest point of the (endless) line,
-    ``center_path_distance`` its length, negative when the line is to the right.
+    ``center_path`` is the vector to the kart from the nearest point of the infinite line.
+    ``center_path_distance`` is its length, negative when the line is to the right of the kart.
     """
     start, along = ends[:, 0], ends[:, 0] - ends[:, 1]
     length_squared = (along * along).sum(-1, keepdims=True)
     share = (along * start).sum(-1, keepdims=True) / np.where(length_squared > 0, length_squared, 1)
     from_line = np.where(length_squared > 0, share * along - start, 0).astype(np.float32)
-    # Not np.sign: a line straight ahead is as far away as it is.
+    # np.sign would return 0 for a line straight ahead, and lose its distance.
     side = np.where(from_line[:, 0] < 0, -1, 1)
     distance = np.linalg.norm(from_line, axis=-1) * side
     return {"center_path": from_line, "center_path_distance": distance[:, None].astype(np.float32)}
@@ -197,7 +196,7 @@ def _in_order(values: npt.NDArray[_Kind], order: IntArray) -> npt.NDArray[_Kind]
 
 
 def _nearest_first(positions: FloatArray) -> IntArray:
-    """Order of ``(A, M, 3)`` points: those in front by distance, then those behind by distance."""
+    """Returns the order of points ``(A, M, 3)``: those in front by distance, then those behind."""
     distances = np.linalg.norm(positions, axis=-1)
     is_behind = positions[..., 2] < 0
     return np.lexsort((distances, is_behind), axis=-1)

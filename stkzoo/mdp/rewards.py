@@ -1,14 +1,17 @@
 """Rewards as sums of named terms, each computed for all karts at once.
 
-A *term* is a function from a :class:`~stkzoo.mdp.transition.Transition` to ``(K,)`` floats.
-A :class:`Reward` weighs and sums terms; their weighted values are in
-``infos[agent]["reward/<name>"]``.
+A *term* is a function from a :class:`~stkzoo.mdp.transition.Transition` to ``(K,)`` float64. A
+:class:`Reward` is a weighted sum of terms; ``infos[agent]["reward/<name>"]`` holds the weighted
+value of each term.
 
-Write ``reward="placement"`` to choose a shipped reward, ``reward={"time": 5.0}`` to
-reweigh terms of the default one, ``reward={"drift": my_term}`` to add a term of your own,
-``reward={"place": 0}`` to drop one, a :class:`Reward` to start from nothing, and a mapping
-from agents to any of these to give agents rewards of their own. The default is ``"race"``,
-and ``"reference"`` for the Gymnasium ids of pystk2-gymnasium.
+The ``reward`` argument of an environment accepts:
+
+- a name of a built-in reward, such as ``"placement"``; - a mapping that changes the default reward:
+``{"time": 5.0}`` changes a weight, ``{"place": 0}`` removes a term, and ``{"drift": my_term}`` adds
+your own term; - a :class:`Reward` that you define from scratch; - a mapping from agents to any of
+these.
+
+The default is ``"race"``; the Gymnasium ids of pystk2-gymnasium default to ``"reference"``.
 """
 
 from __future__ import annotations
@@ -30,46 +33,46 @@ RewardTerm = Callable[[Transition], FloatArray]
 
 
 def progress(step: Transition) -> FloatArray:
-    """A tenth of the metres driven."""
+    """Returns 0.1 per metre driven, ``(K,)``."""
     return np.asarray((step.distance - step.distance_before) / 10.0, np.float64)
 
 
 def rank(step: Transition) -> FloatArray:
-    """(1 - position/K) (3 + 7 f), f being 1 on the finishing step and 0 before."""
+    """Returns (1 - position/K) (3 + 7 f), where f is 1 in the finishing step and otherwise 0."""
     return (1.0 - step.position / step.num_kart) * (3.0 + 7.0 * step.finishes)
 
 
 def time(step: Transition) -> FloatArray:
-    """A constant price of every step, -0.1."""
+    """Returns -0.1 in every step, a time penalty."""
     return np.full(step.num_kart, -0.1)
 
 
 def finish(step: Transition) -> FloatArray:
-    """10 on the finishing step."""
+    """Returns 10 in the finishing step and otherwise 0."""
     return np.where(step.finishes, 10.0, 0.0)
 
 
 def course(step: Transition) -> FloatArray:
-    """The share of the race driven in this step; sums to 1 for a kart that finishes."""
+    """Returns the fraction of the race driven in this step, ``(K,)``; a finisher's sum is 1."""
     done = _driven(step.after, step.distance, step.race_length)
     return (done - np.minimum(step.distance_before, step.race_length)) / step.race_length
 
 
 def _driven(moment: Snapshot, distance: FloatArray, race_length: float) -> FloatArray:
-    """Metres of the race driven, ``(K,)``, at most its length."""
+    """Returns the distance driven [m], ``(K,)``, limited to the length of the race."""
     # The engine may finish a kart a few centimetres before the line.
     has_finished = moment.karts["has_finished_race"] > 0
     return np.where(has_finished, race_length, np.minimum(distance, race_length))
 
 
 def placement(step: Transition) -> FloatArray:
-    """On the finishing step, 1 for the winner down to 0 for the last, evenly spaced."""
+    """In the finishing step, returns 1 for the winner down to 0 for the last, evenly spaced."""
     others = max(step.num_kart - 1, 1)
     return step.finishes * (step.num_kart - step.position) / others
 
 
 def advance(step: Transition) -> FloatArray:
-    """A tenth of the metres of the race driven, which end at the finish line."""
+    """Returns 0.1 per metre driven up to the finish line, ``(K,)``."""
     return (
         _driven(step.after, step.distance, step.race_length)
         - _driven(step.before, step.distance_before, step.race_length)
@@ -77,10 +80,11 @@ def advance(step: Transition) -> FloatArray:
 
 
 def place(step: Transition) -> FloatArray:
-    """The change of 20 (K - position)/(K - 1) times the share of the race driven.
+    """Returns the change of 20 (K - position)/(K - 1) times the fraction of the race driven.
 
-    It is a potential: over an episode it sums to 20 for the winner, down to 0 for the last,
-    wherever the karts started. A place won early counts little until the kart has driven on.
+    The term is potential-based: over an episode it sums to 20 for the winner and 0 for the last
+    kart, wherever the karts started. Early in the race a place counts little, because the driven
+    fraction is small.
     """
 
     def potential(moment: Snapshot, distance: FloatArray) -> FloatArray:
@@ -91,7 +95,7 @@ def place(step: Transition) -> FloatArray:
     return potential(step.after, step.distance) - potential(step.before, step.distance_before)
 
 
-#: The terms that the kernel's ``StepScorer`` knows, by its numbers for them.
+#: The terms that the kernel's ``StepScorer`` implements, indexed by its term numbers.
 KERNEL_TERMS: tuple[RewardTerm, ...] = (
     progress,
     rank,
@@ -109,8 +113,11 @@ class Reward:
     """A weighted sum of named terms.
 
     Attributes:
-        terms: the terms by name.
-        weights: weights by name; 1 where none is given.
+        terms: terms by name.
+        weights: weights by name; the default weight is 1.
+
+    Raises:
+        ConfigError: a term is not callable, or a weight is not finite or has no term.
     """
 
     terms: Mapping[str, RewardTerm]
@@ -130,7 +137,11 @@ class Reward:
                 raise ConfigError(f"weight of reward term {name!r} is {weight!r}, not finite")
 
     def __call__(self, step: Transition) -> dict[str, FloatArray]:
-        """The weighted value of each term, ``(K,)`` float64 by name."""
+        """Returns the weighted value of each term, ``(K,)`` float64 by name.
+
+        Raises:
+            ConfigError: a term failed, or returned other values than K finite numbers.
+        """
         values = {}
         for name, term in self.terms.items():
             try:
@@ -149,9 +160,9 @@ class Reward:
 
     @cached_property
     def kernel_terms(self) -> tuple[IntArray, FloatArray] | None:
-        """The kernel's numbers of the terms, and their weights.
+        """The kernel's term numbers and their weights, ``(T,)`` each.
 
-        ``None`` if a term is not one of this module's.
+        ``None`` if a term is not defined in this module.
         """
         if not all(term in KERNEL_TERMS for term in self.terms.values()):
             return None
@@ -160,7 +171,11 @@ class Reward:
         return np.array(numbers, np.intp), np.array(weights, np.float64)
 
     def adapted(self, changes: Mapping[str, float | RewardTerm]) -> Reward:
-        """This reward with other weights (numbers) and further or other terms (functions)."""
+        """Returns a copy with changed weights (numbers) and added or replaced terms (functions).
+
+        Raises:
+            ConfigError: a change is neither a number nor a function, or a weight has no term.
+        """
         terms, weights = dict(self.terms), dict(self.weights)
         for name, change in changes.items():
             if callable(change):
@@ -174,11 +189,11 @@ class Reward:
         return Reward(terms, weights)
 
 
-#: The shipped rewards. ``race`` is the default: a better drive earns more. A finisher
-#: gets L/10 + 20 (K - p)/(K - 1) + 10 - 0.02 N for a race of L metres that it finishes in place p
-#: of K, after N steps; a kart that stands still gets -0.02 N.
-#: ``reference`` is the formula of pystk2-gymnasium, which also pays a kart that stands still.
-#: ``placement`` gives a total in [0, 2], the higher the better the place.
+#: The built-in rewards. ``race`` is the default: driving better earns more. A kart that finishes a
+#: race of L metres in place p of K after N steps earns L/10 + 20 (K - p)/(K - 1) + 10 - 0.02 N; a
+#: kart that stands still earns -0.02 N.
+#: ``reference`` is the formula of pystk2-gymnasium, which also rewards a kart that stands still.
+#: ``placement`` has a return in [0, 2], which is higher for a better place.
 REWARDS: Mapping[str, Reward] = {
     "race": Reward(
         {"advance": advance, "place": place, "finish": finish, "time": time}, {"time": 0.2}
@@ -190,11 +205,11 @@ REWARDS: Mapping[str, Reward] = {
 
 @dataclass(frozen=True)
 class RewardOver:
-    """A user's choice of reward where the default is not ``"race"``.
+    """A choice of reward for an environment whose default is not ``"race"``.
 
     Attributes:
-        default: name of the reward that ``None`` stands for and that mappings adapt.
-        choice: the user's.
+        default: name of the reward that ``None`` selects and that mappings change.
+        choice: the ``reward`` argument.
     """
 
     default: str
@@ -202,7 +217,15 @@ class RewardOver:
 
 
 def as_reward(choice: object, default: str = "race") -> Reward:
-    """The reward that a user's choice stands for (see the module's text)."""
+    """Returns the reward for a ``reward`` argument (see the module's docstring).
+
+    Args:
+        choice: the argument.
+        default: name of the reward that ``None`` selects and that mappings change.
+
+    Raises:
+        ConfigError: the choice is invalid.
+    """
     if choice is None:
         return REWARDS[default]
     if isinstance(choice, Reward):

@@ -1,4 +1,4 @@
-"""The spaces of one agent in the ``full`` view, from which all other views are made."""
+"""The observation and action spaces of the ``full`` view, on which all other views build."""
 
 from __future__ import annotations
 
@@ -13,23 +13,24 @@ from gymnasium import spaces
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.names import AttachmentType, GroundKind, ItemType, Phase, PowerupType
 
-#: Observed power-up counts stop here; the game itself has shown up to 6.
+#: Upper bound of observed powerup counts; the highest count seen in the game is 6.
 POWERUP_COUNT_LIMIT = 9
 
-#: The ground is seen at these marks along the line of the road, from beside the kart on [m] ...
+#: Distances along the road at which the ground is observed, starting beside the kart [m].
 GROUND_MARKS = np.arange(0.0, 108.0, 3.0, dtype=np.float32)
-#: ... and in these lanes: how far to the right of the line [m].
+#: Lateral positions at which the ground is observed, relative to the driving line [m]; positive
+#: is to the right.
 GROUND_LANES = np.arange(-9.0, 9.1, 0.75, dtype=np.float32)
 
 _KART_NAME_CHARACTERS = string.ascii_letters + string.digits + "_-"
 
 
 def kart_action_space() -> spaces.Dict:
-    """A fresh action space of one kart.
+    """Returns a new action space of one kart.
 
-    ``acceleration`` (1,) in [0, 1] and ``steer`` (1,) in [-1, 1] (positive is right, a
-    share of the kart's ``max_steer_angle``) are float32; the buttons ``brake``,
-    ``drift``, ``fire``, ``nitro`` and ``rescue`` are 0 or 1.
+    ``acceleration`` (1,) in [0, 1] and ``steer`` (1,) in [-1, 1] are float32. ``steer`` is a
+    fraction of the kart's ``max_steer_angle``; positive is right. The buttons ``brake``, ``drift``,
+    ``fire``, ``nitro`` and ``rescue`` are 0 or 1.
     """
     return spaces.Dict(
         {
@@ -40,19 +41,19 @@ def kart_action_space() -> spaces.Dict:
     )
 
 
-#: What an observation can hold in addition to the ``full`` view, and an entry that it then has.
+#: Optional parts of an observation, each with an entry that identifies it.
 EXTRAS = {"ground": "ground_kind", "motion": "karts_velocity"}
 
 
 def kart_observation_space(use_ai: bool = False, extras: Collection[str] = ()) -> spaces.Dict:
-    """A fresh observation space of one kart in the ``full`` view.
+    """Returns a new observation space of one kart in the ``full`` view.
 
     Args:
-        use_ai: add ``action``, the game AI's own choice, in the space of
+        use_ai: whether to add ``action``, the choice of the game's AI, in the space of
             :func:`kart_action_space`.
-        extras: some of :data:`EXTRAS`. ``"ground"`` adds ``ground_kind`` and ``ground_speed``, what
-            is beside the road ahead at :data:`GROUND_MARKS` and :data:`GROUND_LANES`;
-            ``"motion"`` adds ``karts_velocity`` and ``karts_heading``, how the other karts move.
+        extras: names from :data:`EXTRAS`. ``"ground"`` adds ``ground_kind`` and ``ground_speed``,
+            the ground ahead at :data:`GROUND_MARKS` and :data:`GROUND_LANES`; ``"motion"`` adds
+            ``karts_velocity`` and ``karts_heading``, the motion of the other karts.
     """
     inf = float("inf")
 
@@ -101,7 +102,7 @@ def kart_observation_space(use_ai: bool = False, extras: Collection[str] = ()) -
 
 
 def extras_of(space: spaces.Space[Any]) -> frozenset[str]:
-    """Which of :data:`EXTRAS` the observations of a space tell."""
+    """Returns the :data:`EXTRAS` that observations of a space contain."""
     entries = space.spaces if isinstance(space, spaces.Dict) else {}
     return frozenset(extra for extra, entry in EXTRAS.items() if entry in entries)
 
@@ -109,7 +110,13 @@ def extras_of(space: spaces.Space[Any]) -> frozenset[str]:
 def columns_of(
     name: str, space: spaces.Space[Any], values: Sequence[Any]
 ) -> dict[str, npt.NDArray[Any]]:
-    """Values with time as the leading axis; a dict's entries are ``name/key``."""
+    """Stacks values along a leading time axis, with one array per dict entry (``name/key``).
+
+    Args:
+        name: name of the array.
+        space: space of the values.
+        values: one value per time step.
+    """
     parts = getattr(space, "spaces", None)
     if not isinstance(parts, Mapping):
         shape = space.shape or ()

@@ -1,4 +1,4 @@
-"""The whole race as one vector, for critics that may see everything."""
+"""The state of the whole race as one vector, for centralized critics."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gymnasium import spaces
 from stkzoo.engine.snapshot import KART_DTYPE, Snapshot
 from stkzoo.mdp.transition import progress_of
 
-#: What the state tells first: seconds since GO, phase number, lap length [m], laps.
+#: The first entries of the state: time since GO [s], phase number, lap length [m], laps.
 GLOBAL_FEATURES = ("time", "phase", "track_length", "laps")
 
 _KART_FIELDS = (
@@ -21,8 +21,8 @@ _KART_FIELDS = (
     *("has_finished_race", "finish_time"),
 )
 
-#: What it tells of each kart, in agent order and then bots in grid order: fields of
-#: :data:`stkzoo.engine.snapshot.KART_DTYPE` with their sizes, and the metres driven.
+#: The entries of each kart, agents in agent order followed by bots in grid order: fields of
+#: :data:`stkzoo.engine.snapshot.KART_DTYPE` with their sizes, and the distance driven [m].
 KART_FEATURES = (
     *((name, math.prod(KART_DTYPE[name].shape)) for name in _KART_FIELDS),
     ("distance", 1),
@@ -30,7 +30,7 @@ KART_FEATURES = (
 
 
 def state_space(num_kart: int) -> spaces.Box:
-    """The space of :func:`race_state`."""
+    """Returns the space of :func:`race_state`."""
     size = len(GLOBAL_FEATURES) + num_kart * sum(size for _, size in KART_FEATURES)
     return spaces.Box(-np.inf, np.inf, (size,), np.float32)
 
@@ -38,11 +38,11 @@ def state_space(num_kart: int) -> spaces.Box:
 def race_state(
     snapshot: Snapshot, order: npt.NDArray[np.intp], track_length: float, laps: int
 ) -> npt.NDArray[np.float32]:
-    """The race as ``(4 + 27 K,)`` float32, world frame.
+    """Returns the state of the race, ``(4 + 27 K,)`` float32, in the world frame.
 
     Args:
-        snapshot: the moment.
-        order: ``(K,)`` kart indices in the order in which the state tells of them.
+        snapshot: current snapshot.
+        order: ``(K,)`` kart indices in the order of the state.
         track_length: length of a lap [m].
         laps: number of laps.
     """

@@ -1,4 +1,4 @@
-"""One step of a race as rewards and endings see it."""
+"""One step of a race, as input to rewards and episode ends."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def progress_of(snapshot: Snapshot) -> FloatArray:
-    """Distance driven by each kart, ``(K,)`` float64 [m], 0 until it crosses the start line.
+    """Returns the distance driven by each kart [m], ``(K,)`` float64.
 
-    The engine counts from minus one lap there, hence the bound.
+    It is 0 until the kart crosses the start line; before that, the engine's distance is negative.
     """
     return np.maximum(snapshot.karts["overall_distance"].astype(np.float64), 0.0)
 
@@ -28,11 +28,11 @@ class Transition:
     """One step, for all K karts in grid order.
 
     Attributes:
-        before: the moment before the step.
-        after: the moment after it.
-        race_length: laps times the lap's length [m].
-        event_counts: ``(K, E)`` the step's :data:`~stkzoo.mdp.events.EVENTS`; ``None`` in an
-            environment without ``events=True``.
+        before: snapshot before the step.
+        after: snapshot after the step.
+        race_length: number of laps times the lap length [m].
+        event_counts: ``(K, E)`` float64, the :data:`~stkzoo.mdp.events.EVENTS` of the step;
+            ``None`` in an environment without ``events=True``.
     """
 
     before: Snapshot
@@ -47,28 +47,28 @@ class Transition:
 
     @cached_property
     def distance_before(self) -> FloatArray:
-        """``(K,)`` driven before the step [m]."""
+        """``(K,)`` float64, distance driven before the step [m]."""
         return progress_of(self.before)
 
     @cached_property
     def distance(self) -> FloatArray:
-        """``(K,)`` driven after the step [m]."""
+        """``(K,)`` float64, distance driven after the step [m]."""
         return progress_of(self.after)
 
     @property
     def position(self) -> npt.NDArray[np.int32]:
-        """``(K,)`` ranks after the step; 1 is first."""
+        """``(K,)`` int32, ranks after the step; 1 is first."""
         ranks: npt.NDArray[np.int32] = self.after.karts["position"]
         return ranks
 
     def event(self, name: str) -> FloatArray:
-        """``(K,)``: how often an event happened to each kart in the step, or for how long [s].
+        """Returns each kart's count (or duration [s]) of an event in this step, ``(K,)`` float64.
 
         Args:
             name: one of :data:`~stkzoo.mdp.events.EVENTS`.
 
         Raises:
-            ConfigError: there is none of this name, or the environment counts none.
+            ConfigError: the event does not exist, or the environment does not count events.
         """
         if name not in EVENTS:
             raise unknown_name("event", name, EVENTS)
@@ -78,7 +78,7 @@ class Transition:
 
     @cached_property
     def finishes(self) -> npt.NDArray[np.bool_]:
-        """``(K,)`` whether the kart finished the race in this step."""
+        """``(K,)`` bool, whether each kart finished the race in this step."""
         after, before = self.after.karts, self.before.karts
         now: npt.NDArray[np.bool_] = after["has_finished_race"] > before["has_finished_race"]
         return now

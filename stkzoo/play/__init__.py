@@ -1,7 +1,7 @@
-"""Driving with the keyboard, against the game's drivers or agents.
+"""Keyboard driving in a race against the game's AI or other agents.
 
-``gymnasium.utils.play.play`` needs nothing of this package; it drives any id of one kart
-alone. Here a person is a driver of :func:`stkzoo.race.run_race` like any other.
+``gymnasium.utils.play.play`` works without this package, for one kart of any id. In this package, a
+person is a driver of :func:`stkzoo.race.run_race`.
 
 >>> from stkzoo.play import play_race
 >>> result = play_race(["heuristic", "ai"], track="lighthouse")  # doctest: +SKIP

@@ -1,4 +1,4 @@
-"""A person's driving as a dataset file."""
+"""Recordings of a person's driving as dataset files."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _AGENT = "kart_0"
 class DatasetWriter(RaceListener):
     """Writes one driver's episode to an ``.npz`` file when the race is over.
 
-    For ``T`` steps the file has ``observations`` ``(T + 1, ...)``, ``actions`` ``(T, ...)``,
-    ``rewards`` ``(T,)`` float64, ``terminations`` and ``truncations`` ``(T,)`` bool, and
-    ``about``, a text of JSON: view, track, seed and the like. Observations and actions that are
-    dicts become an array for each entry, ``observations/continuous``. The file has no pickles.
+    For ``T`` steps the file contains ``observations`` ``(T + 1, ...)``, ``actions`` ``(T, ...)``,
+    ``rewards`` ``(T,)`` float64, ``terminations`` and ``truncations`` ``(T,)`` bool, and ``about``,
+    a JSON string with view, track, seed and other facts. Dictionary observations and actions become
+    one array per entry, such as ``observations/continuous``. The file contains no pickles.
 
     Args:
-        path: the file.
-        view: name of a view of fixed size, made of stkzoo's own wrappers.
+        path: path of the file.
+        view: name of a view with a fixed size that consists of stkzoo's wrappers.
 
     Raises:
         ConfigError: the path or the view is invalid.
@@ -78,16 +78,16 @@ class DatasetWriter(RaceListener):
     def stepped(self, race: RaceProgress) -> None:
         """Records the outcome of the driver's last action."""
         if len(self._rewards) == len(self._actions):
-            return  # it has finished, and others still race
+            return  # it has finished; others are still racing
         self._rewards.append(float(race.rewards[_AGENT]))
         self._last = self._chain.observe(race.observations[_AGENT])
         self._is_finished = race.infos[_AGENT]["finish_time"] > 0
 
     def ended(self, _: RaceResult) -> None:
-        """Writes the file, completely or not at all.
+        """Writes the file atomically.
 
         Raises:
-            ConfigError: it cannot be written.
+            ConfigError: the file cannot be written.
         """
         steps = len(self._rewards)
         if not steps:

@@ -17,10 +17,10 @@ from stkzoo.render.renderer import BACKENDS, RaceRenderer
 from stkzoo.views import VIEWS
 from stkzoo.wrappers.camera import checked_size
 
-#: A step is a whole number of the game's ticks of 1/60 s.
+#: Supported steps per second; a step is a whole number of game ticks of 1/60 s.
 RATES = (10, 12, 15, 20, 30, 60)
 
-#: The person's agent: the first.
+#: The person drives the first agent.
 _AGENT = "kart_0"
 
 
@@ -36,7 +36,7 @@ def play_race(
     listeners: Sequence[RaceListener] = (),
     **settings: Any,
 ) -> RaceResult:
-    """Opens a window, lets a person drive, and returns how the race ended.
+    """Opens a window, lets a person drive, and returns the result of the race.
 
     The race runs in real time, slower where a picture takes longer than a step. Escape and
     closing the window end it.
@@ -85,7 +85,7 @@ def _check(backend: str, rate: int, view: str) -> None:
 def _person(
     screen: PlayScreen, actions: Mapping[Any, Any], writer: DatasetWriter | None
 ) -> ActorMaker:
-    """The driver: takes the action for the keys that are down."""
+    """Returns the person's driver, which acts according to the keys that are held down."""
 
     def act(observation: Any) -> Any:
         action = actions[tuple(sorted(screen.pressed)) or ""]
@@ -97,7 +97,7 @@ def _person(
 
 
 class _Game(RaceListener):
-    """The listener: shows every step and keeps the race at real time."""
+    """The race listener that shows every step and keeps the race in real time."""
 
     def __init__(self, screen: PlayScreen, size: tuple[int, int], backend: str, rate: int) -> None:
         self._screen, self._seconds = screen, 1 / rate
@@ -118,14 +118,14 @@ class _Game(RaceListener):
         self._wait(race)
 
     def stepped(self, race: RaceProgress) -> None:
-        """Shows the step, then waits until the next one is due."""
+        """Shows the step and waits until the next one is due."""
         self._show(race)
-        # A late picture slows the race down; it does not speed up afterwards.
+        # A late frame delays the race; later steps do not catch up.
         self._due = max(self._due + self._seconds, time.monotonic())
         self._wait(race)
 
     def closed(self) -> None:
-        """Ends the render process."""
+        """Stops the render process."""
         self._renderer.close()
 
     def _wait(self, race: RaceProgress) -> None:

@@ -1,4 +1,4 @@
-"""The window for driving: shows pictures and tracks the keys that are down."""
+"""The window of the keyboard driver: it shows frames and tracks the keys that are held down."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from stkzoo.env.keyboard import KEYS
 from stkzoo.errors import import_extra
 
 _TITLE = "stkzoo play"
-_BAR = 30  # [pixels]
+_BAR = 30  # height of the text bar [pixels]
 _BAR_COLOUR, _TEXT_COLOUR, _FAINT_COLOUR = (20, 24, 32), (235, 240, 245), (150, 160, 175)
 _HELP = "P pause   Esc leave"
 
 
 class PlayScreen:
-    """A window with a picture and a line of text below.
+    """A window with a frame and a line of text below it.
 
     Attributes:
-        pressed: codes of the driving keys that are down (:mod:`stkzoo.env.keyboard`).
-        is_paused: whether P was pressed.
-        is_left: whether Escape was pressed or the window closed.
+        pressed: codes of the driving keys that are held down (:mod:`stkzoo.env.keyboard`).
+        is_paused: whether the race is paused (P key).
+        is_left: whether Escape was pressed or the window was closed.
 
     Args:
-        size: width and height of the picture [pixels].
+        size: width and height of the frame [pixels].
 
     Raises:
         ConfigError: pygame is not installed, or there is no display.
@@ -57,10 +57,10 @@ class PlayScreen:
             elif event.type == pygame.KEYUP:
                 self.pressed.discard(event.key)
             elif event.type == pygame.WINDOWFOCUSLOST:
-                self.pressed.clear()  # their release will go to another window
+                self.pressed.clear()  # another window gets their key-up events
 
     def show(self, picture: npt.NDArray[np.uint8], text: str) -> None:
-        """Shows a picture, ``(H, W, 3)`` uint8, as large as fits, and a line of text."""
+        """Shows a frame, ``(H, W, 3)`` uint8, as large as it fits, and a line of text."""
         pygame, window = self._pygame, self._window
         width, height = window.get_size()
         scale = min(width / picture.shape[1], max(1, height - _BAR) / picture.shape[0])
@@ -74,7 +74,7 @@ class PlayScreen:
         pygame.display.flip()
 
     def wait(self, deadline: float) -> None:
-        """Listens until a moment of :func:`time.monotonic`, or until the person leaves."""
+        """Handles events until a time of :func:`time.monotonic`, or until the person leaves."""
         self.listen()
         while not self.is_left and (left := deadline - time.monotonic()) > 0:
             time.sleep(min(left, 0.01))
@@ -102,13 +102,13 @@ class PlayScreen:
 
 
 def _load_pygame() -> Any:
-    """The module ``pygame``, able to open a window.
+    """Returns the module ``pygame``, with its display initialized.
 
     Raises:
         ConfigError: pygame is not installed, or there is no display.
     """
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     pygame = import_extra("pygame", "the window needs", "play")
-    # Without a display SDL would draw into an invisible window.
+    # Without a display, SDL would open an invisible window.
     check_display("the race is shown in a window")
     return pygame

@@ -1,4 +1,4 @@
-"""Pictures of races: a map from above, and the game's own frames.
+"""Rendering of races: a top-down map and the game's own frames.
 
 >>> from stkzoo.render import race_palette
 >>> race_palette(2)

@@ -1,4 +1,4 @@
-"""What videos show over and after the race: labels, a bar on top, the results."""
+"""Overlays of videos: labels, a top bar, and a results card."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stkzoo.render.scene import RaceStanding, Scene, clock, standings
 
 Picture = npt.NDArray[np.uint8]
 
-#: One line of the end card: rank, name, colour as ``"#rrggbb"``, time or what came instead.
+#: One line of the end card: rank, name, colour as ``"#rrggbb"``, finish time or status.
 ResultRow = tuple[int, str, str, str]
 
 _DARK, _CARD, _TEXT, _FAINT = (14, 18, 25), (27, 34, 46), (240, 244, 250), (150, 162, 182)
@@ -25,13 +25,13 @@ _MEDALS = {1: "#ffd34d", 2: "#cfd8e3", 3: "#e0a371"}
 def with_labels(
     picture: Picture, scene: Scene, snapshot: Snapshot, karts: Sequence[int]
 ) -> Picture:
-    """A picture of camera tiles with rank, name, lap and speed of each, and the race's time.
+    """Adds rank, name, lap and speed to each camera tile, and the race's time to the frame.
 
     Args:
-        picture: tiles as :func:`stkzoo.render.pictures.tiled` makes them.
+        picture: tiles from :func:`stkzoo.render.pictures.tiled`, ``(H, W, 3)`` uint8.
         scene: the race.
-        snapshot: its moment.
-        karts: whose camera each tile is.
+        snapshot: current snapshot.
+        karts: kart index of each tile.
     """
     image = pillow().Image.fromarray(picture)
     draw = pillow().ImageDraw.Draw(image, "RGBA")
@@ -58,7 +58,7 @@ def _draw_label(
     tile: tuple[int, int],
     unit: int,
 ) -> None:
-    """The bar at a tile's foot: rank in the kart's colour, name, lap and speed."""
+    """Draws the bar at the bottom of a tile: rank in the kart's colour, name, lap and speed."""
     left, bottom = place[0], place[1] + tile[1]
     top = bottom - unit * 2
     draw.rectangle([left, top, left + tile[0], bottom], fill=(*_DARK, 185))
@@ -82,13 +82,13 @@ def _draw_title(draw: Any, title: str, width: int, unit: int) -> None:
 def end_card(
     title: str, subtitle: str, rows: Sequence[ResultRow], behind: Picture | None, size: Any
 ) -> Picture:
-    """The results as the last picture of a video.
+    """Returns the results as the last frame of a video.
 
     Args:
-        title: the track's name.
-        subtitle: a line below it.
-        rows: best first; those that do not fit are counted.
-        behind: the race's last picture, shown dimly; ``None`` for none.
+        title: name of the track.
+        subtitle: line below the title.
+        rows: results, best first; a line counts those that do not fit.
+        behind: last frame of the race, as a dimmed background; ``None`` for no background.
         size: width and height [pixels].
     """
     images, drawing = pillow().Image, pillow().ImageDraw

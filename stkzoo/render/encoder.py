@@ -1,4 +1,4 @@
-"""Video files, encoded picture by picture."""
+"""Video files, encoded frame by frame."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _H264 = ("-c:v", "libx264", "-preset", "veryfast", "-crf", "21", "-pix_fmt", "yu
 _VP9 = ("-c:v", "libvpx-vp9", "-deadline", "realtime", "-cpu-used", "6")
 _GIF = "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=bayer"
 
-#: Arguments of ffmpeg by the file's suffix.
+#: Arguments of ffmpeg by file suffix.
 FORMATS: dict[str, tuple[str, ...]] = {
     ".mp4": (*_H264, "-movflags", "+faststart", "-f", "mp4"),
     ".mov": (*_H264, "-movflags", "+faststart", "-f", "mov"),
@@ -34,19 +34,22 @@ FORMATS: dict[str, tuple[str, ...]] = {
     ".gif": ("-filter_complex", _GIF, "-loop", "0", "-f", "gif"),
 }
 
-#: Seconds in which ffmpeg must take a picture, and end when all are there.
+#: Time limits of ffmpeg [s]: to accept one frame, and to exit after the last one.
 _STALL_LIMIT, _END_LIMIT = 60.0, 120.0
 
 
 class VideoError(StkzooError):
-    """A video could not be written; no file is left behind."""
+    """A video could not be written; no partial file remains."""
 
 
 def check_video_path(path: str | os.PathLike[str]) -> Path:
     """Checks the path of a video to write.
 
+    Args:
+        path: path of the file; its suffix must be in :data:`FORMATS`.
+
     Raises:
-        ConfigError: its ending is unknown, its folder is not writable, or there is no ffmpeg.
+        ConfigError: the suffix is unknown, the folder is not writable, or ffmpeg is missing.
     """
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
@@ -64,7 +67,7 @@ def _ffmpeg() -> str:
         import imageio_ffmpeg
 
         return cast("str", imageio_ffmpeg.get_ffmpeg_exe())
-    except (ImportError, RuntimeError):  # the latter where it is there but does not run
+    except (ImportError, RuntimeError):  # RuntimeError: ffmpeg exists but does not run
         found = shutil.which("ffmpeg")
         if found is None:
             raise ConfigError(
@@ -77,12 +80,12 @@ def _ffmpeg() -> str:
 class VideoWriter:
     """Writes one video until :meth:`close` or :meth:`abort`; a failure leaves no file.
 
-    Pictures go to ffmpeg as they come, so that memory does not grow. The file appears under
-    its name when :meth:`close` has succeeded.
+    Frames are sent to ffmpeg immediately, so memory use is constant. The file appears under its
+    name after :meth:`close` succeeds.
 
     Args:
-        path: the file; its ending, one of :data:`FORMATS`, says what kind.
-        fps: pictures a second.
+        path: path of the file; its suffix selects one of :data:`FORMATS`.
+        fps: frames per second.
 
     Raises:
         ConfigError: see :func:`check_video_path`.
@@ -97,12 +100,13 @@ class VideoWriter:
         self._resources = contextlib.ExitStack()
 
     def add(self, picture: npt.NDArray[np.uint8]) -> None:
-        """Adds a picture, ``(H, W, 3)`` uint8, all of one size.
+        """Adds a frame, ``(H, W, 3)`` uint8; all frames must have the same size.
 
-        An odd last row or column is left out, which most formats cannot hold.
+        If a dimension is odd, the last row or column is dropped, because most formats need even
+        sizes.
 
         Raises:
-            ConfigError: the picture is of another size or kind.
+            ConfigError: the frame has another size or dtype.
             VideoError: ffmpeg failed, for example because the disk is full.
         """
         if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
@@ -116,16 +120,16 @@ class VideoWriter:
             raise ConfigError(f"a picture is {width}x{height}, expected {self._shape}; resize it")
         try:
             self._send(np.ascontiguousarray(picture[:height, :width]))
-        except BaseException:  # part of a picture would shift all that follow
+        except BaseException:  # a partial frame would shift all later frames
             self.abort()
             raise
         self.num_frames += 1
 
     def close(self) -> None:
-        """Ends the video and puts it in place.
+        """Finishes the video and moves it to its path.
 
         Raises:
-            VideoError: ffmpeg failed, or there was no picture.
+            VideoError: ffmpeg failed, or there were no frames.
         """
         if self._process is None:
             raise VideoError(f"{self.path} would have no picture; no file was written")
@@ -140,7 +144,7 @@ class VideoWriter:
         self._resources.close()
 
     def abort(self) -> None:
-        """Discards the video. You may call it again, or after close."""
+        """Discards the video; you may call it again, or after :meth:`close`."""
         with contextlib.suppress(_Aborted), self._resources:
             raise _Aborted
 
@@ -158,7 +162,7 @@ class VideoWriter:
                 stdin=subprocess.PIPE,
                 stdout=self._log.fileno(),
                 stderr=self._log.fileno(),
-                start_new_session=True,  # a Ctrl-C is this program's, which then ends ffmpeg
+                start_new_session=True,  # this program handles Ctrl-C and stops ffmpeg
             )
             self._pipe = cast("IO[bytes]", self._process.stdin)
             resources.callback(_end, self._process, self._pipe)
@@ -195,7 +199,7 @@ class VideoWriter:
 
 
 class _Aborted(Exception):
-    """Ends the writing of a file without the file."""
+    """Raised to stop writing without leaving a file."""
 
 
 def _end(process: subprocess.Popen[bytes], pipe: IO[bytes]) -> None:

@@ -23,16 +23,16 @@ from stkzoo.render.scene import Scene
 
 Picture = npt.NDArray[np.uint8]
 
-#: After a longer way the karts are put in place at once, and the cameras given time [s].
+#: After a longer gap in game time [s], karts jump to their places and cameras get time to settle.
 _LONGEST_WAY = 0.5
 _SETTLING_STEPS, _SETTLING_STEP = 4, 0.1
-#: The game splits its screen for so many cameras into cells of another shape than the
-#: screen's, and each picture has the cell's view; a screen higher by this factor corrects it.
+#: For these numbers of cameras, the game splits its screen into cells with another aspect ratio
+#: than the screen. A screen higher by this factor restores the aspect ratio of the frames.
 _HEIGHT_FACTORS = {2: 2.0, 5: 1.5, 6: 1.5}
-#: The largest screen that the game finds where there is none [pixels]; for a larger one it
-#: takes this instead, of another shape.
+#: The largest off-screen screen that the game supports [pixels]; for a larger request it falls back
+#: to this size, with another aspect ratio.
 _LARGEST_SCREEN = 1024, 768
-#: Models that are easy to tell apart, for karts without a chosen model.
+#: Distinctive kart models, for karts without a chosen model.
 _MODELS = (
     *("tux", "gnu", "nolok", "kiki", "konqi", "suzanne", "wilber", "puffy"),
     *("sara_the_racer", "pidgin", "adiumy", "amanda", "emule", "gavroche", "hexley", "beastie"),
@@ -40,13 +40,13 @@ _MODELS = (
 
 
 class GameView:
-    """Draws the moments of races as the game shows them, off-screen or in its window.
+    """Renders moments of races with the game, off-screen or in a window.
 
     Args:
-        karts: whose cameras, as indices in grid order, at most 8.
-        size: width and height of a picture [pixels].
+        karts: karts with a camera, as indices in grid order, at most 8.
+        size: width and height of a frame [pixels].
         preset: see :class:`~stkzoo.engine.render_session.RenderSession`.
-        has_window: shows the game's window.
+        has_window: whether to show the game's window.
 
     Raises:
         AssetError: the game's full data is missing.
@@ -73,37 +73,43 @@ class GameView:
             root = self._data.path
         self._session = RenderSession(root, screen, preset, has_window=has_window)
         self._last: Snapshot | None = None
-        self._pace = TICK  # seconds that a window takes for a pose
+        self._pace = TICK  # time per pose in the window [s]
 
     def start(self, scene: Scene) -> None:
-        """Starts drawing a race.
+        """Starts to render a race.
 
         Raises:
-            EngineError: the game cannot draw here.
+            EngineError: the game cannot render on this machine.
         """
         self._session.start(_drawn_setup(scene, self._karts, self._assets.karts))
         self._last = None
 
     def frames(self, snapshot: Snapshot) -> dict[int, Picture]:
-        """The frame of each camera, ``(H, W, 3)`` uint8, by its kart.
+        """Returns the frame of each camera, ``(H, W, 3)`` uint8, by kart.
 
         Raises:
-            EngineError: the game died or hangs.
+            EngineError: the game crashed or hung.
         """
         return self._frames(self._go(snapshot, images=True).images)
 
     def frames_and_depths(
         self, snapshot: Snapshot
     ) -> tuple[dict[int, Picture], dict[int, npt.NDArray[np.float32]]]:
-        """Frames ``(H, W, 3)`` and depth buffers ``(H, W)`` by kart; 0 is near and 1 far."""
+        """Returns frames ``(H, W, 3)`` uint8 and depth buffers ``(H, W)`` float32 by kart.
+
+        Depth is 0 at the camera and 1 at the horizon.
+
+        Raises:
+            EngineError: the game crashed or hung.
+        """
         footage = self._go(snapshot, images=True, depths=True)
         depths = [_thinned(depth, self._size) for depth in footage.depths]
         return self._frames(footage.images), dict(zip(self._karts, depths, strict=True))
 
     def show(self, snapshot: Snapshot) -> None:
-        """Moves the karts in the window, in real time at most.
+        """Moves the karts in the window, at most in real time.
 
-        A window that is slow to draw gets fewer poses.
+        A window that renders slowly gets fewer poses.
         """
         seconds = self._seconds_to(snapshot)
         if seconds is None or self._last is None:
@@ -116,7 +122,7 @@ class GameView:
         self._pace = (time.monotonic() - begin) / number
 
     def frames_between(self, snapshot: Snapshot, number: int) -> Iterator[dict[int, Picture]]:
-        """The frames of so many moments after the last one drawn; the last is ``snapshot``."""
+        """Yields frames of ``number`` moments since the last frame; the last is ``snapshot``."""
         last, seconds = self._last, self._seconds_to(snapshot)
         if last is None or seconds is None:
             yield self.frames(snapshot)
@@ -128,7 +134,7 @@ class GameView:
             yield self._frames(self._session.draw(poses[begin : begin + ticks]).images)
 
     def close(self) -> None:
-        """Ends the render process."""
+        """Stops the render process."""
         self._session.close()
         if self._data is not None:
             self._data.close()
@@ -139,7 +145,7 @@ class GameView:
         return self._session.draw(poses, seconds=seconds, images=images, depths=depths)
 
     def _way_to(self, snapshot: Snapshot) -> tuple[npt.NDArray[np.float32], float]:
-        """Poses that lead to a moment, and the time from one to the next [s]."""
+        """Returns the poses that lead to a moment, and the time between poses [s]."""
         last, seconds = self._last, self._seconds_to(snapshot)
         if last is snapshot:
             return poses_between(snapshot, snapshot, _evenly(0)), TICK
@@ -149,7 +155,7 @@ class GameView:
         return poses_between(last, snapshot, _evenly(max(1, round(seconds / TICK)))), TICK
 
     def _seconds_to(self, snapshot: Snapshot) -> float | None:
-        """Game time since the last moment drawn [s]; ``None`` after a leap, or at first."""
+        """Returns the game time since the last frame [s]; ``None`` after a jump or at first."""
         if self._last is None:
             return None
         seconds = game_time(snapshot) - game_time(self._last)
@@ -161,7 +167,7 @@ class GameView:
 
 
 def _thinned(depth: npt.NDArray[np.float32], size: tuple[int, int]) -> npt.NDArray[np.float32]:
-    """A depth buffer in another size; depths must not be mixed as colours are."""
+    """Resizes a depth buffer by sampling; interpolation would invent depths."""
     height, width = depth.shape
     rows = (np.arange(size[1]) + 0.5) * height / size[1]
     columns = (np.arange(size[0]) + 0.5) * width / size[0]
@@ -169,14 +175,14 @@ def _thinned(depth: npt.NDArray[np.float32], size: tuple[int, int]) -> npt.NDArr
 
 
 def _screen_for(size: tuple[int, int], cameras: int) -> tuple[int, int]:
-    """A screen whose pictures have the shape of a size, and are no larger than can be."""
+    """Returns a screen size whose frames have the wanted aspect ratio and fit the limits."""
     width, height = size[0], size[1] * _HEIGHT_FACTORS.get(cameras, 1.0)
     scale = min(1.0, _LARGEST_SCREEN[0] / width, _LARGEST_SCREEN[1] / height)
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
 def _evenly(number: int) -> npt.NDArray[np.float32]:
-    """So many parts of a way, the last of which is its end."""
+    """Returns evenly spaced fractions, ``(number,)`` float32; the last one is 1."""
     return np.linspace(0, 1, number + 1, dtype=np.float32)[1:]
 
 
@@ -196,7 +202,7 @@ def _drawn_setup(scene: Scene, cameras: Sequence[int], models: Sequence[str]) ->
 
 
 def _models(scene: Scene, known: Sequence[str]) -> list[str]:
-    """What each kart looks like: the model that was asked for, else one of its own."""
+    """Returns each kart's model: the requested one, or a distinct one."""
     chosen = [kart.kart for kart in scene.setup.karts]
     free = [model for model in _MODELS if model in known and model not in chosen]
     free = free or list(known)

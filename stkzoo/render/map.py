@@ -1,4 +1,4 @@
-"""A race from above: the track, karts, items, trails and standings as one picture."""
+"""A top-down map of a race: track, karts, items, trails and standings in one frame."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 
-#: Everything is drawn this many times larger, then made small: smooth edges everywhere.
+#: Oversampling factor for anti-aliasing.
 _FINE = 2
 _BACKGROUND, _KERB = (18, 23, 32), (196, 206, 220)
 _ROAD_LOW, _ROAD_HIGH = np.array([47, 57, 74]), np.array([112, 127, 150])
-_MARGIN = 0.05  # of the picture, around the whole track
-_FOLLOWED = 90.0  # [m], from side to side of a picture that follows a kart
-_TRAIL = 30  # moments
-#: By number of stkzoo.names.ItemType: colour and radius [m].
+_MARGIN = 0.05  # margin around the track, as a fraction of the frame
+_FOLLOWED = 90.0  # [m], width of a frame that follows a kart
+_TRAIL = 30  # length of a trail in snapshots
+#: Colour and radius [m] by number of stkzoo.names.ItemType.
 _ITEMS = {
     0: ("#ff9f43", 1.5),
     1: ("#ffe14d", 1.0),
@@ -41,14 +41,14 @@ _ITEMS = {
 class MapView:
     """Draws the moments of one race.
 
-    The track is drawn once; a picture costs a few milliseconds.
+    The track is drawn once; after that, a frame takes a few milliseconds.
 
     Args:
         scene: the race.
-        size: width and height of a picture [pixels].
-        follow: a kart, as an index in grid order, that stays in the middle of the picture;
-            ``None`` shows the whole track.
-        panel: with the standings, if the picture is wide enough.
+        size: width and height of a frame [pixels].
+        follow: kart to keep in the centre of the frame, as an index in grid order; ``None`` shows
+            the whole track.
+        panel: whether to show the standings, if the frame is wide enough.
     """
 
     def __init__(
@@ -73,11 +73,11 @@ class MapView:
         self._label = font_of(max(9, min(size) // 40) * _FINE)
 
     def remember(self, snapshot: Snapshot) -> None:
-        """Records a moment for the trails, even if it is not drawn."""
+        """Records a snapshot for the trails without drawing it."""
         self._trail.append(snapshot.karts["location"][:, ::2].copy())
 
     def draw(self, snapshot: Snapshot) -> npt.NDArray[np.uint8]:
-        """The picture of a moment: ``(height, width, 3)`` uint8."""
+        """Returns the frame of a snapshot, ``(height, width, 3)`` uint8."""
         if self._follow is not None:
             self._centre = snapshot.karts["location"][self._follow, ::2]
         canvas = self._backdrop()
@@ -129,7 +129,7 @@ class MapView:
         return canvas
 
     def _draw_start(self, draw: Any) -> None:
-        """Two rows of black and white squares across the road."""
+        """Draws two rows of black and white squares across the road."""
         left, right = self._road.line
         deep = max(1.2, 5 / self._scale)
         squares = max(4, round(float(np.linalg.norm(right - left)) / deep))
@@ -141,7 +141,7 @@ class MapView:
                 colour = (240, 240, 240) if (row + column) % 2 else (24, 24, 24)
                 draw.polygon([tuple(p) for p in self._pixels(corners).tolist()], fill=colour)
 
-    # ------------------------------------------------------------------ what moves
+    # ------------------------------------------------------------------ moving objects
 
     def _draw_items(self, draw: Any, snapshot: Snapshot) -> None:
         places = self._pixels(snapshot.items["location"][:, ::2])
@@ -159,7 +159,7 @@ class MapView:
             return
         lines = self._pixels(np.stack(self._trail))
         width = max(_FINE, round(self._radius() / 2))
-        longest = 12.0 * self._scale  # more is no driving but being put elsewhere
+        longest = 12.0 * self._scale  # a longer distance is a reset of the kart
         fades = np.linspace(0.15, 0.75, len(lines))
         for kart, name in enumerate(self._scene.colours):
             colour = np.array(rgb(name))
@@ -177,7 +177,7 @@ class MapView:
             self._draw_kart(draw, kart, places[kart], ways[kart])
 
     def _draw_kart(self, draw: Any, kart: int, place: Any, way: Any) -> None:
-        """A disc with a nose that points ahead, and the agent's number."""
+        """Draws a disc with a pointer ahead and the agent's number."""
         name = self._scene.colours[kart]
         radius = self._radius()
         across = np.array([-way[1], way[0]])
@@ -192,11 +192,11 @@ class MapView:
             draw.text(tuple(place), label, readable_on(name), font=self._label, anchor="mm")
 
     def _radius(self) -> float:
-        """Of a kart's disc on the large canvas: large enough for its number [pixels]."""
+        """Radius of a kart's disc on the oversampled canvas, with room for its number [pixels]."""
         return max(1.1 * self._scale, float(self._label.size) * 0.62)
 
     def _pixels(self, points: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-        """Places ``(..., 2)`` of x and z [m] on the large canvas; z goes up."""
+        """Converts points ``(..., 2)`` of x and z [m] to the oversampled canvas; z points up."""
         middle = np.array([self._width, self._height]) * _FINE / 2
         flat: npt.NDArray[np.float64] = (points - self._centre) * [self._scale, -self._scale]
         return flat + middle
@@ -208,7 +208,7 @@ def _disc(draw: Any, place: Any, radius: float, colour: Any) -> None:
 
 
 def _outline(draw: Any, quad: Any, kerb: float) -> None:
-    """A piece of road with its kerbs left and right."""
+    """Draws the left and right kerbs of a road segment."""
     points = [tuple(point) for point in quad.tolist()]
     draw.polygon(points, fill=_KERB)
     for start, end in ((0, 3), (1, 2)):
@@ -217,24 +217,24 @@ def _outline(draw: Any, quad: Any, kerb: float) -> None:
 
 FloatArray = npt.NDArray[np.float32]
 
-#: Ends of segments that lie nearer than this are drawn as one place [m].
+#: Segment ends closer than this are drawn as one point [m].
 _JOINT = 16.0
-#: No road is drawn narrower or wider than this [m].
+#: Smallest and largest width at which a road is drawn [m].
 _WIDTHS = 3.0, 60.0
 
 
 class RoadOutline:
-    """The driving line's segments as four-sided pieces. Points are ``(x, z)`` [m].
+    """The segments of the driving line as quadrilaterals. Points are ``(x, z)`` [m], world frame.
 
     Attributes:
-        quads: ``(N, 4, 2)``: left and right edge at a piece's start, right and left at its end.
-        joints: ``(N, 2)``: the centre at each piece's start.
+        quads: ``(N, 4, 2)``, left and right corner at the start, then right and left at the end.
+        joints: ``(N, 2)``, centre of each segment's start.
         widths: ``(N,)`` [m].
-        heights: ``(N,)`` [m], at each piece's middle.
-        order: ``(N,)``: the pieces from the lowest to the highest.
-        low, high: ``(2,)``: the corners of the box that holds all pieces.
-        line: ``(2, 2)``: the start line, from left to right.
-        forward: ``(2,)``: the direction of driving there.
+        heights: ``(N,)`` height at each segment's middle [m].
+        order: ``(N,)``, segments from the lowest to the highest.
+        low, high: ``(2,)``, corners of the bounding box.
+        line: ``(2, 2)``, left and right end of the start line.
+        forward: ``(2,)``, driving direction at the start line.
     """
 
     def __init__(self, track: TrackMap) -> None:
@@ -263,14 +263,14 @@ class RoadOutline:
         self.forward = at_start[first]
 
     def shades(self) -> FloatArray:
-        """``(N,)``: 0 for the lowest, 1 for the highest piece; flat tracks are all 0.5."""
+        """``(N,)``, 0 for the lowest and 1 for the highest segment; 0.5 on flat tracks."""
         low, high = float(self.heights.min()), float(self.heights.max())
         if high - low < 2.0:
             return np.full(len(self.heights), 0.5, np.float32)
         return np.asarray((self.heights - low) / (high - low), np.float32)
 
     def near(self, centre: FloatArray, reach: float) -> npt.NDArray[np.bool_]:
-        """``(N,)``: which pieces come within so many metres of a place, in ``x`` or ``z``."""
+        """Returns whether each segment is within ``reach`` metres of a point, ``(N,)`` bool."""
         low, high = self.quads.min(1), self.quads.max(1)
         near: npt.NDArray[np.bool_] = ((low < centre + reach) & (high > centre - reach)).all(1)
         return near
@@ -278,12 +278,12 @@ class RoadOutline:
 
 @lru_cache(maxsize=32)
 def road_outline(track: TrackMap) -> RoadOutline:
-    """The outline of a track's road, cached."""
+    """Returns the outline of a track's road; cached."""
     return RoadOutline(track)
 
 
 def _mean_ways(ways: FloatArray, track: TrackMap) -> FloatArray:
-    """Directions where segments meet: the mean of a segment's and its forerunners'."""
+    """Returns directions at the joints: the mean over a segment and its predecessors."""
     sums = ways.copy()
     for node, followers in enumerate(track.successors):
         for follower in followers:
@@ -298,5 +298,5 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 
 def _right_of(ways: FloatArray) -> FloatArray:
-    """Driving along z, x is on the right."""
+    """Returns the directions to the right; when driving along z, x is to the right."""
     return np.stack([ways[:, 1], -ways[:, 0]], axis=1)

@@ -1,4 +1,4 @@
-"""Where karts are between two steps."""
+"""Interpolation of karts between two steps."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from stkzoo.engine.snapshot import Snapshot
 
 FloatArray = npt.NDArray[np.float32]
 
-#: A kart that is this much farther on than it drove was put there by the game [m].
+#: A kart that moved this much farther than its speed allows was placed there by the game [m].
 _LEAP = 3.0
 
 
 def pose_of(snapshot: Snapshot) -> FloatArray:
-    """``(K, 8)`` float32: location [m], rotation (w, x, y, z), forward speed [m/s]."""
+    """Returns ``(K, 8)`` float32: location [m], rotation (w, x, y, z), forward speed [m/s]."""
     karts = snapshot.karts
     return np.concatenate(
         [karts["location"], karts["rotation"], karts["velocity_lc"][:, 2:]], axis=1
@@ -22,19 +22,19 @@ def pose_of(snapshot: Snapshot) -> FloatArray:
 
 
 def poses_between(before: Snapshot, after: Snapshot, fractions: npt.ArrayLike) -> FloatArray:
-    """Poses of all karts at moments between two snapshots of one race.
+    """Interpolates the poses of all karts between two snapshots of one race.
 
-    Locations follow the cubic curve that has both places and both velocities (Hermite's);
-    rotations are mixed and made unit again, which for the small turn of one step is as good
-    as turning evenly. A kart that the game has put elsewhere stays until the end.
+    Locations follow the cubic Hermite curve through both locations with both velocities. Rotations
+    are interpolated linearly and normalized, which is accurate for the small rotations in one step.
+    A kart that the game moved elsewhere stays in place until the end.
 
     Args:
-        before: the earlier moment.
-        after: the later moment.
-        fractions: ``(T,)``: 0 is the earlier, 1 the later moment.
+        before: the earlier snapshot.
+        after: the later snapshot.
+        fractions: ``(T,)``, 0 for the earlier and 1 for the later moment.
 
     Returns:
-        ``(T, K, 8)`` as :func:`pose_of`.
+        ``(T, K, 8)`` float32, in the form of :func:`pose_of`.
     """
     start, end = pose_of(before), pose_of(after)
     seconds = max(game_time(after) - game_time(before), 1e-3)
@@ -63,14 +63,14 @@ def _has_leapt(before: Snapshot, after: Snapshot, seconds: float) -> npt.NDArray
 
 
 def game_time(snapshot: Snapshot) -> float:
-    """Game time [s] since the engine began to count; steady from READY to the end."""
+    """Returns the engine's game time [s]; it increases steadily from READY to the end."""
     return float(snapshot.header["time"]) + float(snapshot.header["aux_ticks"]) / 120
 
 
 def snapshots_between(before: Snapshot, after: Snapshot, number: int) -> list[Snapshot]:
-    """So many moments after the first one, evenly; the last is ``after``.
+    """Returns ``number`` evenly spaced snapshots after the first one; the last is ``after``.
 
-    Karts are on their way (:func:`poses_between`); all else is as in ``after``.
+    Karts are interpolated (:func:`poses_between`); other values are those of ``after``.
     """
     fractions = np.arange(1, number, dtype=np.float32) / number
     noses = [snapshot.karts["front"] - snapshot.karts["location"] for snapshot in (before, after)]

@@ -1,4 +1,4 @@
-"""Colours of karts, the same on the map, in videos, on the live page and in plots."""
+"""Colours of karts, shared by the map, videos, the live page and plots."""
 
 from __future__ import annotations
 
@@ -8,26 +8,25 @@ from functools import lru_cache
 #: Red, green and blue, 0 to 255.
 Colour = tuple[int, int, int]
 
-#: Okabe and Ito's colours, which people with every kind of colour vision tell apart
-#: (https://jfly.uni-koeln.de/color/), in an order in which neighbours differ most.
+#: Okabe and Ito's colour-blind safe palette (https://jfly.uni-koeln.de/color/), ordered so that
+#: neighbours differ most.
 _FIRST = (
     *("#e69f00", "#56b4e9", "#009e73", "#f0e442"),
     *("#0072b2", "#d55e00", "#cc79a7", "#f5f5f5"),
 )
-#: The turn of the hue circle that keeps new colours away from all earlier ones.
+#: Hue step (golden ratio) that keeps new colours away from all earlier ones.
 _GOLDEN_TURN = 0.618034
 _LEVELS = ((0.95, 0.55), (0.70, 0.75), (1.0, 0.30))
 
 
 @lru_cache(maxsize=64)
 def race_palette(number: int) -> tuple[str, ...]:
-    """Distinct colours, as ``"#rrggbb"``.
+    """Returns distinct colours as ``"#rrggbb"``.
 
-    The first eight are safe for colour-blind readers. Colour ``i`` does not depend on how
-    many are asked for.
+    The first eight are safe for colour-blind readers. Colour ``i`` does not depend on ``number``.
 
     Args:
-        number: how many; karts in order of their agents, then the game's own.
+        number: number of colours: one per agent in agent order, then the other karts.
     """
     return (_FIRST + tuple(_further(index) for index in range(number - len(_FIRST))))[:number]
 
@@ -40,11 +39,11 @@ def _further(index: int) -> str:
 
 @lru_cache(maxsize=512)
 def rgb(colour: str) -> Colour:
-    """``"#rrggbb"`` as three numbers."""
+    """Converts ``"#rrggbb"`` to three numbers from 0 to 255."""
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
 
 def readable_on(colour: str) -> str:
-    """Black or white, whichever is easier to read on a colour."""
+    """Returns black or white, whichever has more contrast on a colour."""
     red, green, blue = rgb(colour)
     return "#10141a" if 0.299 * red + 0.587 * green + 0.114 * blue > 140 else "#ffffff"

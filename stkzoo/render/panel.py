@@ -1,4 +1,4 @@
-"""The panel with the standings beside a map, and the lines of text over a frame."""
+"""The standings panel beside a map, and the lines of text over a frame."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _NARROWEST = 320
 
 
 def panel_width(size: tuple[int, int]) -> int:
-    """How much of a picture's width the panel takes [pixels]; 0 where it does not fit."""
+    """Returns the width of the panel in a frame [pixels]; 0 if it does not fit."""
     width, height = size
     if width < _NARROWEST or height < 120:
         return 0
@@ -25,13 +25,13 @@ def panel_width(size: tuple[int, int]) -> int:
 
 
 def draw_panel(picture: Image, scene: Scene, snapshot: Snapshot, left: int) -> None:
-    """Fills the right part of a picture.
+    """Draws the panel on the right side of a frame.
 
     Args:
-        picture: what to draw on.
+        picture: the frame; changed in place.
         scene: the race.
-        snapshot: its moment.
-        left: where the panel begins [pixels].
+        snapshot: current snapshot.
+        left: left edge of the panel [pixels].
     """
     width, height = picture.size
     draw = pillow().ImageDraw.Draw(picture)
@@ -63,7 +63,7 @@ def _subtitle(scene: Scene, snapshot: Snapshot) -> str:
 def _draw_line(
     draw: Any, line: RaceStanding, left: float, right: float, top: float, unit: int
 ) -> None:
-    """A badge with the rank, the name, the lap or time, and a bar of progress."""
+    """Draws a badge with the rank, the name, the lap or time, and a progress bar."""
     colour, ink = rgb(line.colour), readable_on(line.colour)
     badge = unit * 1.5
     draw.rounded_rectangle([left, top, left + badge, top + badge], radius=unit * 0.35, fill=colour)
@@ -81,7 +81,7 @@ def _draw_line(
 
 
 def _fitted(text: str, size: int, room: float) -> tuple[str, Any]:
-    """The text, shortened if it must be, and its font."""
+    """Returns the text, shortened if necessary, and its font."""
     font = font_of(size)
     if font.getlength(text) <= room:
         return text, font

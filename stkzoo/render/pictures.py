@@ -1,4 +1,4 @@
-"""Pillow, loaded when first needed, and several pictures as one."""
+"""Pillow, imported on first use, and grids of images."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @lru_cache(maxsize=1)
 def pillow() -> Any:
-    """The modules ``Image``, ``ImageDraw`` and ``ImageFont`` of Pillow, as attributes.
+    """Returns Pillow's modules ``Image``, ``ImageDraw`` and ``ImageFont`` as attributes.
 
     Raises:
         ConfigError: Pillow is not installed.
@@ -31,7 +31,7 @@ def pillow() -> Any:
 
 @lru_cache(maxsize=64)
 def font_of(size: int) -> ImageFont.FreeTypeFont:
-    """Pillow's own font in a size [pixels]."""
+    """Returns Pillow's built-in font in a size [pixels]."""
     font: ImageFont.FreeTypeFont = pillow().ImageFont.load_default(max(6, size))
     return font
 
@@ -40,17 +40,20 @@ Picture = npt.NDArray[np.uint8]
 
 
 def grid_of(number: int) -> tuple[int, int]:
-    """Columns and rows of a grid for so many pictures, about as many of each."""
+    """Returns columns and rows of a nearly square grid for ``number`` images."""
     columns = math.ceil(math.sqrt(number))
     return columns, math.ceil(number / columns)
 
 
 def tiled(pictures: Sequence[Picture], size: tuple[int, int]) -> Picture:
-    """One picture with all of them, from left to right and top to bottom.
+    """Arranges images in a grid, left to right and top to bottom.
 
     Args:
-        pictures: at least one, ``(h, w, 3)`` uint8 each.
-        size: width and height of the whole [pixels].
+        pictures: at least one image, ``(h, w, 3)`` uint8 each.
+        size: width and height of the result [pixels].
+
+    Returns:
+        ``(height, width, 3)`` uint8.
     """
     columns, rows = grid_of(len(pictures))
     width, height = size[0] // columns, size[1] // rows
@@ -63,7 +66,7 @@ def tiled(pictures: Sequence[Picture], size: tuple[int, int]) -> Picture:
 
 
 def resized(picture: Picture, size: tuple[int, int]) -> Picture:
-    """The picture in another size; the same if it has that size."""
+    """Returns the image in another size; the same object if the size already matches."""
     if picture.shape[:2] == (size[1], size[0]):
         return picture
     images = pillow().Image

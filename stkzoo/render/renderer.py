@@ -1,4 +1,4 @@
-"""Pictures of the race that an environment runs, by the game or as a map."""
+"""Renders the race of an environment, with the game or as a map."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ logger = logging.getLogger(__name__)
 
 Picture = npt.NDArray[np.uint8]
 
-#: What draws: the game, the map, or the game if it can and else the map.
+#: The render backends; ``"auto"`` is the game if it can render, otherwise the map.
 BACKENDS = ("auto", "engine", "map")
 
 
 class RaceRenderer:
-    """Draws the moments of one race after another.
+    """Renders the moments of one race after another.
 
-    The render process starts with the first picture.
+    The render process starts with the first frame.
 
     Args:
         backend: one of :data:`BACKENDS`.
-        size: width and height of a picture [pixels].
-        preset: how finely the game draws (:class:`~stkzoo.engine.render_session.RenderSession`).
-        has_window: the game's window shows the race.
+        size: width and height of a frame [pixels].
+        preset: graphics settings (:class:`~stkzoo.engine.render_session.RenderSession`).
+        has_window: whether to show the race in the game's window.
     """
 
     def __init__(
@@ -52,37 +52,38 @@ class RaceRenderer:
         self._game: GameView | None = None
         self._game_karts: tuple[int, ...] = ()
         self._is_game_ready = False
-        self._maps: dict[int | None, MapView] = {}  # by the kart that it follows
+        self._maps: dict[int | None, MapView] = {}  # by followed kart
 
     @property
     def backend(self) -> str:
-        """What draws: ``"engine"`` or ``"map"``; ``"auto"`` until the first picture."""
+        """Backend in use: ``"engine"`` or ``"map"``; ``"auto"`` before the first frame."""
         return self._backend
 
     def begin(self, scene: Scene) -> None:
-        """Starts another race."""
+        """Starts to render a new race."""
         self._scene, self._is_game_ready = scene, False
         self._maps = {}
 
     def follow(self, scene: Scene) -> None:
-        """Starts another race if the scene is another one."""
+        """Starts to render a new race if the scene has changed."""
         if scene != self._scene:
             self.begin(scene)
 
     def remember(self, snapshot: Snapshot) -> None:
-        """Records a moment for the trails of the map, even if it is not drawn."""
+        """Records a snapshot for the map's trails without drawing it."""
         if self._backend == "map":
             for view in self._maps.values():
                 view.remember(snapshot)
             self._map(None, snapshot)
 
     def picture(self, snapshot: Snapshot) -> Picture:
-        """One picture of the race, ``(H, W, 3)`` uint8.
+        """Returns one frame of the race, ``(H, W, 3)`` uint8.
 
-        By the game: what the camera sees, or all cameras as tiles. On the map: all of it.
+        With the game: the camera's view, or the views of all cameras as tiles. On the map: the
+        whole track.
 
         Raises:
-            EngineError: the game cannot draw, or died.
+            EngineError: the game cannot render, or crashed.
         """
         with self._drawing() as game:
             if game is None:
@@ -92,12 +93,12 @@ class RaceRenderer:
         return tiled(frames, self.size) if len(frames) > 1 else frames[0]
 
     def pictures(self, snapshot: Snapshot) -> dict[int, Picture]:
-        """A picture for each kart with a camera, ``(H, W, 3)`` uint8.
+        """Returns a frame for each kart with a camera, ``(H, W, 3)`` uint8.
 
-        On the map, the picture follows the kart.
+        On the map, the frame follows the kart.
 
         Raises:
-            EngineError: the game cannot draw, or died.
+            EngineError: the game cannot render, or crashed.
         """
         with self._drawing() as game:
             if game is not None:
@@ -108,11 +109,11 @@ class RaceRenderer:
     def pictures_and_depths(
         self, snapshot: Snapshot
     ) -> tuple[dict[int, Picture], dict[int, npt.NDArray[np.float32]]]:
-        """By the game: the pictures and depth buffers by kart; 0 is near, 1 far.
+        """Returns the game's frames and depth buffers by kart; 0 is near, 1 is far.
 
         Raises:
-            ConfigError: the map draws, which has no depth.
-            EngineError: the game cannot draw, or died.
+            ConfigError: the backend is the map, which has no depth.
+            EngineError: the game cannot render, or crashed.
         """
         with self._drawing() as game:
             if game is not None:
@@ -120,22 +121,22 @@ class RaceRenderer:
         raise ConfigError('the map has no depth; draw with the game, render_backend="engine"')
 
     def pictures_between(self, snapshot: Snapshot, number: int) -> Iterator[dict[int, Picture]]:
-        """By the game: what the cameras see at so many moments after the last picture.
+        """Yields the game's frames of ``number`` moments since the last frame.
 
-        There is one moment only after a leap in time, and none when the map draws.
+        After a jump in time there is only one moment; with the map there is none.
         """
         with self._drawing() as game:
             if game is not None:
                 yield from game.frames_between(snapshot, number)
 
     def show(self, snapshot: Snapshot) -> None:
-        """Brings the window to this moment."""
+        """Updates the window to this snapshot."""
         with self._drawing() as game:
             if game is not None:
                 game.show(snapshot)
 
     def close(self) -> None:
-        """Ends the render process, if there is one, and the race."""
+        """Stops the render process, if there is one, and forgets the race."""
         self._scene = None
         self._end_game()
 
@@ -149,7 +150,7 @@ class RaceRenderer:
         return self._scene
 
     def _map(self, kart: int | None, snapshot: Snapshot) -> MapView:
-        """The map around a kart, or of the whole track."""
+        """Returns the map that follows a kart, or the map of the whole track."""
         if kart not in self._maps:
             self._maps[kart] = MapView(self._current(), self.size, follow=kart, panel=kart is None)
             self._maps[kart].remember(snapshot)
@@ -157,9 +158,9 @@ class RaceRenderer:
 
     @contextlib.contextmanager
     def _drawing(self) -> Iterator[GameView | None]:
-        """The game, drawing the current race; ``None`` if the map draws.
+        """Yields the game's view of the current race; ``None`` if the backend is the map.
 
-        A failure closes the game; the next picture starts it again.
+        If rendering fails, the game is closed; the next frame starts it again.
         """
         if self._backend != "map":
             try:
@@ -189,10 +190,10 @@ class RaceRenderer:
 
 
 def camera_karts(scene: Scene) -> list[int]:
-    """The karts with a camera, in the order of their agents.
+    """Returns the karts with a camera, in the order of their agents.
 
-    These are the agents that request one; then, up to ``num_cameras``, the others except
-    those that refuse one; and the first agent if there is no other.
+    These are the agents that request one; then, up to ``num_cameras``, other agents that do not
+    refuse one; and the first agent if there is no other.
     """
     modes = {kart: scene.setup.karts[kart].camera_mode for kart in scene.kart_indices}
     chosen = [kart for kart, mode in modes.items() if mode == CameraMode.ON]

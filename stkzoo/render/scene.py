@@ -1,4 +1,4 @@
-"""What pictures show of a race: its facts, and the standings at a moment."""
+"""The data of a race that renderers use, and its standings."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from stkzoo.render.palette import race_palette
 
 @dataclass(frozen=True)
 class Scene:
-    """A race as its pictures show it.
+    """A race in the form that renderers use.
 
     Attributes:
-        setup: the engine's options.
-        track_map: the track.
-        kart_types: model name of each kart, in grid order.
-        kart_indices: each agent's kart; the other karts are the game's own.
-        names: of each kart, in grid order; generated if left out.
-        colours: of each kart, in grid order: agents first in :func:`race_palette`.
+        setup: setup of the race in the engine.
+        track_map: map of the track.
+        kart_types: model of each kart, in grid order.
+        kart_indices: kart of each agent; the game drives the other karts.
+        names: name of each kart, in grid order; generated if left out.
+        colours: colour of each kart, in grid order; agents come first in :func:`race_palette`.
     """
 
     setup: RaceSetup
@@ -48,12 +48,12 @@ class Scene:
 
     @property
     def title(self) -> str:
-        """The track's name for people."""
+        """Display name of the track."""
         name = self.setup.track.replace("_", " ")
         return f"{name} (reverse)" if self.setup.reverse else name
 
     def label(self, kart: int) -> str:
-        """The short sign of a kart on the map: its agent's number, or a dot."""
+        """Returns a kart's label on the map: its agent's number, or a dot."""
         return str(self.kart_indices.index(kart)) if kart in self.kart_indices else ""
 
 
@@ -69,12 +69,12 @@ class RaceStanding:
     """One line of the standings.
 
     Attributes:
-        rank: its place, 1 is first.
+        rank: rank, 1 is first.
         kart: index in grid order.
-        name: what it is called.
-        colour: as ``"#rrggbb"``.
-        progress: part of the race that is done, 0 to 1.
-        detail: its time at the finish, or its lap.
+        name: display name.
+        colour: ``"#rrggbb"``.
+        progress: completed fraction of the race, 0 to 1.
+        detail: its finish time or its lap.
         has_finished: whether it has finished.
     """
 
@@ -88,7 +88,7 @@ class RaceStanding:
 
 
 def standings(scene: Scene, snapshot: Snapshot) -> list[RaceStanding]:
-    """All karts, best rank first."""
+    """Returns the standings of all karts, best rank first."""
     length = scene.track_map.length * scene.setup.laps
     lines = []
     for kart, record in enumerate(snapshot.karts):
@@ -110,6 +110,6 @@ def standings(scene: Scene, snapshot: Snapshot) -> list[RaceStanding]:
 
 
 def clock(seconds: float) -> str:
-    """A race time for people: minutes, seconds, tenths."""
+    """Formats a race time [s] as minutes, seconds and tenths."""
     tenths = round(max(0.0, seconds) * 10)
     return f"{tenths // 600}:{tenths // 10 % 60:02d}.{tenths % 10}"

@@ -1,4 +1,4 @@
-"""Views: what an agent observes and how it acts, and the machinery that runs them.
+"""Views: how an agent observes and acts, and the code that runs them.
 
 :data:`VIEWS` has the views by name. A view is a chain of Gymnasium wrappers
 (:mod:`stkzoo.wrappers`); :class:`AgentChains` runs the chains of all agents of a race.
@@ -45,7 +45,7 @@ __all__ = [
 
 
 class _CallablePackage(ModuleType):
-    """``stkzoo.views`` is this package, and has to be the function of that name too."""
+    """Makes the package ``stkzoo.views`` callable, because ``stkzoo.views()`` lists the views."""
 
     def __call__(self) -> dict[str, ViewFactory]:
         return views()

@@ -1,8 +1,8 @@
-"""Actions as they come from users, checked and brought into Gymnasium's own form.
+"""Checks users' actions and converts them to Gymnasium's form.
 
-The form is taken kindly: a bare number for an array of one entry, lists, Python's and
-numpy's numbers, ``bool`` for a choice, whole ``float`` numbers for whole ones. The value
-is taken strictly: nothing infinite, undefined, out of range or of another shape.
+The accepted forms are lenient: a number in place of an array of one entry, lists, Python and numpy
+numbers, ``bool`` for a choice, whole ``float`` values for integers. The values are strict:
+infinite, NaN and out-of-range values and other shapes are rejected.
 """
 
 from __future__ import annotations
@@ -15,29 +15,28 @@ from gymnasium import spaces
 
 from stkzoo.errors import ActionError, shortened
 
-#: A number may miss a bound of its ``Box`` by this much (rounding); it is then clipped.
+#: A number may exceed a bound of its ``Box`` by this much, because of rounding; it is clipped.
 BOUND_TOLERANCE = 1e-6
 #: Unknown keys that an error names, and the most characters of one.
 _MAX_KEYS, _MAX_KEY = 8, 40
 
 
 def read_action(space: spaces.Space[Any], action: object, agent: str, name: str = "action") -> Any:
-    """Checks an agent's action.
+    """Checks an agent's action and converts it to Gymnasium's form.
 
     Args:
-        space: the space of the action. Kinds other than ``Dict``, ``Box``, ``Discrete`` and
-            ``MultiDiscrete`` are left to their own ``contains``.
+        space: space of the action. Spaces other than ``Dict``, ``Box``, ``Discrete`` and
+            ``MultiDiscrete`` are checked with their own ``contains``.
         action: the action.
-        agent: the agent's id, for the message.
-        name: what the value is called in the message.
+        agent: the agent's id, for the error message.
+        name: name of the value in the error message.
 
     Returns:
-        The action in Gymnasium's form and of the space's dtype: an ``int`` for ``Discrete``, an
-        array for ``Box`` and ``MultiDiscrete``, a dict of these for ``Dict``. It shares no memory
-        with the input.
+        The action with the space's dtype: an ``int`` for ``Discrete``, an array for ``Box`` and
+            ``MultiDiscrete``, a dict of these for ``Dict``. It shares no memory with the input.
 
     Raises:
-        ActionError: the action is not in the space; the text names agent, key and value.
+        ActionError: the action is not in the space. The message names agent, key and value.
     """
     value = _value(space, action)
     if value is None:
@@ -46,7 +45,7 @@ def read_action(space: spaces.Space[Any], action: object, agent: str, name: str 
 
 
 def clip_numbers(space: spaces.Space[Any], action: object) -> Any:
-    """An action with the finite numbers of each ``Box`` brought inside it; the rest as it is."""
+    """Clips the finite numbers of each ``Box`` in an action to the bounds; keeps other values."""
     if isinstance(space, spaces.Dict) and isinstance(action, Mapping):
         parts = space.spaces
         return {
@@ -63,7 +62,7 @@ def clip_numbers(space: spaces.Space[Any], action: object) -> Any:
 
 
 def _value(space: spaces.Space[Any], action: Any) -> Any:
-    """The action in Gymnasium's form, or ``None`` if it is not in the space."""
+    """Returns the action in Gymnasium's form, or ``None`` if it is not in the space."""
     if isinstance(space, spaces.Dict):
         if not isinstance(action, Mapping) or action.keys() != space.spaces.keys():
             return None
@@ -115,7 +114,7 @@ def _is_small(action: Any, length: int) -> bool:
 
 
 def _bounds(space: spaces.Box | spaces.Discrete | spaces.MultiDiscrete) -> tuple[Any, Any]:
-    """Lowest and highest value of each entry, both included."""
+    """Returns the lowest and the highest value of each entry, both inclusive."""
     if isinstance(space, spaces.Box):
         return space.low, space.high
     count = space.n if isinstance(space, spaces.Discrete) else space.nvec
@@ -127,7 +126,7 @@ def _is_whole(space: spaces.Space[Any]) -> bool:
 
 
 def _complaint(space: spaces.Space[Any], value: Any, agent: str, name: str) -> str:
-    """What is wrong with an action that is not in its space."""
+    """Describes why an action is not in its space."""
     if isinstance(space, spaces.Dict):
         if not isinstance(value, Mapping):
             return _sentence(agent, name, value, f"a dict with the keys {', '.join(space.spaces)}")

@@ -1,4 +1,4 @@
-"""One agent's chain of wrappers, cut into the half before and the half after a race's step."""
+"""One agent's chain of wrappers, split into the parts before and after the race's step."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
 from stkzoo.views.plan import ViewPlan
 from stkzoo.views.split_step import AgentStep, CompiledPart, MonoAgentEnv, SplitStep
 
-#: Wraps one agent's environment; ``None`` leaves it as it is.
+#: Wraps one agent's environment; ``None`` adds no wrapper.
 WrapperFactory: TypeAlias = Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]] | None
 
-# Gymnasium's steps that do nothing but call `action`, `observation` or `reward`.
+# Implementations of step that only call `action`, `observation` or `reward`.
 _ACTING = (gym.ActionWrapper.step, ActionObservationWrapper.step)
 _OBSERVING = (gym.ObservationWrapper.step, ActionObservationWrapper.step)
 _PLAIN_STEPS = (*_ACTING, *_OBSERVING, gym.RewardWrapper.step, gym.Wrapper.step)
@@ -30,7 +30,13 @@ _PLAIN_STEPS = (*_ACTING, *_OBSERVING, gym.RewardWrapper.step, gym.Wrapper.step)
 def agent_failures(
     agent: str, doing: str, refusals: tuple[type[Exception], ...] = ()
 ) -> Iterator[None]:
-    """Turns any exception of an agent's wrappers, but refusals, into an ``AgentException``."""
+    """Converts exceptions of an agent's wrappers, except ``refusals``, to ``AgentException``.
+
+    Args:
+        agent: the agent's id.
+        doing: what the wrappers were doing, for the message.
+        refusals: types of exceptions to pass on unchanged.
+    """
     try:
         yield
     except (AgentError, ActionError):
@@ -46,12 +52,12 @@ def agent_failures(
 
 @dataclass(frozen=True, slots=True)
 class WrapperMemory:
-    """The attributes of some objects at one moment, as copies.
+    """A copy of the attributes of several objects at one moment.
 
     Attributes:
         owners: the objects.
-        attributes: their attributes, in the same order. References to an owner lead to the
-            owner itself, spaces are shared, and all else is a copy.
+        attributes: their attributes, in the same order. References to an owner stay references to
+            that owner, spaces are shared, and all other values are copies.
     """
 
     owners: tuple[Any, ...]
@@ -59,26 +65,26 @@ class WrapperMemory:
 
     @classmethod
     def of(cls, owners: Sequence[Any]) -> WrapperMemory:
-        """What some objects remember now.
+        """Copies the current attributes of some objects.
 
         Raises:
-            Exception: an attribute cannot be copied by :func:`copy.deepcopy`.
+            Exception: :func:`copy.deepcopy` cannot copy an attribute.
         """
         memo = {id(owner): owner for owner in owners}
         return cls(tuple(owners), copy.deepcopy([vars(o) for o in owners], memo | _spaces(owners)))
 
     def check(self, others: Sequence[Any]) -> None:
-        """Checks that other objects can remember this.
+        """Checks that other objects can take over this memory.
 
         Raises:
-            TypeError: they are of other classes.
+            TypeError: their classes differ.
         """
         here, there = ([type(o) for o in objects] for objects in (self.owners, others))
         if here != there:
             raise TypeError(f"they are {_names(there)}; the state's were {_names(here)}")
 
     def give_to(self, others: Sequence[Any]) -> None:
-        """Makes other objects, or the same ones, remember this; their spaces stay theirs.
+        """Writes the attributes to other objects, or back to the same ones; they keep their spaces.
 
         Args:
             others: objects of the same classes in the same order (:meth:`check`).
@@ -95,29 +101,29 @@ class WrapperMemory:
 
 
 class AgentChain:
-    """The wrappers around one agent, working on the single form.
+    """The wrappers around one agent, applied to single observations and actions.
 
     Attributes:
         agent: the agent's id.
         env: the outermost wrapper.
-        observation_space: what the agent sees, after all wrappers.
-        action_space: what the agent chooses from, before all wrappers.
-        base_observation_space: the innermost observations.
-        base_action_space: the innermost actions.
-        num_clipped: how many actions had numbers outside a ``Box``, which were clipped; ``None``
-            where those are errors.
-        is_pure: whether the wrappers that run here are all pure functions of this package.
+        observation_space: observations after all wrappers.
+        action_space: actions before all wrappers.
+        base_observation_space: observations before all wrappers.
+        base_action_space: actions after all wrappers.
+        num_clipped: number of actions with values outside a ``Box`` that were clipped; ``None`` if
+            such values are errors.
+        is_pure: whether all wrappers that run here are pure functions from this package.
 
     Args:
         agent: the agent's id.
-        observation_space: its observations without wrappers.
-        action_space: its actions without wrappers.
+        observation_space: observations without wrappers.
+        action_space: actions without wrappers.
         factory: wraps the agent's environment.
         is_strict: whether finite numbers outside a ``Box`` are errors.
 
     Raises:
-        AgentException: the factory raised, or returned no wrapper of what it was given.
-        ConfigError: a wrapper refuses its arguments or what it is put around.
+        AgentException: the factory failed, or did not return a wrapper of its argument.
+        ConfigError: a wrapper rejects its arguments or the wrapped environment.
     """
 
     def __init__(
@@ -147,15 +153,15 @@ class AgentChain:
         self.is_pure = all(_is_compiled(w) and not w.has_memory for w in wrappers)
 
     def compile(self, columns: Sequence[str]) -> ViewPlan:
-        """Leaves the wrappers that the kernel can do, the innermost ones, to the kernel.
+        """Moves the innermost wrappers that the kernel implements to the kernel.
 
-        From then on the chain's base is what these make of the race.
+        Afterwards, the chain's base spaces are those of the innermost wrapper that remains.
 
         Args:
-            columns: the keys of the base actions, in the order of the controls.
+            columns: keys of the base actions, in the order of the controls.
 
         Returns:
-            What the kernel is to do.
+            The plan for the kernel.
         """
         observed: Any = self.base_observation_space
         acted: Any = self.base_action_space
@@ -175,11 +181,11 @@ class AgentChain:
 
     @property
     def is_empty(self) -> bool:
-        """Whether the chain has no wrappers, or the kernel does the work of all."""
+        """Whether no wrapper runs here: there is none, or the kernel implements all."""
         return not self._wrappers
 
     def paths_used(self) -> int | None:
-        """How many track segments the chain looks at; ``None`` is all."""
+        """Returns the number of track segments that the chain uses; ``None`` for all."""
         innermost = self._wrappers[-1] if self._wrappers else None
         return getattr(innermost, "state_paths", None) if _is_compiled(innermost) else None
 
@@ -191,7 +197,11 @@ class AgentChain:
         seed: int | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
-        """Calls the wrappers' ``reset`` with the race's first observation and info."""
+        """Calls the wrappers' ``reset`` with the race's first observation and info.
+
+        Raises:
+            AgentException: a wrapper failed.
+        """
         self.abandon()
         self._door.start((observation, info))
         try:
@@ -202,15 +212,15 @@ class AgentChain:
             self._door.start(None)
 
     def read_action(self, action: object) -> Any:
-        """An action that is in the agent's space, in Gymnasium's form.
+        """Checks an action and returns it in Gymnasium's form.
 
         Raises:
-            ActionError: it is not.
+            ActionError: the action is not in the agent's space.
         """
         return self._checked(self.action_space, action, "action")
 
     def begin_step(self, action: Any) -> Any:
-        """Runs the half before the race's step: the base action for the agent's action."""
+        """Runs the part before the race's step; returns the base action for the agent's action."""
         self.abandon()
         with agent_failures(self.agent, "change its action"):
             if self._is_plain:
@@ -224,10 +234,10 @@ class AgentChain:
                 raise
 
     def begin_base_step(self, action: Any) -> Any:
-        """Like :meth:`begin_step`, and the base action is checked.
+        """Runs :meth:`begin_step` and checks the base action.
 
         Raises:
-            ActionError: the wrappers made an action that is not in the base space.
+            ActionError: the wrappers returned an action outside the base space.
         """
         base = self.begin_step(action)
         name = "action after its wrappers" if self._wrappers else "action"
@@ -244,7 +254,7 @@ class AgentChain:
             return clipped
 
     def finish_step(self, result: AgentStep) -> AgentStep:
-        """Runs the half after the race's step on the agent's part of the result."""
+        """Runs the part after the race's step; returns the wrapped result."""
         with agent_failures(self.agent, "change the result of a step"):
             observation, reward, terminated, truncated, info = (
                 self._pass_out(result) if self._is_plain else self._finish_split_step(result)
@@ -252,14 +262,14 @@ class AgentChain:
             return observation, float(reward), bool(terminated), bool(truncated), dict(info)
 
     def act(self, action: Any) -> Any:
-        """The base action that plain wrappers make of an action."""
+        """Returns the base action for an action; all wrappers must have plain steps."""
         for wrapper in self._wrappers:
             if type(wrapper).step in _ACTING:
                 action = wrapper.action(action)
         return action
 
     def observe(self, observation: Any) -> Any:
-        """The observation that plain wrappers make of a base observation."""
+        """Returns the observation for a base observation; all wrappers must have plain steps."""
         for wrapper in reversed(self._wrappers):
             if type(wrapper).step in _OBSERVING:
                 observation = wrapper.observation(observation)
@@ -284,40 +294,40 @@ class AgentChain:
             self._door.connect(None)
 
     def abandon(self) -> None:
-        """Forgets a step that was begun and will not be finished."""
+        """Discards a step that has begun and will not be finished."""
         self._door.connect(None)
         if self._split_step is not None:
             self._split_step.abandon()
             self._split_step = None
 
     def _remembering(self) -> tuple[Any, ...]:
-        """What has a memory: nothing, if the wrappers are pure functions."""
+        """Returns the objects with a memory: none if all wrappers are pure functions."""
         return () if self.is_pure else self._owners
 
     def memory(self) -> WrapperMemory:
-        """What the wrappers remember between steps.
+        """Returns a copy of the wrappers' state.
 
         Raises:
-            AgentException: they hold something that cannot be copied.
+            AgentException: a wrapper holds an object that cannot be copied.
         """
         self.abandon()
         with agent_failures(self.agent, "have their state copied"):
             return WrapperMemory.of(self._remembering())
 
     def check_memory(self, memory: WrapperMemory) -> None:
-        """Checks that :meth:`recall` can take a memory.
+        """Checks that :meth:`recall` accepts a memory.
 
         Raises:
-            AgentException: it is one of other wrappers.
+            AgentException: the memory belongs to other wrappers.
         """
         with agent_failures(self.agent, "take over a saved state"):
             memory.check(self._remembering())
 
     def recall(self, memory: WrapperMemory) -> None:
-        """Makes the wrappers remember what :meth:`memory` gave, here or in an equal chain.
+        """Restores the wrappers' state from :meth:`memory` of this or an equal chain.
 
         Args:
-            memory: one that :meth:`check_memory` takes.
+            memory: a memory that :meth:`check_memory` accepts.
 
         Raises:
             AgentException: a wrapper's memory cannot be copied.
@@ -327,7 +337,7 @@ class AgentChain:
             memory.give_to(self._remembering())
 
     def close(self) -> None:
-        """Forgets a begun step and closes the wrappers."""
+        """Discards a step that has begun and closes the wrappers."""
         self.abandon()
         with agent_failures(self.agent, "close"):
             self.env.close()
@@ -343,7 +353,7 @@ class AgentChain:
 
 
 def _wrappers_between(env: object, mono: MonoAgentEnv) -> tuple[Any, ...]:
-    """The wrappers from the outermost to the innermost."""
+    """Returns the wrappers from the outermost to the innermost."""
     if not isinstance(env, gym.Env):
         raise TypeError(f"the factory returned {env!r}; expected the environment, wrapped.")
     wrappers: list[Any] = []
@@ -364,7 +374,7 @@ def _has_plain_step(wrapper: gym.Wrapper[Any, Any, Any, Any]) -> bool:
 
 
 def _is_compiled(wrapper: Any) -> bool:
-    """Whether a wrapper says how the kernel does its work, and nothing was put over that."""
+    """Whether the kernel can replace a wrapper whose class guarantees a plain behaviour."""
     return (
         isinstance(wrapper, CompiledWrapper)
         and wrapper.keeps_promise()

@@ -1,4 +1,4 @@
-"""The base classes of wrappers that the machinery of views knows."""
+"""Base classes of wrappers with special support in views."""
 
 from __future__ import annotations
 
@@ -14,41 +14,41 @@ if TYPE_CHECKING:
 
 
 class ActionObservationWrapper(gym.Wrapper[Any, Any, Any, Any]):
-    """Changes the actions on their way in and the observations on their way out.
+    """A wrapper that changes both actions and observations.
 
-    Subclasses define :meth:`action` and :meth:`observation`, and set ``action_space``
-    and ``observation_space`` where these differ from the wrapped environment's.
+    Subclasses define :meth:`action` and :meth:`observation`. They set ``action_space`` and
+    ``observation_space`` if these differ from those of the wrapped environment.
     """
 
     def action(self, action: Any) -> Any:
-        """The wrapped environment's form of an action of this wrapper."""
+        """Converts an action of this wrapper to one of the wrapped environment."""
         raise NotImplementedError
 
     def observation(self, observation: Any) -> Any:
-        """This wrapper's form of an observation of the wrapped environment."""
+        """Converts an observation of the wrapped environment to one of this wrapper."""
         raise NotImplementedError
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Resets the wrapped environment and changes the observation."""
+        """Resets the wrapped environment and converts the observation."""
         observation, info = self.env.reset(seed=seed, options=options)
         return self.observation(observation), info
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Steps the wrapped environment with the changed action."""
+        """Converts the action, steps the wrapped environment and converts the observation."""
         observation, reward, terminated, truncated, info = self.env.step(self.action(action))
         return self.observation(observation), reward, terminated, truncated, info
 
 
 class RecordedWrapper(gym.utils.RecordConstructorArgs):
-    """Records the arguments of the constructor, so that a wrapper can be made again from ``spec``.
+    """Records the constructor's arguments, so that ``spec`` can rebuild the wrapper.
 
-    Subclasses need not do anything for it.
+    Subclasses need no code for it.
     """
 
     def __new__(cls, *arguments: Any, **keywords: Any) -> Self:
-        """The wrapper, with all arguments but the environment recorded."""
+        """Makes the wrapper and records all arguments except the environment."""
         made = super().__new__(cls)
         _, env, *names = inspect.signature(cls.__init__).parameters
         recorded = {**dict(zip(names, arguments[1:], strict=False)), **keywords}
@@ -58,36 +58,35 @@ class RecordedWrapper(gym.utils.RecordConstructorArgs):
 
 
 class CompiledWrapper(RecordedWrapper):
-    """Marks a wrapper that says how the kernel does its work.
+    """Marks a wrapper that has a kernel implementation.
 
-    A wrapper class that lists this class among its direct bases promises that
+    A wrapper class that lists this class among its direct bases guarantees that
 
-    - ``observation`` and ``action`` depend on nothing but their input and the
-      constructor's arguments, and change neither; or else ``has_memory`` is true;
-    - :meth:`compile_into` says what they do;
-    - ``reset`` and ``step`` are Gymnasium's own, and rewards are left alone.
+    - ``observation`` and ``action`` depend only on their input and the constructor's arguments, and
+    modify neither, unless ``has_memory`` is true; - :meth:`compile_into` describes them completely;
+    - ``reset`` and ``step`` are Gymnasium's own, and rewards are unchanged.
 
-    The promise is not inherited, because a subclass may break it: a subclass that keeps
-    it lists this class again.
+    Subclasses do not inherit the guarantee, because they may break it. A subclass that keeps it
+    lists this class again.
 
     Attributes:
-        has_memory: whether the wrapper remembers something from step to step.
+        has_memory: whether the wrapper keeps state between steps.
     """
 
     has_memory = False
 
     def compile_into(self, plan: ViewPlan) -> bool:
-        """Adds what this wrapper does to the plan of an agent's view.
+        """Adds this wrapper to the plan of an agent's view.
 
         Args:
-            plan: what the wrappers inside this one do.
+            plan: plan of the wrappers inside this one.
 
         Returns:
-            Whether the plan can say it. If not, the plan is as it was, and this wrapper and
-            all outside of it run as they are.
+            Whether the plan can express the wrapper. If not, the plan is unchanged, and this
+                wrapper and all wrappers around it run in Python.
         """
         raise NotImplementedError
 
     def keeps_promise(self) -> bool:
-        """Whether the object's own class lists :class:`CompiledWrapper`."""
+        """Whether the object's own class lists :class:`CompiledWrapper` as a base."""
         return CompiledWrapper in type(self).__bases__

@@ -1,4 +1,4 @@
-"""The chains of all agents of a race, in which equal views are made together."""
+"""The wrapper chains of all agents of a race; agents with equal views are processed together."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ class _Group:
     """Agents with equal plans, among the agents of one call.
 
     Attributes:
-        agents: all of them.
-        rows: their places among the call's agents.
-        observer: makes what they see.
-        reader: reads what they do.
-        acting: those whose action it reads as it comes.
-        acting_rows: their places.
-        walking: those whose action it reads after wrappers that the kernel does not do.
-        walking_rows: their places.
-        car: turns actions in physical units into controls, if they are in such units.
-        numbers: of all agents of the group, among all agents of the race.
+        agents: all agents of the group.
+        rows: their positions among the agents of the call.
+        observer: makes their observations.
+        reader: converts their actions to controls.
+        acting: agents whose actions the reader takes directly.
+        acting_rows: positions of ``acting``.
+        walking: agents whose actions pass through Python wrappers first.
+        walking_rows: positions of ``walking``.
+        car: converts actions in physical units to controls, if the plan has such actions.
+        numbers: positions of the group's agents among all agents of the race.
     """
 
     agents: tuple[str, ...]
@@ -51,12 +51,12 @@ class _Group:
 
 @dataclass(frozen=True, slots=True)
 class _Roster:
-    """The agents of one call, sorted by what there is to do for them.
+    """The agents of one call, grouped by the work to do.
 
     Attributes:
-        agents: all of them.
-        groups: those with equal plans together.
-        walked: those with wrappers that the kernel does not do.
+        agents: all agents of the call.
+        groups: agents with equal plans.
+        walked: agents with Python wrappers.
     """
 
     agents: tuple[str, ...]
@@ -66,11 +66,11 @@ class _Roster:
 
 @dataclass(frozen=True, slots=True)
 class ChainsMemory:
-    """What the wrappers of all agents remember at one moment.
+    """State of all agents' wrappers at one moment.
 
     Attributes:
-        wrappers: of each agent those that run by themselves.
-        cars: of each agent what the kernel remembers for those that act in physical units.
+        wrappers: state of the Python wrappers, by agent.
+        cars: state of the kernel's car controllers, one row per agent.
     """
 
     wrappers: Mapping[str, WrapperMemory]
@@ -78,12 +78,12 @@ class ChainsMemory:
 
 
 class AgentChains:
-    """Decodes the actions of all agents and makes each agent's view of what follows.
+    """Decodes the actions of all agents and makes their observations.
 
-    The innermost wrappers of a chain that the kernel can do (:mod:`stkzoo.views.plan`) are left
-    to it, in one pass for all agents with equal ones. The wrappers outside of these run agent by
-    agent; a wrapper with a ``step`` of its own works too, and waits in a small thread while the
-    race moves. Observations that are handed out share no memory with earlier results.
+    The kernel runs the innermost wrappers of a chain that it implements (:mod:`stkzoo.views.plan`),
+    in one pass for all agents with equal plans. The other wrappers run agent by agent. A wrapper
+    with its own ``step`` waits in a thread while the race advances. Returned observations share no
+    memory with earlier results.
 
     Attributes:
         observation_spaces: each agent's observation space, after its wrappers.
@@ -92,15 +92,14 @@ class AgentChains:
     Args:
         observation_spaces: each agent's space in the ``full`` view.
         action_spaces: each agent's base action space, the same ``Dict`` for all.
-        factories: the agents' views; those that are left out, or ``None``, have no wrappers.
-        ignored: agents that the game's AI drives. They may leave out their action; it is
-            not looked at, and their base action is all zeros.
-        columns: the keys of the base actions in the order in which :meth:`decode` gives
-            them.
+        factories: views by agent; agents that are missing or ``None`` have no wrappers.
+        ignored: agents that the game's AI drives. Their actions are optional and ignored, and their
+            base actions are zeros.
+        columns: keys of the base actions, in the order of the columns that :meth:`decode` returns.
 
     Raises:
-        AgentException: a function raised, or returned no wrapper of what it was given.
-        ConfigError: a view is for no agent, unknown, or refuses its environment or options.
+        AgentException: a factory failed, or did not return a wrapper of its argument.
+        ConfigError: a view belongs to no agent, is unknown, or rejects its environment or options.
     """
 
     def __init__(
@@ -119,8 +118,9 @@ class AgentChains:
         self._numbers = {agent: number for number, agent in enumerate(self._chains)}
         self._ignored = frozenset(ignored)
         self._made: dict[Hashable, tuple[Observer, ActionReader, CarController | None]] = {}
-        #: Wheel angle [rad], speed still owed [m/s] and length of a step [s] of each agent that
-        #: acts in physical units (:class:`~stkzoo.kernel.reference.car_controller.CarController`).
+        #: Wheel angle [rad], remaining speed change [m/s] and step length [s] of each agent with
+        #: actions in physical units
+        #: (:class:`~stkzoo.kernel.reference.car_controller.CarController`).
         self._cars = np.zeros((len(self._chains), 3))
         self._present: _Roster | None = None
         self.observation_spaces = self._walker.observation_spaces
@@ -134,22 +134,22 @@ class AgentChains:
         num_rows: int | None = None,
         source: ObservationSource | None = None,
     ) -> FloatArray:
-        """The base actions for the agents' actions.
+        """Converts the agents' actions to base actions.
 
-        All actions are checked before any wrapper sees one. Actions of others than
-        ``agents`` are not looked at.
+        All actions are checked before any wrapper runs. Actions of agents not in ``agents`` are
+        ignored.
 
         Args:
             actions: actions by agent, in each agent's ``action_spaces``.
             agents: the agents that act.
-            rows: in which row of the result each agent's base action goes; by default in
-                the agents' order. Those of agents that are ignored go nowhere.
-            num_rows: how many rows there are, by default as many as agents; those of nobody
-                are zeros.
-            source: the race at this moment, for agents that act in physical units.
+            rows: row of each agent's base action in the result; by default, the agents' order. Base
+                actions of ignored agents are dropped.
+            num_rows: number of rows; by default, the number of agents. Rows without an agent are
+                zeros.
+            source: the race at this moment, needed for actions in physical units.
 
         Returns:
-            ``(num_rows, n)`` float32, with the columns that the constructor was given.
+            ``(num_rows, n)`` float32, with the constructor's ``columns``.
 
         Raises:
             ActionError: an action is missing or not in its space.
@@ -181,7 +181,7 @@ class AgentChains:
         return controls
 
     def observe(self, agents: Sequence[str], source: ObservationSource) -> dict[str, Any]:
-        """What some agents see, before the wrappers that run agent by agent.
+        """Returns the agents' observations before the Python wrappers.
 
         Args:
             agents: the agents.
@@ -211,9 +211,9 @@ class AgentChains:
         Args:
             agents: the agents.
             source: the race at its first moment.
-            infos: info by agent.
-            seed: seeds the wrappers' ``np_random``: agent number ``n`` with ``seed + n``.
-            options: handed to every wrapper's ``reset``.
+            infos: infos by agent.
+            seed: seed of the wrappers' ``np_random``: agent ``n`` gets ``seed + n``.
+            options: passed to the ``reset`` of every wrapper.
 
         Returns:
             Observations and infos by agent.
@@ -234,8 +234,8 @@ class AgentChains:
 
         Args:
             agents: the agents that acted.
-            parts: what happened to them, with what :meth:`observe` gave; the wrappers' answers
-                take its place.
+            parts: result of the step, with observations from :meth:`observe`; the wrapped results
+                replace it in place.
 
         Raises:
             AgentException: a wrapper failed.
@@ -245,19 +245,19 @@ class AgentChains:
             self._walker.finish_step(walked, parts)
 
     def memory(self) -> ChainsMemory:
-        """What the agents' wrappers remember between steps, as a value.
+        """Returns a copy of the state of all agents' wrappers.
 
         Raises:
-            AgentException: a wrapper holds something that cannot be copied.
+            AgentException: a wrapper holds an object that cannot be copied.
         """
         wrappers = {agent: chain.memory() for agent, chain in self._chains.items()}
         return ChainsMemory(wrappers, self._cars.copy())
 
     def check_memory(self, memory: ChainsMemory) -> None:
-        """Checks that :meth:`recall` can take a memory.
+        """Checks that :meth:`recall` accepts a memory.
 
         Raises:
-            AgentException: an agent's wrappers are others.
+            AgentException: an agent has other wrappers.
         """
         for number, (agent, chain) in enumerate(self._chains.items()):
             chain.check_memory(memory.wrappers[agent])
@@ -270,10 +270,10 @@ class AgentChains:
                 )
 
     def recall(self, memory: ChainsMemory) -> None:
-        """Makes the wrappers remember what :meth:`memory` gave, here or in equal chains.
+        """Restores the wrappers' state from :meth:`memory` of these or equal chains.
 
         Args:
-            memory: one that :meth:`check_memory` takes.
+            memory: a memory that :meth:`check_memory` accepts.
 
         Raises:
             AgentException: a wrapper's memory cannot be copied.
@@ -331,7 +331,7 @@ class AgentChains:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        # What the kernel has made of the plans is made again when it is needed.
+        # The kernel objects are rebuilt from the plans on demand.
         return {**self.__dict__, "_made": {}, "_present": None}
 
     def _require_actions(self, actions: Mapping[str, Any], agents: Sequence[str]) -> None:
@@ -352,7 +352,7 @@ class AgentChains:
 
 
 class _RecordsObserver:
-    """Makes observations straight from the game's records, and of the ground if they tell of it."""
+    """Makes observations from the game's records, with the ground if they include it."""
 
     def __init__(self, plan: ViewPlan) -> None:
         self._observer = plan.new_observer()

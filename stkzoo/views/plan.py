@@ -1,9 +1,8 @@
-"""What a chain of wrappers amounts to, in the words of the kernel.
+"""Plans: what the kernel does in place of a chain of wrappers.
 
-A :class:`ViewPlan` starts as the ``full`` view. Each wrapper, the innermost first, adds what it
-does (``compile_into``), until one cannot say it. What the plan says then takes the place of
-these wrappers: the kernel makes their observation straight from the game's records, and controls
-straight from their action.
+A :class:`ViewPlan` starts as the ``full`` view. Each wrapper, starting with the innermost, adds
+itself (``compile_into``) until one cannot. The kernel then replaces these wrappers: it makes their
+observations directly from the game's records, and controls directly from their actions.
 """
 
 from __future__ import annotations
@@ -23,19 +22,19 @@ if TYPE_CHECKING:
 
 IntArray = npt.NDArray[np.intp]
 
-#: Lowest and highest value of one number of an action, whether it is whole, the column of the
-#: controls that it goes to, and for choices a table of what each adds to the controls.
+#: One number of an action: lowest value, highest value, whether it is an integer, its column in
+#: the controls, and for choices a table of what each choice adds to the controls.
 Entry = tuple[float, float, bool, int, Any]
-#: All numbers that stand under one key.
+#: All numbers of an action under one key.
 Leaf = tuple[Entry, ...]
 
 
 class ObservationSource(Protocol):
-    """A race at one moment, as observations are made of it."""
+    """A race at one moment, as the source of observations."""
 
     @property
     def course(self) -> tuple[Any, int, tuple[str, ...]]:
-        """The track's ``TrackGraph``, how many segments are seen, and the karts' models."""
+        """The track's ``TrackGraph``, the number of observed segments, and the karts' models."""
 
     @property
     def track_map(self) -> Any:
@@ -43,45 +42,44 @@ class ObservationSource(Protocol):
 
     @property
     def snapshot(self) -> Any:
-        """The moment."""
+        """Snapshot of all karts."""
 
     def ground_ahead(self, karts: IntArray) -> Mapping[str, npt.NDArray[Any]]:
-        """What is beside the road ahead of some karts, by entry of the observation."""
+        """Returns the observation entries of the ground ahead of some karts."""
 
     def karts(self, agents: Sequence[str]) -> IntArray:
-        """The agents' karts, ``(A,)``."""
+        """Returns the kart indices of the agents, ``(A,)``."""
 
 
 class Observer(Protocol):
-    """Makes one observation for each of some karts."""
+    """Makes one observation per kart."""
 
     def observe(self, source: ObservationSource, karts: IntArray) -> list[Any]:
-        """The observations, in Gymnasium's form."""
+        """Returns the karts' observations in Gymnasium's form."""
 
 
 class ViewPlan:
-    """What the compiled wrappers of one agent do.
+    """What the kernel does for the compiled wrappers of one agent.
 
     Attributes:
-        names: the observation's entries; of a flat one the numbers first, then the choices.
+        names: entries of the observation; if flat, continuous entries precede discrete ones.
         sizes: fixed lengths of the lists ``items``, ``karts`` and ``paths``, if they have one.
-        is_polar: whether positions are angles and a distance.
+        is_polar: whether positions are two angles and a distance.
         is_flat: whether the observation is two vectors.
-        joined: how many values each choice has, if both vectors are one.
-        nitro: which actions press nitro, if there is a mask of useful actions.
-        fire: which actions fire, likewise.
-        observer: makes observations in a way of its own.
-        columns: of the controls.
-        leaves: what the numbers of an action are, by key; under ``""`` for an action that is
-            one array or number.
-        car: the wrapper of an action in physical units, if the controls are made of one.
-        has_action: whether observations carry the ``action`` of the game's AI.
-        sees_ground: whether observations tell of the ground.
+        joined: number of values of each discrete entry, if both vectors are joined into one.
+        nitro: which actions press nitro, if there is an action mask.
+        fire: which actions fire, if there is an action mask.
+        observer: custom observer, if there is one.
+        columns: names of the controls.
+        leaves: numbers of an action by key; ``""`` if the action is a single array or number.
+        car: wrapper of actions in physical units, if there is one.
+        has_action: whether observations include the ``action`` of the game's AI.
+        sees_ground: whether observations include the ground.
 
     Args:
-        observation_space: of the ``full`` view.
-        action_space: of the game's own actions.
-        columns: the actions' keys in the order of the controls.
+        observation_space: space of the ``full`` view.
+        action_space: space of the game's actions.
+        columns: keys of the actions in the order of the controls.
     """
 
     def __init__(
@@ -107,20 +105,20 @@ class ViewPlan:
 
     @property
     def is_full(self) -> bool:
-        """Whether observations are still those of the ``full`` view, and nothing more."""
+        """Whether observations are those of the ``full`` view without additions."""
         changed = self.sizes or self.is_polar or self.is_flat or self.observer
         return not (changed or self.has_action or self.sees_ground)
 
     @property
     def has_choices(self) -> bool:
-        """Whether an action is one vector of choices, each with its own entry."""
+        """Whether an action is a vector of discrete choices with one entry each."""
         return set(self.leaves) == {""} and all(entry[2] for entry in self.leaves[""])
 
     def number_choices(self, choices: npt.NDArray[np.int64]) -> None:
-        """Makes an action one number.
+        """Replaces the vector of choices by a single number.
 
         Args:
-            choices: ``(n, m)`` what each number stands for in the vector of choices.
+            choices: ``(n, m)`` int64, the vector of choices for each number.
         """
         table = np.zeros((len(choices), len(self.columns)), np.float32)
         for entry, values in zip(self.leaves[""], choices.T, strict=True):
@@ -133,7 +131,7 @@ class ViewPlan:
         self.leaves = {"": ((0.0, len(choices) - 1.0, True, 0, table),)}
 
     def identity(self) -> Hashable:
-        """Equal for plans that say the same."""
+        """Key that is equal for equivalent plans."""
         mask = (
             None if self.nitro is None else (self.nitro.tobytes(), np.asarray(self.fire).tobytes())
         )
@@ -143,16 +141,16 @@ class ViewPlan:
         return (*seen, self.joined, mask, type(self.observer), leaves, self.sees_ground, car)
 
     def new_reader(self) -> ActionReader:
-        """What turns actions into controls."""
+        """Returns the object that converts actions to controls."""
         names = () if set(self.leaves) == {""} else tuple(self.leaves)
         return ActionReader(names, tuple(self.leaves.values()), len(self.columns))
 
     def new_controller(self) -> CarController | None:
-        """What turns an action in physical units into controls."""
+        """Returns the converter from actions in physical units to controls, if there is one."""
         return None if self.car is None else self.car.car_action.new_controller(self.columns)
 
     def new_observer(self) -> KartObserver:
-        """What makes observations from the game's records, but for the ground."""
+        """Returns the object that makes observations from the game's records, without ground."""
         return KartObserver(
             tuple(name for name in self.names if not name.startswith("ground_")),
             **self.sizes,

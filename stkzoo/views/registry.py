@@ -1,4 +1,4 @@
-"""The views by name: what a view is, which ones are known, and how a user chooses one."""
+"""The registry of views, and the choice of views by name."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from stkzoo.agent_names import by_agent
 from stkzoo.errors import ConfigError, shortened, unknown_name
 from stkzoo.mdp.spaces import EXTRAS, extras_of, kart_observation_space
 
-#: Wraps the environment of one kart. :class:`View` values, wrapper classes and functions do.
+#: Wraps the environment of one kart: a :class:`View`, a wrapper class or a function.
 ViewFactory: TypeAlias = Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]]
 
-#: The known views, from which the Gymnasium ids are made; ``stkzoo.register_view`` adds to them.
+#: All views by name. Each has a Gymnasium id; ``stkzoo.register_view`` adds views.
 VIEWS: dict[str, ViewFactory] = {}
 
-#: Views that need an environment which can draw: those of this package, but no agent's alone.
+#: Views that need rendering. Environments support them; drivers do not.
 CAMERA_VIEWS: dict[str, ViewFactory] = {}
 
 _TELLS = {"ground": "shows the ground", "motion": "tells how the other karts move"}
@@ -29,16 +29,16 @@ _TELLS = {"ground": "shows the ground", "motion": "tells how the other karts mov
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What an agent observes and how it acts.
+    """How an agent observes and acts.
 
     Attributes:
-        name: of the view, and of its Gymnasium id.
-        description: one line about it.
-        wrappers: around the ``full`` view, the innermost first.
-        needs: what the race has to offer beside that: ``"ground"``, what is beside the road;
-            ``"motion"``, how the other karts move; or ``"camera"``.
+        name: name of the view and of its Gymnasium id.
+        description: one-line description.
+        wrappers: wrappers around the ``full`` view, the innermost first.
+        needs: requirements beyond the ``full`` view: ``"ground"``, the ground ahead; ``"motion"``,
+            the motion of the other karts; ``"camera"``.
         options: arguments of the wrappers by name (:func:`options_of`); each wrapper gets those
-            that it has.
+            that it accepts.
     """
 
     name: str
@@ -48,10 +48,10 @@ class View:
     options: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     def __call__(self, env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-        """The environment, wrapped.
+        """Wraps an environment.
 
         Raises:
-            ConfigError: it does not offer what the view needs, or an option's value is invalid.
+            ConfigError: the environment does not meet the view's needs, or an option is invalid.
         """
         missing = sorted(self._own_extras() - extras_of(env.observation_space))
         if missing:
@@ -74,7 +74,7 @@ class View:
 
     @property
     def extras(self) -> frozenset[str]:
-        """What the wrapped observations hold in addition to those of ``full``."""
+        """Entries of the wrapped observations beyond those of ``full``."""
         return self._own_extras().union(*map(extras_for, self.wrappers))
 
     def _own_extras(self) -> frozenset[str]:
@@ -86,14 +86,15 @@ class View:
 
 
 def views() -> dict[str, ViewFactory]:
-    """All views by name: those that come with stkzoo, and those that were registered."""
+    """Returns all views by name, built-in and registered ones."""
     return {**VIEWS, **CAMERA_VIEWS}
 
 
 def options_of(view: ViewFactory) -> tuple[str, ...]:
-    """The names of a view's options: what its wrappers take beside the environment.
+    """Returns the names of a view's options: its wrappers' parameters except the environment.
 
-    They are read from the signatures; of a :class:`View`, all that its wrappers have.
+    The names are read from the signatures. For a :class:`View`, they include the parameters of all
+    its wrappers.
     """
     if isinstance(view, View):
         return tuple(dict.fromkeys(name for own in view.wrappers for name in options_of(own)))
@@ -102,7 +103,7 @@ def options_of(view: ViewFactory) -> tuple[str, ...]:
     is_class = isinstance(view, type)
     try:
         signature = inspect.signature(view.__init__ if is_class else view)
-    except (TypeError, ValueError):  # of a function in C
+    except (TypeError, ValueError):  # C functions have no signature
         return ()
     named = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
     own = list(signature.parameters.values())[2 if is_class else 1 :]
@@ -110,9 +111,9 @@ def options_of(view: ViewFactory) -> tuple[str, ...]:
 
 
 def extras_for(view: ViewFactory) -> frozenset[str]:
-    """What a view observes in addition to ``full``: some of :data:`stkzoo.mdp.spaces.EXTRAS`.
+    """Returns the names from :data:`stkzoo.mdp.spaces.EXTRAS` that a view observes.
 
-    A function says so by an attribute ``sees_ground`` or ``sees_motion`` that is true.
+    A function requests them with a true attribute ``sees_ground`` or ``sees_motion``.
     """
     if isinstance(view, View):
         return view.extras
@@ -120,29 +121,29 @@ def extras_for(view: ViewFactory) -> frozenset[str]:
 
 
 def base_space(view: ViewFactory, use_ai: bool = False) -> spaces.Dict:
-    """A fresh space of the observations that a view goes around: ``full``, and what it needs.
+    """Returns a new space of the observations that a view wraps: ``full`` and the view's needs.
 
     Args:
         view: the view.
-        use_ai: whether the game's AI drives, and its ``action`` is observed.
+        use_ai: whether the game's AI drives and observations include its ``action``.
     """
     return kart_observation_space(use_ai, extras_for(view))
 
 
 def full_with(extras: Collection[str]) -> View:
-    """The ``full`` view and what it tells beside: some of :data:`stkzoo.mdp.spaces.EXTRAS`."""
+    """Returns the ``full`` view with additional :data:`stkzoo.mdp.spaces.EXTRAS`."""
     return View("full", "``full``, and more.", needs=frozenset(extras))
 
 
 def find_view(choice: object) -> ViewFactory:
-    """The view that is meant.
+    """Returns the chosen view.
 
     Args:
-        choice: a view's name, a function that wraps a Gymnasium environment, or a pair of one of
-            these and a mapping of its options, such as ``("simple", {"state_items": 3})``.
+        choice: a view's name, a function that wraps a Gymnasium environment, or a pair of either
+            and a mapping of options, such as ``("simple", {"state_items": 3})``.
 
     Raises:
-        ConfigError: it is none of these, or the view has no such name or option.
+        ConfigError: the choice has another type, or the name or an option does not exist.
     """
     if isinstance(choice, (tuple, list)) and len(choice) == 2:
         return _with_options(find_view(choice[0]), choice[1])
@@ -161,15 +162,15 @@ def find_view(choice: object) -> ViewFactory:
 
 
 def views_of_agents(choice: object, agents: Sequence[str]) -> dict[str, ViewFactory]:
-    """The view of every agent.
+    """Returns the view of every agent.
 
     Args:
-        choice: what :func:`find_view` takes, or a mapping from agents to such; agents that the
-            mapping leaves out get ``full``.
-        agents: all agents' ids.
+        choice: a choice for :func:`find_view`, or a mapping from agents to choices. Agents without
+            an entry get ``full``.
+        agents: ids of all agents.
 
     Raises:
-        ConfigError: no such view or agent.
+        ConfigError: a view or an agent does not exist.
     """
     if not isinstance(choice, Mapping):
         return dict.fromkeys(agents, find_view(choice))
@@ -178,7 +179,7 @@ def views_of_agents(choice: object, agents: Sequence[str]) -> dict[str, ViewFact
 
 
 def _with_options(view: ViewFactory, options: object) -> ViewFactory:
-    """The view with other values of some options."""
+    """Returns the view with some options changed."""
     if not isinstance(view, View):
         name = getattr(view, "__name__", type(view).__name__)
         view = View(name, "A function with options.", (view,))

@@ -1,7 +1,7 @@
-"""The shipped views, each a declared value: a name and the wrappers around the ``full`` view.
+"""The built-in views: each is a name and the wrappers around the ``full`` view.
 
-To add a view, add a :class:`View` to :data:`SHIPPED`. Its Gymnasium id, its place in vector
-environments and its tests come with it. Agents that share a view share its work.
+To add a view, add a :class:`View` to :data:`SHIPPED`. Its Gymnasium id, its support in vector
+environments and its tests follow automatically. Agents with equal views are processed together.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _MULTIDISCRETE = (*_SIMPLE, DiscreteActionsWrapper, FlattenerWrapper)
 _DISCRETE = (*_MULTIDISCRETE, FlattenMultiDiscreteActions)
 _CONTINUOUS = (*_SIMPLE, OnlyContinuousActionsWrapper, FlattenerWrapper)
 
-#: The views that come with stkzoo.
+#: The built-in views.
 SHIPPED = (
     View("full", "Everything a kart sees, in lists of varying length; the game's own actions."),
     View(

@@ -1,8 +1,8 @@
-"""A wrapper's ``step`` in two halves, and the environment that an agent's wrappers see.
+"""A wrapper's ``step`` in two halves, and the environment inside an agent's wrappers.
 
-A race needs the base actions of all agents before it moves, and only then has results.
-A wrapper with a ``step`` of its own does both in one call. That call runs in a small
-thread, which stops at the environment's ``step`` until the results are there.
+A race needs the base actions of all agents before it advances, and has results only afterwards. A
+wrapper with its own ``step`` does both in one call. That call runs in a thread, which stops at the
+environment's ``step`` until the results are available.
 """
 
 from __future__ import annotations
@@ -24,25 +24,29 @@ AgentStep = tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]
 
 
 class AgentSide:
-    """One agent's side of a race, in place of an environment that moves by itself.
+    """One agent's side of a race, which replaces an environment that advances by itself.
 
-    All agents move together, so it hands out what :meth:`start` was given, and passes actions
-    to a step under way.
+    Because all agents step together, ``reset`` returns the values given to :meth:`start`, and
+    ``step`` passes the action on to the race's step.
     """
 
     _handler: SplitStep | None = None
     _first: tuple[Any, dict[str, Any]] | None = None
 
     def start(self, first: tuple[Any, dict[str, Any]] | None) -> None:
-        """Sets what ``reset`` returns; ``None`` refuses resets from now on."""
+        """Sets the result of ``reset``; with ``None``, ``reset`` raises an error."""
         self._first = first
 
     def connect(self, handler: SplitStep | None) -> None:
-        """Sets what answers ``step``; ``None`` refuses steps from now on."""
+        """Sets the handler of ``step``; with ``None``, ``step`` raises an error."""
         self._handler = handler
 
     def step(self, action: Any) -> AgentStep:
-        """Waits for the race to move and returns this agent's part."""
+        """Waits until the race has advanced and returns this agent's part of the result.
+
+        Raises:
+            RuntimeError: a wrapper called it outside its own ``step``.
+        """
         if self._handler is None:
             raise RuntimeError(
                 "a wrapper called step outside its own step (in reset, perhaps); one agent's "
@@ -61,20 +65,20 @@ class AgentSide:
 
 
 class MonoAgentEnv(AgentSide, gym.Env[Any, Any]):
-    """One agent's side of a race, as its wrappers wrap it.
+    """One agent's side of a race, as the innermost environment of its wrappers.
 
     Attributes:
-        camera: the agent's camera, where the race can draw; set before the wrappers are made.
+        camera: the agent's camera, if the race can render; set before the wrappers are made.
 
     Args:
-        observation_space: the agent's observations before any wrapper.
-        action_space: the agent's actions after all wrappers.
+        observation_space: observations before any wrapper.
+        action_space: actions after all wrappers.
     """
 
-    # No part of what is remembered (``WrapperMemory``): it belongs to the race.
+    # A slot is not part of vars(), so ``WrapperMemory`` skips the camera, which is the race's.
     __slots__ = ("camera",)
 
-    # Annotated afresh because gymnasium leaves the values' types open.
+    # Annotated here because Gymnasium does not annotate the values.
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
     render_mode = None
 
@@ -94,9 +98,9 @@ class MonoAgentEnv(AgentSide, gym.Env[Any, Any]):
 
 
 class CompiledPart(AgentSide, gym.Wrapper[Any, Any, Any, Any]):
-    """One agent's side of a race, where the kernel does the work of the wrappers inside.
+    """One agent's side of a race, around the wrappers that the kernel replaces.
 
-    Wrappers around it still see those inside; only ``reset`` and ``step`` go past them.
+    Outer wrappers still have access to the inner ones; only ``reset`` and ``step`` bypass them.
     """
 
     def reset(
@@ -108,15 +112,14 @@ class CompiledPart(AgentSide, gym.Wrapper[Any, Any, Any, Any]):
 
 
 class _Abandoned(BaseException):
-    """Ends a parked thread; no wrapper's ``except Exception`` stops it."""
+    """Ends a waiting thread. As a ``BaseException`` it passes ``except Exception``."""
 
 
 class SplitStep:
-    """One call of a wrapper's ``step``, in two halves.
+    """One call of a wrapper's ``step``, split into two halves.
 
     Args:
-        step: the outermost wrapper's ``step``, which must call this object's :meth:`step`
-            once.
+        step: ``step`` of the outermost wrapper, which must call :meth:`step` of this object once.
         action: the agent's action.
     """
 
@@ -132,7 +135,7 @@ class SplitStep:
         """Runs up to the environment's ``step``; returns the base action.
 
         Raises:
-            Exception: what the wrapper raised.
+            Exception: any exception of the wrapper.
         """
         self._thread.start()
         kind, value = self._answers.get()
@@ -147,10 +150,10 @@ class SplitStep:
         )
 
     def finish(self, result: AgentStep) -> AgentStep:
-        """Runs the rest of ``step`` with the environment's answer; returns what it returns.
+        """Runs the rest of ``step`` with the environment's result; returns the wrapper's result.
 
         Raises:
-            Exception: what the wrapper raised.
+            Exception: any exception of the wrapper.
         """
         self._results.put(result)
         kind, value = self._answers.get()
@@ -161,11 +164,15 @@ class SplitStep:
         return answer
 
     def abandon(self) -> None:
-        """Ends the call where it waits, if it does."""
+        """Ends the call if it is waiting."""
         self._results.put(None)
 
     def step(self, action: Any) -> AgentStep:
-        """The environment's side of the call, in the thread."""
+        """The environment's ``step``, called in the thread.
+
+        Raises:
+            RuntimeError: the wrapper calls it twice.
+        """
         if self._was_called:
             raise RuntimeError(
                 "a wrapper called its environment's step twice in one step; all agents move "

@@ -1,4 +1,4 @@
-"""The chains of several agents, run agent by agent."""
+"""The chains of several agents, run one agent at a time."""
 
 from __future__ import annotations
 
@@ -25,30 +25,30 @@ StepParts: TypeAlias = tuple[
 ]
 
 
-#: Views by agent (id, number or number as a string), as :func:`~stkzoo.views.find_view` takes them;
-#: ``None`` is no wrappers.
+#: Views by agent (id, number or number as a string), as :func:`~stkzoo.views.find_view` accepts
+#: them; ``None`` adds no wrappers.
 Factories: TypeAlias = Mapping[Any, object]
 
 _Dicts: TypeAlias = tuple[dict[str, Any], ...]
 
 
 class ChainWalker:
-    """One :class:`AgentChain` for each agent, run agent by agent.
+    """One :class:`AgentChain` per agent, run one agent at a time.
 
     Attributes:
-        chains: the chains by agent.
+        chains: chains by agent.
         observation_spaces: each agent's observation space, after its wrappers.
         action_spaces: each agent's action space, before its wrappers.
 
     Args:
         observation_spaces: the agents' base observation spaces.
         action_spaces: the agents' base action spaces.
-        factories: the agents' views; those that are left out, or ``None``, have no wrappers.
+        factories: views by agent; agents that are missing or ``None`` have no wrappers.
 
     Raises:
-        ConfigError: a view is for no agent, unknown, or refuses its environment or options; or
-            the spaces are not for the same agents.
-        AgentException: a function raised, or returned no wrapper of what it was given.
+        ConfigError: a view belongs to no agent, is unknown, or rejects its environment or options;
+            or the spaces are for different agents.
+        AgentException: a factory failed, or did not return a wrapper of its argument.
     """
 
     def __init__(
@@ -83,10 +83,10 @@ class ChainWalker:
 
         Args:
             agents: the agents.
-            observations: the race's first observations by agent; the wrappers' take their place.
-            infos: likewise.
-            seed: agent number ``n`` is seeded with ``seed + n``.
-            options: handed to every wrapper's ``reset``.
+            observations: first observations of the race by agent; replaced by the wrapped ones.
+            infos: first infos of the race by agent; replaced by the wrapped ones.
+            seed: agent ``n`` gets ``seed + n``.
+            options: passed to the ``reset`` of every wrapper.
         """
         for number, (agent, chain) in enumerate(self.chains.items()):
             if agent in agents:
@@ -101,12 +101,12 @@ class ChainWalker:
         """Runs the first half of the wrappers' steps.
 
         Args:
-            actions: actions by agent; all are checked before any wrapper sees one.
-            agents: the agents whose wrappers run; those without an action get no base action,
-                but their wrappers see an action of zeros.
+            actions: actions by agent; all are checked before any wrapper runs.
+            agents: agents whose wrappers run. The wrappers of agents without an action get an
+                action of zeros, and the result has no base action for them.
 
         Returns:
-            Checked base actions of the agents that have an action.
+            Checked base actions of the agents with an action.
 
         Raises:
             ActionError: an action is not in its agent's space.
@@ -129,7 +129,7 @@ class ChainWalker:
 
         Args:
             agents: the agents.
-            parts: what happened to them; the wrappers' answers take its place.
+            parts: result of the step; replaced by the wrapped results.
 
         Raises:
             AgentException: a wrapper failed.
@@ -142,7 +142,7 @@ class ChainWalker:
 
     @contextmanager
     def _abandoned_after_failure(self) -> Iterator[None]:
-        """Abandons the steps under way when the block fails."""
+        """Discards all running steps if the block fails."""
         try:
             yield
         except BaseException:
@@ -150,7 +150,7 @@ class ChainWalker:
             raise
 
     def abandon(self) -> None:
-        """Forgets steps that were begun and will not be finished."""
+        """Discards steps that have begun and will not be finished."""
         for chain in self.chains.values():
             chain.abandon()
 
@@ -161,7 +161,7 @@ class ChainWalker:
 
 
 def _part(result: StepParts, agent: str) -> AgentStep:
-    """One agent's part of a step's result, its info a copy."""
+    """Returns one agent's part of a step's result, with a copy of its info."""
     observations, rewards, terminations, truncations, infos = result
     info = dict(infos[agent])
     return observations[agent], rewards[agent], terminations[agent], truncations[agent], info

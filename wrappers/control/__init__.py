@@ -1,9 +1,9 @@
-"""Actions in physical units: speed or acceleration, steering angle or steering speed.
+"""Actions in physical units: speed or acceleration, and steering angle or steering speed.
 
-The parts are pure functions over arrays with any leading axes: :class:`LongitudinalAction`
-and :class:`SteerAction` turn what is asked for into an acceleration and a wheel angle,
-:class:`Pedals` and :class:`CarAction` these into what the game takes. :class:`ControlWrapper`
-puts them around one agent, and :class:`ControlView` makes a view of that.
+:class:`LongitudinalAction` and :class:`SteerAction` convert the requested values to an acceleration
+and a wheel angle; :class:`Pedals` and :class:`CarAction` convert these to the game's controls. All
+are pure functions over arrays with any leading axes. :class:`ControlWrapper` applies them to one
+agent, and :class:`ControlView` defines a view with them.
 """
 
 from stkzoo.wrappers.control.car_action import CarAction, from_single_to_multi_action_space

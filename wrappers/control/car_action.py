@@ -1,4 +1,4 @@
-"""Both numbers of an action, and what the game is told."""
+"""An action of two numbers in physical units, and its conversion to the game's controls."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ FloatArray = npt.NDArray[np.floating[Any]]
 class CarAction:
     """An action of two numbers, ``[steering, longitudinal]``, in physical units.
 
-    The numbers come in this order whatever the order of the names, as in F1TENTH gymkhana.
-    All methods are pure functions over arrays with any leading axes: one kart or many.
+    The numbers always have this order, whatever the order of the names, as in F1TENTH gymkhana. All
+    methods are pure functions over arrays with any leading axes.
 
     Attributes:
-        type: the names of both, in the order of the numbers.
-        longitudinal: what the second number means.
-        steering: what the first number means.
+        type: names of both numbers, in their order.
+        longitudinal: meaning of the second number.
+        steering: meaning of the first number.
         space: ``(2,)`` float32, in physical units or in [-1, 1].
-        params: the kart's limits.
+        params: limits of the kart.
 
     Args:
         control_input: one of ``"speed"`` [m/s] and ``"accl"`` [m/s^2], and one of
-            ``"steering_angle"`` [rad] and ``"steering_speed"`` [rad/s]. One name alone goes
+            ``"steering_angle"`` [rad] and ``"steering_speed"`` [rad/s]. A single name is completed
             with ``"speed"`` or ``"steering_angle"``.
-        normalize: both numbers from -1 to 1 for the whole of their range, so that 0 is
-            its middle, which is not standing still for ``"speed"``.
-        params: the kart's limits, or a mapping of some of them; by default those of the
-            game's default kart.
+        normalize: scale the range of both numbers to [-1, 1]. 0 is then the middle of the range,
+            which for ``"speed"`` is not standstill.
+        params: limits of the kart, or a mapping of some of them; by default, those of the game's
+            default kart.
 
     Raises:
-        ConfigError: an unknown name, or two of one kind.
+        ConfigError: a name is unknown, or both names are of one kind.
     """
 
     def __init__(
@@ -71,19 +71,19 @@ class CarAction:
 
     @property
     def steer_bounds(self) -> tuple[float, float]:
-        """Lowest and highest first number of ``space``."""
+        """Lower and upper bound of the first number in ``space``."""
         return self.steering.lower_limit, self.steering.upper_limit
 
     @property
     def throttle_bounds(self) -> tuple[float, float]:
-        """Lowest and highest second number of ``space``."""
+        """Lower and upper bound of the second number in ``space``."""
         return self.longitudinal.lower_limit, self.longitudinal.upper_limit
 
     def new_controller(self, columns: Sequence[str]) -> CarController:
-        """What does the same for many karts at once, in the kernel.
+        """Returns the kernel's implementation for many karts.
 
         Args:
-            columns: of the game's controls.
+            columns: names of the game's controls.
         """
         own, limits = self.params, (self._low, self._high)
         return CarController(
@@ -103,10 +103,10 @@ class CarAction:
         )
 
     def memory(self, shape: tuple[int, ...] = ()) -> FloatArray:
-        """What :meth:`act` is given at the start of a race, ``(*shape, 2)``: all zero.
+        """Returns the initial memory for :meth:`act`, ``(*shape, 2)`` zeros.
 
-        The angle of the wheels [rad], and the speed [m/s] that throttle and brake, which
-        cannot give every acceleration, still owe to what was asked for.
+        The memory holds the wheel angle [rad] and the remaining speed change [m/s]: throttle and
+        brake cannot produce every acceleration, so the rest is carried over.
         """
         return np.zeros((*shape, 2))
 
@@ -118,18 +118,18 @@ class CarAction:
         memory: FloatArray,
         step_size: float = 0.1,
     ) -> tuple[FloatArray, FloatArray]:
-        """What the game is told for an action.
+        """Converts an action to the game's controls.
 
         Args:
             action: ``(..., 2)`` in ``space``.
             speed: ``(...)`` forward speed, as observed in ``velocity[2]`` [m/s].
             max_steer_angle: ``(...)`` as observed [rad].
-            memory: ``(..., 2)`` of :meth:`memory`, or from the call before.
-            step_size: how long the action lasts [s].
+            memory: ``(..., 2)`` from :meth:`memory` or from the previous call.
+            step_size: duration of the action [s].
 
         Returns:
-            ``(..., 3)``: ``acceleration`` in [0, 1], ``steer`` in [-1, 1], ``brake`` 0 or 1;
-            and the memory for the next call.
+            Controls ``(..., 3)``: ``acceleration`` in [0, 1], ``steer`` in [-1, 1], ``brake`` 0 or
+                1; and the memory for the next call.
         """
         asked = self.physical(action)
         most = np.maximum(max_steer_angle, 1e-3)
@@ -147,7 +147,7 @@ class CarAction:
         return controls, np.stack([angle, owed], axis=-1)
 
     def physical(self, action: FloatArray) -> FloatArray:
-        """An action ``(..., 2)`` of ``space`` in physical units, float64."""
+        """Converts an action ``(..., 2)`` in ``space`` to physical units, float64."""
         values = np.asarray(action, np.float64)
         low, high = self._low.astype(np.float64), self._high.astype(np.float64)
         return low + (values + 1.0) / 2.0 * (high - low) if self.normalize else values
@@ -160,14 +160,14 @@ class CarAction:
         angle_before: FloatArray,
         step_size: float = 0.1,
     ) -> FloatArray:
-        """The action that asks for what a driver of the game's own controls did.
+        """Returns the action equivalent to controls of the game; the inverse of :meth:`act`.
 
         Args:
             controls: ``(..., 3)``: ``acceleration``, ``steer`` and ``brake``.
             speed: ``(...)`` forward speed [m/s].
             max_steer_angle: ``(...)`` [rad].
-            angle_before: ``(...)`` angle of the wheels before it [rad].
-            step_size: how long it lasted [s].
+            angle_before: ``(...)`` previous wheel angle [rad].
+            step_size: duration of the controls [s].
 
         Returns:
             ``(..., 2)`` float32 in ``space``.
@@ -181,10 +181,10 @@ class CarAction:
         return self._in_space(np.stack(np.broadcast_arrays(*numbers), axis=-1))
 
     def held(self, controls: FloatArray) -> FloatArray:
-        """The action for keys that are held, whatever the kart's speed.
+        """Returns the action for keys that are held down, independent of the kart's speed.
 
-        Full throttle asks for the most of the longitudinal number, the brake for the least, and
-        neither for 0; full steering asks for the most of the steering number.
+        Full throttle requests the maximum of the longitudinal number, the brake its minimum, and
+        neither key 0; full steering requests an extreme of the steering number.
 
         Args:
             controls: ``(..., 3)``: ``acceleration``, ``steer`` and ``brake``.
@@ -197,7 +197,7 @@ class CarAction:
         return self._in_space(np.where(pushed < 0, -pushed * self._low, pushed * self._high))
 
     def _in_space(self, action: FloatArray) -> FloatArray:
-        """An action ``(..., 2)`` in physical units as one of ``space``, float32."""
+        """Converts an action ``(..., 2)`` in physical units to ``space``, float32."""
         if self.normalize:
             action = (action - self._low) / (self._high - self._low) * 2.0 - 1.0
         inside: FloatArray = np.clip(action, self.space.low, self.space.high).astype(np.float32)
@@ -207,16 +207,20 @@ class CarAction:
 def from_single_to_multi_action_space(
     single_action_space: spaces.Space[Any], num_agents: int
 ) -> spaces.Space[Any]:
-    """The actions of several agents in one: ``(num_agents, 2)`` for a ``(2,)`` ``Box``.
+    """Returns the joint action space of several agents: ``(num_agents, 2)`` for a ``(2,)`` ``Box``.
+
+    Args:
+        single_action_space: action space of one agent.
+        num_agents: number of agents.
 
     Raises:
-        ConfigError: there is no agent.
+        ConfigError: ``num_agents`` is below 1.
     """
     return batch_space(single_action_space, check_whole("num_agents", num_agents, 1))
 
 
 def _kinds(control_input: object) -> tuple[type[LongitudinalAction], type[SteerAction]]:
-    """The classes of both numbers."""
+    """Returns the classes of both numbers."""
     names = [control_input] if isinstance(control_input, str) else control_input
     is_list = isinstance(names, Sequence) and all(isinstance(name, str) for name in names)
     if not is_list or not 1 <= len(names) <= 2:  # type: ignore[arg-type]

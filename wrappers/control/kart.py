@@ -1,4 +1,4 @@
-"""What a kart can do, in numbers measured on the engine: its limits, throttle and brake."""
+"""Limits and throttle and brake models of karts, as measured in the engine."""
 
 from __future__ import annotations
 
@@ -37,33 +37,33 @@ KARTS = {
 }
 
 
-# All that follows is from benchmarks/results/control.json: tux, difficulty 2, a flat straight.
+# Source of the values below: benchmarks/results/control.json (tux, difficulty 2, flat straight).
 
-#: What full throttle adds [m/s^2], in each gear from a speed [m/s] on.
+#: Lowest speed of each gear above the first [m/s], and acceleration of full throttle [m/s^2].
 _GEARS = (2.3, 5.75, 10.35, 16.1)
 _THRUST = np.array((14.1, 12.0, 10.05, 8.15, 7.05))
 
-#: What the brake takes beside the drag [m/s^2], in each gear; standing, it reverses.
+#: Deceleration of the brake in each gear, without drag [m/s^2]; at standstill it reverses.
 _BRAKE = np.array((23.0, 23.0, 19.7, 16.3, 14.0))
 _REVERSE = 28.0
 _REVERSE_SPEED = 0.5
 
-#: Rolling with the throttle shut: this, and the other times the speed squared.
+#: Drag with the throttle closed: _ROLL_DRAG + _AIR_DRAG * speed^2.
 _ROLL_DRAG = 0.55  # [m/s^2]
 _AIR_DRAG = 0.0072  # [1/m]
 
-#: Below this speed [m/s] the game stops a kart whose throttle is shut, within a step ...
+#: Below this speed [m/s] the game stops a kart with a closed throttle within a step.
 _SELF_STOP_SPEED = 5.0
-#: ... which is the finest way to stop below this one.
+#: Below this speed [m/s], closing the throttle is the most precise way to stop.
 _STOP_SPEED = 3.5
-#: This little throttle keeps it from doing so.
+#: Smallest throttle that keeps a slow kart rolling.
 _ROLLING = 0.005
 
 
-#: The longest time constant of the wheels [s].
+#: Largest time constant of the wheels [s].
 _MAX_LAG = 10.0
 
-#: The same numbers as the kernel takes them.
+#: The same values in the form of the kernel.
 PEDALS = np.array(
     [
         *(*_GEARS, *_THRUST, *_BRAKE, _REVERSE, _REVERSE_SPEED),
@@ -75,26 +75,26 @@ PEDALS = np.array(
 @check_arguments
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CarParameters:
-    """Limits of the actions, and the model that the controllers go by.
+    """Limits of the actions, and parameters of the controllers' model.
 
     The defaults are those of the game's default kart, tux, at difficulty 2. The observed
-    ``max_steer_angle`` narrows the steering further as the kart gets faster.
+    ``max_steer_angle`` limits the steering further at higher speeds.
 
     Attributes:
-        v_min: lowest speed that can be asked for, backwards [m/s].
-        v_max: highest speed that can be asked for [m/s]: 25 is the game's own limit at
-            difficulty 3; at 2, 1 and 0 karts reach 23, 20 and 15.
-        a_max: largest acceleration and deceleration that can be asked for [m/s^2]: what the
-            brake does. The engine gives 14 at rest and 3 at 20 m/s.
+        v_min: lowest speed of actions, negative for reverse [m/s].
+        v_max: highest speed of actions [m/s]: 25 is the game's limit at difficulty 3; at 2, 1 and
+            0, karts reach 23, 20 and 15.
+        a_max: largest acceleration and deceleration of actions [m/s^2]: that of the brake. The
+            engine accelerates with 14 at rest and 3 at 20 m/s.
         s_max: largest steering angle, at rest [rad].
-        sv_max: fastest turn of the wheels [rad/s]: lock to lock as the game lets those who
-            steer with keys.
-        wheel_base: [m]; a steering angle ``s`` drives a circle of radius
-            ``wheel_base / tan(s)``.
-        speed_gain: acceleration for each m/s that lacks [1/s].
-        T_steer: time constant of the wheels [s]: they turn to a ``steering_angle`` like a
-            first-order lag, and within this time cover 63 % of the way. 0 is as fast as ``sv_max``
-            allows.
+        sv_max: fastest turn of the wheels [rad/s]; from lock to lock as fast as keyboard steering
+            in the game.
+        wheel_base: wheel base [m]; a steering angle ``s`` follows a circle of radius ``wheel_base /
+            tan(s)``.
+        speed_gain: gain of the speed controller: acceleration per speed error [1/s].
+        T_steer: time constant of the wheels [s]. They follow a ``steering_angle`` with a
+            first-order lag and cover 63 % of the way in this time. With 0, only ``sv_max`` limits
+            them.
     """
 
     v_min: float = -5.0
@@ -118,17 +118,17 @@ class CarParameters:
 
     @classmethod
     def of(cls, value: CarParameters | Mapping[str, float] | None, kart: str = "") -> CarParameters:
-        """The parameters that are meant: a mapping has some of the fields, ``None`` none.
+        """Converts a mapping of some fields to parameters; ``None`` selects the defaults.
 
         Args:
-            value: the parameters; ``s_min`` and ``sv_min`` of F1TENTH gymkhana may stand beside
-                ``s_max`` and ``sv_max``, if they mirror them.
-            kart: the kart model whose other fields to take, such as ``"gnu"``; empty for the
-                game's default.
+            value: the parameters. The mapping may contain ``s_min`` and ``sv_min`` of F1TENTH
+                gymkhana if they are the negatives of ``s_max`` and ``sv_max``.
+            kart: kart model that provides the other fields, such as ``"gnu"``; empty for the game's
+                default.
 
         Raises:
-            ConfigError: it is something else, a field is unknown or invalid, or nobody has
-                measured a kart of that name.
+            ConfigError: the value has another type, a field is unknown or invalid, or there are no
+                measurements of the kart.
         """
         if isinstance(value, CarParameters):
             return value
@@ -151,40 +151,43 @@ class CarParameters:
 
     @classmethod
     def of_kart(cls, kart: str) -> CarParameters:
-        """The parameters of a kart model.
+        """Returns the parameters of a kart model.
 
         Args:
-            kart: its name, such as ``"gnu"``; empty for the game's default.
+            kart: name of the model, such as ``"gnu"``; empty for the game's default.
 
         Raises:
-            ConfigError: nobody has measured a kart of that name.
+            ConfigError: there are no measurements of the kart.
         """
         return cls.of(None, kart)
 
     def steering_angle(self, radius: float) -> float:
-        """The steering angle [rad] that drives a circle of a radius [m], positive to the right."""
+        """Returns the steering angle [rad] for a circle of a radius [m], positive to the right."""
         return math.atan(self.wheel_base / radius)
 
 
 class Pedals:
-    """Chooses throttle and brake, and foretells what they do."""
+    """Chooses throttle and brake, and predicts their effect."""
 
     def press(
         self, accl: FloatArray, speed: FloatArray, step_size: float
     ) -> tuple[FloatArray, BoolArray]:
-        """The throttle in [0, 1] and whether to brake, for an acceleration [m/s^2].
+        """Returns the throttle in [0, 1] and whether to brake, for an acceleration.
 
-        The brake is a button: it is pressed for a whole step or not at all, whichever comes
-        nearer to what is asked for.
+        The brake is a button: it is pressed for a whole step or not at all, whichever comes closer
+        to the requested acceleration.
 
         Args:
-            accl: ``(...)`` the acceleration [m/s^2].
+            accl: ``(...)`` requested acceleration [m/s^2].
             speed: ``(...)`` forward speed [m/s].
-            step_size: how long a step lasts [s].
+            step_size: duration of a step [s].
+
+        Returns:
+            Throttle ``(...)`` and brake ``(...)`` bool.
         """
         force = accl + _drag(speed)
         throttle = np.clip(force / _thrust(speed), 0.0, 1.0)
-        # Standing still is nearer to what is asked for than rolling on or driving back.
+        # Stopping is closer to the request than rolling on or reversing.
         stops = (np.abs(speed) < _STOP_SPEED) & (np.abs(speed + accl * step_size) < 0.5)
         stops &= np.abs(speed + accl * step_size) <= 0.55 * np.abs(speed) + 0.02
         brake = (force < -_brake(speed) / 2) & ~stops
@@ -195,7 +198,7 @@ class Pedals:
     def effect(
         self, throttle: FloatArray, brake: BoolArray, speed: FloatArray, step_size: float
     ) -> FloatArray:
-        """The acceleration [m/s^2] that throttle and brake give, ``(...)`` each."""
+        """Returns the acceleration [m/s^2] due to throttle and brake, ``(...)``."""
         stops = (throttle <= 0) & ~brake & (np.abs(speed) < _SELF_STOP_SPEED)
         driven = throttle * _thrust(speed) - _drag(speed)
         braked = -_brake(speed) - _drag(speed)
@@ -203,7 +206,7 @@ class Pedals:
         return np.where(brake, braked, np.where(stops, stopped, driven))
 
     def reach(self, accl: FloatArray, speed: FloatArray) -> FloatArray:
-        """The acceleration nearest to ``accl`` that the kart can give."""
+        """Returns the feasible acceleration nearest to ``accl`` [m/s^2], ``(...)``."""
         least, most = -_brake(speed) - _drag(speed), _thrust(speed) - _drag(speed)
         return np.clip(accl, least, most)
 

@@ -1,4 +1,4 @@
-"""What each of the two numbers of an action can mean."""
+"""The meanings of the two numbers of an action."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ FloatArray = npt.NDArray[np.floating[Any]]
 
 
 class _ActionEnum(Enum):
-    """The base of both kinds' names."""
+    """Base class of both enumerations."""
 
     @classmethod
     def is_valid(cls, name: object) -> bool:
-        """Whether there is a member of that name."""
+        """Whether a member of that name exists."""
         return name in [kind.value for kind in cls]
 
     @classmethod
     def from_string(cls, name: str) -> type[Any]:
-        """The class of a name, such as :class:`SpeedAction` for ``"speed"``.
+        """Returns the class for a name, such as :class:`SpeedAction` for ``"speed"``.
 
         Raises:
-            ConfigError: there is none.
+            ConfigError: the name does not exist.
         """
         if not cls.is_valid(name):
             raise unknown_name("action", name, [kind.value for kind in cls])
@@ -39,14 +39,14 @@ class _ActionEnum(Enum):
 
 
 class LongitudinalActionEnum(_ActionEnum):
-    """The ways to ask for speed; the second spelling of each is F1TENTH gymkhana's."""
+    """Kinds of longitudinal actions, each also with the spelling of F1TENTH gymkhana."""
 
     ACCL = Accl = "accl"
     SPEED = Speed = "speed"
 
 
 class SteerActionEnum(_ActionEnum):
-    """The ways to ask for a turn; the second spelling of each is F1TENTH gymkhana's."""
+    """Kinds of steering actions, each also with the spelling of F1TENTH gymkhana."""
 
     STEERING_ANGLE = Steering_Angle = "steering_angle"
     STEERING_SPEED = Steering_Speed = "steering_speed"
@@ -56,16 +56,16 @@ class NumberAction(ABC):
     """One number of an action.
 
     Attributes:
-        type: what the number means, such as ``"speed"``.
-        low: its smallest value, in physical units.
-        high: its largest value.
-        normalize: whether it is given from -1 to 1 instead, for the whole of that range.
-        params: the kart's limits.
+        type: meaning of the number, such as ``"speed"``.
+        low: smallest value, in physical units.
+        high: largest value, in physical units.
+        normalize: whether that range is scaled to [-1, 1].
+        params: limits of the kart.
 
     Args:
-        params: the kart's limits, or a mapping of some of them; by default those of the
-            game's default kart.
-        normalize: whether the number is from -1 to 1.
+        params: limits of the kart, or a mapping of some of them; by default, those of the game's
+            default kart.
+        normalize: whether to scale the range to [-1, 1].
 
     Raises:
         ConfigError: an argument is invalid.
@@ -84,50 +84,50 @@ class NumberAction(ABC):
 
     @property
     def lower_limit(self) -> float:
-        """The smallest value that is given: ``low``, or -1 if normalized."""
+        """Smallest value of an action: ``low``, or -1 if normalized."""
         return -1.0 if self.normalize else self.low
 
     @property
     def upper_limit(self) -> float:
-        """The largest value that is given: ``high``, or 1 if normalized."""
+        """Largest value of an action: ``high``, or 1 if normalized."""
         return 1.0 if self.normalize else self.high
 
     @property
     def space(self) -> spaces.Box:
-        """The values that are given, ``()`` float32."""
+        """Space of an action, ``()`` float32."""
         return spaces.Box(self.lower_limit, self.upper_limit, (), np.float32)
 
     @abstractmethod
     def bounds(self) -> tuple[float, float]:
-        """The smallest and the largest value in physical units."""
+        """Returns the smallest and the largest value in physical units."""
 
 
 class LongitudinalAction(NumberAction):
-    """Turns one number, ``"speed"`` or ``"accl"``, into the acceleration to drive with.
+    """Converts one number, ``"speed"`` or ``"accl"``, to an acceleration.
 
     Attributes:
-        is_fed_back: whether what the kart does corrects what is asked for next.
+        is_fed_back: whether the measured motion corrects the next request.
     """
 
     is_fed_back: bool
 
     @abstractmethod
     def act(self, value: FloatArray, speed: FloatArray, step_size: float) -> FloatArray:
-        """The acceleration to drive with [m/s^2].
+        """Returns the acceleration for a value [m/s^2].
 
         Args:
-            value: ``(...)`` what is asked for, from ``low`` to ``high``.
+            value: ``(...)`` requested value, from ``low`` to ``high``.
             speed: ``(...)`` forward speed [m/s].
-            step_size: how long the action lasts [s].
+            step_size: duration of the action [s].
         """
 
     @abstractmethod
     def read(self, accl: FloatArray, speed: FloatArray, step_size: float) -> FloatArray:
-        """What would have asked for an acceleration ``(...)``: the other way of :meth:`act`."""
+        """Returns the value for an acceleration ``(...)`` [m/s^2]; the inverse of :meth:`act`."""
 
 
 class SpeedAction(LongitudinalAction):
-    """A speed to reach and hold [m/s], by a proportional controller."""
+    """A target speed [m/s], reached and held by a proportional controller."""
 
     type = "speed"
     is_fed_back = True
@@ -145,12 +145,12 @@ class SpeedAction(LongitudinalAction):
         return np.clip(speed + accl / self._gain(step_size), self.low, self.high)
 
     def _gain(self, step_size: float) -> float:
-        """No step may overshoot, so long steps want less gain [1/s]."""
+        """Returns the controller's gain [1/s], reduced for long steps so that none overshoots."""
         return min(self.params.speed_gain, 0.8 / step_size)
 
 
 class AcclAction(LongitudinalAction):
-    """An acceleration [m/s^2], between the lowest and the highest speed."""
+    """An acceleration [m/s^2], within the limits of speed."""
 
     type = "accl"
     is_fed_back = False
@@ -172,31 +172,31 @@ class AcclAction(LongitudinalAction):
 
 
 class SteerAction(NumberAction):
-    """Turns one number, ``"steering_angle"`` or ``"steering_speed"``, into the angle of the wheels.
+    """Converts one number, ``"steering_angle"`` or ``"steering_speed"``, to the wheel angle.
 
     Angles are positive to the right.
     """
 
     @abstractmethod
     def rate(self, value: FloatArray, angle: FloatArray, step_size: float) -> FloatArray:
-        """How fast the wheels are to turn [rad/s].
+        """Returns the requested turning speed of the wheels [rad/s].
 
         Args:
-            value: ``(...)`` what is asked for, from ``low`` to ``high``.
-            angle: ``(...)`` the present angle of the wheels [rad].
-            step_size: how long the action lasts [s].
+            value: ``(...)`` requested value, from ``low`` to ``high``.
+            angle: ``(...)`` current wheel angle [rad].
+            step_size: duration of the action [s].
         """
 
     def act(
         self, value: FloatArray, angle: FloatArray, max_angle: FloatArray, step_size: float
     ) -> FloatArray:
-        """The angle of the wheels in the step that follows [rad].
+        """Returns the wheel angle in the next step [rad].
 
         Args:
-            value: ``(...)`` what is asked for, from ``low`` to ``high``.
-            angle: ``(...)`` the present angle of the wheels [rad].
-            max_angle: ``(...)`` the largest angle at the present speed [rad].
-            step_size: how long the action lasts [s].
+            value: ``(...)`` requested value, from ``low`` to ``high``.
+            angle: ``(...)`` current wheel angle [rad].
+            max_angle: ``(...)`` largest wheel angle at the current speed [rad].
+            step_size: duration of the action [s].
         """
         fastest = self.params.sv_max
         rate = np.clip(self.rate(value, angle, step_size), -fastest, fastest)
@@ -204,11 +204,11 @@ class SteerAction(NumberAction):
 
     @abstractmethod
     def read(self, angle: FloatArray, before: FloatArray, step_size: float) -> FloatArray:
-        """What would have turned the wheels from one angle ``(...)`` to another."""
+        """Returns the value that turns the wheels from ``before`` to ``angle`` [rad], ``(...)``."""
 
 
 class SteeringAngleAction(SteerAction):
-    """An angle of the wheels [rad], reached as fast as ``sv_max`` and ``T_steer`` allow."""
+    """A wheel angle [rad], reached as fast as ``sv_max`` and ``T_steer`` allow."""
 
     type = "steering_angle"
 
@@ -227,13 +227,13 @@ class SteeringAngleAction(SteerAction):
         return np.clip(angle, self.low, self.high)
 
     def _share(self, step_size: float) -> float:
-        """The share of the way that the wheels cover in a step."""
+        """Returns the fraction of the remaining angle that the wheels cover in a step."""
         lag = self.params.T_steer
         return 1.0 - math.exp(-step_size / lag) if lag > 0 else 1.0
 
 
 class SteeringSpeedAction(SteerAction):
-    """How fast the wheels turn [rad/s]; with 0 they stay where they are."""
+    """Turning speed of the wheels [rad/s]; with 0 they keep their angle."""
 
     type = "steering_speed"
 

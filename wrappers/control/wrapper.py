@@ -1,4 +1,4 @@
-"""One agent that acts in physical units, and the views of such agents."""
+"""The wrapper for actions in physical units, and views that use it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from stkzoo.wrappers.observations import ConstantSizedObservations, PolarObserva
 if TYPE_CHECKING:
     from stkzoo.views.plan import ViewPlan
 
-#: The game's own buttons that can stand beside the two numbers.
+#: Buttons of the game that an action can have in addition to the two numbers.
 BUTTONS = ("drift", "fire", "nitro", "rescue")
 
 _PEDALS = ("acceleration", "steer", "brake")
@@ -30,29 +30,29 @@ _OBSERVED = ("full", "simple", "flattened")
 
 
 class ControlWrapper(ActionFormWrapper, CompiledWrapper):
-    """Steers by ``control`` (2,), as :class:`CarAction` says, and buttons beside it.
+    """Replaces acceleration, steering and brake by ``control`` (2,), a :class:`CarAction`.
 
-    The action is a dict of ``control`` and the chosen buttons (0 or 1); buttons that were
-    not chosen are never pressed. The observation stays as it is; the game AI's own
-    ``action``, where it is there, is what would have asked for what the AI did.
+    The action is a dict of ``control`` and the chosen buttons (0 or 1); other buttons stay
+    released. The observation is unchanged, but if it includes the game AI's ``action``, that is
+    converted to the equivalent action.
 
-    Within a drift the game turns the wheels by a map of its own, and more than asked for.
+    During a drift, the game maps steering differently and turns the wheels further than requested.
 
     Args:
-        env: an environment with the game's own actions, whose observation has ``velocity``
-            and ``max_steer_angle``; so this goes inside the wrappers that flatten.
-        control_input: see :class:`CarAction`, as for ``normalize_act`` and ``params``.
+        env: an environment with the game's actions, whose observation has ``velocity`` and
+            ``max_steer_angle``. Put this wrapper inside wrappers that flatten.
+        control_input: see :class:`CarAction`; likewise ``normalize_act`` and ``params``.
         buttons: some of ``drift``, ``fire``, ``nitro`` and ``rescue``.
-        kart: whose limits to take, as in ``AgentSpec.kart``, but for those that ``params`` has.
-        step_size: game time of one step [s], that of the race; ``reset`` options that
-            change it for an episode are heeded.
+        kart: kart model whose limits apply, as in ``AgentSpec.kart``; ``params`` takes precedence.
+        step_size: game time of one step of the race [s]; ``reset`` options that change it for an
+            episode are respected.
 
     Raises:
-        ConfigError: an argument is invalid, or the environment is of another kind.
+        ConfigError: an argument is invalid, or the environment does not fit.
     """
 
     has_memory = True
-    #: Read the observed ``action`` as keys that are held, at any speed: see :meth:`CarAction.held`.
+    #: Whether to convert the observed ``action`` with :meth:`CarAction.held`, as for keys.
     reads_keys = False
 
     def __init__(
@@ -95,7 +95,7 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
         return True
 
     def identity(self) -> Hashable:
-        """Equal for wrappers that do the same."""
+        """Key that is equal for equivalent wrappers."""
         car = self.car_action
         return car.type, car.normalize, car.params, self.step_size
 
@@ -107,13 +107,13 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Resets the environment, with the wheels straight."""
+        """Resets the environment and straightens the wheels."""
         step_size = (options or {}).get("step_size", self.step_size)
         self._start(check_number("step_size", step_size, unit="seconds"))
         return super().reset(seed=seed, options=options)
 
     def action(self, action: dict[str, Any]) -> dict[str, Any]:
-        """The game's own action."""
+        """Returns the game's action."""
         controls, self._memory = self.car_action.act(
             np.asarray(action["control"]),
             self._speed,
@@ -131,7 +131,7 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
         }
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
-        """The observation, from which the controllers learn how fast the kart is."""
+        """Returns the observation, and records the speed for the controllers."""
         before = self._memory[0]
         speed, max_angle = self._speed, self._max_angle
         self._speed = np.float64(observation["velocity"][2])
@@ -151,18 +151,17 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ControlView:
-    """A view for ``view=`` and ``stkzoo.register_view``: a function that wraps one kart.
+    """A view with actions in physical units, for ``view=`` and ``stkzoo.register_view``.
 
     Attributes:
-        observe: what the agent sees: as in the view ``"full"``, ``"simple"`` or
-            ``"flattened"``. With ``"flattened"`` the action is a plain ``Box(2)`` without
-            buttons, else a dict of ``continuous`` and ``discrete``.
-        control_input: see :class:`~stkzoo.wrappers.control.ControlWrapper`, as for all that
-            follow.
-        normalize_act: whether both numbers go from -1 to 1.
-        buttons: the game's own buttons beside them.
-        kart: whose limits to take, as in ``AgentSpec.kart``.
-        step_size: that of the race [s].
+        observe: observations of the view ``"full"``, ``"simple"`` or ``"flattened"``. With
+            ``"flattened"``, the action is a ``Box(2)`` without buttons, otherwise a dict of
+            ``continuous`` and ``discrete``.
+        control_input: see :class:`~stkzoo.wrappers.control.ControlWrapper`, as for the others.
+        normalize_act: whether to scale both numbers to [-1, 1].
+        buttons: additional buttons of the game.
+        kart: kart model whose limits apply, as in ``AgentSpec.kart``.
+        step_size: game time of one step of the race [s].
     """
 
     observe: str = "simple"
@@ -177,7 +176,7 @@ class ControlView:
             raise unknown_name("view to observe", self.observe, _OBSERVED)
 
     def __call__(self, env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-        """The environment, wrapped."""
+        """Wraps an environment."""
         if self.observe != "full":
             env = PolarObservations(ConstantSizedObservations(env))
         wrapped = ControlWrapper(

@@ -1,7 +1,7 @@
-"""What research on many agents asks for beside the race itself.
+"""Tools for multi-agent research: action masks, partial observability, teams and messages.
 
-:class:`ActionMasks` and :class:`PartialObservations` are wrappers of one agent, for views;
-:class:`Teams` and :class:`MessageChannel` go around the ``ParallelEnv``.
+:class:`ActionMasks` and :class:`PartialObservations` wrap one agent, in views; :class:`Teams` and
+:class:`MessageChannel` wrap the ``ParallelEnv``.
 """
 
 from stkzoo.wrappers.marl.masks import ActionMasks

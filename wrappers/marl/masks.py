@@ -1,4 +1,4 @@
-"""Which actions can do anything now."""
+"""Masks of the actions that have an effect now."""
 
 from __future__ import annotations
 
@@ -21,21 +21,20 @@ if TYPE_CHECKING:
 
 
 class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
-    """Adds ``action_mask`` to a flattened view: 1 for actions that can do something, 0 for others.
+    """Adds ``action_mask`` to a flattened view: 1 for actions that have an effect, otherwise 0.
 
-    Nitro does nothing with an empty tank, and fire nothing without a powerup; actions with one
-    of these buttons are then masked. Such an action is still allowed: the race takes it as if
-    the button were not pressed.
+    Nitro has no effect with an empty tank, and fire has none without a powerup; actions with such a
+    button are masked. Masked actions are still valid: the race ignores the button.
 
-    The mask is int8, ``(n,)`` for ``Discrete(n)``. For ``MultiDiscrete`` it has the values of
-    all choices one after the other, ``(sum(nvec),)``, as ``MaskablePPO`` takes it.
+    The mask is int8, ``(n,)`` for ``Discrete(n)``. For ``MultiDiscrete``, the masks of all choices
+    are concatenated, ``(sum(nvec),)``, as ``MaskablePPO`` expects.
 
     Args:
-        env: an environment whose observations are flattened and whose actions are discrete:
+        env: an environment with flattened observations and discrete actions:
             ``flattened_multidiscrete`` or ``flattened_discrete``.
 
     Raises:
-        ConfigError: it is none.
+        ConfigError: the environment has another form.
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
@@ -69,7 +68,7 @@ class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
         return True
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
-        """The observation with the mask, ``(..., n)`` int8."""
+        """Returns the observation with the mask, ``(..., n)`` int8."""
         has_nitro = np.asarray(observation["continuous"])[..., self._energy, None] > 0
         powerup = np.asarray(observation["discrete"])[..., self._powerup, None]
         has_item = powerup != PowerupType.NOTHING
@@ -79,14 +78,14 @@ class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
 
 
 def _inwards(env: Any) -> Iterator[Any]:
-    """An environment's wrappers, the outermost first."""
+    """Yields an environment's wrappers, the outermost first."""
     while isinstance(env, gym.Wrapper):
         yield env
         env = env.env
 
 
 def _place(space: spaces.Dict, keys: list[str], key: str) -> int:
-    """The place of the one number under a key in a flattened vector."""
+    """Returns the index of a key's single value in a flattened vector."""
     if key not in keys:
         raise ConfigError(
             f"ActionMasks needs {key!r} among the observations, but found {', '.join(keys)}."
@@ -99,7 +98,7 @@ Flags = npt.NDArray[np.bool_]
 
 
 def _uses(env: gym.Env[Any, Any], flattener: FlattenerWrapper) -> tuple[Flags, Flags]:
-    """For each action, or each value of each choice: does it press nitro, does it fire?"""
+    """Returns, for each action or each value of each choice, whether it presses nitro and fires."""
     if isinstance(env.action_space, spaces.Discrete):
         action: Any = np.arange(env.action_space.n)
         for wrapper in _inwards(env):

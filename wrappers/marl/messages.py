@@ -1,4 +1,4 @@
-"""A channel on which drivers can talk to each other."""
+"""A message channel between agents."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from stkzoo.wrappers.marl.teams import Teams
 
 
 class MessageChannel(BaseParallelWrapper[str, Any, Any]):
-    """Lets each agent send a message a step, which the others hear one step later.
+    """Lets each agent send one message per step, which others receive one step later.
 
-    Actions become dicts of ``action``, what it was, and ``message``. Observations become dicts
-    of ``observation``, what it was; ``messages``, ``(agents - 1, size)`` float32, what each
-    other agent said in the step before, in the order of the agents; and ``heard``,
-    ``(agents - 1,)`` int8, 1 where somebody was heard. Those out of reach, in another team or
-    no longer in the race are not heard: their rows are zeros. Nobody is heard at the start.
+    Actions become dicts of ``action``, the original action, and ``message``. Observations become
+    dicts of ``observation``, the original observation; ``messages``, ``(agents - 1, size)``
+    float32, the messages of the other agents in agent order; and ``heard``, ``(agents - 1,)`` int8,
+    1 for agents whose message arrived. Agents that are out of reach, in another team or no longer
+    racing are not heard: their rows are zeros. Nothing is heard in the first observation.
 
     Args:
         env: a race (``race_v0.parallel_env``), perhaps wrapped.
-        size: how many numbers from -1 to 1 a message has.
-        words: messages are one of so many words instead: ``Discrete(words)`` to say, and a one
-            among ``size = words`` zeros to hear.
-        reach: how far one can be heard [m]; everybody by default.
-        within_teams: only team-mates hear each other; ``env`` has :class:`Teams` in it.
+        size: length of a message; its values are in [-1, 1].
+        words: send one of this many words instead: ``Discrete(words)`` as the message, received as
+            a one-hot vector of ``size = words``.
+        reach: largest distance of a receiver [m]; ``None`` for no limit.
+        within_teams: whether only team-mates receive messages; ``env`` must contain :class:`Teams`.
 
     Raises:
         ConfigError: an argument is invalid.
@@ -75,26 +75,26 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
         )
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """The agent's observation space: always the same object."""
+        """Returns the agent's observation space, the same object on every call."""
         return self._observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """The agent's action space: always the same object."""
+        """Returns the agent's action space, the same object on every call."""
         return self._action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """Resets the race; nobody has said anything."""
+        """Resets the race and clears all messages."""
         observations, infos = self.env.reset(seed=seed, options=options)
         self._said = {}
         return self._with_messages(observations), infos
 
     def step(self, actions: dict[str, Any]) -> StepParts:
-        """Steps the race and delivers what was said.
+        """Steps the race and delivers the messages.
 
         Raises:
-            ActionError: a message is missing or invalid; the race has not moved.
+            ActionError: a message is missing or invalid; the race has not advanced.
         """
         said = {agent: self._message(agent, actions) for agent in self.env.agents}
         bare = {agent: action["action"] for agent, action in actions.items() if agent in said}

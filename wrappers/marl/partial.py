@@ -1,4 +1,4 @@
-"""Seeing less: what is far away, or outside of the field of view, is not there."""
+"""Partial observability: limits on distance and field of view."""
 
 from __future__ import annotations
 
@@ -19,17 +19,16 @@ _SEEN = {"karts": ("karts_position",), "items": ("items_position", "items_type")
 
 
 class PartialObservations(gym.ObservationWrapper[Any, Any, Any], RecordedWrapper):
-    """Hides the karts and items that a driver could not see.
+    """Hides karts and items outside a radius and a field of view.
 
-    It goes around the ``full`` view, inside of the wrappers that fix sizes or flatten; what is
-    hidden is left out of the lists. It works agent by agent, so that agents of one race may see
-    differently far.
+    Put it around the ``full`` view, inside wrappers that fix sizes or flatten. Hidden objects are
+    removed from the lists. It applies per agent, so agents of one race can have different limits.
 
     Args:
         env: an environment in the ``full`` view.
-        radius: how far can be seen [m].
-        angle: the whole field of view [rad]; ``math.tau`` is all around.
-        of: what is hidden beyond: ``"karts"``, ``"items"`` or both.
+        radius: radius of vision [m].
+        angle: total field of view [rad]; ``math.tau`` covers all directions.
+        of: what to hide: ``"karts"``, ``"items"`` or both.
 
     Raises:
         ConfigError: an argument is invalid, or the environment is in another view.
@@ -60,7 +59,7 @@ class PartialObservations(gym.ObservationWrapper[Any, Any, Any], RecordedWrapper
                 )
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
-        """The observation without what cannot be seen."""
+        """Returns the observation without hidden objects."""
         changed = dict(observation)
         for keys in self._groups:
             if len(observation[keys[0]]):
@@ -71,7 +70,7 @@ class PartialObservations(gym.ObservationWrapper[Any, Any, Any], RecordedWrapper
         return changed
 
     def _is_seen(self, positions: Any) -> list[bool]:
-        """Which of ``(M, 3)`` positions in the kart's frame are seen."""
+        """Returns which of the positions ``(M, 3)`` in the kart's frame are visible."""
         side = np.abs(np.arctan2(positions[:, 0], positions[:, 2]))
         near = np.linalg.norm(positions, axis=-1) <= self.radius
         seen: list[bool] = (near & (side <= self.angle / 2)).tolist()

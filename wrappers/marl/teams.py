@@ -1,4 +1,4 @@
-"""Teams: shared rewards, and what drivers know of their team-mates."""
+"""Teams: shared rewards, and observations of team-mates."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
 from stkzoo.mdp.transition import progress_of
 from stkzoo.views.walker import StepParts
 
-#: What a driver knows of each team-mate: where it is (x right, y up, z forward) [m] and how fast
-#: it moves [m/s] in the driver's own frame, how far it is ahead along the race [m], its rank, its
-#: nitro, its powerup's number, and whether it still races.
+#: Observed features of a team-mate: position [m] and velocity [m/s] in the observing kart's frame
+#: (x right, y up, z forward), its lead over the observing kart along the race [m], rank, nitro,
+#: number of its powerup type, and whether it is still racing.
 MATE_FEATURES = (
     ("position", 3),
     ("velocity", 3),
@@ -34,28 +34,28 @@ _SIZE = sum(size for _, size in MATE_FEATURES)
 
 
 class Teams(BaseParallelWrapper[str, Any, Any]):
-    """Puts the agents of a race into teams.
+    """Groups the agents of a race into teams.
 
-    Rewards become ``(1 - share)`` times the agent's own and ``share`` times the mean over all
-    members of its team, where those who have left count 0. The own one is in
-    ``infos[agent]["reward/own"]``, the mean in ``infos[agent]["reward/team"]``, and the team's
-    number in ``infos[agent]["team"]``.
+    An agent's reward becomes ``(1 - share)`` times its own reward plus ``share`` times the mean
+    over all members of its team; members that have left count as 0. ``infos[agent]["reward/own"]``
+    holds its own reward, ``infos[agent]["reward/team"]`` the mean, and ``infos[agent]["team"]`` the
+    number of the team.
 
-    With ``observe`` each observation becomes a dict of ``observation``, what it was;
-    ``team``, the team's number; and ``mates``, ``(members - 1, 11)`` float32, a row of
-    :data:`MATE_FEATURES` for each other member, in the order of the agents. The largest team
-    says how many rows there are; rows without a mate are zeros.
+    With ``observe``, each observation becomes a dict of ``observation``, the original observation;
+    ``team``, the number of the team; and ``mates``, ``(members - 1, 11)`` float32, a row of
+    :data:`MATE_FEATURES` for each other member in agent order. The largest team determines the
+    number of rows; unused rows are zeros.
 
     Args:
         env: a race (``race_v0.parallel_env``), perhaps wrapped.
-        teams: the members of each team: ids, numbers or numbers as strings. Every agent is in
-            one team.
-        share: how much of the reward is the team's, 0 to 1.
+        teams: members of each team, as ids, numbers or numbers as strings. Every agent belongs to
+            exactly one team.
+        share: weight of the team's reward, 0 to 1.
         observe: whether agents observe their team.
 
     Attributes:
-        teams: each team's agents.
-        team_of: each agent's team.
+        teams: agents of each team.
+        team_of: number of each agent's team.
 
     Raises:
         ConfigError: an argument is invalid.
@@ -94,7 +94,7 @@ class Teams(BaseParallelWrapper[str, Any, Any]):
         )
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """The agent's observation space: always the same object."""
+        """Returns the agent's observation space, the same object on every call."""
         return self._spaces[agent]
 
     def reset(
@@ -152,7 +152,7 @@ class Teams(BaseParallelWrapper[str, Any, Any]):
 
 
 def _known(race: Any) -> npt.NDArray[np.float32]:
-    """The features of all agents as all see them: ``(A, A, 11)``, who sees and who is seen."""
+    """Returns each agent's features in the frame of each observing agent, ``(A, A, 11)``."""
     agents = list(race.race.kart_indices)
     karts, driven = race.snapshot.karts[agents], progress_of(race.snapshot)[agents]
     turns = rotation_matrices(karts["rotation"])

@@ -1,4 +1,4 @@
-"""The racing view: a fixed-size driver's view of the race, and a few choices to act by."""
+"""The racing view: a fixed-size observation of road, karts and items, and discrete actions."""
 
 from stkzoo.wrappers.racing.features import MEANINGS, MIRROR, PARTS, PLACES, SIZE, racing_features
 from stkzoo.wrappers.racing.ground import GroundAhead, GroundTable, ground_table

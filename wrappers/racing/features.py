@@ -1,7 +1,4 @@
-"""The racing view: what its numbers are, and how they are made.
-
-They are made from what a kart knows of itself and what is around it.
-"""
+"""The features of the racing view: their layout and their computation."""
 
 from __future__ import annotations
 
@@ -20,19 +17,19 @@ from stkzoo.wrappers.racing.surroundings import Surroundings
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[Any]
 
-#: How many of the nearest other karts, good items ahead and bad items ahead are seen.
+#: Numbers of nearest other karts, good items ahead and bad items ahead in the view.
 KARTS, GOODS, BADS = 4, 4, 3
 
-#: What is good and what is bad to drive over.
+#: Items that help and items that harm.
 TYPES_GOOD = (ItemType.BONUS_BOX, ItemType.NITRO_BIG, ItemType.NITRO_SMALL)
 TYPES_BAD = (ItemType.BANANA, ItemType.BUBBLEGUM)
 
-#: What can hang on a kart, in the order of the view.
+#: Attachments of a kart, in the order of the view.
 ATTACHMENTS = tuple(kind for kind in AttachmentType if kind is not AttachmentType.NOTHING)
 NUM_POWERUPS = max(PowerupType) + 1
 
-#: The view's parts in order: name, how many entries, numbers of an entry. Each entry of a part
-#: is x (to the right), y (up), z (ahead) where its name says ``_position`` or ``_direction``.
+#: The view's parts in order: name, number of entries, values per entry. Entries of parts named
+#: ``_position`` or ``_direction`` are x (right), y (up), z (ahead).
 PARTS: dict[str, tuple[int, int]] = {
     "velocity": (1, 3),
     "max_steer_angle": (1, 1),
@@ -63,7 +60,7 @@ PARTS: dict[str, tuple[int, int]] = {
 _MARKS = ", ".join(f"{mark:g}" for mark in MARKS)
 _POWERUPS = ", ".join(kind.name for kind in PowerupType)
 _HANGING = ", ".join(kind.name for kind in ATTACHMENTS)
-#: What each part is: the unit of its numbers, and what they mean.
+#: Unit and meaning of each part.
 MEANINGS: dict[str, tuple[str, str]] = {
     "velocity": ("20 m/s", "the kart's velocity: right, up, ahead"),
     "max_steer_angle": ("rad", "the wheels' angle at full lock, at this speed"),
@@ -91,7 +88,7 @@ MEANINGS: dict[str, tuple[str, str]] = {
     "bads_beside": ("5 m", "how far to the right each of them is"),
 }
 
-#: How many numbers the view has.
+#: Number of values in the view.
 SIZE = sum(count * width for count, width in PARTS.values())
 
 
@@ -100,7 +97,7 @@ def _places() -> dict[str, slice]:
     return {name: slice(a, b) for name, a, b in zip(PARTS, [0, *ends], ends, strict=False)}
 
 
-#: Where in the view each part stands.
+#: Slice of each part in the view.
 PLACES = _places()
 
 
@@ -114,10 +111,10 @@ def _mirror() -> npt.NDArray[np.float32]:
     return np.concatenate(signs)
 
 
-#: ``(SIZE,)`` of 1 and -1: a view times this is the view of the mirrored race, left for right.
+#: ``(SIZE,)`` of 1 and -1; multiplying a view by it mirrors the race left to right.
 MIRROR = _mirror()
 
-#: What a kart knows of itself as numbers, and what each is divided by.
+#: Continuous entries of the kart's own state, and their scales.
 _OWN_UNITS = {
     "velocity": 20.0,
     "max_steer_angle": 1.0,
@@ -133,15 +130,15 @@ _KART_REACH, _ITEM_REACH = 60.0, 60.0  # [m]
 _ITEM_LEAST_AHEAD, _ITEM_LEVEL = 0.5, 6.0  # [m]
 
 _BAD, _IGNORED = -1, -2
-#: By type of an item: a good one's number, or one of these. The last is that of :data:`ABSENT`.
+#: Class by item type: the number of a good item, or a constant above. The last is :data:`ABSENT`.
 _ITEMS = np.full(max(ItemType) + 2, _IGNORED, np.int8)
 _ITEMS[list(TYPES_GOOD)] = range(len(TYPES_GOOD))
 _ITEMS[list(TYPES_BAD)] = _BAD
-#: By type of an attachment: its number, or -1.
+#: Index by type of attachment, or -1.
 _ATTACHMENTS = np.full(16, -1, np.int8)
 _ATTACHMENTS[list(ATTACHMENTS)] = range(len(ATTACHMENTS))
 
-#: What the kernel's ``RacingObserver`` takes after a road's ``(lines, starts, along)``.
+#: Arguments of the kernel's ``RacingObserver`` after a road's ``(lines, starts, along)``.
 KERNEL_TABLES = (
     (MARKS, _ITEMS, _ATTACHMENTS),
     (
@@ -153,11 +150,11 @@ KERNEL_TABLES = (
 
 
 def racing_features(own: Mapping[str, Any], around: Surroundings) -> FloatArray:
-    """The view of A karts.
+    """Returns the view of A karts.
 
     Args:
         own: entries of the ``full`` view in batch form.
-        around: what is around them.
+        around: surroundings of the karts.
 
     Returns:
         ``(A, SIZE)`` float32.
@@ -227,10 +224,11 @@ def _write_places(view: FloatArray, name: str, points: FloatArray, there: FloatA
 def _nearest(
     points: FloatArray, squares: FloatArray, is_seen: npt.NDArray[np.bool_], count: int
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """The nearest points that are seen, zeros where there are fewer; and their order.
+    """Returns the nearest visible points, padded with zeros, and their order.
 
     Returns:
-        ``(A, count, 3)``, ``(A, count)`` of 1 and 0, and indices ``(A, up to count)``.
+        Points ``(A, count, 3)``, a mask ``(A, count)`` of 1 and 0, and indices ``(A, up to
+            count)``.
     """
     keys = np.where(is_seen, squares, np.inf)
     order = np.argsort(keys, axis=1, kind="stable")[:, :count]
@@ -241,12 +239,12 @@ def _nearest(
 
 
 def _one_of(numbers: IntArray, count: int) -> FloatArray:
-    """A place for each number below ``count``, 1 for the one that it is."""
+    """Returns the one-hot encoding of numbers below ``count``."""
     return np.equal(numbers[..., None], np.arange(count)).astype(np.float32)
 
 
 def _padded(rows: FloatArray, count: int) -> FloatArray:
-    """Rows ``(A, n, ...)`` with zeros behind them up to ``count``."""
+    """Pads rows ``(A, n, ...)`` with zeros to ``(A, count, ...)``."""
     missing = count - rows.shape[1]
     if not missing:
         return rows

@@ -1,4 +1,4 @@
-"""The ground beside the road ahead: at marks along the line, lane by lane."""
+"""The ground beside the road ahead, at marks along the line and in lanes."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 ByteArray = npt.NDArray[np.uint8]
 
-#: Where the ground is looked at: from one point of a line on [share of the way to the next], and in
-#: a lane beside its middle [m]. So no column is missed, and no wall however thin.
+#: Sample points of a cell: fraction of the way to the line's next point, and offset from the middle
+#: of the lane [m]. They are dense enough to hit every column of the ground and thin walls.
 _LOOKS = tuple(itertools.product((0.0, 0.25, 0.5, 0.75), (-0.1875, 0.1875)))
-#: A cell of several kinds is of the last of these.
+#: A cell with several kinds of ground takes the last kind in this order.
 _ORDER = np.array([GroundKind[n] for n in ("GROUND", "SLOWED", "ZIPPER", "VOID", "WALL")], np.uint8)
 _PLACE_IN_ORDER = np.argsort(_ORDER).astype(np.uint8)
-#: Segments are looked up so many at a time.
+#: Number of segments per lookup.
 _CHUNK = 64
 
 
 @dataclass(frozen=True, slots=True)
 class GroundAhead:
-    """What is beside the road ahead of A karts, at ``GROUND_MARKS`` and ``GROUND_LANES``.
+    """The ground beside the road ahead of A karts, at ``GROUND_MARKS`` and ``GROUND_LANES``.
 
     Attributes:
         kind: ``(A, M, L)`` uint8, numbers of :class:`~stkzoo.names.GroundKind`.
-        speed: ``(A, M, L)`` float32: the share of their greatest speed that karts keep there.
+        speed: ``(A, M, L)`` float32, the fraction of their top speed that karts keep there.
     """
 
     kind: ByteArray
@@ -50,7 +50,7 @@ class GroundTable:
 
     Args:
         road: the lines.
-        ground: what is there.
+        ground: ground and walls of the track.
     """
 
     def __init__(self, road: RoadTable, ground: Ground) -> None:
@@ -63,11 +63,11 @@ class GroundTable:
             self._places[part], self._speeds[part] = _look(road.lines[part, :, :3], ground)
 
     def ahead(self, nodes: npt.NDArray[np.integer], locations: FloatArray) -> GroundAhead:
-        """What is beside the road ahead of some karts.
+        """Returns the ground beside the road ahead of some karts.
 
         Args:
-            nodes: ``(A,)`` their segments.
-            locations: ``(A, 3)`` where they are [m], world frame.
+            nodes: ``(A,)`` segments of the karts.
+            locations: ``(A, 3)`` locations of the karts, world frame [m].
         """
         before, _ = line_places(self._starts[nodes] - locations, self._along[nodes], GROUND_MARKS)
         here, next_ = (nodes[:, None], before), (nodes[:, None], before + 1)
@@ -79,12 +79,12 @@ class GroundTable:
 
 @lru_cache(maxsize=64)
 def ground_table(track: TrackMap, ground: Ground) -> GroundTable:
-    """The table of a track; takes 0.3 s the first time in a program."""
+    """Returns the table of a track; takes 0.3 s the first time in a process."""
     return GroundTable(RoadTable(track), ground)
 
 
 def _look(points: FloatArray, ground: Ground) -> tuple[ByteArray, FloatArray]:
-    """What is beside lines ``(N, P, 3)`` from each point on: place in the order, speed."""
+    """Samples the ground beside lines ``(N, P, 3)``; returns rank in ``_ORDER`` and speed."""
     steps = np.diff(points, axis=1)
     steps = np.concatenate([steps, steps[:, -1:]], axis=1)
     x, z = steps[..., 0], steps[..., 2]

@@ -1,8 +1,8 @@
-"""The road ahead as a line of even steps, put together from track segments.
+"""The road ahead as a line with evenly spaced points, built from track segments.
 
-The line begins where the kart's own segment begins and runs along the segments that follow one
-another. At a fork it keeps to the branch whose segments touch: the main road, or the side road
-that the kart is in. Its points are :data:`STEP` metres apart, whatever the segments' lengths.
+The line begins at the start of the kart's own segment and follows consecutive segments. At a fork
+it follows the branch whose segments touch: the main road, or the side road that the kart is on. Its
+points are :data:`STEP` metres apart, independent of the segments' lengths.
 """
 
 from __future__ import annotations
@@ -20,29 +20,30 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[Any]
 
-#: Segments looked at; the shortest ones of all tracks make 100 m with 50, twice that at forks.
+#: Number of segments used; 50 of the shortest segments on any track cover 100 m, forks need twice
+#: as many.
 MAX_SEGMENTS = 96
 
 #: Distance between the line's points [m].
 STEP = 2.0
 
-#: Points of a line.
+#: Number of points of a line.
 NUM_POINTS = 66
 
-#: Segments of one branch touch; entering and leaving a side branch is a jump [m].
+#: Segments closer than this [m] touch and belong to one branch; larger gaps are jumps between
+#: branches.
 _TOUCHING = 0.3
 
-#: No jump is longer than this [m]; where one would be, the line ends.
+#: Longest jump [m]; the line ends at a longer one.
 _LONGEST_JUMP = 25.0
 
-#: Beyond its last point a line goes straight on so far [m].
+#: Length of the straight extension beyond a line's last point [m].
 _TAIL = 150.0
 
-#: Where the road ahead is looked at, from the kart on along the line [m].
+#: Distances along the line, from the kart, at which the road is observed [m].
 MARKS = np.array([3, 6, 10, 14, 19, 25, 32, 40, 50, 62, 76, 92], np.float32)
 
-#: Where it is looked at in all: beside the kart and at the marks; and a little farther, for its
-#: heading [m].
+#: Sampled distances: beside the kart, at the marks, and for headings :data:`BEYOND` farther [m].
 BEYOND = 3.0
 LOOKS = np.concatenate([[0.0], MARKS, MARKS + BEYOND]).astype(np.float32)
 
@@ -53,17 +54,17 @@ _POINTS = STEP * np.arange(NUM_POINTS)
 
 
 def road_line(starts: FloatArray, ends: FloatArray, widths: FloatArray) -> FloatArray:
-    """The line ahead of the first of some segments.
+    """Returns the line ahead of the first of several segments.
 
     Args:
-        starts: ``(P, 3)`` [m], in any frame: the nearest :data:`MAX_SEGMENTS` segments, nearest
-            first along the way a kart can drive, the kart's own before all others.
-        ends: ``(P, 3)`` [m].
-        widths: ``(P,)`` [m].
+        starts: ``(P, 3)`` starts of the nearest :data:`MAX_SEGMENTS` segments [m], in any frame,
+            ordered by driving distance; the kart's own segment comes first.
+        ends: ``(P, 3)`` ends of the segments [m].
+        widths: ``(P,)`` widths of the segments [m].
 
     Returns:
-        ``(NUM_POINTS, 4)`` float32: x, y, z and the distance from the line to the road's edge
-        [m]. Where the road is not known that far, it goes straight on.
+        ``(NUM_POINTS, 4)`` float32: x, y, z and the distance from the line to the road's edge [m].
+            Beyond the known road the line continues straight.
     """
     chain = _chain(starts, ends)
     points = np.empty((2 * len(chain) + 1, 3))
@@ -82,19 +83,19 @@ def road_line(starts: FloatArray, ends: FloatArray, widths: FloatArray) -> Float
 
 
 def _tail(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """A point ``(1, 3)`` far beyond the end of a line."""
+    """Returns a point ``(1, 3)`` far beyond the end of a line."""
     last = points[-1] - points[-2]
     return np.asarray(points[-1:] + last * (_TAIL / max(float(np.linalg.norm(last)), 1e-3)))
 
 
 def _chain(starts: FloatArray, ends: FloatArray) -> npt.NDArray[np.intp]:
-    """Indices of the segments that follow one another, beginning with the first."""
+    """Returns the indices of consecutive segments, beginning with the first."""
     count = len(starts)
     jumps = np.abs(starts[1:] - ends[:-1]).max(axis=1) if count > 1 else np.zeros(0)
     if (jumps < _TOUCHING).all():
         return np.arange(count)
     squares = squared(starts[None, :, :] - ends[:, None, :])
-    squares[np.tri(count, dtype=bool)] = np.inf  # what follows comes later in driving order
+    squares[np.tri(count, dtype=bool)] = np.inf  # successors come later in driving order
     followers = squares.argmin(axis=1).tolist()
     is_last = (squares.min(axis=1) > _LONGEST_JUMP**2).tolist()
     chain = [0]
@@ -108,9 +109,9 @@ class RoadTable:
 
     Attributes:
         lines: ``(N, NUM_POINTS, 4)`` float32, world frame; see :func:`road_line`.
-        starts: ``(N, 3)`` float32 [m]: where each segment starts.
-        along: ``(N, 3)`` float32 [m]: from there to its end.
-        length: of a lap [m].
+        starts: ``(N, 3)`` float32, start of each segment [m].
+        along: ``(N, 3)`` float32, vector from each segment's start to its end [m].
+        length: length of a lap [m].
     """
 
     def __init__(self, track: TrackMap) -> None:
@@ -130,17 +131,16 @@ class RoadTable:
 def line_places(
     starts: FloatArray, along: FloatArray, looks: FloatArray
 ) -> tuple[IntArray, FloatArray]:
-    """Which points of its line a kart looks at.
+    """Returns the positions on a kart's line at given distances ahead.
 
     Args:
-        starts: ``(A, 3)``: where the karts' own segments start, in frames in which the kart
-            is at the origin.
-        along: ``(A, 3)``: from there to the segments' ends.
-        looks: ``(L,)``: how far ahead of the kart [m].
+        starts: ``(A, 3)`` starts of the karts' own segments [m], in frames with the kart at the
+            origin.
+        along: ``(A, 3)`` vectors from there to the segments' ends [m].
+        looks: ``(L,)`` distances ahead of the kart [m].
 
     Returns:
-        ``(A, L)`` each: number of the point before, and how far it is on the way to the
-        next, from 0 to 1.
+        ``(A, L)`` each: index of the preceding point, and fraction of the way to the next one.
     """
     squares = squared(along)
     share = -(starts * along).sum(-1) / np.where(squares > 0, squares, 1)
@@ -157,7 +157,7 @@ def points_ahead(
     along: FloatArray,
     looks: FloatArray,
 ) -> FloatArray:
-    """The points ``(A, L, 4)`` of the lines ``nodes`` at :func:`line_places`."""
+    """Interpolates the lines ``nodes`` at :func:`line_places`; returns points ``(A, L, 4)``."""
     before, share = line_places(starts, along, looks)
     first, second = lines[nodes[:, None], before], lines[nodes[:, None], before + 1]
     points: FloatArray = first + (second - first) * share[..., None]

@@ -1,4 +1,4 @@
-"""What karts know of themselves and what is around them, from observations or from snapshots."""
+"""Own state and surroundings of karts, from observations or from snapshots."""
 
 from __future__ import annotations
 
@@ -23,18 +23,19 @@ from stkzoo.wrappers.racing.road import (
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[Any]
 
-#: Stands for the type of an item that is not there.
+#: Type number of a missing item.
 ABSENT = -1
 
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What is around A karts, each in its own frame: x right, y up, z forward [m].
+    """Surroundings of A karts, each in its own frame: x right, y up, z forward [m].
 
     Attributes:
-        road: ``(A, L, 4)``: the line's points and room, first of all at :data:`LOOKS`.
-        karts: ``(A, K, 3)``: the other karts; not finite where there is none.
-        items: ``(A, M, 3)``.
+        road: ``(A, L, 4)`` points of the line and distances to the edge; by default at
+            :data:`LOOKS`.
+        karts: ``(A, K, 3)`` positions of the other karts; not finite if missing.
+        items: ``(A, M, 3)`` positions of the items.
         item_types: ``(A, M)`` numbers of :class:`~stkzoo.names.ItemType`, or :data:`ABSENT`.
     """
 
@@ -44,18 +45,19 @@ class Surroundings:
     item_types: IntArray
 
 
-#: What a kart knows of itself, entries of the ``full`` view in batch form; and what is around it.
+#: Own state of karts (entries of the ``full`` view in batch form), and their surroundings.
 Known: TypeAlias = tuple[dict[str, npt.NDArray[Any]], Surroundings]
 
 
 def surroundings_of(
     observation: Mapping[str, Any] | Sequence[Mapping[str, Any]], looks: FloatArray = LOOKS
 ) -> Known:
-    """What karts know of themselves and what is around them, from the ``full`` view.
+    """Returns own state and surroundings of karts from observations in the ``full`` view.
 
     Args:
-        observation: of one kart, in batch form, or a list of those of some karts of any races.
-        looks: where the road is looked at [m].
+        observation: an observation of one kart, a batch, or a list of observations, also from
+            different races.
+        looks: ``(L,)`` distances at which the road is observed [m].
     """
     if isinstance(observation, Mapping):
         is_batch = np.ndim(observation["velocity"]) > 1
@@ -74,7 +76,7 @@ def surroundings_of(
 
 
 def _rows(lists: Any, width: int, limit: int | None = None) -> Sequence[FloatArray]:
-    """Lists of vectors, one list an agent, as arrays ``(n, width)``."""
+    """Converts lists of vectors, one list per agent, to arrays ``(n, width)``."""
     blank = np.zeros((0, width), np.float32)
     return [
         (rows[:limit] if isinstance(rows, np.ndarray) else np.concatenate(rows[:limit])).reshape(
@@ -87,7 +89,7 @@ def _rows(lists: Any, width: int, limit: int | None = None) -> Sequence[FloatArr
 
 
 def _stacked(parts: Sequence[npt.NDArray[Any]], blank: float) -> npt.NDArray[Any]:
-    """Rows of every agent, filled up where some have fewer."""
+    """Stacks the agents' rows, padded to equal lengths."""
     return np.stack(parts) if len({*map(len, parts)}) == 1 else _padded(parts, blank)
 
 
@@ -96,7 +98,7 @@ def _road(batch: Mapping[str, Any], looks: FloatArray) -> FloatArray:
         _rows(batch[key], width, MAX_SEGMENTS)
         for key, width in (("paths_start", 3), ("paths_end", 3), ("paths_width", 1))
     )
-    if not len(starts[0]):  # such as the space's own blank observation
+    if not len(starts[0]):  # for example, an all-zero observation
         starts, ends, widths = (
             [np.zeros((1, rows.shape[1]), np.float32) for rows in paths]
             for paths in (starts, ends, widths)
@@ -115,14 +117,14 @@ def surroundings_in(
     karts: Sequence[IntArray],
     looks: FloatArray = LOOKS,
 ) -> Known:
-    """What some karts of each race know of themselves, and what is around them.
+    """Returns own state and surroundings of karts from snapshots of several races.
 
     Args:
-        road: of one track, or of several one after the other.
-        snapshots: each race's moment.
-        first_nodes: where the segments of each race's track begin in ``road``.
-        karts: which karts, in each race: indices in grid order.
-        looks: where their road is looked at [m].
+        road: lines of one track, or of several tracks concatenated.
+        snapshots: current snapshot of each race.
+        first_nodes: first segment of each race's track in ``road``.
+        karts: kart indices of each race, in grid order.
+        looks: ``(L,)`` distances at which the road is observed [m].
     """
     race = np.repeat(np.arange(len(snapshots)), [len(who) for who in karts])
     chosen = [s.karts[who].tobytes() for s, who in zip(snapshots, karts, strict=True)]
@@ -149,7 +151,7 @@ def surroundings_in(
 
 
 def _padded(parts: Sequence[npt.NDArray[Any]], blank: float) -> npt.NDArray[Any]:
-    """Each race's rows, filled up to those of the race that has most."""
+    """Stacks arrays of different lengths, each padded at its end with ``blank``."""
     most = max(1, *map(len, parts))
     padded = np.full((len(parts), most, *parts[0].shape[1:]), blank, parts[0].dtype)
     for row, part in zip(padded, parts, strict=True):

@@ -1,4 +1,4 @@
-"""The racing view as wrappers around one kart, and of all karts of many races at once."""
+"""The racing view as wrappers around one kart, and in batches for many karts."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 
 _RIGHT = (0.05, 0.1, 0.16, 0.23, 0.31, 0.4, 0.52, 0.66, 0.82, 1.0)
-#: What the steering can be chosen to be; a mirrored choice is the one at the mirrored place.
+#: Steering values of the choices, symmetric, so that reversing the order mirrors left and right.
 STEERS = np.array([*(-steer for steer in reversed(_RIGHT)), 0.0, *_RIGHT], np.float32)
 
-#: The values of the pedal.
+#: Choices of the pedal.
 PEDALS = ("go", "coast", "brake", "rescue")
 _GO, _COAST, BRAKE, RESCUE = range(len(PEDALS))
-#: What is chosen, in order, and the number of choices of each.
+#: Names of the choices, in order, and the number of values of each.
 CHOICE_NAMES = ("steer", "pedal", "drift", "nitro", "fire")
 CHOICES = (len(STEERS), len(PEDALS), 2, 2, 2)
 
@@ -45,18 +45,18 @@ _NEEDED = ("paths_start", "paths_end", "paths_width", "items_position", "karts_p
 
 
 class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
-    """What matters to a driver as one vector of about -1 to 1, of the same size everywhere.
+    """Observes the race as one vector of fixed size, with values of about -1 to 1.
 
-    The road ahead is given at fixed distances, not by segments, whose lengths differ from
-    track to track. See :data:`stkzoo.wrappers.racing.PARTS` for what stands where. If the view
-    carries the ``action`` of the game's AI, the observation is a dict of that and of the vector
-    under ``observation``.
+    The road ahead is sampled at fixed distances, because the lengths of segments differ between
+    tracks. :data:`stkzoo.wrappers.racing.PARTS` describes the layout. If the view includes the game
+    AI's ``action``, the observation is a dict of ``action`` and of the vector under
+    ``observation``.
 
     Args:
         env: an environment in the ``full`` view.
 
     Raises:
-        ConfigError: it is in another view.
+        ConfigError: the environment is in another view.
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
@@ -86,7 +86,7 @@ class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
         return True
 
     def observation(self, observation: dict[str, Any]) -> Any:
-        """The vector ``(..., SIZE)``, and the AI's action if it is there."""
+        """Returns the vector ``(..., SIZE)`` float32, with the AI's action if there is one."""
         lead = np.shape(observation["velocity"])[:-1]
         vector = racing_features(*surroundings_of(observation)).reshape(*lead, SIZE)
         if not self._has_action:
@@ -95,7 +95,7 @@ class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
 
 
 class _RacingObserver:
-    """The vectors of some karts at once, straight from the game's records."""
+    """Makes the vectors of several karts directly from the game's records."""
 
     def __init__(self, full: KartObserver) -> None:
         self._full = full
@@ -104,20 +104,20 @@ class _RacingObserver:
         """See :class:`~stkzoo.views.plan.Observer`."""
         track, (_, num_paths, _) = source.track_map, source.course
         if num_paths < min(MAX_SEGMENTS, track.num_nodes):
-            # They see less of the road than the vector tells.
+            # These karts observe fewer segments than the vector needs.
             seen = self._full.observe(*source.course, source.snapshot.data, karts)
             return [racing_features(*surroundings_of(one))[0] for one in seen]
         return list(racing_view_of(track).observe([source.snapshot], [0], [karts]))
 
 
 class BatchedRacingView:
-    """Sees for all karts of races on some tracks, straight from their snapshots.
+    """Makes the racing view of karts in several races directly from snapshots.
 
-    This is what a learner uses that drives dozens of karts a step: the same numbers as the
-    wrapper's, without an observation in between.
+    It returns the same values as the wrapper but skips the ``full`` observation. Learners that
+    control dozens of karts per step use it.
 
     Args:
-        roads: the tracks' tables.
+        roads: lines of the tracks.
     """
 
     def __init__(self, roads: Sequence[RoadTable]) -> None:
@@ -130,15 +130,15 @@ class BatchedRacingView:
         roads: Sequence[int],
         karts: Sequence[IntArray],
     ) -> FloatArray:
-        """The views of some karts of each race.
+        """Returns the views of some karts of each race.
 
         Args:
-            snapshots: each race's moment.
-            roads: the number of each race's track, among those of the constructor.
-            karts: whose views, in each race: indices in grid order.
+            snapshots: current snapshot of each race.
+            roads: number of each race's track, as an index into the constructor's ``roads``.
+            karts: kart indices of each race, in grid order.
 
         Returns:
-            ``(A, SIZE)`` float32: the karts of the first race, then those of the second, ...
+            ``(A, SIZE)`` float32, the karts of the first race followed by those of the second, ...
         """
         ends = np.cumsum([len(who) for who in karts])
         views = np.empty((ends[-1], SIZE), np.float32)
@@ -154,42 +154,42 @@ class BatchedRacingView:
         karts: Sequence[IntArray],
         looks: FloatArray = LOOKS,
     ) -> Known:
-        """What some karts of each race know of themselves, and what is around them.
+        """Returns own state and surroundings of some karts of each race.
 
         Args:
-            snapshots: as for :meth:`observe`, as ``roads`` and ``karts``.
-            roads: likewise.
-            karts: likewise.
-            looks: where their road is looked at [m].
+            snapshots: see :meth:`observe`.
+            roads: see :meth:`observe`.
+            karts: see :meth:`observe`.
+            looks: ``(L,)`` distances at which the road is observed [m].
         """
         first = np.cumsum([0, *(len(lines) for lines, _, _ in self._roads)])
         return surroundings_in(self._joined, snapshots, first[np.asarray(roads)], karts, looks)
 
     @functools.cached_property
     def _joined(self) -> RoadArrays:
-        """The tables of all tracks as one."""
+        """Returns the lines of all tracks, concatenated."""
         lines, starts, along = map(np.concatenate, zip(*self._roads, strict=True))
         return lines, starts, along
 
 
 @functools.lru_cache(maxsize=64)
 def racing_view_of(track: TrackMap) -> BatchedRacingView:
-    """The racing view on a track; takes some milliseconds the first time in a program."""
+    """Returns the racing view of a track; takes a few milliseconds the first time in a process."""
     return BatchedRacingView([RoadTable(track)])
 
 
 class RacingActions(ActionFormWrapper, CompiledWrapper):
-    """The game's actions as a few choices: steering, pedal, drift, nitro, fire.
+    """Replaces the game's actions by a few choices: steering, pedal, drift, nitro and fire.
 
-    The pedal is go, coast, brake or rescue; the brake also drives backwards. :data:`CHOICES` says
-    how many choices there are, :data:`STEERS` what each steering is. The game AI's own ``action``,
-    where the observation carries it, is given as the nearest choices.
+    The pedal is go, coast, brake or rescue; the brake also reverses. :data:`CHOICES` has the number
+    of values of each choice, and :data:`STEERS` the steering values. If the observation includes
+    the game AI's ``action``, it is converted to the nearest choices.
 
     Args:
-        env: an environment with the game's own actions.
+        env: an environment with the game's actions.
 
     Raises:
-        ConfigError: it has others.
+        ConfigError: the environment has other actions.
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
@@ -220,17 +220,17 @@ class RacingActions(ActionFormWrapper, CompiledWrapper):
         return True
 
     def action(self, action: npt.NDArray[Any]) -> dict[str, Any]:
-        """The game's own action."""
+        """Returns the game's action."""
         parts = as_actions(controls_of_choices(np.asarray(action)))
         return {key: value if value.ndim else int(value) for key, value in parts.items()}
 
     def observed_action(self, action: Mapping[str, Any]) -> npt.NDArray[np.int64]:
-        """The choices nearest to an action."""
+        """Returns the choices nearest to an action."""
         return choices_of_action(action)
 
 
 def choices_of_action(action: Mapping[str, Any]) -> npt.NDArray[np.int64]:
-    """The choices ``(..., 5)`` nearest to an action of the game."""
+    """Returns the choices nearest to an action of the game, ``(..., 5)`` int64."""
     steer = np.asarray(action["steer"])
     is_rescued = np.asarray(action["rescue"]) > 0
     is_braking = np.asarray(action["brake"]) > 0
@@ -244,7 +244,7 @@ def choices_of_action(action: Mapping[str, Any]) -> npt.NDArray[np.int64]:
 
 
 def controls_of_choices(choices: npt.NDArray[Any]) -> FloatArray:
-    """What the engine is told for choices ``(..., 5)``: ``(..., 7)`` float32."""
+    """Returns the engine's controls for choices ``(..., 5)``: ``(..., 7)`` float32."""
     controls = np.zeros((*choices.shape[:-1], 7), np.float32)
     controls[..., 0] = choices[..., 1] == _GO
     controls[..., 1] = STEERS[choices[..., 0]]

@@ -1,4 +1,4 @@
-"""The learned driver scout; see ``CARD.md``."""
+"""The learned driver *scout*; see ``CARD.md``."""
 
 from .pystk_actor import create_state, env_name, get_actor, get_batch_actor, player_name
 

@@ -1,3 +1,3 @@
-"""What the learners share: arguments, logs, many races at once, matches."""
+"""Shared parts of the training scripts: arguments, logs, parallel races, matches."""
 
 __all__: list[str] = []

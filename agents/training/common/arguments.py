@@ -1,4 +1,4 @@
-"""Arguments of the training scripts: what several share."""
+"""Arguments that several training scripts share."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
 #: Title of a group of options.
 _LEARNING = "learning"
-#: The training tracks but for one, on which a race takes three times as long.
+#: The training tracks except one on which a race takes three times as long.
 QUICK_TRACKS = tuple(track for track in TRAIN_TRACKS if track != "black_forest")
 
 
 @dataclass(frozen=True, slots=True)
 class ScriptOptions:
-    """Options of every script, which are not among the arguments of its run.
+    """Options of every script that are not part of its run's arguments.
 
     Attributes:
-        output: the run's folder.
+        output: folder of the run.
     """
 
     output: Path = option(required=True, metavar="FOLDER")
@@ -33,13 +33,13 @@ class RunArguments:
     """Arguments of every script.
 
     Attributes:
-        seed: seed of everything.
+        seed: seed of all random numbers.
 
     Raises:
-        ConfigError: a whole number is below 1, or below 0 where 0 has a meaning.
+        ConfigError: an integer is below 1, or below 0 where 0 is allowed.
     """
 
-    #: Whole numbers that may be 0.
+    #: Integers that may be 0.
     may_be_zero: ClassVar[tuple[str, ...]] = ("seed",)
 
     seed: int = 0
@@ -57,8 +57,8 @@ class NetworkArguments(RunArguments):
 
     Attributes:
         hidden: units of the hidden layers.
-        learning_rate: learning rate of Adam at the start.
-        batch_size: samples of one gradient step.
+        learning_rate: initial learning rate of Adam.
+        batch_size: samples per gradient step.
         n_epochs: passes over the collected data per update.
     """
 
@@ -73,10 +73,10 @@ class PPOArguments(NetworkArguments):
     """Arguments of every script that trains with PPO, named as in Stable-Baselines3.
 
     Attributes:
-        gamma: discount per step.
-        gae_lambda: lambda of the generalised advantage estimate.
+        gamma: discount factor per step.
+        gae_lambda: lambda of generalized advantage estimation (GAE).
         clip_range: clipping range of the probability ratio.
-        ent_coef: entropy coefficient at the start.
+        ent_coef: initial entropy coefficient.
     """
 
     gamma: float = option(0.98, metavar="X", group=_LEARNING)

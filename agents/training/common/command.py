@@ -1,4 +1,4 @@
-"""What the commands of this package share: options, errors, a progress bar, libraries."""
+"""Shared parts of the training commands: options, errors, progress bar, libraries."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stkzoo.errors import StkzooError, import_extra
 
 
 def command_parser(module: str, description: str | None, kinds: Sequence[type]) -> CommandParser:
-    """The parser of a command; for the arguments see :func:`run_command`."""
+    """Returns the parser of a command; see :func:`run_command` for the arguments."""
     own = {"league": "stkzoo league"}
     prog = own.get(module, f"python -m stkzoo.agents.training.{module}")
     parser = CommandParser(prog=prog, description=description)
@@ -28,15 +28,15 @@ def run_command(
     words: list[str] | None,
     if_interrupted: str = "",
 ) -> int:
-    """Runs ``python -m stkzoo.agents.training.MODULE``, and reports errors and Ctrl-C on stderr.
+    """Runs ``python -m stkzoo.agents.training.MODULE``; reports errors and Ctrl-C on stderr.
 
     Args:
-        module: the module's name below this package; ``stkzoo league`` has a command of its own.
-        description: the module's docstring.
-        run: what the command does; called with an instance of each of ``kinds``.
+        module: name of the module below this package; ``league`` runs as ``stkzoo league``.
+        description: docstring of the module.
+        run: function of the command; called with an instance of each of ``kinds``.
         kinds: dataclasses; each field is an option.
-        words: the command line; ``None`` takes the program's.
-        if_interrupted: what the user can do after Ctrl-C.
+        words: command line; ``None`` for that of the process.
+        if_interrupted: advice after Ctrl-C.
 
     Returns:
         The exit code.
@@ -54,12 +54,12 @@ def run_command(
 
 
 class ProgressBar:
-    """Progress of a run, on stderr if that is a terminal.
+    """Shows the progress of a run on stderr if that is a terminal.
 
     Args:
-        total: how much there is to do.
-        done: how much is done.
-        unit: of what.
+        total: total work.
+        done: work done so far.
+        unit: unit of work.
 
     Attributes:
         is_shown: whether there is a terminal.
@@ -92,9 +92,9 @@ class ProgressBar:
         """Updates the bar.
 
         Args:
-            done: how much is done.
-            text: what is being done, or what came of it.
-            total: how much there is to do, if that has changed.
+            done: work done so far.
+            text: current task or latest result.
+            total: new total work; ``None`` keeps it.
         """
         self._progress.update(self._task, completed=done, description=text, total=total)
 
@@ -109,27 +109,27 @@ def training_library(name: str, extra: str = "train") -> Any:
     """Imports a library of an extra.
 
     Raises:
-        ConfigError: it is not installed.
+        ConfigError: the library is not installed.
     """
     return import_extra(name, "learning needs", extra)
 
 
 def limit_threads() -> None:
-    """Limits the numerical libraries that are loaded to one thread.
+    """Limits the loaded numerical libraries to one thread.
 
-    The networks are small: a second thread would only take the core that the games need.
+    The networks are small; further threads would compete with the games.
 
     Raises:
-        ConfigError: the library for it is not installed.
+        ConfigError: the library that sets the limit is not installed.
     """
     training_library("threadpoolctl").threadpool_limits(1)
 
 
 def training_torch() -> Any:
-    """Imports torch and limits it to one thread.
+    """Imports PyTorch and limits it to one thread.
 
     Raises:
-        ConfigError: it is not installed.
+        ConfigError: PyTorch is not installed.
     """
     torch = training_library("torch")
     torch.set_num_threads(1)

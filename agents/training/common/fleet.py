@@ -1,7 +1,7 @@
-"""Races for learning and for matches: many at a time, stepped as arrays.
+"""Parallel races for training and for matches, stepped as arrays.
 
-A race begins as a copy of one that stands at GO (a copy takes milliseconds, a start a tenth of
-a second); one such race is kept per track, direction, lineup and number.
+A race begins as a copy of a waiting race in the GO phase: copying takes milliseconds, starting the
+game a tenth of a second. One waiting race is kept per track, direction, lineup and starting point.
 """
 
 from __future__ import annotations
@@ -32,31 +32,31 @@ from stkzoo.evaluation import load_ai_times
 from stkzoo.names import Phase
 from stkzoo.wrappers.racing import BatchedRacingView, RoadTable, Surroundings
 
-#: So many learners, so many karts of the game's AI, so many races; see :func:`parse_races`.
+#: Number of learners, of karts of the game's AI, and of races; see :func:`parse_races`.
 _RACES = re.compile(r"([1-9]\d*)(?:\+(\d+))?(?:x([1-9]\d*))?")
-#: A race is cut short after this multiple of the AI's median time.
+#: Time limit of a race, as a multiple of the AI's median time.
 _PATIENCE = 1.6
-#: And this long after the first learner has finished [s].
+#: Time limit after the first learner's finish [s].
 _GRACE = 8.0
-#: More than a kart can drive in a step [m]; the engine's distance jumps at the line and at rescues.
+#: Longest distance per step [m]; a longer one is a jump at the start line or at a rescue.
 _LONGEST_STEP = 8.0
 #: Reward per metre.
 _METRE = 0.05
 #: Upper limit of an estimated time ratio.
 _WORST_RATIO = 10.0
-#: The time ratio that a kart counts as that does not finish.
+#: Time ratio of a kart that does not finish.
 _UNFINISHED = 3.0
 
 
 @functools.cache
 def ai_time(track: str, reverse: bool, difficulty: int) -> float:
-    """The median time of the game's AI [s]; the difficulty makes all karts faster."""
+    """Returns the median time of the game's AI [s]; the difficulty makes all karts faster."""
     return load_ai_times().of(track, reverse, difficulty).median
 
 
 @dataclass(frozen=True, slots=True)
 class Lineup:
-    """How many karts of a race are driven from here, and how many by the game's AI."""
+    """Number of learners and of karts of the game's AI in a race."""
 
     learners: int
     bots: int
@@ -64,7 +64,7 @@ class Lineup:
 
 
 def parse_races(texts: Sequence[str]) -> list[Lineup]:
-    """Parses ``4x3`` (three races of four learners) or ``2+2x1`` (two and two AI karts).
+    """Parses ``4x3`` (three races of four learners) or ``2+2x1`` (two learners, two AI karts).
 
     Returns:
         The lineup of each race.
@@ -86,7 +86,7 @@ def parse_races(texts: Sequence[str]) -> list[Lineup]:
 
 @dataclass(frozen=True, slots=True)
 class StartingPoint:
-    """How a race begins; the number decides the places on the grid and the engine's seed."""
+    """The start of a race; its number determines the grid positions and the engine's seed."""
 
     track: str
     reverse: bool
@@ -94,7 +94,7 @@ class StartingPoint:
     lineup: Lineup
 
     def setup(self) -> RaceSetup:
-        """The engine's setup."""
+        """Returns the engine's setup."""
         seed = np.random.SeedSequence(
             [
                 self.number,
@@ -121,12 +121,12 @@ class Finish:
     """The end of a learner's race.
 
     Attributes:
-        track: the race's track.
-        reverse: whether it was driven in reverse.
-        lineup: who was in the race.
+        track: name of the track.
+        reverse: whether the track was driven in reverse.
+        lineup: lineup of the race.
         ratio: finish time over the AI's median time; ``None`` if the race was cut short.
-        estimate: the same, estimated from the pace of a race that was cut short; at most 10.
-        rank: place, from 1 on.
+        estimate: the ratio, estimated from the pace if the race was cut short; at most 10.
+        rank: final rank, 1 is first.
     """
 
     track: str
@@ -138,20 +138,20 @@ class Finish:
 
     @property
     def counted_ratio(self) -> float:
-        """The ratio; 3 for a race that was cut short."""
+        """The time ratio; 3 if the race was cut short."""
         return _UNFINISHED if self.ratio is None else self.ratio
 
 
 @dataclass(frozen=True, slots=True)
 class FleetStep:
-    """The outcome of a step; arrays over the learners' slots.
+    """The outcome of a step, as arrays over the learners' S slots.
 
     Attributes:
         rewards: ``(S,)`` float32.
-        active: ``(S,)``: who was racing before the step.
-        ended: ``(S,)``: whose race ended in it, at the finish or cut short.
-        finishes: one for each that ended.
-        last_inputs: ``(S, F)``: what those saw last, and zeros for the others; empty for races
+        active: ``(S,)`` bool, whether the kart was racing before the step.
+        ended: ``(S,)`` bool, whether its race ended in this step, at the finish or cut short.
+        finishes: one entry per ended kart.
+        last_inputs: ``(S, F)``, last inputs of ended karts and zeros for others; empty for races
             without learners' inputs.
     """
 
@@ -163,12 +163,12 @@ class FleetStep:
 
 
 class RaceStarts:
-    """Races that stand at GO, each started when it is first needed.
+    """Waiting races in the GO phase, each started on first use.
 
     Attributes:
         root: folder of the game's data.
-        tables: the roads, by number.
-        view: sees them.
+        tables: lines of the tracks, by number.
+        view: makes the racing view on these tracks.
     """
 
     def __init__(self) -> None:
@@ -179,7 +179,7 @@ class RaceStarts:
         self.view = BatchedRacingView([])
 
     def begin(self, start: StartingPoint, session: WorkerSession) -> Snapshot:
-        """Begins a race in a session; its first snapshot."""
+        """Starts a race in a session; returns its first snapshot."""
         if start not in self._sessions:
             self._sessions[start] = self._start(start)
         waiting, snapshot = self._sessions[start]
@@ -205,23 +205,23 @@ class RaceStarts:
             self.view = BatchedRacingView(self.tables)
 
     def road(self, point: StartingPoint) -> int:
-        """The number of the road in ``view`` of a race that has begun before."""
+        """Returns the number of a race's track in ``view``; the race must have started before."""
         return self._roads[point.track, point.reverse]
 
     def close(self, keep: Collection[StartingPoint] = ()) -> None:
-        """Ends the waiting races, except those at some starting points."""
+        """Closes the waiting races, except those at some starting points."""
         for point in set(self._sessions) - set(keep):
             self._sessions.pop(point)[0].close()
 
 
 class FleetRace:
-    """One race after another of one lineup.
+    """Successive races with one lineup.
 
     Args:
-        lineup: who is in the races.
-        starts: where they begin.
+        lineup: lineup of the races.
+        starts: provides their starts.
         place_reward: reward per place.
-        slots: of its learners in the fleet.
+        slots: slots of its learners in the fleet.
     """
 
     def __init__(
@@ -232,7 +232,7 @@ class FleetRace:
         self._session = WorkerSession(starts.root)
 
     def begin(self, track: str, reverse: bool, number: int) -> None:
-        """Begins a race; ``number`` is that of its starting point."""
+        """Starts a race at the starting point ``number``."""
         self.start = StartingPoint(track, reverse, number, self.lineup)
         self._ai_time = ai_time(track, reverse, self.lineup.difficulty)
         self.snapshot = self._starts.begin(self.start, self._session)
@@ -244,13 +244,13 @@ class FleetRace:
         self.first_finish: float | None = None
 
     def send(self, controls: FloatArray) -> None:
-        """Starts a step; a race that has ended stands still."""
+        """Starts a step; a race that has ended does not move."""
         self._is_driving = bool(self.racing.any())
         if self._is_driving:
             self._session.step_async(controls)
 
     def receive(self) -> tuple[FloatArray, BoolArray, list[Finish]]:
-        """Rewards and ends of the learners' karts; see :class:`FleetStep`."""
+        """Returns rewards and ends of the learners' karts; see :class:`FleetStep`."""
         if not self._is_driving:
             return np.zeros(len(self.racing), np.float32), np.zeros(len(self.racing), bool), []
         before, self.snapshot = self.snapshot, self._session.step_wait()
@@ -289,16 +289,16 @@ class FleetRace:
 
 
 class RaceFleet:
-    """Races side by side; the kart of each learner is a slot.
+    """Parallel races; the kart of each learner is a slot.
 
     Args:
-        lineups: the lineup of each race.
+        lineups: lineup of each race.
         starts: starting points to share with another fleet.
-        place_reward: reward per place; a metre is worth 0.05.
+        place_reward: reward per place; the reward per metre is 0.05.
 
     Attributes:
         races: the race of each lineup.
-        num_slots: how many learners there are.
+        num_slots: number of learners.
     """
 
     def __init__(
@@ -316,13 +316,13 @@ class RaceFleet:
         ]
 
     def start_at(self, places: Sequence[tuple[str, bool, int]]) -> None:
-        """Starts each race at a track, a direction and a number of a starting point."""
+        """Starts each race at a track, a direction and a starting point."""
         for race, (track, reverse, number) in zip(self.races, places, strict=True):
             race.begin(track, reverse, number)
 
     @property
     def active(self) -> BoolArray:
-        """``(S,)``: who is racing."""
+        """``(S,)`` bool, whether each kart is racing."""
         return np.concatenate([race.racing for race in self.races])
 
     def send_controls(self, controls: FloatArray) -> None:
@@ -332,14 +332,14 @@ class RaceFleet:
             race.send(controls[race.slots])
 
     def receive_step(self) -> FleetStep:
-        """Waits for the step; its outcome."""
+        """Waits for the step and returns its outcome."""
         active = self.active
         parts = [race.receive() for race in self.races]
         rewards, ended = (np.concatenate([part[column] for part in parts]) for column in (0, 1))
         return FleetStep(rewards, active, ended, [end for part in parts for end in part[2]])
 
     def surroundings(self) -> tuple[dict[str, Any], Surroundings]:
-        """What the learners' karts know of themselves, and what is around them."""
+        """Returns own state and surroundings of the learners' karts."""
         return self.starts.view.surroundings(
             [race.snapshot for race in self.races],
             [race.road for race in self.races],
@@ -348,7 +348,7 @@ class RaceFleet:
         )
 
     def close(self, *, with_starts: bool = True) -> None:
-        """Ends all races, and those that wait at GO."""
+        """Closes all races, by default including the waiting ones."""
         for race in self.races:
             race.close()
         if with_starts:
@@ -356,19 +356,19 @@ class RaceFleet:
 
 
 class Fleet(RaceFleet):
-    """Races of learners that choose among plans; a race that has ended is followed by another.
+    """Parallel races of learners that choose among plans; a new race follows each ended one.
 
     Args:
-        lineups: the lineup of each race.
-        tracks: drawn evenly, in both directions.
+        lineups: lineup of each race.
+        tracks: tracks, drawn uniformly and in both directions.
         variants: starting points per track, direction and lineup.
-        place_reward: reward per place; a metre is worth 0.05.
+        place_reward: reward per place; the reward per metre is 0.05.
         starts: starting points to share with another fleet.
-        rules: the parameters of the learners' plans.
-        mirrors: whether half of the karts see and choose with left and right swapped.
+        rules: parameters of the learners' plans.
+        mirrors: whether half of the karts observe and act with left and right swapped.
 
     Attributes:
-        drivers: what the learners see and remember.
+        drivers: plans and memory of the learners.
     """
 
     def __init__(
@@ -389,10 +389,10 @@ class Fleet(RaceFleet):
         self._is_mirrored = np.zeros(self.num_slots, bool)
 
     def begin(self, seed: int | Sequence[int]) -> PolicyInput:
-        """Begins all races; what the learners see first.
+        """Starts all races; returns the first inputs of the learners.
 
         Args:
-            seed: seed of these races and of those that follow them.
+            seed: seed of these and all later races.
         """
         self._random = np.random.default_rng(seed)
         for number in range(len(self.races)):
@@ -403,7 +403,7 @@ class Fleet(RaceFleet):
         """Starts a step with choices ``(S, 4)``.
 
         Returns:
-            ``(S,)``: whose choices count; a stuck kart frees itself instead.
+            ``(S,)`` bool, whether the choices apply; a stuck kart frees itself instead.
         """
         chosen = np.where(self._is_mirrored[:, None], mirrored_choices(choices), choices)
         controls, is_driven = self.drivers.act(chosen)
@@ -411,7 +411,7 @@ class Fleet(RaceFleet):
         return is_driven
 
     def receive(self) -> tuple[PolicyInput, FleetStep]:
-        """Waits for the step; what the learners see after it, and its outcome."""
+        """Waits for the step; returns the learners' next inputs and the outcome."""
         step = self.receive_step()
         view = self._look(is_later=True)
         last = np.zeros_like(view.inputs)

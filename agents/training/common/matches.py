@@ -1,8 +1,8 @@
-"""Matches: races in which policies of any kind meet, many at a time.
+"""Matches: races between policies of any kind, many in parallel.
 
-A *match driver* drives some karts of a match. It is made of what scripts leave behind: a policy
-that chooses among plans (``ppo``, ``league``), a network that answers at once (``sb3``,
-``imitation``, ``rllib``), or the folder of an agent (:mod:`~stkzoo.agents.training.export`).
+A *match driver* drives some karts of a match. It is made from the files of training scripts: a
+policy over plans (``ppo``, ``league``), a network without plans (``sb3``, ``imitation``,
+``rllib``), or the folder of an agent (:mod:`~stkzoo.agents.training.export`).
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ from .fleet import Finish, Lineup, RaceFleet, RaceStarts, StartingPoint
 from .opponents import bot_name
 from .run_folder import plan_parameters, run_parameters
 
-#: The plans with nothing learned.
+#: Name of the plans without learning.
 PRIOR = "prior"
-#: The name of the game's AI at its hardest in orders of finish.
+#: Name of the game's AI at its highest difficulty in finishing orders.
 AI = "ai"
-#: Members in a match; one kart of the game's AI is in it too.
+#: Number of members in a match, in addition to one kart of the game's AI.
 SEATS = 4
-#: Matches that one process drives side by side.
+#: Number of matches that one process drives in parallel.
 _SIDE_BY_SIDE = 28
-#: So many sets of matches are driven at a time: one is computed while the others' games run.
+#: Number of sets of matches; one set is computed while the games of the others run.
 _LANES = 2
 
-#: Drives some karts through one match: controls ``(karts, 7)`` by what they know of themselves and
-#: what is around them.
+#: Drives some karts through one match: returns controls ``(karts, 7)`` for their own state and
+#: their surroundings.
 KartController = Callable[[Mapping[str, Any], Surroundings], FloatArray]
-#: Makes the controller of a number of karts that stand at GO.
+#: Returns a controller for a number of karts in the GO phase.
 MatchDriver = Callable[[int], KartController]
 
 
@@ -57,16 +57,16 @@ MatchDriver = Callable[[int], KartController]
 def plan_match_driver(
     policy: RacingPolicy | EnsemblePolicy, parameters: DriverParameters | None = None
 ) -> MatchDriver:
-    """Chooses among plans, the most likely choice each time.
+    """Returns a driver that takes the most likely choice among plans.
 
     Args:
-        policy: chooses.
-        parameters: of the plans.
+        policy: chooses among the plans.
+        parameters: parameters of the plans.
     """
 
     def take_karts(count: int) -> KartController:
         karts = PlanDriver(count, parameters)
-        look = karts.view  # at GO no step has passed
+        look = karts.view  # at GO, before the first step
 
         def control(own: Mapping[str, Any], around: Surroundings) -> FloatArray:
             nonlocal look
@@ -79,17 +79,17 @@ def plan_match_driver(
 
 
 def network_driver(choose: Callable[[FloatArray], npt.NDArray[Any]], hold: int = 0) -> MatchDriver:
-    """Drives by a network's choices on the view ``racing``.
+    """Returns a driver that follows a network's choices on the view ``racing``.
 
     Args:
-        choose: choices ``(karts, 5)`` by what karts see and remember, such as
+        choose: returns choices ``(karts, 5)`` for the karts' inputs, such as
             :meth:`~stkzoo.agents.pretrained.mlp.MlpDriver.best`.
-        hold: steps for which a drift is held at least.
+        hold: minimum steps of a drift.
     """
 
     def take_karts(count: int) -> KartController:
         action_filter = ActionFilter(count, hold)
-        look = action_filter.see  # at GO no step has passed
+        look = action_filter.see  # at GO, before the first step
 
         def control(own: Mapping[str, Any], around: Surroundings) -> FloatArray:
             nonlocal look
@@ -102,20 +102,20 @@ def network_driver(choose: Callable[[FloatArray], npt.NDArray[Any]], hold: int =
 
 
 def random_driver(seed: int) -> MatchDriver:
-    """Drives by random choices on the view ``racing``."""
+    """Returns a driver with random choices on the view ``racing``."""
     random = np.random.default_rng(seed)
     return network_driver(lambda seen: random.integers(0, CHOICES, (len(seen), len(CHOICES))))
 
 
 def match_driver(source: str | Path) -> MatchDriver:
-    """The driver of a policy.
+    """Returns the driver of a policy.
 
     Args:
-        source: a policy file of a run, the folder of an exported agent, ``"prior"`` (the plans with
-            nothing learned) or ``"prior:FILE"`` (by the plan parameters of a JSON file).
+        source: a policy file of a run, the folder of an exported agent, ``"prior"`` (the plans
+            without learning) or ``"prior:FILE"`` (with the plan parameters of a JSON file).
 
     Raises:
-        ConfigError: the source is no policy, or the file has no plan parameters.
+        ConfigError: the source is not a policy, or the file has no plan parameters.
     """
     prior, _, file = str(source).partition(":")
     if prior == PRIOR:
@@ -137,12 +137,12 @@ class Match:
     """A match to play.
 
     Attributes:
-        drivers: names of the drivers, one per kart; a name may occur more than once.
-        track: the track's name.
+        drivers: names of the drivers, one per kart; names may repeat.
+        track: name of the track.
         reverse: whether to drive it in reverse.
-        number: of the starting point.
+        number: number of the starting point.
         bots: karts of the game's AI.
-        difficulty: of the game's AI, 0 to 3.
+        difficulty: difficulty of the game's AI, 0 to 3.
     """
 
     drivers: tuple[str, ...]
@@ -154,16 +154,16 @@ class Match:
 
     @property
     def start(self) -> StartingPoint:
-        """How it begins."""
+        """Returns the starting point."""
         lineup = Lineup(len(self.drivers), self.bots, self.difficulty)
         return StartingPoint(self.track, self.reverse, self.number, lineup)
 
     def order(self, finishes: Sequence[Finish], ai: str | None = None) -> list[str]:
-        """Names in the order of finish, each once, at its best place.
+        """Returns names in finishing order, each once, at its best rank.
 
         Args:
-            finishes: of the drivers' karts.
-            ai: the name of the game's AI; ``bot:3`` or such by default.
+            finishes: finishes of the drivers' karts.
+            ai: name of the game's AI; ``None`` for names such as ``bot:3``.
         """
         ranks = {finish.rank: name for finish, name in zip(finishes, self.drivers, strict=True)}
         others = ai or bot_name(self.difficulty)
@@ -173,13 +173,13 @@ class Match:
 
 @dataclass(frozen=True, slots=True)
 class MatchRecord:
-    """A match that was played, as files keep it.
+    """The record of a match in files.
 
     Attributes:
-        turn: the turn of the league after which it was played.
-        track: the track's name.
+        turn: the league's turn after which it was played.
+        track: name of the track.
         reverse: whether it was driven in reverse.
-        order: names in the order of finish.
+        order: names in finishing order.
     """
 
     turn: Count
@@ -191,7 +191,7 @@ class MatchRecord:
 def _drive(
     matches: Sequence[Match], drivers: Mapping[str, MatchDriver], starts: RaceStarts
 ) -> Generator[list[list[Finish]] | None]:
-    """Drives matches side by side; after each step ``None``, at the end each match's finishes."""
+    """Drives matches in parallel; yields ``None`` after each step, and finally all finishes."""
     fleet = RaceFleet([match.start.lineup for match in matches], starts)
     names = np.array([name for match in matches for name in match.drivers])
     groups = [(name, np.flatnonzero(names == name)) for name in dict.fromkeys(names.tolist())]
@@ -205,7 +205,7 @@ def _drive(
             for rows, control in controllers:
                 controls[rows] = control(*_rows_of(own, around, rows))
             fleet.send_controls(controls)
-            yield None  # the games run
+            yield None  # while the games run
             step = fleet.receive_step()
             finishes |= zip(np.flatnonzero(step.ended).tolist(), step.finishes, strict=True)
     finally:
@@ -217,7 +217,7 @@ def _drive(
 def _rows_of(
     own: Mapping[str, Any], around: Surroundings, rows: npt.NDArray[np.intp]
 ) -> tuple[dict[str, Any], Surroundings]:
-    """What some of the karts know of themselves, and what is around them."""
+    """Returns own state and surroundings of some of the karts."""
     parts = [getattr(around, part.name)[rows] for part in fields(around)]
     return {name: array[rows] for name, array in own.items()}, Surroundings(*parts)
 
@@ -230,12 +230,12 @@ def play_matches(
     """Plays matches.
 
     Args:
-        matches: matches in a row that begin alike share the start of the game.
-        drivers: by name.
-        side_by_side: so many are one batch of observations.
+        matches: consecutive matches with equal starts share the start of the game.
+        drivers: drivers by name.
+        side_by_side: number of matches in one batch of observations.
 
     Returns:
-        For each match the finishes of its drivers' karts.
+        For each match, the finishes of its drivers' karts.
     """
     cuts = range(0, len(matches), side_by_side)
     waiting = deque(enumerate(matches[first : first + side_by_side] for first in cuts))
@@ -265,12 +265,12 @@ def play_matches(
 def play_records(
     matches: Sequence[Match], drivers: Mapping[str, MatchDriver], turn: int = 0
 ) -> list[MatchRecord]:
-    """Plays matches; their records.
+    """Plays matches and returns their records.
 
     Args:
-        matches: the matches, each with one kart of the game's AI.
-        drivers: by name.
-        turn: of the league.
+        matches: matches, each with one kart of the game's AI.
+        drivers: drivers by name.
+        turn: turn of the league.
     """
     played = zip(matches, play_matches(matches, drivers), strict=True)
     return [MatchRecord(turn, m.track, m.reverse, m.order(ends, AI)) for m, ends in played]
@@ -280,10 +280,10 @@ def play_records(
 
 
 def rate_orders(orders: Sequence[Sequence[str]]) -> dict[str, Rating]:
-    """Ratings by name from the orders of finish of matches; 25 is the mean.
+    """Returns ratings by name from the finishing orders of matches; 25 is the mean.
 
     Raises:
-        ConfigError: the library of the ratings is not installed.
+        ConfigError: the rating library is not installed.
     """
     names = sorted({name for order in orders for name in order})
     numbers = {name: number for number, name in enumerate(names)}
@@ -292,7 +292,7 @@ def rate_orders(orders: Sequence[Sequence[str]]) -> dict[str, Rating]:
 
 
 def payoff(one: str, other: str, records: Sequence[MatchRecord]) -> tuple[float, int]:
-    """The share of matches in which one was ahead of the other, and how many there were."""
+    """Returns the fraction of matches in which ``one`` was ahead of ``other``, and their number."""
     duels = [
         r.order.index(one) < r.order.index(other) for r in records if {one, other} <= {*r.order}
     ]

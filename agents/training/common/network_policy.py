@@ -1,4 +1,4 @@
-"""A Stable-Baselines3 policy as a file."""
+"""Files of Stable-Baselines3 policies."""
 
 from __future__ import annotations
 
@@ -19,25 +19,26 @@ def save_driver(path: str | Path, policy: Any, hold: int = 0) -> None:
     """Writes a Stable-Baselines3 policy to a file atomically.
 
     Args:
-        path: of the file.
-        policy: its state dict is kept.
-        hold: steps for which it holds a drift.
+        path: path of the file.
+        policy: the policy, whose state dict is saved.
+        hold: minimum steps of its drifts.
     """
     state = {name: value.detach().cpu().numpy() for name, value in policy.state_dict().items()}
     save_weights(path, state | ({HOLD: np.array([hold], np.float32)} if hold else {}))
 
 
 def initial_weights(path: str | Path, policy: Any) -> dict[str, FloatArray]:
-    """A state dict for a policy from a file, which may lack the weights of the value.
+    """Returns a state dict for a policy from a file, which may lack the value network.
 
-    If its layers see the view alone, what the action filter remembers has no effect at first.
+    If the layers in the file take only the view as input, the memory of the action filter initially
+    has no effect.
 
     Args:
-        path: a file that ``sb3``, ``imitation`` or ``rllib`` wrote.
-        policy: the Stable-Baselines3 policy that starts from it.
+        path: a file from ``sb3``, ``imitation`` or ``rllib``.
+        policy: the Stable-Baselines3 policy to initialize.
 
     Raises:
-        ConfigError: the file is unreadable, or is of another network.
+        ConfigError: the file is unreadable, or contains another network.
     """
     weights = load_weights(path)
     MlpDriver(weights, f"the weights {str(path)!r}")

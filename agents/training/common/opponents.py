@@ -1,8 +1,9 @@
-"""The opponent pool of self-play: frozen snapshots and the game's bots, the hard ones more often.
+"""The opponent pool of self-play: frozen snapshots and game bots, drawn by difficulty.
 
-Prioritised fictitious self-play (Vinyals et al., "Grandmaster level in StarCraft II using
-multi-agent reinforcement learning", 2019): an opponent that is beaten with probability p is drawn
-with weight (1 - p)^2, so that nothing is forgotten and little time goes to what is won anyway.
+Prioritized fictitious self-play (Vinyals et al., "Grandmaster level in StarCraft II using
+multi-agent reinforcement learning", 2019) draws an opponent that is beaten with probability p with
+weight (1 - p)^2. This avoids forgetting and spends little time on opponents that the learner beats
+anyway.
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ import numpy as np
 
 from stkzoo._schema import Count, Share, typed
 
-#: Weight of one race in an opponent's share of wins.
+#: Weight of one race in the win rate against an opponent.
 _RATE = 0.1
-#: Keeps every opponent in the draw.
+#: Minimum weight, so that every opponent can be drawn.
 _LEAST_WEIGHT = 0.02
 
 
 def bot_name(difficulty: int) -> str:
-    """The name of the game's bots of a difficulty, 0 to 3, as opponents."""
+    """Returns the opponent name of the game's bots at a difficulty, 0 to 3."""
     return f"bot:{difficulty}"
 
 
@@ -31,9 +32,9 @@ class Rival:
     """An opponent in the pool.
 
     Attributes:
-        name: a snapshot's file name, or ``bot:0`` to ``bot:3``.
-        beaten: the learner's share of duels won, 0 to 1; recent races count most.
-        races: how many races there were.
+        name: file name of a snapshot, or ``bot:0`` to ``bot:3``.
+        beaten: fraction of duels that the learner won, 0 to 1; recent races weigh more.
+        races: number of races.
     """
 
     name: str
@@ -41,19 +42,19 @@ class Rival:
     races: Count = 0
 
     def update(self, beaten: float) -> None:
-        """Updates with the share of the duels that the learner won in a race."""
-        # The first races are a plain mean, with one half at the start.
+        """Adds the fraction of duels that the learner won in a race."""
+        # The first races form a plain mean, which starts at one half.
         share = max(_RATE, 1.0 / (self.races + 2))
         self.beaten += share * (beaten - self.beaten)
         self.races += 1
 
 
 class RivalPool:
-    """The opponents.
+    """A pool of opponents.
 
     Args:
-        size: capacity; a full pool drops the most beaten opponent for a new one.
-        names: the first opponents.
+        size: capacity; when full, a new opponent replaces the most beaten one.
+        names: initial opponents.
     """
 
     def __init__(self, size: int, names: Sequence[str] = ()) -> None:
@@ -62,11 +63,11 @@ class RivalPool:
 
     @property
     def opponents(self) -> list[Rival]:
-        """All of them, the oldest first."""
+        """All opponents, the oldest first."""
         return list(self._opponents.values())
 
     def add(self, name: str) -> None:
-        """Adds an opponent; a full pool drops the most beaten one for it."""
+        """Adds an opponent; when full, it replaces the most beaten one."""
         if name not in self._opponents and len(self._opponents) >= self.size:
             del self._opponents[max(self.opponents, key=lambda opponent: opponent.beaten).name]
         self._opponents.setdefault(name, Rival(name))
@@ -75,8 +76,8 @@ class RivalPool:
         """Draws an opponent's name by weight.
 
         Args:
-            random: draws it.
-            among: only these, which must be in the pool; all by default.
+            random: random generator.
+            among: names in the pool to draw from; ``None`` for all.
         """
         names = list(self._opponents) if among is None else list(among)
         shares = [(1.0 - self._opponents[name].beaten) ** 2 for name in names]
@@ -84,12 +85,12 @@ class RivalPool:
         return names[int(random.choice(len(names), p=weights / weights.sum()))]
 
     def update(self, name: str, beaten: float) -> None:
-        """Updates an opponent after a race; one that was dropped is ignored."""
+        """Updates an opponent after a race; ignores opponents no longer in the pool."""
         if name in self._opponents:
             self._opponents[name].update(beaten)
 
     def state(self) -> list[dict[str, Any]]:
-        """All of it as JSON values."""
+        """Returns the pool as JSON values."""
         return [asdict(opponent) for opponent in self.opponents]
 
     def restore(self, state: Sequence[Mapping[str, Any]]) -> None:

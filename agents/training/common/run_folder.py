@@ -1,7 +1,7 @@
-"""The files of a run: its arguments, checkpoint and log.
+"""The files of a run: arguments, checkpoint and log.
 
-The log is one JSON line per iteration, and TensorBoard files if that is installed. A checkpoint is
-facts as JSON and tensors, in a file from which nothing is unpickled.
+The log has one JSON line per iteration, and TensorBoard files if that is installed. A checkpoint
+contains facts as JSON, and tensors in a file that is read without unpickling.
 """
 
 from __future__ import annotations
@@ -61,13 +61,13 @@ def check_resumed(
     *,
     may_change: bool = False,
 ) -> bool:
-    """Checks that a run continues with the arguments that it has.
+    """Checks that a run continues with its original arguments.
 
     Args:
-        folder: the run's.
-        before: the arguments in its files.
-        now: the arguments given.
-        remedy: what else the user can do than give the same arguments or another folder.
+        folder: folder of the run.
+        before: arguments in its files.
+        now: given arguments.
+        remedy: another remedy to suggest, besides the same arguments or another folder.
         may_change: whether the run may continue with other arguments.
 
     Returns:
@@ -94,12 +94,12 @@ def check_resumed(
 def keep_arguments(
     folder: Path, arguments: Any, free: Collection[str] = (), remedy: str = ""
 ) -> None:
-    """Writes the arguments of a new run, or checks those of a run that continues.
+    """Writes the arguments of a new run, or checks those of a continued one.
 
     Args:
-        folder: the run's; it is created.
+        folder: folder of the run; created if necessary.
         arguments: a dataclass.
-        free: names of fields that may change when a run continues, and are not written.
+        free: fields that may change when a run continues; they are not written.
         remedy: see :func:`check_resumed`.
 
     Raises:
@@ -118,13 +118,13 @@ def keep_arguments(
 
 
 def plan_parameters(file: str | Path) -> DriverParameters:
-    """The parameters in a JSON file: ``best.json`` of ``tune_plans``, or a run's arguments.
+    """Reads plan parameters from ``best.json`` of ``tune_plans`` or from a run's arguments.
 
     Args:
-        file: the file; empty is the default parameters.
+        file: path of the file; empty for the default parameters.
 
     Raises:
-        ConfigError: the file is unreadable, or has other parameters.
+        ConfigError: the file is unreadable, or has unknown parameters.
     """
     if not file:
         return DriverParameters()
@@ -146,10 +146,10 @@ _Chapters = Annotated[tuple[_Chapter, ...], Within(1)]
 
 
 def run_parameters(folder: Path) -> DriverParameters:
-    """The parameters of a run's plans; the default ones if the folder has no run.
+    """Returns the plan parameters of a run; the defaults if the folder contains no run.
 
     Raises:
-        ConfigError: the run is of another version.
+        ConfigError: the run is from another version.
     """
     file = folder / ARGUMENTS
     return plan_parameters(file if file.exists() else "")
@@ -162,9 +162,9 @@ def save_checkpoint(folder: Path, facts: Mapping[str, Any], state: Mapping[str, 
     """Writes a run's checkpoint atomically.
 
     Args:
-        folder: the run's.
+        folder: folder of the run.
         facts: JSON values.
-        state: tensors and plain values by name, and dicts and lists of such.
+        state: tensors and plain values by name, and dicts and lists of these.
     """
     with atomic_write(folder / CHECKPOINT) as part:
         training_library("torch").save({"facts": json.dumps(facts), **state}, part)
@@ -233,10 +233,10 @@ def read_log(folder: Path) -> list[dict[str, Any]]:
 
 
 def require_log(folder: str | Path) -> list[dict[str, Any]]:
-    """The lines of a run's log.
+    """Returns the entries of a run's log.
 
     Raises:
-        ConfigError: the folder has none.
+        ConfigError: the folder has no log.
     """
     file = Path(folder) / LOG
     if not file.is_file():
@@ -250,14 +250,14 @@ def write_log(folder: Path, log: Sequence[Mapping[str, Any]]) -> None:
 
 
 class TrainingLog:
-    """The log of a run that may continue from a checkpoint; later lines are removed.
+    """The log of a run; when a run continues, entries after its checkpoint are removed.
 
     Args:
-        folder: the run's.
-        iteration: that of the checkpoint.
+        folder: folder of the run.
+        iteration: iteration of the checkpoint.
 
     Attributes:
-        last: the last line; empty at the beginning.
+        last: latest entry; empty at the beginning.
     """
 
     def __init__(self, folder: Path, iteration: int) -> None:
@@ -281,9 +281,9 @@ class TrainingLog:
             self._writer.close()
 
     def write(self, line: Mapping[str, Any]) -> None:
-        """Adds an iteration's figures, with ``iteration`` and ``kart_steps`` among them.
+        """Adds an entry for an iteration, which must include ``iteration`` and ``kart_steps``.
 
-        TensorBoard gets all figures but those that are ``None``.
+        TensorBoard gets all figures except those that are ``None``.
         """
         with self._file.open("a") as log:
             log.write(json.dumps(dict(line)) + "\n")
@@ -292,6 +292,6 @@ class TrainingLog:
                 self.add(name, value, int(line["kart_steps"]))
 
     def add(self, name: str, value: float, kart_steps: int) -> None:
-        """Adds a figure to the TensorBoard files alone."""
+        """Adds a figure to the TensorBoard files only."""
         if self._writer is not None:
             self._writer.add_scalar(name, value, kart_steps)

@@ -1,3 +1,3 @@
-"""Imitation of a teacher (DAgger), and distillation of plans into a network."""
+"""Imitation of a driver (DAgger), and distillation of plans into a network."""
 
 __all__: list[str] = []

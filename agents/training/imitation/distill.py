@@ -1,17 +1,18 @@
-r"""Distills the plans of the learned drivers into one network, by DAgger.
+r"""Distills the plans of the learned drivers into one network, with DAgger.
 
     python -m stkzoo.agents.training.imitation.distill --output runs/distill
     python -m stkzoo.agents.training.sb3.selfplay --output runs/play --hold 1 \
         --init runs/distill/policy.safetensors
 
-The plans weigh the next two seconds; the network sees the view ``racing`` and what its action
-filter remembers, and answers at once. In the first round the plans drive, then the network does,
-and the plans label what it should have done where it got to (DAgger: Ross, Gordon and Bagnell,
-2011). Each round it learns from all labels so far, and drives every track once alone.
+The plans weigh the next two seconds. The network sees the view ``racing`` and the memory of its
+action filter, and acts without planning. In the first round the plans drive; afterwards the network
+drives, and the plans label the states that it visits with the action they would take (DAgger: Ross,
+Gordon and Bagnell, 2011). In each round the network learns from all labels so far and then drives
+every track once, alone.
 
-In the folder: ``policy.safetensors``, ``agent`` (`stkzoo race runs/distill/agent ai`),
-``log.jsonl``, ``imitation.png`` and the rounds' lessons. The same command continues a run that was
-killed with the round that was under way.
+The folder contains ``policy.safetensors``, ``agent`` (`stkzoo race runs/distill/agent ai`),
+``log.jsonl``, ``imitation.png`` and the data of the rounds. To continue a run that was killed, run
+the same command again; it repeats the interrupted round.
 """
 
 from __future__ import annotations
@@ -40,11 +41,11 @@ from ..common.fleet import Finish, Fleet, Lineup
 from ..common.matches import Match, network_driver, play_matches
 from .lessons import ImitationArguments, Lesson, Numbers, Report, run_rounds, show_rounds
 
-#: Alone, against others, and against the game's AI: learners, bots, and so many races.
+#: Learners, bots and number of races: alone, against each other, and against the game's AI.
 _LINEUPS = ((1, 0, 8), (5, 0, 4), (2, 3, 4), (1, 4, 4))
-#: Drifts end when the plans say so.
+#: Minimum steps of a drift; with 1, drifts end when the plans end them.
 _HOLD = 1
-#: The time ratio of a kart that does not finish.
+#: Time ratio of a kart that does not finish.
 _UNFINISHED = 1.6
 
 
@@ -54,7 +55,7 @@ class DistillationArguments(ImitationArguments):
 
     Attributes:
         steps: kart-steps of each round.
-        tracks: driven in both directions.
+        tracks: tracks, driven in both directions.
     """
 
     batch_size: int = 1024
@@ -65,11 +66,11 @@ class DistillationArguments(ImitationArguments):
 
 
 class LabelledRaces:
-    """Races in which students drive while the plans label what they should do.
+    """Races in which students drive and the plans label their states.
 
     Args:
-        fleet: the races, none of them mirrored.
-        view: what is seen first.
+        fleet: the races, without mirroring.
+        view: first input of the policy.
     """
 
     def __init__(self, fleet: Fleet, view: PolicyInput) -> None:
@@ -79,11 +80,11 @@ class LabelledRaces:
 
     @property
     def seen(self) -> Numbers:
-        """What the students see, ``(S, 177)``."""
+        """Inputs of the students, ``(S, 177)``."""
         return self.view.inputs[:, :INPUT_SIZE]
 
     def labels(self) -> IntArray:
-        """What the plans would do, as the students' choices ``(S, 5)``."""
+        """Choices of the plans, in the students' form, ``(S, 5)``."""
         drivers, choices = self.fleet.drivers, self._plans.best(self.view)
         side, turn = drivers.moves(choices)
         begins = (side != 0) & (drivers.memory.situation().drift_side == 0)
@@ -96,7 +97,7 @@ class LabelledRaces:
         return np.stack(columns, axis=1).astype(np.int64)
 
     def step(self, choices: IntArray) -> list[Finish]:
-        """Makes a step by choices ``(S, 5)``; the finishes of those whose race ended."""
+        """Steps with choices ``(S, 5)``; returns the finishes of races that ended."""
         self._action_filter.see(self.view.inputs[:, :SIZE])
         self.fleet.send_controls(controls_of_choices(self._action_filter.apply(choices)))
         self.view, outcome = self.fleet.receive()
@@ -106,19 +107,19 @@ class LabelledRaces:
 def run(
     arguments: DistillationArguments, folder: Path, report: Report = lambda *_: None
 ) -> list[dict[str, Any]]:
-    """Distills, or continues a run.
+    """Starts or continues a distillation.
 
     Args:
-        arguments: of the run.
-        folder: the run's.
-        report: called with what is being done, how much of it is done, and how much there is.
+        arguments: arguments of the run.
+        folder: folder of the run.
+        report: called with the current stage, the work done, and the total work.
 
     Returns:
-        The log; see :func:`.lessons.run_rounds`. It also has the time ratio of each round's
-        network by its most likely choices, alone on each track, and how often it did not finish.
+        The log; see :func:`.lessons.run_rounds`. It includes each round's time ratio of the
+            network's most likely choices, alone on each track, and how often it did not finish.
 
     Raises:
-        ConfigError: torch is not installed, or the folder has another run.
+        ConfigError: torch is not installed, or the folder contains another run.
     """
     training_torch()
     return run_rounds(
@@ -136,7 +137,7 @@ def run(
 def _drive(
     arguments: DistillationArguments, number: int, policy: Path | None, report: Report
 ) -> Lesson:
-    """Collects a round's lessons."""
+    """Collects the data of a round."""
     student = load_driver(policy) if policy else None
     lineups = [
         Lineup(learners, bots, arguments.difficulty)
@@ -162,12 +163,12 @@ def _drive(
     finally:
         fleet.close()
     finished = sum(finish.ratio is not None for finish in finishes)
-    ratios = _ratios(finishes) or (_UNFINISHED,)  # steps may be too few for a whole race
+    ratios = _ratios(finishes) or (_UNFINISHED,)  # no race may have finished
     return Lesson(np.concatenate(seen), np.concatenate(answers), ratios, finished)
 
 
 def _alone(arguments: DistillationArguments, student: MlpDriver) -> dict[str, float]:
-    """How the most likely choices drive each track in both directions, alone."""
+    """Evaluates the most likely choices, alone on each track in both directions."""
     matches = [
         Match(("student",), track, reverse, bots=0, difficulty=arguments.difficulty)
         for track in arguments.tracks

@@ -1,20 +1,20 @@
-r"""Learns to drive like a teacher: behaviour cloning, then DAgger.
+r"""Imitates a driver: behaviour cloning, followed by DAgger.
 
     python -m stkzoo.agents.training.imitation.imitate --output runs/imitate
     python -m stkzoo.agents.training.imitation.imitate --output runs/ai --demos ai.npz --rounds 0
     python -m stkzoo.agents.training.sb3.selfplay --output runs/play \
         --init runs/imitate/policy.safetensors
 
-First a network learns from demonstrations (those of `stkzoo demos`, or new ones) what the teacher
-did where the teacher came: behaviour cloning. But a copy that errs gets where the teacher never
-was. So in each round of DAgger (Ross, Gordon and Bagnell, 2011) the learner drives, the teacher
-labels what it would have done there, and the network learns from all of it. A last round only
-drives, to evaluate the result.
+First, a network learns the teacher's actions from demonstrations (from `stkzoo demos`, or recorded
+by this script): behaviour cloning. Its errors lead it to states that the teacher never visited.
+Therefore, in each round of DAgger (Ross, Gordon and Bagnell, 2011) the learner drives, the teacher
+labels these states with its own action, and the network learns from all data so far. The last round
+only evaluates the result.
 
-The learner sees the view ``racing`` and is a ``MlpPolicy`` of Stable-Baselines3, two tanh layers.
-In the folder: ``policy.safetensors`` (its state dict), ``agent`` (to race: `stkzoo race
-runs/imitate/agent ai`), ``log.jsonl``, ``imitation.png``, and the lessons. The same command
-continues a run that was killed.
+The learner sees the view ``racing`` and is an ``MlpPolicy`` of Stable-Baselines3 with two tanh
+layers. The folder contains ``policy.safetensors`` (its state dict), ``agent`` (to race: `stkzoo
+race runs/imitate/agent ai`), ``log.jsonl``, ``imitation.png`` and the data of the rounds. To
+continue a run that was killed, run the same command again.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ from ..common.command import run_command
 from ..common.fleet import ai_time
 from .lessons import ImitationArguments, Lesson, Numbers, Report, run_rounds, show_rounds
 
-#: A learner's race is cut short after so many times the AI's median time.
+#: Time limit of a learner's race, as a multiple of the AI's median time.
 PATIENCE = 1.7
-#: What a kart counts as that has not finished by then.
+#: Time ratio of a kart that does not finish.
 UNFINISHED = 2.0
 _STEP, _COUNTDOWN = 0.1, 20
 
@@ -63,13 +63,13 @@ class TeacherArguments(ImitationArguments):
     """Arguments of a run.
 
     Attributes:
-        teacher: the driver to imitate: a driver of stkzoo, or a path.
-        demos: file of stkzoo demos to learn from first; empty records one.
-        rounds: rounds of DAgger; 0 is behaviour cloning alone.
+        teacher: driver to imitate: a driver of stkzoo, or a path.
+        demos: demonstration file of stkzoo demos to learn from first; empty records one.
+        rounds: rounds of DAgger; 0 is behaviour cloning only.
         tracks: names of tracks, or train.
-        races: races on each track in a round.
+        races: races on each track per round.
         karts: karts of the learner in each race.
-        jobs: races at a time; 0 is the number of processors.
+        jobs: parallel races; 0 is the number of processors.
     """
 
     may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "rounds", "difficulty", "jobs")
@@ -97,18 +97,19 @@ class TeacherArguments(ImitationArguments):
 def run(
     arguments: TeacherArguments, folder: Path, report: Report = lambda *_: None
 ) -> list[dict[str, Any]]:
-    """Imitates, or continues a run.
+    """Starts or continues an imitation.
 
     Args:
-        arguments: of the run.
-        folder: the run's.
-        report: called with what is being done, how much of it is done, and how much there is.
+        arguments: arguments of the run.
+        folder: folder of the run.
+        report: called with the current stage, the work done, and the total work.
 
     Returns:
         The log; see :func:`.lessons.run_rounds`.
 
     Raises:
-        ConfigError: an argument is invalid, torch is not installed, or the folder has another run.
+        ConfigError: an argument is invalid, torch is not installed, or the folder contains another
+            run.
         AssetError: the game's data is missing.
     """
 
@@ -121,7 +122,7 @@ def run(
 
 
 def _demonstrations(arguments: TeacherArguments, folder: Path, report: Report) -> Lesson:
-    """The lesson of a data set of demonstrations, or of a new one."""
+    """Returns the lesson from a file of demonstrations, or from newly recorded ones."""
     first = 1000 * arguments.seed
     if arguments.demos:
         demos = load_demonstrations(arguments.demos)
@@ -152,7 +153,7 @@ def _demonstrations(arguments: TeacherArguments, folder: Path, report: Report) -
 def _drive(
     arguments: TeacherArguments, number: int, policy: Path, report: Report
 ) -> Iterator[Lesson]:
-    """The lessons of a round's races, which run side by side in processes."""
+    """Yields the lessons of a round's races, which run in parallel processes."""
     first = 1000 * arguments.seed + 100 * number
     seeds = range(first, first + arguments.races)
     places = list(itertools.product(track_names(arguments.tracks), seeds))
@@ -181,7 +182,7 @@ def _drive(
 
 
 def end_with_parent() -> None:
-    """Ends this process, whatever it does, when the one that started it is gone."""
+    """Ends this process when its parent process has ended."""
     parent = multiprocessing.parent_process()
 
     def watch() -> None:
@@ -193,7 +194,7 @@ def end_with_parent() -> None:
 
 
 def time_ratio(time: float | None, track: str, reverse: bool, difficulty: int) -> float:
-    """A finish time over the AI's median time there."""
+    """Returns a finish time over the AI's median time."""
     if time is None:
         return UNFINISHED
     return min(time / ai_time(track, reverse, difficulty), UNFINISHED)
@@ -202,15 +203,15 @@ def time_ratio(time: float | None, track: str, reverse: bool, difficulty: int) -
 def drive_race(
     teacher: str, policy: str, karts: int, difficulty: int, track: str, seed: int
 ) -> Lesson:
-    """Drives a race, in which all karts are the learner's.
+    """Drives a race in which the learner controls all karts.
 
     Args:
-        teacher: says what is right; a text for :func:`~stkzoo.race.find_driver`.
+        teacher: driver that labels the states; see :func:`~stkzoo.race.find_driver`.
         policy: file of the learner's weights.
-        karts: how many.
-        difficulty: which of the AI's times to compare with.
-        track: where.
-        seed: of the race.
+        karts: number of karts.
+        difficulty: difficulty of the AI whose time is the reference.
+        track: track of the race.
+        seed: seed of the race.
     """
     driver, view = load_driver(policy), DemoView("racing")
     seen: list[Numbers] = []
@@ -247,7 +248,7 @@ def drive_race(
 
 
 def _instance(teacher: str, seed: int) -> DriverInstance:
-    """The teacher, ready to be asked."""
+    """Returns an instance of the teacher."""
     start = find_driver(teacher, inline=True).start
     assert start is not None  # noqa: S101 - checked before
     instance = start(DriverRequest("kart_0", kart_observation_space(), kart_action_space(), seed))

@@ -1,7 +1,7 @@
-"""Rounds of learning from a teacher, which both scripts share.
+"""Rounds of learning from a teacher, shared by both scripts.
 
-In the first round the teacher drives, in the others the learner does, and the teacher labels what
-it would have done where the learner got to (DAgger: Ross, Gordon and Bagnell, 2011). After each
+In the first round the teacher drives. In the others the learner drives, and the teacher labels the
+visited states with the action it would take (DAgger: Ross, Gordon and Bagnell, 2011). After each
 round the network learns from all lessons so far.
 """
 
@@ -39,22 +39,22 @@ _MAX_BYTES = 8 << 30
 
 _POLICY, _PLOT = "policy.safetensors", "imitation.png"
 
-#: Gets what is being done, how much of it is done, and how much there is.
+#: Called with the current stage, the work done, and the total work.
 Report = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
 class ImitationArguments(NetworkArguments):
-    """Arguments that both scripts have.
+    """Arguments of both scripts.
 
     Attributes:
         rounds: rounds in which the learner drives and learns.
         n_epochs_last: passes over all lessons in the last round.
-        difficulty: of the game's AI, whose times are compared with.
+        difficulty: difficulty of the game's AI, whose times are the reference.
     """
 
     may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "difficulty")
-    #: What may change when a run continues.
+    #: Fields that may change when a run continues.
     free: ClassVar[tuple[str, ...]] = ("rounds",)
 
     rounds: int = 5
@@ -64,13 +64,13 @@ class ImitationArguments(NetworkArguments):
 
 @dataclass(frozen=True, slots=True)
 class Lesson:
-    """What came of a round's races: ``N`` moments of all karts together.
+    """Data of a round's races: ``N`` moments of all karts together.
 
     Attributes:
-        observations: ``(N, inputs)`` float32, what the learner saw.
-        actions: ``(N, 5)``: what the teacher would have done then.
-        ratios: each kart's time over the AI's; a worst case for one that did not finish.
-        finished: how many karts finished.
+        observations: ``(N, inputs)`` float32, inputs of the learner.
+        actions: ``(N, 5)``, choices of the teacher.
+        ratios: time of each kart over the AI's time; a worst case if it did not finish.
+        finished: number of karts that finished.
     """
 
     observations: Numbers
@@ -80,7 +80,7 @@ class Lesson:
 
     @classmethod
     def joined(cls, lessons: Sequence[Lesson]) -> Lesson:
-        """Several as one."""
+        """Returns several lessons as one."""
         return cls(
             np.concatenate([lesson.observations for lesson in lessons]),
             np.concatenate([lesson.actions for lesson in lessons]),
@@ -89,14 +89,14 @@ class Lesson:
         )
 
     def save(self, path: Path) -> None:
-        """Writes it to a file atomically."""
+        """Writes the lesson to a file atomically."""
         arrays = {**asdict(self), "actions": self.actions.astype(np.int8)}
         with atomic_write(path) as part, part.open("wb") as file:
             np.savez_compressed(file, **arrays)
 
     @classmethod
     def load(cls, path: Path) -> Lesson:
-        """Reads what :meth:`save` wrote.
+        """Reads a file that :meth:`save` wrote.
 
         Raises:
             ConfigError: the file is damaged.
@@ -130,25 +130,25 @@ def run_rounds(
     hold: int = 0,
     judge: Callable[[MlpDriver], dict[str, float]] | None = None,
 ) -> list[dict[str, Any]]:
-    """Learns round by round, or continues a run.
+    """Learns round by round; starts or continues a run.
 
     Args:
-        arguments: of the run.
-        folder: the run's.
-        teacher: its name in the log.
-        drive: drives the races of a round's number; gets the file of the policy that drives, or
-            ``None`` for the teacher.
+        arguments: arguments of the run.
+        folder: folder of the run.
+        teacher: name of the teacher in the log.
+        drive: drives the races of a round; called with its number and the file of the policy that
+            drives, or ``None`` for the teacher.
         report: called in each round.
-        inputs: how many numbers the network sees.
-        hold: steps for which it holds a drift.
-        judge: figures for the log of each round's network; without it, a last round is only
-            driven.
+        inputs: size of the network's input.
+        hold: minimum steps of the network's drifts.
+        judge: returns figures on each round's network for the log. Without it, a last round only
+            evaluates.
 
     Returns:
-        The log, a line for each round: the driver, its results, and the fit of the network.
+        The log, one line per round: the driver, its results, and the fit of the network.
 
     Raises:
-        ConfigError: torch is not installed, or the folder has another run.
+        ConfigError: torch is not installed, or the folder contains another run.
     """
     keep_arguments(folder, arguments, arguments.free)
     log = [line for line in read_log(folder) if "loss" in line]
@@ -183,7 +183,7 @@ def run_rounds(
 
 
 def _lesson(folder: Path, number: int, drive: Callable[[int, Path | None], Lesson]) -> Lesson:
-    """A round's lesson; one that has a file is not driven again."""
+    """Returns a round's lesson from its file, or drives its races."""
     file = _file(folder, number)
     if not file.exists():
         drive(number, _policy(folder, number - 1) if number else None).save(file)
@@ -199,7 +199,7 @@ def _policy(folder: Path, number: int) -> Path:
 
 
 def _driven(number: int, teacher: str, lesson: Lesson) -> dict[str, Any]:
-    """The log line of a round's races."""
+    """Returns the log line of a round's races."""
     ratios, names = lesson.ratios, (teacher, "behaviour cloning")
     return {
         "round": number,
@@ -234,8 +234,8 @@ def show_rounds(
 
     Args:
         run: the script; returns the log.
-        options: the run's folder.
-        arguments: of the run.
+        options: folder of the run.
+        arguments: arguments of the run.
     """
     folder, stages = options.output, list[str]()
     with ProgressBar(1, unit="done") as bar:

@@ -1,4 +1,4 @@
-"""A network that learns choices from examples, as Stable-Baselines3's ``MlpPolicy`` has it."""
+"""A network that learns choices from examples, layered as Stable-Baselines3's ``MlpPolicy``."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from ..common.command import training_library, training_torch
 
 Numbers = npt.NDArray[Any]
 
-#: A steering choice is also given to its neighbours, by a bell of this width [choices].
+#: Standard deviation of the label smoothing over neighbouring steering choices [choices].
 _BLUR = 0.7
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """How well a network does on examples that it has not learned from.
+    """Accuracy of a network on held-out examples.
 
     Attributes:
-        loss: mean cross-entropy, all five choices together [nats].
-        accuracy: share of right choices: steering, pedal, drift, nitro, fire.
+        loss: mean cross-entropy, summed over the five choices [nats].
+        accuracy: fraction of correct choices: steering, pedal, drift, nitro, fire.
     """
 
     loss: float
@@ -37,7 +37,7 @@ class Fit:
 
 
 def make_network(hidden: Sequence[int], seed: int, inputs: int = SIZE) -> Any:
-    """A fresh network of tanh layers, whose state dict has the names of a ``MlpPolicy``."""
+    """Returns a new network of tanh layers, whose state dict has the names of an ``MlpPolicy``."""
     torch = training_torch()
     torch.manual_seed(seed)
     nn = torch.nn
@@ -53,7 +53,7 @@ def make_network(hidden: Sequence[int], seed: int, inputs: int = SIZE) -> Any:
 
 
 def load_weights_into(network: Any, path: str | Path) -> None:
-    """Loads weights from a file, which may hold more than the network's.
+    """Loads weights from a file; ignores additional arrays.
 
     Raises:
         ConfigError: the file is unreadable.
@@ -64,7 +64,7 @@ def load_weights_into(network: Any, path: str | Path) -> None:
 
 
 def mirrored(observations: Numbers, actions: Numbers) -> tuple[Numbers, Numbers]:
-    """The same examples with left for right."""
+    """Returns the examples mirrored left to right."""
     turned = actions.copy()
     turned[:, 0] = CHOICES[0] - 1 - turned[:, 0]
     return observations * INPUT_MIRROR[: observations.shape[1]], turned
@@ -80,16 +80,16 @@ def fit(
     batch_size: int,
     seed: int,
 ) -> Fit:
-    """Trains a network on examples; a twentieth of them, in blocks, is left out and judged.
+    """Trains a network on examples and evaluates it on 5 % of them, held out in blocks.
 
     Args:
-        network: of :func:`make_network`; training continues from its weights.
+        network: network from :func:`make_network`; training continues from its weights.
         observations: ``(N, inputs)``.
         actions: ``(N, 5)``.
-        n_epochs: passes over all of them.
-        learning_rate: of Adam at the start; it falls to nothing.
-        batch_size: examples of a gradient step.
-        seed: of their order.
+        n_epochs: passes over all examples.
+        learning_rate: initial learning rate of Adam; it decays to 0.
+        batch_size: examples per gradient step.
+        seed: seed of their order.
     """
     torch = training_torch()
     random = np.random.default_rng(seed)
@@ -117,7 +117,7 @@ def fit(
 
 
 def _bells() -> npt.NDArray[np.float32]:
-    """How a steering choice counts for all of them, ``(21, 21)``."""
+    """Returns the smoothed target for each steering choice, ``(21, 21)``."""
     places = np.arange(CHOICES[0])
     bells = np.exp(-(((places[:, None] - places) / _BLUR) ** 2) / 2)
     shares: npt.NDArray[np.float32] = (bells / bells.sum(axis=1, keepdims=True)).astype(np.float32)
@@ -125,13 +125,13 @@ def _bells() -> npt.NDArray[np.float32]:
 
 
 def _losses(logits: Sequence[Any], targets: Sequence[Any]) -> list[Any]:
-    """The mean cross-entropy of each choice; a target is numbers or shares."""
+    """Returns the mean cross-entropy of each choice; targets are indices or distributions."""
     entropy = training_library("torch").nn.functional.cross_entropy
     return [entropy(*pair) for pair in zip(logits, targets, strict=True)]
 
 
 def _logits(network: Any, inputs: Any) -> Any:
-    """The logits of each choice."""
+    """Returns the logits of each choice."""
     logits = network.action_net(network.mlp_extractor.policy_net(inputs))
     return logits.split(list(CHOICES), dim=1)
 

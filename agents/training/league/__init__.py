@@ -1,3 +1,3 @@
-"""A league of players that learn against each other's past selves."""
+"""A league of players that train against past selves of all players."""
 
 __all__: list[str] = []

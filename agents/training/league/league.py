@@ -1,20 +1,20 @@
-"""A league: players learn in turns against each other's past selves, and are rated.
+"""Trains and rates a league of players that take turns to learn against past selves of all players.
 
     stkzoo league --output leagues/first --total-timesteps 2000000
 
-AlphaStar's league (Vinyals et al., 2019) scaled down to one machine. In its turn a player learns
-for a while with PPO (:mod:`stkzoo.agents.training.ppo.selfplay`) and leaves a frozen copy, its
-newest past self. A *main* player meets itself in half of its races and all past selves of all
-players in the others, most often those that it does not beat. An *exploiter* meets the main
-player's newest past self (or older ones, while the newest is too strong) to find its weaknesses; a
-*league exploiter* meets all past selves. An exploiter that has won, or has tried for long, starts
-over. After each turn the new past self plays matches; the ratings come from the orders of finish of
-all matches, with the game's AI and the common starting policy among the members.
+This is AlphaStar's league (Vinyals et al., 2019), scaled down to one machine. In its turn, a player
+trains with PPO (:mod:`stkzoo.agents.training.ppo.selfplay`) and saves a frozen copy, its newest
+past self. A *main* player meets itself in half of its races and past selves of all players in the
+others, most often those that it does not beat. An *exploiter* meets the main player's newest past
+self, or older ones while the newest is too strong, to find its weaknesses. A *league exploiter*
+meets all past selves. An exploiter that has won, or has run out of turns, starts over. After each
+turn the new past self plays matches. Ratings come from the finishing orders of all matches, whose
+members include the game's AI and the common starting policy.
 
-The same command with more ``--total-timesteps`` continues, and so does the same command after a
-kill: the turn that was under way is played again, bit for bit. In the folder are ``league.html``
-(rating curves and who beats whom; open it in a browser), ``league.json``, ``members`` (weights,
-which ``python -m stkzoo.agents.training.export`` makes agents of) and a run's folder per player.
+To continue, also after a kill, run the same command again, perhaps with more ``--total-timesteps``;
+an interrupted turn repeats bit for bit. The folder contains ``league.html`` (rating curves and
+head-to-head results; open it in a browser), ``league.json``, ``members`` (weights that ``python -m
+stkzoo.agents.training.export`` converts to agents) and a run folder per player.
 """
 
 from __future__ import annotations
@@ -58,28 +58,28 @@ from .players import (
 _STATE, _PAGE, _MEMBERS, _DUELS = "league.json", "league.html", "members", "duels.json"
 _VERSION = 2
 
-#: Gets, after each iteration, the league's kart-steps, the player's name and its line of the log.
+#: Called after each iteration with the league's kart-steps, the player's name and its log line.
 Report = Callable[[int, str, dict[str, float]], None]
 
 
 @dataclass(frozen=True, slots=True)
 class LeagueArguments(PPOArguments):
-    """Arguments of a league; a league continues only with the same.
+    """Arguments of a league; they must not change when a league continues.
 
     Attributes:
-        mains: main players.
-        exploiters: exploiters of the main players.
-        league_exploiters: exploiters of the whole league.
+        mains: number of main players.
+        exploiters: number of exploiters of the main players.
+        league_exploiters: number of exploiters of the whole league.
         turn: kart-steps of a turn, without those of rivals.
         matches: matches of each new past self.
-        patience: turns after which an exploiter starts over in any case.
-        tracks: tracks for learning and for matches.
-        races: races side by side, as in ppo.selfplay; rivals drive in those without the game's AI.
-        groups: the races are dealt to this many groups; one is computed while the others run.
+        patience: maximum turns of an exploiter before it starts over.
+        tracks: tracks for training and for matches.
+        races: parallel races, as in ppo.selfplay; rivals drive in those without the game's AI.
+        groups: number of groups of races; the script computes one group while the others run.
         n_steps: steps of each race between two updates.
-        anneal_timesteps: kart-steps of a player over which the learning rate falls.
-        warm_up: iterations at the start in which only the value is learned.
-        init: policy file that all start from; empty starts from the plans alone.
+        anneal_timesteps: kart-steps of a player over which the learning rate decays.
+        warm_up: iterations at the start that train only the value network.
+        init: policy file that all players start from; empty starts from the plans.
     """
 
     may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "exploiters", "league_exploiters", "warm_up")
@@ -106,7 +106,7 @@ class LeagueArguments(PPOArguments):
     init: str = ""
 
     def of_learner(self, number: int, generation: int) -> SelfPlayArguments:
-        """The arguments of the run of a player."""
+        """Returns the arguments of a player's run."""
         seeds = np.random.SeedSequence([self.seed, number, generation])
         shared = {entry.name for entry in fields(SelfPlayArguments)} - {"seed"}
         values = {name: value for name, value in asdict(self).items() if name in shared}
@@ -115,7 +115,7 @@ class LeagueArguments(PPOArguments):
 
 @dataclass(slots=True)
 class _LeagueState:
-    """A league between two turns."""
+    """State of a league between two turns."""
 
     turn: int = 0
     kart_steps: int = 0
@@ -161,14 +161,15 @@ class League:
     """A league: its players, past selves and files.
 
     Args:
-        folder: the league's.
-        arguments: of the league.
+        folder: folder of the league.
+        arguments: arguments of the league.
 
     Attributes:
-        page: the page's file.
+        page: file of the page.
 
     Raises:
-        ConfigError: a library is missing, an argument is invalid, or the folder has another league.
+        ConfigError: a library is missing, an argument is invalid, or the folder contains another
+            league.
     """
 
     def __init__(self, folder: str | Path, arguments: LeagueArguments) -> None:
@@ -195,13 +196,13 @@ class League:
     def play_turn(self, report: Report) -> str:
         """Plays the next turn and writes its results.
 
-        Everything random comes from the league's seed and the turn's number.
+        All random numbers derive from the league's seed and the turn's number.
 
         Args:
             report: called after each iteration.
 
         Returns:
-            The newest member's name.
+            Name of the newest member.
         """
         state = self._state
         player = state.players[state.turn % len(state.players)]
@@ -218,20 +219,20 @@ class League:
         return name
 
     def policy(self, name: str) -> RacingPolicy:
-        """A member's policy."""
+        """Returns a member's policy."""
         if name not in self._policies:
             self._policies[name] = RacingPolicy(load_weights(self._file(name)))
         return self._policies[name]
 
     def table(self) -> list[str]:
-        """The ratings as text, best first."""
+        """Returns the lines of a table of ratings, best first."""
         found = sorted(self._state.ratings.items(), key=lambda item: -item[1][0])
         return [f"{name:>24}  {r[0]:5.1f} ({r[1]:5.1f} to {r[2]:5.1f})" for name, r in found]
 
     # ------------------------------------------------------------------ parts of a turn
 
     def _learn(self, player: Player, matchmaker: PlayerMatchmaker, report: Report) -> None:
-        """Learns, and keeps checkpoint, duels and weights; does nothing that was done before."""
+        """Trains and saves checkpoint, duels and weights, unless this was done already."""
         state, folder = self._state, self.folder / player.folder
         until = player.kart_steps + self.arguments.turn
         arguments = self.arguments.of_learner(state.players.index(player), player.generation)
@@ -244,7 +245,7 @@ class League:
                     log.write(line)
                     done = state.kart_steps + learner.kart_steps - player.kart_steps
                     report(done, player.name, line)
-            if is_played:  # the program ended between the checkpoint and the league's state
+            if is_played:  # interrupted between writing the checkpoint and the league's state
                 matchmaker.restore(asdict(read_run_file(DuelResults, folder / _DUELS)))
             else:
                 write_json(folder / _DUELS, matchmaker.state())
@@ -308,7 +309,7 @@ class League:
 
 
 def _start_weights(arguments: LeagueArguments) -> Mapping[str, Any]:
-    """The weights that all players start from."""
+    """Returns the weights that all players start from."""
     if not arguments.init:
         return RacingPolicy.of_plans_alone().weights
     weights = load_weights(arguments.init)
@@ -337,7 +338,7 @@ class LeagueOptions(ScriptOptions):
 
 
 def play(options: LeagueOptions, arguments: LeagueArguments) -> None:
-    """Plays turns, or continues a league.
+    """Starts or continues a league.
 
     Raises:
         ConfigError: see :class:`League`.
@@ -360,7 +361,7 @@ def main(words: list[str] | None = None) -> int:
 
 
 def _show(bar: ProgressBar, done: int, player: str, line: dict[str, float]) -> None:
-    """Updates the bar after an iteration of a turn."""
+    """Updates the progress bar after an iteration."""
     ratio = line.get("selfplay_ratio")
     shown = "" if ratio is None else f"  time ratio {ratio:.3f}"
     bar.show(done, f"{player}{shown}  {line['kart_steps_per_s']:.0f}/s")

@@ -18,7 +18,7 @@ from .players import PlayerMatchmaker
 
 
 class _RivalRace:
-    """The drivers and the state of one race."""
+    """Drivers and state of one race."""
 
     def __init__(self, lineup: Lineup, slots: IntArray) -> None:
         self.lineup, self.slots = lineup, slots
@@ -27,7 +27,7 @@ class _RivalRace:
         self.ranks = np.zeros(len(slots), int)  # 0 while racing
 
     def assign(self, rival: str | None, random: np.random.Generator) -> None:
-        """Gives half of the karts to a rival for the present race."""
+        """Assigns half of the karts to a rival for the current race."""
         self.rival = rival
         self.ranks[:] = 0
         order = random.permutation(len(self.slots))
@@ -35,7 +35,7 @@ class _RivalRace:
 
     @property
     def beaten(self) -> float:
-        """The share of the duels with the rival that were won."""
+        """Fraction of the duels with the rival that the learner won."""
         own, rivals = self.ranks[~self.is_rival], self.ranks[self.is_rival]
         return float((own[:, None] < rivals).mean())
 
@@ -43,12 +43,12 @@ class _RivalRace:
 class LeagueLearner(PPOLearner):
     """A run of :mod:`~stkzoo.agents.training.ppo.selfplay` with rivals in some races.
 
-    A rival drives half of the karts of such a race; nothing is learned from those.
+    A rival drives half of the karts in such a race; the learner does not train on those.
 
     Args:
-        folder: the run's.
-        arguments: of the run.
-        matchmaker: decides whom the learner meets.
+        folder: folder of the run.
+        arguments: arguments of the run.
+        matchmaker: chooses the rivals.
         seed: seed of the matchmaking from now on.
 
     Raises:
@@ -67,7 +67,7 @@ class LeagueLearner(PPOLearner):
         super().__init__(folder, arguments)
 
     def begin_races(self) -> None:
-        """Begins new races, and draws the rivals in them."""
+        """Starts new races and draws their rivals."""
         super().begin_races()
         self._races = [
             [_RivalRace(race.lineup, race.slots) for race in fleet.races] for fleet in self._fleets
@@ -116,5 +116,5 @@ class LeagueLearner(PPOLearner):
 
 
 def rows_of(view: PolicyInput, rows: IntArray) -> PolicyInput:
-    """The inputs of some of the karts."""
+    """Returns the inputs of some of the karts."""
     return PolicyInput(view.inputs[rows], view.prior[rows])

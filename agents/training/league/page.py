@@ -1,4 +1,4 @@
-"""A league as one page: rating curves, standings, and who beats whom."""
+"""The page of a league: rating curves, standings, and head-to-head results."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from ..common.matches import AI, MatchRecord, payoff
 from ..plot import rating_figure
 from .players import START
 
-#: Rows of the matrix at most.
+#: Maximum number of rows of the matrix.
 _MOST_ROWS = 16
-#: What refers to other pages in the text of a chart; a page in HTML needs none of it.
+#: References to other pages in the SVG of a chart; inline SVG in HTML does not need them.
 _LINKS = re.compile(r' xmlns(:xlink)?="[^"]*"|<metadata>.*?</metadata>', re.DOTALL)
 
 _STYLE = """
@@ -49,12 +49,13 @@ def page(
     matches: Sequence[MatchRecord],
     ratings: Mapping[str, Sequence[float]],
 ) -> str:
-    """The page as self-contained HTML.
+    """Returns the page as self-contained HTML.
 
     Args:
-        members: of the league: ``name``, ``player``, ``kart_steps`` and ``league_steps`` of each.
-        matches: those that were played.
-        ratings: value, low and high end of the interval by name; the game's AI is there too.
+        members: members of the league with ``name``, ``player``, ``kart_steps`` and
+            ``league_steps``.
+        matches: matches so far.
+        ratings: rating, lower and upper end of its interval by name, including the game's AI.
     """
     players = sorted({str(member["player"]) for member in members} - {""}, key=_kind)
     steps = max((int(member["league_steps"]) for member in members), default=0)
@@ -87,7 +88,7 @@ def _kind(player: str) -> tuple[int, str]:
 def _shown(
     members: Sequence[Mapping[str, Any]], ratings: Mapping[str, Sequence[float]]
 ) -> list[str]:
-    """Names for the matrix, best first: what all began from, the AI, the others evenly."""
+    """Returns names for the matrix, best first: the start, the AI, and evenly chosen others."""
     newest = {str(member["player"]): str(member["name"]) for member in members if member["player"]}
     others = [str(m["name"]) for m in members if m["player"] and m["name"] not in newest.values()]
     count = max(_MOST_ROWS - 2 - len(newest), 1)
@@ -106,7 +107,7 @@ def _chart(
     players: Sequence[str],
     ratings: Mapping[str, Sequence[float]],
 ) -> str:
-    """The ratings over kart-steps as a part of the page, in the page's colours."""
+    """Returns an SVG of the ratings over kart-steps in the page's colours."""
     curves: dict[str, list[tuple[float, Sequence[float]]]] = {player: [] for player in players}
     for member in members:
         if member["player"] and member["name"] in ratings:
@@ -115,7 +116,7 @@ def _chart(
     names = {START: "start", AI: "the AI"}
     levels = {shown: ratings[name][0] for name, shown in names.items() if name in ratings}
     text = io.StringIO()
-    # The same league gives the same page.
+    # Keeps the page of the same league identical.
     settings = {"svg.fonttype": "none", "svg.hashsalt": "league"}
     with import_extra("matplotlib", "the page needs", "tournament").rc_context(settings):
         figure = rating_figure(curves, levels)

@@ -17,16 +17,16 @@ from ..common.opponents import Rival, RivalPool
 
 #: Kinds of players.
 MAIN, EXPLOITER, LEAGUE_EXPLOITER = "main", "exploiter", "league-exploiter"
-#: The member that all players start from.
+#: Name of the member that all players start from.
 START = "start"
-#: A main player meets itself in this share of its races.
+#: Fraction of its races in which a main player meets itself.
 _SELF_PLAY = 0.5
-#: An exploiter has won when it is ahead in this share of the duels.
+#: Fraction of won duels at which an exploiter has succeeded.
 _WON = 0.7
-#: While the newest main player is beaten less often, an exploiter meets older ones too.
+#: Below this fraction of duels won against the newest main player, exploiters meet older ones too.
 _TOO_STRONG = 0.2
 _ENDLESS = 1_000_000
-#: Matches have other starting points than races of learning, which are numbered from 0.
+#: First starting point of matches; training numbers its starting points from 0.
 _FIRST_NUMBER = 2000
 
 
@@ -35,13 +35,14 @@ class Player:
     """A player of the league.
 
     Attributes:
-        name: of the player.
+        name: name of the player.
         kind: main, exploiter or league exploiter.
-        generation: how often it has started over.
-        turns: played since then.
-        past_turns: played before.
-        kart_steps: learned from since it began.
-        pool: how its duels went, of :class:`~stkzoo.agents.training.common.opponents.RivalPool`.
+        generation: number of times it has started over.
+        turns: turns since it last started over.
+        past_turns: turns of earlier generations.
+        kart_steps: training kart-steps since it last started over.
+        pool: results of its duels, from
+            :class:`~stkzoo.agents.training.common.opponents.RivalPool`.
     """
 
     name: Annotated[str, Matching(r"[a-z-]+", "the name of a player")]
@@ -59,20 +60,20 @@ class Player:
 
     @property
     def folder(self) -> str:
-        """The folder of its run."""
+        """Folder of its run."""
         return f"{self.name}-g{self.generation}"
 
     def is_done(self, beaten: float, patience: int) -> bool:
-        """Whether it starts over; a main player never does.
+        """Whether the player starts over; a main player never does.
 
         Args:
-            beaten: the share of duels won in the last turn.
-            patience: turns that it may take.
+            beaten: fraction of duels won in the last turn.
+            patience: maximum number of turns.
         """
         return self.kind != MAIN and (beaten >= _WON or self.turns >= patience)
 
     def start_over(self) -> None:
-        """Drops the learned policy; the past selves stay in the league."""
+        """Drops the learned policy; its past selves stay in the league."""
         self.generation += 1
         self.past_turns += self.turns
         self.turns = self.kart_steps = 0
@@ -88,10 +89,10 @@ class DuelResults:
 
 
 def new_players(mains: int, exploiters: int, league_exploiters: int) -> list[Player]:
-    """New players of each kind, in the order of their turns.
+    """Returns new players of each kind, in the order of their turns.
 
     Raises:
-        ConfigError: there is no main player, or a number is below 0.
+        ConfigError: there is no main player, or a number is negative.
     """
     if mains < 1 or min(exploiters, league_exploiters) < 0:
         raise ConfigError(
@@ -116,12 +117,12 @@ class PlayerMatchmaker:
     """Draws the rivals of a player in a turn.
 
     Args:
-        player: whose turn it is.
-        members: the league's past selves, the oldest first.
+        player: the player whose turn it is.
+        members: past selves in the league, the oldest first.
         policy: returns a member's policy.
 
     Attributes:
-        pool: the members, with the share of duels won against each.
+        pool: the members, with the fraction of duels won against each.
         policy: returns a member's policy.
     """
 
@@ -141,7 +142,7 @@ class PlayerMatchmaker:
         self._reported: list[float] = []
 
     def draw(self, random: np.random.Generator) -> str | None:
-        """The rival's name of a race; ``None`` for yourself."""
+        """Draws the rival's name for a race; ``None`` is the player itself."""
         kind = self._player.kind
         if kind == MAIN and random.random() < _SELF_PLAY:
             return None
@@ -154,16 +155,16 @@ class PlayerMatchmaker:
         return newest
 
     def update(self, name: str, beaten: float) -> None:
-        """Updates with the share of the duels with a rival that were won in a race."""
+        """Adds the fraction of duels with a rival that were won in a race."""
         self.pool.update(name, beaten)
         self._reported.append(beaten)
 
     def beaten(self) -> float:
-        """The share of duels won in this turn; 0 without duels."""
+        """Fraction of duels won in this turn; 0 without duels."""
         return float(np.mean(self._reported)) if self._reported else 0.0
 
     def state(self) -> dict[str, Any]:
-        """The results of the duels as JSON values."""
+        """Returns the results of the duels as JSON values."""
         return {"pool": self.pool.state(), "reported": self._reported}
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -180,15 +181,15 @@ def draw_matches(
     count: int,
     random: np.random.Generator,
 ) -> list[Match]:
-    """Matches of the newest member with the others that it has met least.
+    """Draws matches of the newest member with the members that it has met least.
 
     Args:
-        newest: its name.
-        members: all names.
-        records: of the matches that were played.
-        tracks: driven in turn, in both directions.
-        count: how many.
-        random: decides between equals.
+        newest: name of the newest member.
+        members: names of all members.
+        records: records of previous matches.
+        tracks: tracks, driven in turn and in both directions.
+        count: number of matches.
+        random: random generator for ties.
     """
     others = [name for name in members if name != newest]
     met = {name: sum(name in r.order for r in records if newest in r.order) for name in others}

@@ -1,3 +1,3 @@
-"""Self-play with PPO on many races at once, by choices among plans."""
+"""Self-play with PPO over plans, in many parallel races."""
 
 __all__: list[str] = []

@@ -1,4 +1,4 @@
-"""Policy and value network of PPO over plans, in torch for learning and in numpy for acting."""
+"""Policy and value network of PPO over plans, in PyTorch for training and numpy for acting."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from stkzoo.errors import ConfigError
 from ..common.command import training_torch
 
 NUM_LOGITS = sum(CHOICES)
-#: Lower limit of an input's standard deviation, so that constant inputs are not amplified.
+#: Minimum standard deviation of an input, so that constant inputs are not amplified.
 _LEAST_SCALE = np.float32(0.2)
-#: The value that an output of 1 stands for.
+#: Value that corresponds to an output of 1.
 VALUE_UNIT = 10.0
 
 
 class ActorCritic:
-    """Policy and value network with their optimiser.
+    """Policy and value network with their optimizer.
 
     Args:
         hidden: units of the hidden layers.
         seed: seed of the initial weights.
-        learns: names of the choices that are learned.
-        init: file of weights to start from; empty starts from nothing.
+        learns: names of the choices to train.
+        init: file with initial weights; empty for new weights.
 
     Attributes:
-        policy: the policy's layers, a torch module.
-        value: the value's layers.
-        optimiser: of both; its first parameter group is the policy's.
-        columns: columns of the choices that are learned.
+        policy: layers of the policy, a PyTorch module.
+        value: layers of the value network.
+        optimiser: optimizer of both; its first parameter group is the policy's.
+        columns: columns of the trained choices.
 
     Raises:
-        ConfigError: a name or the file is wrong, or torch is not installed.
+        ConfigError: a name or the file is invalid, or PyTorch is not installed.
     """
 
     def __init__(self, hidden: Sequence[int], seed: int, learns: Sequence[str], init: str) -> None:
@@ -85,36 +85,37 @@ class ActorCritic:
         return arrays
 
     def actor(self) -> RacingPolicy:
-        """The present policy in numpy."""
+        """Returns the current policy in numpy."""
         return RacingPolicy(self._arrays(self.policy))
 
     def critic(self) -> dict[str, FloatArray]:
-        """The present weights of the value in numpy, for :func:`predict_values`."""
+        """Returns the current value weights in numpy, for :func:`predict_values`."""
         return self._arrays(self.value)
 
     def fit_normalisation(self, inputs: FloatArray) -> None:
-        """Takes mean and scale from inputs, the same for a race and its mirror image."""
+        """Sets mean and scale from inputs ``(N, F)``, equal for a race and its mirror image."""
         both = np.concatenate([inputs, mirrored_inputs(inputs)])
         self.mean = both.mean(axis=0)
         self.scale = 1.0 / np.maximum(both.std(axis=0), _LEAST_SCALE)
 
     def normalised(self, inputs: FloatArray) -> Any:
-        """The layers' inputs, a tensor."""
+        """Returns normalized inputs as a tensor."""
         return self.torch.from_numpy(
             np.clip((inputs - self.mean) * self.scale, -INPUT_CLIP, INPUT_CLIP)
         )
 
     def evaluate(self, inputs: Any, prior: Any, choices: Any) -> tuple[Any, Any, Any, Any]:
-        """Evaluates choices; tensors ``(B,)`` each.
+        """Evaluates choices.
 
         Args:
-            inputs: normalised, ``(B, F)``.
-            prior: logits of the plans alone, ``(B, NUM_LOGITS)``.
+            inputs: normalized inputs, ``(B, F)``.
+            prior: logits of the plans, ``(B, NUM_LOGITS)``.
             choices: ``(B, 4)``.
 
         Returns:
-            The choices' log-probability, the policy's entropy, its divergence from the prior
-            [nats], and the value of the inputs in units of :data:`VALUE_UNIT`.
+            Tensors ``(B,)``: log-probability of the choices, entropy of the policy, its KL
+                divergence from the prior [nats], and the value of the inputs in units of
+                :data:`VALUE_UNIT`.
         """
         logits = prior + self.policy(inputs)
         log_softmax = self.torch.log_softmax
@@ -130,7 +131,7 @@ class ActorCritic:
         return log_probability, entropy, prior_kl, self.value(inputs)[:, 0]
 
     def state(self) -> dict[str, Any]:
-        """Weights, optimiser and normalisation as tensors, for :meth:`restore`."""
+        """Returns weights, optimizer and normalization as tensors, for :meth:`restore`."""
         return {
             "policy": self.policy.state_dict(),
             "value": self.value.state_dict(),
@@ -148,13 +149,13 @@ class ActorCritic:
 
 
 def predict_values(critic: Mapping[str, FloatArray], inputs: FloatArray) -> FloatArray:
-    """The values of inputs ``(B, F)`` by the weights of :meth:`ActorCritic.critic`."""
+    """Returns the values of inputs ``(B, F)`` with the weights of :meth:`ActorCritic.critic`."""
     values: FloatArray = network(critic, inputs)[:, 0] * np.float32(VALUE_UNIT)
     return values
 
 
 def _columns(names: Sequence[str]) -> list[int]:
-    """The columns of choices by name."""
+    """Returns the columns of choices by name."""
     unknown = sorted(set(names) - set(CHOICE_NAMES))
     if unknown or not names:
         raise ConfigError(f"learns is {list(names)}; expected some of {', '.join(CHOICE_NAMES)}")

@@ -1,20 +1,21 @@
-"""Learns to race by self-play with PPO, on many races at once.
+"""Trains a policy over plans by self-play with PPO, in many parallel races.
 
     python -m stkzoo.agents.training.ppo.selfplay --output runs/first --total-timesteps 2000000
 
-Proximal policy optimisation (Schulman et al., 2017) with one policy on all karts of many races,
-among themselves and against the game's AI. A small network sees the racing view
-(:mod:`stkzoo.wrappers.racing`), what the driver remembers, and what plans for the next two seconds
-are worth (:mod:`stkzoo.agents.planning`). It chooses what to begin, nitro and fire, and optionally
-how much to turn beside the plan. Training starts from the driver that takes the best plan. Half of
-the karts, drawn for each race, drive in the mirror: left is right. The reward is the way along the
-track and places won; a finish does not end the return, so that nobody slows down for it.
+One policy drives all karts of many races, against itself and against the game's AI, and is trained
+with proximal policy optimization (Schulman et al., 2017). A small network sees the racing view
+(:mod:`stkzoo.wrappers.racing`), the driver's memory, and the worth of plans for the next two
+seconds (:mod:`stkzoo.agents.planning`). It chooses which manoeuvre to begin, nitro and fire, and
+optionally a steering offset from the plan. Training starts from the driver that takes the best
+plan. Half of the karts, drawn for each race, drive mirrored left to right. The reward is the
+distance driven along the track plus places gained. The return does not end at the finish, so that
+karts do not slow down before it.
 
-The same command with more ``--total-timesteps`` continues the run, and so does the same command
-after a kill, bit for bit: all races start again after a checkpoint. In the folder are
-``checkpoint.pt``, ``log.jsonl`` (one line per iteration), TensorBoard files, ``arguments.json``,
-and ``policy-STEPS.safetensors``, which ``python -m stkzoo.agents.training.export`` makes an agent
-of.
+To continue a run, also after a kill, run the same command again, perhaps with more
+``--total-timesteps``. The run continues bit for bit, because all races restart after a checkpoint.
+The folder contains ``checkpoint.pt``, ``log.jsonl`` (one line per iteration), TensorBoard files,
+``arguments.json``, and ``policy-STEPS.safetensors``, which ``python -m
+stkzoo.agents.training.export`` converts to an agent.
 """
 
 from __future__ import annotations
@@ -54,9 +55,9 @@ from ..common.run_folder import (
 )
 from .network import NUM_LOGITS, VALUE_UNIT, ActorCritic, predict_values
 
-#: Finished races in the means of the log.
+#: Number of finished races in the means of the log.
 _RECENT = 200
-#: The value's learning rate over the policy's.
+#: Ratio of the learning rates of value and policy.
 _VALUE_RATE = 4.0
 
 
@@ -65,23 +66,23 @@ _VALUE_RATE = 4.0
 
 @dataclass(frozen=True, slots=True)
 class SelfPlayArguments(PPOArguments):
-    """Arguments of a run; a run continues only with the same.
+    """Arguments of a run; they must not change when a run continues.
 
     Attributes:
         tracks: tracks to train on.
-        races: races side by side: 8x5 is five of eight learners, 4+2x3 three of four learners and
-            two karts of the game's AI at its hardest.
+        races: parallel races: 8x5 is five races of eight learners, 4+2x3 three races of four
+            learners and two karts of the game's AI at its highest difficulty.
         plans: JSON file of plan parameters, such as best.json of tune_plans; empty is the default.
-        groups: the races are dealt to this many groups; one is computed while the others run.
+        groups: number of groups of races; the script computes one group while the others run.
         n_steps: steps of each race between two updates.
-        anneal_timesteps: kart-steps over which learning rate and entropy coefficient fall.
+        anneal_timesteps: kart-steps over which learning rate and entropy coefficient decay.
         kl_coef: coefficient of the KL penalty towards the plans' prior.
-        learns: choices that are learned; the others stay those of the plans alone, or of --init.
-        place_reward: reward per place; a metre is worth 0.05.
-        target_kl: an update stops early beyond this divergence.
-        warm_up: iterations at the start in which only the value is learned.
-        init: policy file to start from; empty starts from the plans alone.
-        keep_every: kart-steps between two kept policies.
+        learns: choices to train; the others stay those of the plans, or of --init.
+        place_reward: reward per place; the reward per metre is 0.05.
+        target_kl: KL divergence at which an update stops early.
+        warm_up: iterations at the start that train only the value network.
+        init: policy file to start from; empty starts from the plans.
+        keep_every: kart-steps between two saved policies.
         checkpoint_every: iterations between two checkpoints.
     """
 
@@ -109,7 +110,7 @@ class SelfPlayArguments(PPOArguments):
 # ---------------------------------------------------------------------- rollouts
 
 
-#: The observations and actions of a group in one iteration: an array ``(T, S)`` of these.
+#: Element type of a group's rollout in one iteration, an array ``(T, S)``.
 _ROLLOUT = np.dtype(
     [
         ("inputs", np.float32, INPUT_SIZE),
@@ -118,7 +119,7 @@ _ROLLOUT = np.dtype(
         ("log_probability", np.float32),
         ("values", np.float32),
         ("rewards", np.float32),
-        ("next_values", np.float32),  # of the last inputs of a race that ended
+        ("next_values", np.float32),  # value of the last inputs of an ended race
         ("active", np.bool_),
         ("driven", np.bool_),
         ("ended", np.bool_),
@@ -130,7 +131,7 @@ _ROLLOUT = np.dtype(
 def advantages_of(
     rollout: np.recarray[Any, Any], last_values: FloatArray, gamma: float, gae_lambda: float
 ) -> FloatArray:
-    """Generalised advantages ``(T, S)``; a race that ended is bootstrapped."""
+    """Returns generalized advantages ``(T, S)``; ended races are bootstrapped."""
     advantages = np.zeros(rollout.shape, np.float32)
     advantage, next_values = np.zeros_like(last_values), last_values
     for step in reversed(range(len(rollout))):
@@ -173,12 +174,12 @@ class PPOLearner:
     """A run: its races, networks and files.
 
     Args:
-        folder: the run's.
-        arguments: of the run.
-        may_change: continue with these arguments where the run had others.
+        folder: folder of the run.
+        arguments: arguments of the run.
+        may_change: whether to continue even if the run had other arguments.
 
     Raises:
-        ConfigError: the folder has a run with other arguments, or an argument is invalid.
+        ConfigError: the folder contains a run with other arguments, or an argument is invalid.
     """
 
     def __init__(
@@ -214,7 +215,7 @@ class PPOLearner:
         self.begin_races()
 
     def begin_races(self) -> None:
-        """Begins new races; everything random from here on comes from seed and iteration."""
+        """Starts new races; later random numbers derive from seed and iteration."""
         seed = self.arguments.seed
         self._random = np.random.default_rng([seed, self.iteration])
         self._views = [
@@ -222,7 +223,7 @@ class PPOLearner:
         ]
 
     def iterate(self) -> dict[str, float]:
-        """One iteration: collects rollouts and updates; its line of the log."""
+        """Collects rollouts and updates the networks; returns the log entry."""
         begin = time.perf_counter()
         last_values = self._collect()
         if self.iteration == 0 and not self.arguments.init:
@@ -246,7 +247,7 @@ class PPOLearner:
         return {name: round(value, 6) for name, value in line.items()}
 
     def _collect(self) -> list[FloatArray]:
-        """Fills the rollouts; the values of the last inputs."""
+        """Fills the rollouts; returns the values of the last inputs."""
         actor, critic = self._network.actor(), self._network.critic()
         for group in range(len(self._fleets)):
             self._act(group, 0, actor, critic)
@@ -281,7 +282,7 @@ class PPOLearner:
         view: PolicyInput,
         actor: RacingPolicy,
     ) -> tuple[npt.NDArray[np.intp], FloatArray]:
-        """The choices of a group's karts, and their log-probabilities."""
+        """Returns the choices of a group's karts and their log-probabilities."""
         return actor.sample(view, self._random, self._network.columns)
 
     def _own_outcome(
@@ -289,11 +290,11 @@ class PPOLearner:
         group: int,  # noqa: ARG002 - a league takes out what others did in a group
         outcome: FleetStep,
     ) -> FleetStep:
-        """The part of a step's outcome that is learned from."""
+        """Returns the part of a step's outcome that is used for training."""
         return outcome
 
     def _update(self, last_values: Sequence[FloatArray]) -> dict[str, float]:
-        """Several epochs of gradient steps on the rollouts; figures for the log."""
+        """Runs several epochs of gradient steps on the rollouts; returns figures for the log."""
         arguments, nets = self.arguments, self._network
         gained = [
             advantages_of(rollout, last, arguments.gamma, arguments.gae_lambda)
@@ -385,7 +386,7 @@ class PPOLearner:
     # ------------------------------------------------------------------ checkpoints
 
     def save_checkpoint(self) -> None:
-        """Writes ``checkpoint.pt``; :meth:`begin_races` continues as the next program would."""
+        """Writes ``checkpoint.pt``; call :meth:`begin_races` next, as a resumed run does."""
         facts = {
             "history": self._history,
             "kart_steps": self.kart_steps,
@@ -395,7 +396,7 @@ class PPOLearner:
         save_checkpoint(self.folder, facts, {"network": self._network.state()})
 
     def save_policy(self, path: Path | None = None) -> Path:
-        """Writes the present policy, by default among the run's; its path."""
+        """Writes the current policy, by default to the run's folder; returns its path."""
         path = path or self.folder / f"policy-{self.kart_steps:09d}.safetensors"
         save_weights(path, self._network.actor().weights)
         return path
@@ -406,7 +407,7 @@ class PPOLearner:
             fleet.close()
 
     def _chapter(self, kart_steps: int = 0) -> dict[str, Any]:
-        """The arguments that hold from a number of kart-steps on."""
+        """Returns the arguments that apply from a number of kart-steps on."""
         rules = asdict(self._rules)
         return {"from": kart_steps, "arguments": asdict(self.arguments), "rules": rules}
 
@@ -429,7 +430,7 @@ class PPOLearner:
 
 
 def _company(lineup: Lineup) -> str:
-    """Whom the learners of a race meet."""
+    """Returns which opponents the learners of a race meet."""
     return "rivals" if lineup.bots else "selfplay" if lineup.learners > 1 else "alone"
 
 
@@ -442,7 +443,7 @@ class SelfPlayOptions(ScriptOptions):
 
     Attributes:
         total_timesteps: total kart-steps to train for.
-        may_change: continue with other arguments than the run had; arguments.json records both.
+        may_change: continue even if the arguments differ; arguments.json records both.
     """
 
     total_timesteps: int = option(required=True)
@@ -450,7 +451,7 @@ class SelfPlayOptions(ScriptOptions):
 
 
 def train(options: SelfPlayOptions, arguments: SelfPlayArguments) -> None:
-    """Trains, or continues a run.
+    """Starts or continues a run.
 
     Raises:
         ConfigError: see :class:`PPOLearner`.

@@ -1,4 +1,4 @@
-"""What RLlib calls while ``rllib.selfplay`` trains. Needs Ray."""
+"""Callbacks that RLlib calls during ``rllib.selfplay``. Needs Ray."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS
 
 from .races import MAIN, RLlibArguments, win_share
 
-#: Names of the figures that are logged.
+#: Names of the logged figures.
 WIN_SHARE, RACES, RESTARTED = "win_share", "races", "restarted"
 _WINDOW = 50
 
 
 class SelfPlay(RLlibCallback):
-    """Tells who won, and makes a frozen snapshot of the learner when it wins often.
+    """Logs results, and saves a frozen snapshot of the learner when it wins often enough.
 
     Args:
-        arguments: of the run.
+        arguments: arguments of the run.
     """
 
     def __init__(self, arguments: RLlibArguments) -> None:
@@ -30,16 +30,16 @@ class SelfPlay(RLlibCallback):
         self._races_then = 0.0
 
     def remember(self, promotions: int, races: float) -> None:
-        """Continues a run: how many snapshots there are, and after how many races."""
+        """Continues a run with a number of snapshots, the last one made after ``races`` races."""
         self.promotions, self._races_then = promotions, races
 
     def on_algorithm_init(self, *, algorithm: Any, **_: Any) -> None:
-        """All past selves begin as the learner does."""
+        """Initializes all past selves with the learner's weights."""
         for module in self._arguments.modules[1:]:
             copy_main(algorithm, module)
 
     def on_episode_end(self, *, episode: Any, metrics_logger: Any, **_: Any) -> None:
-        """Logs how the race ended; runs where the race ran."""
+        """Logs the result of the race; runs in the env runner."""
         positions = {
             agent: int(single.get_infos(-1)["position"])
             for agent, single in episode.agent_episodes.items()
@@ -65,12 +65,12 @@ class SelfPlay(RLlibCallback):
         result["promotions"] = self.promotions
 
     def on_env_runners_recreated(self, *, env_runner_indices: list[int], **_: Any) -> None:
-        """Counts the env runners that came back."""
+        """Counts the restarted env runners."""
         self.restarts += len(env_runner_indices)
 
 
 def copy_main(algorithm: Any, module: str) -> None:
-    """Makes a frozen module the same as the learner, on all learners and env runners."""
+    """Copies the learner's weights to a frozen module, on all learners and env runners."""
 
     def copy(learner: Any) -> None:
         learner.module[module].load_state_dict(learner.module[MAIN].state_dict())

@@ -1,6 +1,6 @@
 """What RLlib's env runners need on any node: the run's arguments, the game's data, and races.
 
-Nothing here needs Ray but :class:`PackSender`'s methods.
+Only the methods of :class:`PackSender` need Ray.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from stkzoo.errors import AssetError, ConfigError
 
 from ..common.arguments import PPOArguments, RunArguments, track_names
 
-#: The module that learns.
+#: Name of the module that learns.
 MAIN = "main"
 _SENDER, _NAMESPACE = "stkzoo-pack", "stkzoo"
-#: For the pack to be made and sent [s].
+#: Time limit for making and sending the pack [s].
 _PATIENCE = 1800.0
 
 
@@ -31,21 +31,21 @@ class RLlibArguments(PPOArguments):
 
     Attributes:
         iterations: total iterations.
-        env_runners: processes that race; 0 races in this one.
-        envs_per_runner: races at a time in each of them.
-        cpus_per_runner: processors that Ray reserves for each of them.
-        address: of a Ray cluster, or auto; empty starts Ray on this machine.
+        env_runners: processes that run races; 0 runs them in the main process.
+        envs_per_runner: parallel races in each env runner.
+        cpus_per_runner: processors that Ray reserves for each env runner.
+        address: address of a Ray cluster, or auto; empty starts Ray on this machine.
         pack: headless pack for nodes without the game's data; empty makes one.
         tracks: names of tracks, or train, test or all.
-        difficulty: of the game's AI, 0 to 3.
+        difficulty: difficulty of the game's AI, 0 to 3.
         learners: karts of the policy that learns.
         frozen: karts of its past selves.
         bots: karts of the game's AI.
-        slots: past selves that are kept.
-        promote_at: share of pairs won from which on a snapshot is made.
-        least_races: races between two snapshots.
-        max_cycles: steps after which a race is cut short.
-        train_batch_size: steps of races for an iteration, of all learners together.
+        slots: number of past selves to keep.
+        promote_at: fraction of duels won at which a snapshot is saved.
+        least_races: minimum races between two snapshots.
+        max_cycles: steps after which a race is truncated.
+        train_batch_size: environment steps per iteration, over all learners.
         checkpoint_every: iterations between two checkpoints.
         sample_timeout: seconds that an iteration waits for env runners.
     """
@@ -89,24 +89,24 @@ class RLlibArguments(PPOArguments):
 
     @property
     def all_tracks(self) -> list[str]:
-        """The tracks by name."""
+        """Returns the names of the tracks, with splits expanded."""
         return track_names(self.tracks)
 
     @property
     def modules(self) -> list[str]:
-        """The names of all modules, the one that learns first."""
+        """Returns the names of all modules; the first one learns."""
         return [MAIN, *(self.slot(number) for number in range(self.slots if self.frozen else 0))]
 
     def slot(self, number: int) -> str:
-        """The module of the snapshot of a number; a new one takes the oldest one's place."""
+        """Returns the module of a snapshot; a new one replaces the oldest."""
         return f"past_{number % self.slots}"
 
     def module_of(self, agent: str, episode: str) -> str:
-        """Who drives an agent's kart in an episode, the same whenever it is asked.
+        """Returns the module that drives an agent's kart in an episode; deterministic.
 
         Args:
-            agent: its id, ``kart_N``; the learner's karts come first.
-            episode: the episode's id, whose characters decide which past self drives.
+            agent: id of the agent, ``kart_N``; the learner's karts come first.
+            episode: id of the episode, whose characters select the past self.
         """
         number = int(agent.rpartition("_")[2])
         if number < self.learners:
@@ -115,11 +115,11 @@ class RLlibArguments(PPOArguments):
 
 
 def win_share(positions: Mapping[str, int], arguments: RLlibArguments) -> float | None:
-    """Of all pairs of a learner and a past self, the share in which the learner is ahead.
+    """Returns the fraction of pairs of a learner and a past self in which the learner is ahead.
 
     Args:
-        positions: of all agents at the end, 1 is first.
-        arguments: of the run; they say which policy drove which kart.
+        positions: final ranks by agent, 1 is first.
+        arguments: arguments of the run, which determine who drove which kart.
 
     Returns:
         0 to 1; ``None`` if there is no such pair.
@@ -133,11 +133,10 @@ def win_share(positions: Mapping[str, int], arguments: RLlibArguments) -> float 
 
 
 class PackSender:
-    """Provides the headless pack to nodes without the game's data. An actor on the driver's node.
+    """A Ray actor on the driver's node that sends the headless pack to other nodes.
 
     Args:
-        archive: the pack, as `stkzoo assets pack --output` writes it; empty makes one when it is
-            first asked for.
+        archive: the pack, as `stkzoo assets pack --output` writes it; empty makes one on first use.
     """
 
     def __init__(self, archive: str = "") -> None:
@@ -145,7 +144,7 @@ class PackSender:
 
     @classmethod
     def start(cls, archive: str = "") -> Any:
-        """Starts the actor, if there is none yet, and returns it."""
+        """Starts the actor if it does not exist, and returns it."""
         import ray
 
         node = ray.get_runtime_context().get_node_id()
@@ -156,7 +155,7 @@ class PackSender:
         ).remote(archive)
 
     def pack(self) -> bytes:
-        """The archive."""
+        """Returns the content of the archive."""
         if not self._bytes:
             with tempfile.TemporaryDirectory() as folder:
                 archive = Path(folder) / "stk.tar.xz"
@@ -166,16 +165,17 @@ class PackSender:
 
 
 def ensure_assets(archive: str = "") -> bool:
-    """Installs the headless pack where the game's data is missing.
+    """Installs the headless pack if the game's data is missing.
 
     Args:
-        archive: as `stkzoo assets pack --output` writes it; empty asks the :class:`PackSender`.
+        archive: the pack, as `stkzoo assets pack --output` writes it; empty requests it from the
+            :class:`PackSender`.
 
     Returns:
-        Whether it had to be installed.
+        Whether it was installed by this call.
 
     Raises:
-        AssetError: it is not available.
+        AssetError: the pack is not available.
     """
     if _have_assets():
         return False
@@ -183,8 +183,8 @@ def ensure_assets(archive: str = "") -> bool:
 
     cache = cache_folder()
     cache.mkdir(parents=True, exist_ok=True)
-    with FileLock(cache / "rllib.lock"):  # one process of a node at a time
-        if _have_assets():  # another env runner of this node has installed it
+    with FileLock(cache / "rllib.lock"):  # one process per node at a time
+        if _have_assets():  # another env runner on this node installed it
             return False
         if archive:
             install(archive=Path(archive))
@@ -210,7 +210,7 @@ def _asked_for() -> bytes:
 
         sender = ray.get_actor(_SENDER, namespace=_NAMESPACE)
         data: bytes = ray.get(sender.pack.remote(), timeout=_PATIENCE)
-    except Exception as error:  # Ray's errors have no common root, and Ray may be missing
+    except Exception as error:  # Ray's errors have no common base, and Ray may be missing
         raise AssetError(
             f"the game's data is missing on this node, and the driver does not send it ({error}); "
             "give --pack FILE, or run `stkzoo assets install` on it"
@@ -219,7 +219,7 @@ def _asked_for() -> bytes:
 
 
 def make_race(arguments: RLlibArguments) -> RaceParallelEnv:
-    """The races of one env runner: a race after another."""
+    """Returns the environment of one env runner."""
     ensure_assets()
     agents, tracks = arguments.learners + arguments.frozen, arguments.all_tracks
     return race_v0.parallel_env(

@@ -1,21 +1,22 @@
-r"""Learns to race by self-play with Ray RLlib, on one machine or a cluster.
+r"""Trains a policy by self-play with Ray RLlib, on one machine or a cluster.
 
     python -m stkzoo.agents.training.rllib.selfplay --output runs/rllib --iterations 200
     python -m stkzoo.agents.training.rllib.selfplay --output runs/rllib --iterations 200 \
         --address auto --env-runners 30
 
-PPO on RLlib's new API stack and PettingZoo's parallel API. In every race a policy that learns
-(``main``) drives some karts, frozen snapshots of itself others, and the game's AI the rest. When
-``main`` is ahead of its past selves often enough, a snapshot of it takes the place of the oldest
-one. All see the view ``racing``.
+The script uses PPO on RLlib's new API stack and PettingZoo's parallel API. In every race, the
+policy that learns (``main``) drives some karts, frozen snapshots of it drive others, and the game's
+AI drives the rest. When ``main`` finishes ahead of its past selves often enough, a snapshot of it
+replaces the oldest one. All policies see the view ``racing``.
 
-Env runners may be on many nodes. A node without the game's data is sent the headless pack (39 MB)
-before its first race. Env runners and nodes may die: they are started again elsewhere or later, and
-learning continues with the others.
+Env runners may be on many nodes. A node without the game's data receives the headless pack (39 MB)
+before its first race. If env runners or nodes die, RLlib restarts them, there or elsewhere, and
+training continues with the others.
 
-In the folder are ``log.jsonl`` (a line an iteration), ``checkpoint`` (RLlib's, replaced every few
-iterations in one step) and ``policy.safetensors``, which ``sb3.selfplay --init`` takes too. The
-same command with more ``--iterations`` continues, and so does the same command after a kill.
+The folder contains ``log.jsonl`` (one line per iteration), ``checkpoint`` (RLlib's, replaced
+atomically every few iterations) and ``policy.safetensors``, which ``sb3.selfplay --init`` accepts.
+To continue a run, also after a kill, run the same command again, perhaps with more
+``--iterations``.
 """
 
 from __future__ import annotations
@@ -40,9 +41,9 @@ from ..common.run_folder import TrainingLog, keep_arguments
 from .races import MAIN, PackSender, RLlibArguments, ensure_assets, make_race
 
 _CHECKPOINT, _POLICY = "checkpoint", "policy.safetensors"
-#: What may change when a run continues.
+#: Arguments that may change when a run continues.
 _FREE = ("iterations", "address", "env_runners", "checkpoint_every", "pack", "cpus_per_runner")
-#: What Stable-Baselines3 calls the layers of RLlib's module.
+#: Stable-Baselines3's names of the layers of RLlib's module.
 _LAYERS = {
     "encoder.actor_encoder.net.mlp.": "mlp_extractor.policy_net.",
     "encoder.critic_encoder.net.mlp.": "mlp_extractor.value_net.",
@@ -52,7 +53,7 @@ _LAYERS = {
 
 
 def build_config(arguments: RLlibArguments) -> Any:
-    """RLlib's configuration of a run."""
+    """Returns RLlib's configuration of a run."""
     from ray.rllib.algorithms.ppo import PPOConfig
     from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
     from ray.rllib.core.rl_module.multi_rl_module import MultiRLModuleSpec
@@ -77,7 +78,7 @@ def build_config(arguments: RLlibArguments) -> Any:
         )
         .fault_tolerance(
             restart_failed_env_runners=True,
-            restart_failed_sub_environments=True,  # a game that crashed
+            restart_failed_sub_environments=True,  # after a crash of the game
             num_consecutive_env_runner_failures_tolerance=1000,
             env_runner_health_probe_timeout_s=30.0,
             env_runner_restore_timeout_s=300.0,
@@ -113,15 +114,15 @@ def build_config(arguments: RLlibArguments) -> Any:
 
 
 def train(options: ScriptOptions, arguments: RLlibArguments) -> None:
-    """Trains, or continues a run.
+    """Starts or continues a run.
 
     Args:
-        options: the run's folder.
-        arguments: of the run.
+        options: folder of the run.
+        arguments: arguments of the run.
 
     Raises:
-        ConfigError: Ray is not installed, or the folder has another run.
-        AssetError: the game's data is missing here.
+        ConfigError: Ray is not installed, or the folder contains another run.
+        AssetError: the game's data is missing on this machine.
     """
     folder = options.output
     ray = _ray()
@@ -166,7 +167,7 @@ def _algorithm(arguments: RLlibArguments, folder: Path) -> Any:
 def _iterations(algorithm: Any, arguments: RLlibArguments, folder: Path) -> None:
     with TrainingLog(folder, algorithm.iteration) as log:
         if log.last:
-            found = algorithm.callbacks  # the progress of self-play is not in the checkpoint
+            found = algorithm.callbacks  # RLlib's checkpoint lacks the progress of self-play
             for callback in found if isinstance(found, list) else [found]:
                 callback.remember(log.last["promotions"], log.last["races"])
         while algorithm.iteration < arguments.iterations:
@@ -218,7 +219,7 @@ def _in_words(line: Mapping[str, Any], iterations: int) -> str:
 
 
 def _save(algorithm: Any, folder: Path) -> None:
-    """Replaces the checkpoint: at any moment a whole one is there, new or old."""
+    """Replaces the checkpoint so that a complete one exists at any moment."""
     new, old = folder / "checkpoint.new", folder / "checkpoint.old"
     for left in (new, old):
         shutil.rmtree(left, ignore_errors=True)
@@ -235,7 +236,7 @@ def _save(algorithm: Any, folder: Path) -> None:
 
 
 def sb3_names(state: Mapping[str, npt.NDArray[np.float32]]) -> dict[str, npt.NDArray[np.float32]]:
-    """The weights of RLlib's module under the names that Stable-Baselines3 has for them."""
+    """Returns the weights of RLlib's module under Stable-Baselines3's names."""
     return {
         theirs + name.removeprefix(ours): array
         for name, array in state.items()

@@ -1,4 +1,4 @@
-"""From easy to hard: more tracks, then both directions, then the game's better bots."""
+"""A curriculum over tracks, then reversed tracks and bot difficulties."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from stkzoo._schema import Count, Within, typed
 
-#: The training tracks in the order of how well a simple driver does on them, beside the AI.
+#: The training tracks, ordered by a simple driver's performance relative to the AI.
 EASY_TO_HARD = (
     "lighthouse",
     "cornfield_crossing",
@@ -30,22 +30,22 @@ EASY_TO_HARD = (
     "black_forest",
 )
 
-#: Bots of the game's difficulties 0 to 3.
+#: Number of difficulties of the game's bots.
 _DIFFICULTIES = 4
 
 
 class Curriculum:
-    """What races may be like by now.
+    """The tracks, directions and difficulties that are open at the current stage.
 
-    Stage ``n`` has the first ``n + 1`` tracks and, of the difficulties, one more for each two
-    stages; once all tracks are there, the reversed ones too. A stage is passed when the mean pace
-    of the races since is at least ``pass_at`` of that of the game's AI in such races.
+    Stage ``n`` has the first ``n + 1`` tracks, and one more difficulty every two stages. Once all
+    tracks are open, reversed tracks follow. A stage is passed when the mean pace of recent races
+    reaches ``pass_at`` times that of the game's AI in such races.
 
     Args:
-        tracks: from easy to hard.
-        pass_at: the pace, as a share of the AI's.
-        window: over how many karts' races it is taken.
-        stage: to begin with.
+        tracks: tracks from easy to hard.
+        pass_at: pace that passes a stage, relative to the AI's.
+        window: number of karts' races in the mean.
+        stage: initial stage.
     """
 
     def __init__(
@@ -57,31 +57,31 @@ class Curriculum:
 
     @property
     def open_tracks(self) -> tuple[str, ...]:
-        """Those that may be raced on."""
+        """Tracks of the current stage."""
         return self.tracks[: self.stage + 1]
 
     @property
     def is_reversible(self) -> bool:
-        """Whether tracks are driven the other way round too."""
+        """Whether the current stage includes reversed tracks."""
         return self.stage >= len(self.tracks)
 
     @property
     def difficulties(self) -> tuple[int, ...]:
-        """How hard the game's bots may be."""
+        """Difficulties of the game's bots at the current stage."""
         return tuple(range(min(2 + self.stage // 2, _DIFFICULTIES)))
 
     def draw(self, random: np.random.Generator) -> tuple[str, bool]:
-        """A track and whether it is reversed; the newest track comes half of the time."""
+        """Draws a track and whether it is reversed; the newest track has probability one half."""
         opened = self.open_tracks
         newest = len(self.tracks) > self.stage and random.random() < 0.5
         track = opened[-1] if newest else opened[int(random.integers(len(opened)))]
         return track, self.is_reversible and bool(random.random() < 0.5)
 
     def update(self, pace: float) -> bool:
-        """Updates with the pace of a kart in its race; whether the next stage begins.
+        """Adds the pace of a kart in its race; returns whether the next stage begins.
 
         Args:
-            pace: its metres a second over those of the game's AI.
+            pace: its mean speed over that of the game's AI.
         """
         self._paces.append(pace)
         is_full = len(self._paces) == self._paces.maxlen
@@ -92,7 +92,7 @@ class Curriculum:
         return True
 
     def state(self) -> dict[str, Any]:
-        """All of it as JSON values."""
+        """Returns the curriculum's state as JSON values."""
         return {"stage": self.stage, "paces": list(self._paces)}
 
     def restore(self, state: Mapping[str, Any]) -> None:

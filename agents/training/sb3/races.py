@@ -1,13 +1,13 @@
-"""Races for self-play as one ``VecEnv``: learners, frozen rivals and bots, drawn race by race.
+"""Self-play races as one ``VecEnv`` with learners, frozen rivals and bots.
 
-In some races the learner drives all agents; in the others a frozen rival drives half of them.
-For Stable-Baselines3 a rival's slot idles: each of its steps is an episode without reward, which
-:class:`stkzoo.sb3.ActiveRolloutBuffer` leaves out of the updates. So the rival can have
-another slot in the next race.
+In some races the learner drives all agents; in the others a frozen rival drives half of them. For
+Stable-Baselines3, a rival's slot is idle: each of its steps is an episode without reward, which
+:class:`stkzoo.sb3.ActiveRolloutBuffer` excludes from updates. A rival can therefore use other slots
+in the next race.
 
-The finish counts as a race that is cut short: the road continues behind the line, and a kart does
-not see how far away the line is. If the finish were terminal, the value of the last seconds before
-it would drop to zero, unpredictably and by far more than good and bad driving differ.
+The finish counts as a truncation, because the road continues behind the line and a kart does not
+observe its distance to the line. If the finish were terminal, the value would drop to zero
+unpredictably in the last seconds, by far more than the difference between good and bad driving.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from .curriculum import Curriculum
 
 Indices = None | int | Iterable[int]
 
-#: The length of a step, and how long karts wait on the grid for GO [s].
+#: Duration of a step and of the countdown before GO [s].
 STEP, COUNTDOWN = 0.1, 2.0
-#: A race is cut short after this multiple of the AI's median time.
+#: Time limit of a race, as a multiple of the AI's median time.
 PATIENCE = 2.0
-#: A race that begins elsewhere than on the grid is cut short after so many steps.
+#: Number of steps of a race that does not start on the grid.
 SHORT_RACE = 250
-#: More is a jump of the game's distance, off the road [m per step].
+#: Longest distance per step [m]; a longer one is a jump of the game's distance off the road.
 _LONGEST_STEP = 5.0
 
 
@@ -50,12 +50,12 @@ class RaceEnd:
     """The result of a learner's kart.
 
     Attributes:
-        track: its name.
+        track: name of the track.
         rival: the other driver: a snapshot, ``bot:0`` to ``bot:3``, or empty for none.
-        beaten: the share of the rival's karts that the learner's kart was ahead of.
-        pace: speed over that of the game's AI in such races.
-        finished: whether it finished.
-        steps: how many it drove.
+        beaten: fraction of the rival's karts that the learner's kart was ahead of.
+        pace: mean speed over that of the game's AI in such races.
+        finished: whether the kart finished.
+        steps: number of steps it drove.
     """
 
     track: str
@@ -67,7 +67,7 @@ class RaceEnd:
 
 
 def way_and_places() -> Reward:
-    """The reward: a tenth of the metres driven, and 0.3 per place won."""
+    """Returns the reward: 0.1 per metre driven, and 0.3 per place gained."""
 
     def metres(step: Any) -> Any:
         driven = step.distance - step.distance_before
@@ -80,7 +80,7 @@ def way_and_places() -> Reward:
 
 
 class _SelfPlayRace:
-    """One race after another: the drivers of the present one, and the options of the next one."""
+    """Successive races: drivers of the current one, and options of the next one."""
 
     def __init__(self, env: Any, lineup: Lineup, first: int) -> None:
         self.env, self.lineup = env, lineup
@@ -106,12 +106,12 @@ class _SelfPlayRace:
         self._track = race.track
 
     def face(self, rival: str, random: np.random.Generator) -> None:
-        """Lets a rival drive half of the karts."""
+        """Assigns half of the karts to a rival."""
         self.rival = rival
         self.is_learner[random.permutation(len(self.is_learner))[: len(self.is_learner) // 2]] = 0
 
     def ends(self) -> list[RaceEnd]:
-        """The results of the learner's karts, once all have ended."""
+        """Returns the results of the learner's karts, once all have ended."""
         places = np.array([info["position"] for info in self.finals])
         ends = []
         for row in np.flatnonzero(self.is_learner):
@@ -140,21 +140,22 @@ class _SelfPlayRace:
 
 
 class SelfPlayVecEnv(VecEnv):
-    """The races.
+    """Self-play races; each race is drawn from the curriculum and the opponent pools.
 
     Args:
-        lineups: of the races.
-        curriculum: decides what races are like; it is updated with the results.
-        bots: the game's bots as opponents; updated likewise.
-        snapshots: the frozen opponents; updated likewise.
-        snapshot_share: share of races without bots in which a snapshot drives half of the karts.
-        grid_share: share of races that begin on the grid; the others begin anywhere on the track.
-        hold: steps for which all hold a drift.
+        lineups: lineup of each race.
+        curriculum: determines tracks, directions and difficulties; updated with the results.
+        bots: the game's bots as opponents; updated with the results.
+        snapshots: the frozen opponents; updated with the results.
+        snapshot_share: fraction of races without bots in which a snapshot drives half of the karts.
+        grid_share: fraction of races that start on the grid; the others start anywhere on the
+            track.
+        hold: minimum steps of a drift, for all drivers.
 
     Attributes:
-        kart_steps: how many steps the learner has driven.
-        rewarded: the sum of its rewards.
-        ends: results of the learner's karts; the reader empties it.
+        kart_steps: number of steps that the learner has driven.
+        rewarded: sum of its rewards.
+        ends: results of the learner's karts; the reader empties the list.
 
     Raises:
         ConfigError: a lineup is invalid.
@@ -186,7 +187,7 @@ class SelfPlayVecEnv(VecEnv):
                 track=curriculum.tracks[0],
                 view="racing",
                 reward=reward,
-                prefetch=False,  # what comes next is not known before
+                prefetch=False,  # the next race depends on the results
             )
             self._envs.append(env)
             for race in env.races.races:
@@ -203,7 +204,7 @@ class SelfPlayVecEnv(VecEnv):
 
     @property
     def num_races(self) -> int:
-        """How many races run side by side."""
+        """Number of parallel races."""
         return len(self._races)
 
     def add_driver(self, name: str, driver: MlpDriver) -> None:
@@ -211,14 +212,14 @@ class SelfPlayVecEnv(VecEnv):
         self._drivers[name] = driver
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Seeds everything from the next :meth:`reset` on."""
+        """Seeds all random numbers from the next :meth:`reset` on."""
         self._random = np.random.default_rng(seed)
         for env in self._envs:
             env.seed(int(self._random.integers(2**31)))
         return [seed] * self.num_envs
 
     def reset(self) -> npt.NDArray[np.float32]:
-        """New races everywhere."""
+        """Starts new races; returns the observations of all slots."""
         for race in self._races:
             self._plan(race)
         views = np.concatenate([np.asarray(env.reset()) for env in self._envs])
@@ -231,7 +232,7 @@ class SelfPlayVecEnv(VecEnv):
         return self._observations
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
-        """Starts a step: the learner's choices for its karts, and their own for the rivals."""
+        """Starts a step with the learner's actions for its karts; rivals choose their own."""
         chosen = np.array(actions)
         for race in self._races:
             if not race.is_learner.all():
@@ -250,7 +251,7 @@ class SelfPlayVecEnv(VecEnv):
         npt.NDArray[np.bool_],
         list[dict[str, Any]],
     ]:
-        """The outcome of the step; a rival's slot idles."""
+        """Waits for the step and returns its results; slots of rivals are idle."""
         parts = [env.step_wait() for env in self._envs]
         views = np.concatenate([np.asarray(part[0]) for part in parts])
         rewards, dones = (np.concatenate([part[n] for part in parts]) for n in (1, 2))
@@ -266,17 +267,17 @@ class SelfPlayVecEnv(VecEnv):
         return self._observations, rewards, dones, infos
 
     def close(self) -> None:
-        """Ends the games."""
+        """Stops the game processes."""
         for env in self._envs:
             env.close()
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """An attribute of each slot's race."""
+        """Returns an attribute of each slot's race."""
         by_slot = [race.env for race in self._races for _ in range(race.lineup.learners)]
         return [getattr(by_slot[slot], attr_name) for slot in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Not possible: the curriculum sets the options of the races."""
+        """Not supported, because the curriculum sets the options of the races."""
         raise ConfigError(
             f"{attr_name} of {indices} is set by the curriculum, and not to {value!r}"
         )
@@ -284,18 +285,18 @@ class SelfPlayVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """The results of a method of each slot's race."""
+        """Returns the result of a method of each slot's race."""
         methods = self.get_attr(method_name, indices)
         return [method(*method_args, **method_kwargs) for method in methods]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Indices = None) -> list[bool]:
-        """No slot has a Gymnasium wrapper."""
+        """Returns ``False`` for each slot; none has a Gymnasium wrapper."""
         return [wrapper_class is None for _ in self._get_indices(indices)]
 
     # ------------------------------------------------------------------ race by race
 
     def _look(self, views: Any, dones: Any, infos: list[Any]) -> None:
-        """Has the action filter update, those whose race has ended by what they saw last."""
+        """Updates the action filter; for ended races, with their last observation."""
         last = np.array(views)
         for slot in np.flatnonzero(dones):
             last[slot] = infos[slot]["terminal_observation"]
@@ -337,7 +338,7 @@ class SelfPlayVecEnv(VecEnv):
         self._plan(race)
 
     def _plan(self, race: _SelfPlayRace) -> None:
-        """Draws the options of the race after this one, which begins by itself."""
+        """Draws the options of the next race, which starts automatically."""
         track, reverse = self._curriculum.draw(self._random)
         race.next_from_grid = bool(self._random.random() < self._grid_share)
         known = [bot_name(difficulty) for difficulty in self._curriculum.difficulties]

@@ -1,24 +1,25 @@
-"""Learns to race from nothing, by self-play with Stable-Baselines3's PPO.
+"""Trains a policy from scratch by self-play with Stable-Baselines3's PPO.
 
     python -m stkzoo.agents.training.sb3.selfplay --output runs/first --minutes 10
 
 One policy sees the view ``racing`` and drives the agents of several races. In half of the races
-without bots, one of its past selves drives half of the karts, the hard ones more often; in the
-races with bots, the difficulty of the game's AI is drawn in the same way. A curriculum opens more
-tracks, directions and difficulties as the policy gets faster. The reward is the way and the places
-won.
+without bots, one of its past selves drives half of the karts; hard opponents are drawn more often.
+In races with bots, the difficulty of the game's AI is drawn in the same way. A curriculum opens
+more tracks, directions and difficulties as the policy gets faster. The reward is the distance
+driven plus places gained.
 
     --minutes 10                stop after this time; the same command continues from there
-    --total-timesteps 2000000   or after this many kart-steps in total
+    --total-timesteps 2000000   or after this total of kart-steps
     --init FILE                 start from the weights of another run, or of imitation
     --races 4x4 2+2x2           four races of four agents, two of two agents and two bots
-    --supersuit                 the same through SuperSuit: plain self-play, for comparison
+    --supersuit                 use SuperSuit instead: plain self-play, for comparison
 
-After a kill, give the same command again. Training is divided into rounds; each begins with new
-races and its own seeds, and ends with a checkpoint, so that the run continues bit for bit. In the
-folder: ``checkpoint.pt``, ``log.jsonl`` (one line per update), ``arguments.json``, TensorBoard
-files, ``policy-STEPS.safetensors``, ``evaluations`` (races of kept policies, driven in a process
-beside the training), ``ratings.json``, and ``agent``, which ``stkzoo race`` takes:
+To continue a run that was killed, run the same command again. Training consists of rounds. Each
+round starts with new races and its own seeds and ends with a checkpoint, so that the run continues
+bit for bit. The folder contains ``checkpoint.pt``, ``log.jsonl`` (one line per update),
+``arguments.json``, TensorBoard files, ``policy-STEPS.safetensors``, ``evaluations`` (races of saved
+policies, driven by a process in the background), ``ratings.json``, and ``agent``, which ``stkzoo
+race`` accepts:
 
     tensorboard --logdir runs
     python -m stkzoo.agents.training.plot runs/first
@@ -65,12 +66,12 @@ from ..plot import RunRatings
 from ..rate import EVALUATIONS, RATINGS
 from .curriculum import EASY_TO_HARD, Curriculum
 
-#: Initial bias of choices, by their place in the view: to go rather than to brake, and to drift or
-#: call for the rescue rarely. Without it every kart stands for most of its first races.
+#: Initial biases by index of the logit: prefer going to braking, and rarely drift or call the
+#: rescue. Without them, karts stand still for most of their first races.
 _BIASES = {CHOICES[0]: 1.5, CHOICES[0] + RESCUE: -3.0, sum(CHOICES[:2]): 2.0}
-#: Arguments that Stable-Baselines3's PPO has too, under the same names.
+#: Arguments that have the same name in Stable-Baselines3's PPO.
 _PPO_NAMES = {entry.name for entry in fields(PPOArguments)} - {"hidden"}
-#: Karts in the means of the log.
+#: Number of karts in the means of the log.
 _RECENT = 100
 #: Time limit of the last evaluations [s].
 _LAST_EVALUATIONS = 1800.0
@@ -82,27 +83,28 @@ _EXTRAS = "sb3,train,tournament"
 
 @dataclass(frozen=True, slots=True)
 class SB3Arguments(PPOArguments):
-    """Arguments of a run; a run continues only with the same.
+    """Arguments of a run; they must not change when a run continues.
 
     Attributes:
-        races: groups of races: 4x4 is four of four agents, 2+2x2 two of two agents and two bots.
-        tracks: from easy to hard.
-        pass_at: the next stage begins at this pace, as a share of the AI's in such races.
-        snapshot_share: share of races without bots in which a snapshot drives half of the karts.
-        grid_share: share of races that begin on the grid; the others begin anywhere.
-        pool_size: snapshots kept as opponents.
-        init: weights to start from; empty starts from nothing.
+        races: groups of races: 4x4 is four races of four agents, 2+2x2 two races of two agents and
+            two bots.
+        tracks: tracks from easy to hard.
+        pass_at: pace, relative to the AI's in such races, at which the next stage begins.
+        snapshot_share: fraction of races without bots in which a snapshot drives half of the karts.
+        grid_share: fraction of races that start on the grid; the others start anywhere.
+        pool_size: number of snapshots to keep as opponents.
+        init: weights to start from; empty starts from scratch.
         n_steps: steps of each race between two updates.
-        updates: updates of a round, after which there is a checkpoint.
-        hold: steps for which a drift is held; it pays after 11.
-        warm_up: kart-steps at the start in which only the value is learned; for runs with --init.
-        decay_timesteps: learning rate and entropy coefficient fall as 1 / sqrt(1 + kart-steps /
-            this); 0 keeps them.
+        updates: updates per round; each round ends with a checkpoint.
+        hold: minimum steps of a drift; a drift earns a boost after 11 steps.
+        warm_up: kart-steps at the start that train only the value network; for runs with --init.
+        decay_timesteps: learning rate and entropy coefficient decay as 1 / sqrt(1 + kart-steps /
+            this); 0 keeps them constant.
         keep_every: kart-steps between two snapshots.
         evaluate_every: kart-steps between two evaluations.
-        evaluation_races: races of each evaluation; 0 evaluates nothing.
-        evaluation_tracks: driven in turn.
-        supersuit: through SuperSuit instead: plain self-play.
+        evaluation_races: races of each evaluation; 0 disables evaluations.
+        evaluation_tracks: tracks of evaluations, driven in turn.
+        supersuit: use SuperSuit instead: plain self-play.
     """
 
     may_be_zero: ClassVar[tuple[str, ...]] = (
@@ -136,15 +138,15 @@ class SB3Arguments(PPOArguments):
 
 
 class BackgroundEvaluation:
-    """Evaluates kept policies one after another with :mod:`stkzoo.agents.training.rate`.
+    """Evaluates saved policies one after another with :mod:`stkzoo.agents.training.rate`.
 
     Args:
-        run: the run's folder.
+        run: folder of the run.
         tracks: tracks of the races.
         races: races per policy.
 
     Attributes:
-        failures: how many evaluations failed.
+        failures: number of failed evaluations.
     """
 
     def __init__(self, run: Path, tracks: Sequence[str], races: int) -> None:
@@ -154,11 +156,14 @@ class BackgroundEvaluation:
         self.failures = 0
 
     def poll(self, names: Sequence[str], wait: float = 0.0) -> bool:
-        """Starts the next evaluation if none runs; whether one has finished since the last call.
+        """Starts the next evaluation if none is running.
 
         Args:
-            names: of the policies that are to be evaluated; each is evaluated once.
-            wait: for the present evaluation, at most this long [s].
+            names: policies to evaluate; each is evaluated once.
+            wait: maximum time to wait for the current evaluation [s].
+
+        Returns:
+            Whether an evaluation has finished since the last call.
         """
         is_finished = False
         if self._process is not None:
@@ -176,11 +181,11 @@ class BackgroundEvaluation:
 
     @property
     def is_busy(self) -> bool:
-        """Whether something is evaluated; what is due next is started as soon as it is over."""
+        """Whether an evaluation is running."""
         return self._process is not None
 
     def close(self) -> None:
-        """Ends the present evaluation."""
+        """Stops the current evaluation."""
         if self._process is not None:
             self._process.terminate()
             self._process.wait()
@@ -214,11 +219,12 @@ class SB3Run:
     """A run: its races, model and files.
 
     Args:
-        folder: the run's.
-        arguments: of the run.
+        folder: folder of the run.
+        arguments: arguments of the run.
 
     Raises:
-        ConfigError: a library is missing, an argument is invalid, or the folder has another run.
+        ConfigError: a library is missing, an argument is invalid, or the folder contains another
+            run.
     """
 
     def __init__(self, folder: str | Path, arguments: SB3Arguments) -> None:
@@ -250,12 +256,12 @@ class SB3Run:
             self.save_checkpoint()
 
     def play_round(self, report: Callable[[dict[str, float]], None]) -> None:
-        """Trains for a round, keeps the policy if that is due, and writes the checkpoint.
+        """Trains for a round, saves the policy if it is due, and writes the checkpoint.
 
-        Everything random comes from the run's seed and the round's number.
+        All random numbers derive from the run's seed and the round's number.
 
         Args:
-            report: called with each update's line of the log.
+            report: called with the log entry of each update.
         """
         arguments, model = self.arguments, self._model
         before = self.kart_steps
@@ -273,10 +279,10 @@ class SB3Run:
         self.save_checkpoint()
 
     def evaluate(self, wait: float = 0.0) -> bool:
-        """Goes on with the evaluations of kept policies; whether one has finished.
+        """Continues the evaluations of saved policies; returns whether one has finished.
 
         Args:
-            wait: for the present one, at most this long [s].
+            wait: maximum time to wait for the current one [s].
         """
         kept = sorted(self.folder.glob("policy-*.safetensors"))
         steps = [int(path.stem.removeprefix("policy-")) for path in kept]
@@ -285,7 +291,7 @@ class SB3Run:
         return self.evaluation.poll(due, wait)
 
     def _is_judged(self, before: int, now: int) -> bool:
-        """Whether a policy is evaluated; the last one that was kept had other kart-steps."""
+        """Whether an evaluation is due between two numbers of kart-steps."""
         every = self.arguments.evaluate_every
         is_due = before // every < now // every and now <= self.kart_steps
         return is_due and self.arguments.evaluation_races > 0
@@ -306,7 +312,7 @@ class SB3Run:
         save_checkpoint(self.folder, facts, state)
 
     def save_agent(self) -> Path:
-        """Writes the policy as an agent to race; its folder."""
+        """Writes the policy as an agent; returns its folder."""
         file = self.folder / "policy.safetensors"
         save_driver(file, self._model.policy, self._held)
         return export_policy(file, f"selfplay_{self.kart_steps}", self.folder / "agent")
@@ -344,7 +350,7 @@ class SB3Run:
         sb3 = importlib.import_module("stable_baselines3")
         logger = importlib.import_module("stable_baselines3.common.logger")
         buffers = importlib.import_module("stkzoo.sb3")
-        self._torch.set_num_threads(1)  # a small network; the cores are for the races
+        self._torch.set_num_threads(1)  # the network is small; leave the cores to the races
         with warnings.catch_warnings():
             # Batches may differ in size: the buffer leaves out idle slots.
             warnings.filterwarnings("ignore", "You have specified a mini-batch size")
@@ -364,7 +370,7 @@ class SB3Run:
         return model
 
     def _update(self) -> dict[str, float]:
-        """One update: its line of the log."""
+        """Runs one update; returns its log entry."""
         begin, envs = time.perf_counter(), self._envs
         before = envs.kart_steps, envs.rewarded
         self._anneal()
@@ -400,7 +406,7 @@ class SB3Run:
         return {name: round(value, 6) for name, value in line.items()}
 
     def _anneal(self) -> None:
-        """Sets learning rate and entropy coefficient, which fall so that the policy settles."""
+        """Sets the decayed learning rate and entropy coefficient."""
         arguments = self.arguments
         passed = self.kart_steps / arguments.decay_timesteps if arguments.decay_timesteps else 0.0
         share = (1.0 + passed) ** -0.5
@@ -408,7 +414,7 @@ class SB3Run:
         self._model.ent_coef = share * arguments.ent_coef
 
     def _warm_up(self) -> None:
-        """Freezes the policy until the value has been learned for a while."""
+        """Freezes the policy during the warm-up of the value network."""
         policy = self._model.policy
         for part in (policy.mlp_extractor.policy_net, policy.action_net):
             part.requires_grad_(self.kart_steps >= self.arguments.warm_up)
@@ -431,7 +437,7 @@ class SB3Run:
         return figures
 
     def _keep(self) -> str:
-        """Writes the present policy; its name."""
+        """Writes the current policy; returns its name."""
         name = f"policy-{self.kart_steps:09d}"
         save_driver(self.folder / f"{name}.safetensors", self._model.policy, self._held)
         return name
@@ -454,7 +460,7 @@ class SB3Run:
 
 
 def _explained(buffer: Any) -> float:
-    """The explained variance of the returns, without idle steps."""
+    """Returns the explained variance of the returns, without idle steps."""
     values, returns = (a.reshape(-1)[buffer.active] for a in (buffer.values, buffer.returns))
     return float(1.0 - np.var(returns - values) / max(np.var(returns), 1e-8))
 
@@ -472,7 +478,7 @@ class SB3Options(ScriptOptions):
 
     Attributes:
         total_timesteps: total kart-steps.
-        minutes: stop after this time, at the round's end.
+        minutes: stop after this time, at the end of a round.
     """
 
     total_timesteps: int = 10_000_000
@@ -480,7 +486,7 @@ class SB3Options(ScriptOptions):
 
 
 def train(options: SB3Options, arguments: SB3Arguments) -> None:
-    """Trains, or continues a run.
+    """Starts or continues a run.
 
     Raises:
         ConfigError: see :class:`SB3Run`.
@@ -513,14 +519,14 @@ def main(words: list[str] | None = None) -> int:
 
 
 def _summary(line: dict[str, float]) -> str:
-    """An update in a few words."""
+    """Returns a short text on an update."""
     names = ("pace", "finished", "beats_past", "beats_bots")
     figures = [f"{name.replace('_', ' ')} {line[name]:.2f}" for name in names if name in line]
     return f"stage {line['stage']:.0f}  {'  '.join(figures)}  {line['kart_steps_per_s']:.0f}/s"
 
 
 def _log_evaluation(run: SB3Run, log: TrainingLog, wait: float = 0.0) -> None:
-    """Adds an evaluation that has finished to the TensorBoard files."""
+    """Adds a finished evaluation to the TensorBoard files."""
     if not run.evaluate(wait):
         return
     latest = read_run_file(RunRatings, run.folder / RATINGS).policies[-1]

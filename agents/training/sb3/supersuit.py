@@ -1,4 +1,4 @@
-"""The same races through SuperSuit's vectorisation, for comparison: plain self-play, no rivals."""
+"""The same races through SuperSuit, for comparison: plain self-play without rivals."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from .races import SHORT_RACE, RaceEnd, way_and_places
 
 
 class SuperSuitRaces(VecEnvWrapper):
-    """Races in which the learner drives all karts, one after another within a step.
+    """Races in which the learner drives all karts, stepped one after another.
 
     Args:
-        lineups: of the races; only those like the first are driven. Its bots drive too.
-        tracks: drawn evenly.
+        lineups: lineups of the races; only those equal to the first are used, including its bots.
+        tracks: tracks, drawn uniformly.
 
     Attributes:
-        kart_steps: how many steps there were, those of karts that had finished among them.
-        rewarded: the sum of their rewards.
-        ends: nothing; SuperSuit does not tell how a kart's race ended.
+        kart_steps: number of steps, including those of karts that have finished.
+        rewarded: sum of their rewards.
+        ends: always empty; SuperSuit does not report how a kart's race ended.
     """
 
     def __init__(self, lineups: Sequence[Lineup], tracks: tuple[str, ...]) -> None:
@@ -45,7 +45,7 @@ class SuperSuitRaces(VecEnvWrapper):
         envs = supersuit.concat_vec_envs_v1(
             races, self.num_races, num_cpus=0, base_class="stable_baselines3"
         )
-        self._inner = envs.venv  # SuperSuit's SB3 form hands on no seed
+        self._inner = envs.venv  # SuperSuit's SB3 wrapper does not forward seeds
         self._seed: int | None = None
         self.kart_steps, self.rewarded = 0, 0.0
         self.ends: list[RaceEnd] = []
@@ -57,27 +57,27 @@ class SuperSuitRaces(VecEnvWrapper):
         return [seed] * self.num_envs
 
     def reset(self) -> npt.NDArray[np.float32]:
-        """New races everywhere."""
+        """Starts new races."""
         observations, _ = self._inner.reset(seed=self._seed)
         self._seed = None
         return np.asarray(observations)
 
     def step_wait(self) -> Any:
-        """What came of a step."""
+        """Waits for the step and returns its results."""
         step = self.venv.step_wait()
         self.kart_steps += self.num_envs
         self.rewarded += float(step[1].sum())
         return step
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of the vector, for each slot; SuperSuit has no way to those of races."""
+        """Returns an attribute of the vector environment per slot; races are not accessible."""
         found = getattr(self._inner, attr_name, None)
         return [found for _ in self._get_indices(indices)]
 
     def add_driver(self, name: str, driver: Any) -> None:
-        """Takes note of no rival."""
+        """Ignores the driver, because there are no rivals."""
 
     def close(self) -> None:
-        """Ends the games."""
+        """Stops the game processes."""
         for races in self._inner.vec_envs:
             races.close()
