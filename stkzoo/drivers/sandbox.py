@@ -42,7 +42,7 @@ _SYSTEM = (
     *("/usr", "/lib", "/lib32", "/lib64", "/bin", "/nix/store"),
     *("/etc/alternatives", "/etc/ld.so.cache", "/etc/localtime"),
 )
-#: What they need of the kernel, which bubblewrap mounts anew.
+#: What they need of the kernel, which bubblewrap mounts itself.
 _KERNEL = ("/proc/self", "/proc/cpuinfo", "/proc/meminfo", "/sys/devices/system", "/dev/urandom")
 _DEVICES = ("/dev/null", "/dev/zero")
 #: Environment variables that agents get; others may hold secrets.

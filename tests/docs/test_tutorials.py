@@ -69,7 +69,7 @@ def test_the_page_is_of_this_source(name):
     assert "error" not in {
         out["output_type"] for c in page["cells"] for out in c.get("outputs", [])
     }
-    assert f"{name}\n" in (PAGES / "index.md").read_text()
+    assert f"({name}.ipynb)" in (PAGES / "index.md").read_text()
 
 
 def test_a_notebook_says_what_to_do_where_stkzoo_cannot_be_installed(tmp_path):
