@@ -6,6 +6,7 @@ import logging
 import os
 import queue
 import time
+from contextlib import suppress
 from logging.handlers import QueueHandler, QueueListener
 
 __all__ = ["BackgroundHandler", "RepeatFilter"]
@@ -82,6 +83,12 @@ class BackgroundHandler(QueueHandler):
         deadline = time.monotonic() + seconds
         while self._waiting.unfinished_tasks and time.monotonic() < deadline:
             time.sleep(0.005)
+
+    def close(self) -> None:
+        """Ends the thread once it has written the waiting lines; does not wait for it."""
+        with suppress(queue.Full):
+            self._listener.enqueue_sentinel()
+        super().close()
 
 
 def _notice(count: int) -> logging.LogRecord:

@@ -15,6 +15,8 @@ def log():
     log = logging.getLogger("tests.logs")
     log.propagate = False
     yield log
+    for handler in log.handlers:
+        handler.close()
     log.handlers, log.filters = [], []
 
 

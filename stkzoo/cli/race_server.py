@@ -75,6 +75,16 @@ def run(arguments: argparse.Namespace) -> int:
         datefmt="%H:%M:%S",
         handlers=[log],
     )
+    try:
+        _serve(arguments)
+    finally:
+        log.drain()
+        logging.getLogger().removeHandler(log)
+        log.close()
+    return 0
+
+
+def _serve(arguments: argparse.Namespace) -> None:
     with _server(arguments) as server:
         signal.signal(signal.SIGTERM, lambda *_: server.stop())
         print(f"serving {', '.join(arguments.agents)} at {server.address}", flush=True)
@@ -82,9 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
         try:
             server.serve()
         except KeyboardInterrupt:
-            logging.getLogger(__name__).warning("stkzoo: server stopped")
-    log.drain()
-    return 0
+            _log.warning("stkzoo: server stopped")
 
 
 def _sandbox_of(arguments: argparse.Namespace) -> str:

@@ -567,11 +567,9 @@ def test_buffers_leave_rivals_out():
 def test_curves_are_drawn(tmp_path):
     lines = [{"kart_steps": 1000 * n, "pace": 0.1 * n, "beats_bots": 0.5} for n in range(1, 5)]
     (tmp_path / "log.jsonl").write_text("\n".join(map(json.dumps, lines)))
-    policies = [
-        {"kart_steps": n, "time_ratio": 3.0, "rating": 25, "rating_low": 20, "rating_high": 30}
-        for n in (0, 1000)
-    ]
-    found = {"policies": policies, "others": {"random": {"value": 10}}}
+    figures = {"time_ratio": 3.0, "rating": 25, "rating_low": 20, "rating_high": 30}
+    policies = [{"name": f"policy-{n}", "kart_steps": n, **figures} for n in (0, 1000)]
+    found = {"policies": policies, "others": {"random": {"value": 10}}, "table": []}
     (tmp_path / "ratings.json").write_text(json.dumps(found))
     picture = tmp_path / "curves.png"
     assert plot_main([str(tmp_path), f"--output={picture}"]) == 0
