@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
+from stkzoo._schema import plain_text
 from stkzoo.errors import AgentError, AgentTimeout, ProtocolError, StkzooError, shortened
 
 _PACKAGE = Path(__file__).resolve().parents[1]
@@ -69,8 +70,7 @@ def value_in_words(value: object) -> str:
 def printable(text: object, limit: int | None = None) -> str:
     """Text from outside, safe for a terminal: no control codes, at most ``limit`` characters."""
     beginning = str(text)[: None if limit is None else 4 * limit]
-    plain = _ESCAPES.sub("", beginning)[:limit]
-    return "".join(letter if letter.isprintable() or letter in "\n\t" else "?" for letter in plain)
+    return plain_text(_ESCAPES.sub("", beginning)[:limit])
 
 
 def agent_trace(error: BaseException) -> str:
