@@ -50,6 +50,8 @@ _VARIABLES = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "LD_LIBRARY_PATH", "ST
 #: Set in programs that run one of several races at a time.
 SHARED_CORES = "STKZOO_SHARED_CORES"
 _INSTALLED = {"site-packages", "dist-packages"}
+#: Beginnings of lines of a ``.pth`` file that name no folder: code and comments.
+_NO_PATH = ("import ", "import\t", "#")
 _TRIAL_TIMEOUT = 10.0
 
 _logger = logging.getLogger(__name__)
@@ -240,7 +242,8 @@ def _python_paths(own: Sequence[str]) -> Iterator[str]:
             }
         for file in Path(folder).glob("*.pth"):
             lines = map(str.strip, file.read_text(errors="replace").splitlines())
-            linked |= {os.path.realpath(os.path.join(folder, line)) for line in lines if line}
+            named = (line for line in lines if line and not line.startswith(_NO_PATH))
+            linked |= {os.path.realpath(os.path.join(folder, line)) for line in named}
     private = [*own, str(_PACKAGE)]
     yield from sorted(path for path in linked if not _holds(Path(path), private))
     yield from filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(":"))
