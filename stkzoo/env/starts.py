@@ -66,7 +66,7 @@ def draw_starts(
     """Returns the start of every kart, in grid order; empty for a start on the grid.
 
     A single start places the front row of the grid there and the other karts behind it. With a
-    mapping, karts without an entry stand behind the first agent in the mapping.
+    mapping, karts without an entry are placed behind the first agent in the mapping.
 
     Args:
         start: start from :func:`read_start`.

@@ -17,6 +17,7 @@ import zmq
 from stkzoo.race import run_race
 from stkzoo.race.remote import RemoteDriverGroup
 from stkzoo.race.remote.protocol import ERROR, HELLO, VERSION, pack, unpack
+from tests.support.remote_race import running_server, server_command
 
 #: A request that never ends.
 HALF_REQUEST = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: "
@@ -137,21 +138,9 @@ def upgrade_request():
     )
 
 
-@contextlib.contextmanager
 def limited_server(*arguments, descriptors=1024, stderr=None):
-    """``stkzoo race-server`` as a process; gives the process and its address."""
-    words = ["race-server", "--address", "127.0.0.1:*", *arguments]
-    command = limited([sys.executable, "-m", "stkzoo", *words], descriptors)
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True)
-    try:
-        line = process.stdout.readline()
-        assert " at tcp://" in line, "the server did not start; its errors are above"
-        yield process, line.split(" at ")[1].strip()
-    finally:
-        process.kill()
-        process.wait()
-        for stream in filter(None, (process.stdout, process.stderr)):
-            stream.close()
+    """``stkzoo race-server`` with few descriptors; gives the process and its address."""
+    return running_server(limited(server_command(*arguments), descriptors), stderr)
 
 
 class IdleClients:

@@ -33,11 +33,20 @@ def write_agent(folder, name, act="pass"):
     return str(home)
 
 
-@contextmanager
 def server_process(*arguments, address="127.0.0.1:*"):
     """``stkzoo race-server`` as a process; gives the process and its address."""
-    command = [sys.executable, "-m", "stkzoo", "race-server", "--address", address, *arguments]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    return running_server(server_command(*arguments, address=address))
+
+
+def server_command(*arguments, address="127.0.0.1:*"):
+    """The command line of a server."""
+    return [sys.executable, "-m", "stkzoo", "race-server", "--address", address, *arguments]
+
+
+@contextmanager
+def running_server(command, stderr=None):
+    """A server that a command starts; gives its process and its address."""
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True)
     try:
         line = process.stdout.readline()
         assert " at tcp://" in line, "the server did not start; its errors are above"
@@ -45,7 +54,8 @@ def server_process(*arguments, address="127.0.0.1:*"):
     finally:
         process.kill()
         process.wait()
-        process.stdout.close()
+        for stream in filter(None, (process.stdout, process.stderr)):
+            stream.close()
 
 
 @contextmanager
