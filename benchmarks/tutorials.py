@@ -30,7 +30,7 @@ EXTRAS = {
     "first_race": "record,tournament",
     "plan_with_saved_states": "tournament",
     "self_play_and_ratings": "sb3,tournament",
-    "train_a_driver": "sb3,tournament",
+    "train_a_driver": "record,sb3,tournament",
 }
 _BADGE = """\
 [![Open in Colab](../_static/colab.svg)](https://colab.research.google.com/github/{path}/blob/main/docs/tutorials/{name}.ipynb)

@@ -11,7 +11,7 @@
 #
 # A policy that races against itself always meets rivals of its own strength. Train one, save a copy
 # after each stage, a *generation*, and run a tournament to see whether later generations are better. It
-# takes about five minutes and needs the extras `sb3` and `tournament`: see [Install](../how-to/install.md).
+# takes about five minutes and needs the extra `tutorials`: see [Install](../how-to/install.md).
 
 # %%
 import os

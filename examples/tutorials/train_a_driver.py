@@ -11,7 +11,7 @@
 #
 # Train one policy with PPO from Stable-Baselines3 for five to seven minutes. It learns to finish a lap
 # of lighthouse faster than the game's easiest AI. Then save it as an agent, and race it. You need the
-# extra `sb3`: see [Install](../how-to/install.md).
+# extra `tutorials`: see [Install](../how-to/install.md).
 
 # %%
 import os
