@@ -118,7 +118,7 @@ print(f"{model.num_timesteps:,} steps in {time.time() - begun:.0f} s")
 if len(curve.speeds) > 20:
     parts = [np.mean(part) for part in np.array_split(curve.speeds, 20)]
     at = [np.mean(part) for part in np.array_split(curve.steps, 20)]
-    figure, axes = plt.subplots(figsize=(7, 3))
+    figure, axes = plt.subplots(figsize=(7, 3), layout="constrained")
     axes.plot(at, parts)
     axes.set(xlabel="steps of training", ylabel="speed along the track [m/s]")
     axes.grid(alpha=0.3)

@@ -8,11 +8,32 @@
 #include <math.h>
 
 /* Versions of a function for processors with and without vectors of eight and fused
-   multiply-adds; the first that fits is chosen when the module is loaded. */
+   multiply-adds; the first that fits is chosen when the module is loaded. Older compilers know the
+   first kind only by a processor of Intel's, which others do not match. */
 #if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__)
+#if __GNUC__ >= 12 && !defined(__clang__)
+#define FOR_ALL_PROCESSORS __attribute__((target_clones("arch=x86-64-v3", "default")))
+#else
 #define FOR_ALL_PROCESSORS __attribute__((target_clones("arch=haswell", "default")))
+#endif
 #else
 #define FOR_ALL_PROCESSORS
+#endif
+
+/* A part of a function of all processors: each of its versions has a copy, for its processor. */
+#ifdef __GNUC__
+#define FORCE_INLINE __attribute__((always_inline)) static inline
+#else
+#define FORCE_INLINE static inline
+#endif
+
+/* Before a loop: what it writes is read by no later round. */
+#if defined(__clang__)
+#define NO_OVERLAP _Pragma("clang loop vectorize(assume_safety)")
+#elif defined(__GNUC__)
+#define NO_OVERLAP _Pragma("GCC ivdep")
+#else
+#define NO_OVERLAP
 #endif
 
 enum { MANOEUVRES = 4, BRAKE = 1, ITEM_LANES = 2 };
@@ -57,12 +78,13 @@ typedef struct {
     float *along, *across, *ahead;            /* (T, C) */
     float *angle, *last_turn, *turns, *extra; /* (C,) */
     float *danger, *worth, *gain;             /* (C,) */
+    float *bends, *curves, *first_rooms;      /* (C,) of the road where a moment begins */
     npy_int32 *places;                        /* (C,) */
     float *ends;                              /* (T,) of the moments */
 } Forecast;
 
 /* Sine and cosine as numpy computes them in float32 (Cody-Waite reduction, then polynomials). */
-static inline void sine_and_cosine(float x, float *sine, float *cosine)
+FORCE_INLINE void sine_and_cosine(float x, float *sine, float *cosine)
 {
     const float magic = 0x1.8p23f;
     const float quarter = (x * 0x1.45f306p-1f + magic) - magic;
@@ -86,39 +108,49 @@ static inline void sine_and_cosine(float x, float *sine, float *cosine)
     *cosine = (turned + 1) & 2 ? -second : second;
 }
 
-/* One moment of all plans. */
-FOR_ALL_PROCESSORS
-static void drive(const Forecast *f, const PlanKart *kart, const float *road, npy_intp moment)
+/* One moment of all plans, from where the moment before it ended. */
+FORCE_INLINE void drive_moment(const Forecast *f, const PlanKart *kart, npy_intp moment,
+                               const int is_first)
 {
     const Table *t = f->table;
     const npy_intp plans = f->plans, at = moment * plans, in_table = f->row * f->moments + at;
-    const float *bends = road, *rooms = road + f->marks, *curves = road + 2 * f->marks;
     const float span = t->spans.data[moment], lock = kart->lock, reach = kart->reach;
     const float pull = 2.0f / (reach * reach * lock), rate = lock * span;
     const float release_rate = (float)f->rules[RELEASE_TURN] / lock;
-    const float lag = (float)f->rules[STEERING_LAG];
+    const float lag = (float)f->rules[STEERING_LAG], own_turn = kart->turn;
     const float per_mark = (float)(1.0 / f->rules[MARK_SPACING]);
-    const float last_mark = (float)(f->marks - 1);
+    const float last_mark = (float)(f->marks - 1), own_speed = kart->speed;
+    const float own_offset = kart->offset;
     const float *least = t->least.data + in_table, *most = t->most.data + in_table;
-    const float *drifts = t->drifts.data + in_table, *releases = t->releases.data + in_table;
-    const float *slower = t->slower.data + in_table, *lanes = t->lanes.data + in_table;
-    float *along = f->along + at, *across = f->across + at, *ahead = f->ahead + at;
-    const float *along_before = along - plans, *across_before = across - plans;
+    const float *drifts = t->drifts.data + in_table;
+    const float *releases = t->releases.data + in_table;
+    const float *slower = t->slower.data + in_table;
+    const float *lanes = t->lanes.data + in_table, *extra = f->extra;
+    float *along = f->along + at, *across = f->across + at;
+    float *angles = f->angle, *last_turns = f->last_turn;
+    float *turns = f->turns;
+    const float *bends = f->bends, *curves = f->curves;
+    npy_int32 *places = f->places;
+    const float *along_before = f->along + at - (is_first ? 0 : plans);
+    const float *across_before = f->across + at - (is_first ? 0 : plans);
+    const float *rooms = is_first ? f->first_rooms : f->ahead + at - plans;
+    NO_OVERLAP
     for (npy_intp i = 0; i < plans; i++) {
-        const npy_int32 mark = f->places[i];
-        const float bend = bends[mark], width = rooms[mark], curve = curves[mark];
-        const float beside = moment ? across_before[i] : kart->offset;
-        const float speed = kart->speed + slower[i] > 4.0f ? kart->speed + slower[i] : 4.0f;
-        float angle = f->angle[i];
-        float turn = (lanes[i] * width + f->extra[i] - beside + bend - angle * reach) *
+        const float curve = curves[i];
+        const float beside = is_first ? own_offset : across_before[i];
+        const float wanted_speed = own_speed + slower[i];
+        const float speed = wanted_speed > 4.0f ? wanted_speed : 4.0f;
+        float angle = angles[i];
+        float turn = (lanes[i] * rooms[i] + extra[i] - beside + bends[i] - angle * reach) *
                      (speed * pull);
         turn = turn > least[i] ? turn : least[i];
         turn = turn < most[i] ? turn : most[i];
-        const float last_turn = drifts[i] > 0 ? turn : f->last_turn[i];
-        f->last_turn[i] = last_turn;
-        if (!moment) {
-            f->turns[i] = turn;
-            turn = turn + (kart->turn - turn) * lag;
+        const float turn_before = last_turns[i];
+        const float last_turn = drifts[i] > 0 ? turn : turn_before;
+        last_turns[i] = last_turn;
+        if (is_first) {
+            turns[i] = turn;
+            turn = turn + (own_turn - turn) * lag;
         }
         turn = (turn + last_turn * (releases[i] * release_rate)) * rate;
         /* along the road the inner side of a curve is the shorter one */
@@ -129,14 +161,34 @@ static void drive(const Forecast *f, const PlanKart *kart, const float *road, np
         float sine, cosine;
         sine_and_cosine(angle, &sine, &cosine);
         way = way * cosine;
-        const float there = (moment ? along_before[i] : 0.0f) + way;
+        const float there = (is_first ? 0.0f : along_before[i]) + way;
         along[i] = there;
         across[i] = beside + step * sine;
-        f->angle[i] = angle + turn;
+        angles[i] = angle + turn;
         float next = there * per_mark; /* which may be too large for a whole number, or NaN */
         next = next > 0 ? next : 0;
-        f->places[i] = (npy_int32)(next < last_mark ? next : last_mark);
-        ahead[i] = rooms[f->places[i]];
+        places[i] = (npy_int32)(next < last_mark ? next : last_mark);
+    }
+}
+
+/* The road where all plans are; apart, because compilers do not look numbers up side by side. */
+static void look_up(const Forecast *f, const float *road, float *rooms)
+{
+    for (npy_intp i = 0; i < f->plans; i++) {
+        const float *mark = road + f->places[i];
+        f->bends[i] = mark[0], rooms[i] = mark[f->marks], f->curves[i] = mark[2 * f->marks];
+    }
+}
+
+/* All moments of all plans. */
+FOR_ALL_PROCESSORS
+static void drive(const Forecast *f, const PlanKart *kart, const float *road)
+{
+    look_up(f, road, f->first_rooms);
+    for (npy_intp moment = 0; moment < f->moments; moment++) {
+        if (moment) drive_moment(f, kart, moment, 0);
+        else drive_moment(f, kart, moment, 1);
+        look_up(f, road, f->ahead + moment * f->plans);
     }
 }
 
@@ -276,7 +328,7 @@ static void weigh(const Forecast *f, const PlanKart *kart, const float *road,
         f->last_turn[i] = kart->drift_turn;
         f->places[i] = 0;
     }
-    for (npy_intp moment = 0; moment < f->moments; moment++) drive(f, kart, road, moment);
+    drive(f, kart, road);
     weigh_danger(f, kart);
     const float *along = f->along + (f->moments - 1) * plans;
     const float angle_cost = (float)f->rules[ANGLE_COST];
@@ -325,13 +377,14 @@ static int read_table(PyObject *tuple, Table *t, Forecast *f)
 static void *make_room(Forecast *f)
 {
     const size_t plans = (size_t)f->plans, all = plans * (size_t)f->moments;
-    float *block = PyMem_Malloc((3 * all + 8 * plans + (size_t)f->moments) * sizeof(float));
+    float *block = PyMem_Malloc((3 * all + 11 * plans + (size_t)f->moments) * sizeof(float));
     if (!block) return PyErr_NoMemory();
     f->along = block, f->across = f->along + all, f->ahead = f->across + all;
-    f->angle = f->ahead + all, f->last_turn = f->angle + plans, f->turns = f->last_turn + plans;
-    f->extra = f->turns + plans, f->danger = f->extra + plans, f->worth = f->danger + plans;
-    f->gain = f->worth + plans, f->places = (npy_int32 *)(f->gain + plans);
-    f->ends = f->gain + 2 * plans;
+    float **columns[] = {&f->angle,  &f->last_turn, &f->turns, &f->extra,  &f->danger,
+                         &f->worth,  &f->gain,      &f->bends, &f->curves, &f->first_rooms};
+    float *next = f->ahead + all;
+    for (size_t i = 0; i < sizeof columns / sizeof *columns; i++, next += plans) *columns[i] = next;
+    f->places = (npy_int32 *)next, f->ends = next + plans;
     const float *spans = f->table->spans.data;
     for (npy_intp i = 0; i < f->moments; i++) f->ends[i] = spans[i] + (i ? f->ends[i - 1] : 0);
     return block;

@@ -8,8 +8,11 @@ import sys
 import numpy as np
 import pytest
 
+from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
+from stkzoo.agents.training.common.actors import SharedArray
+from stkzoo.agents.training.common.fleet import parse_races
 from stkzoo.agents.training.common.matches import (
     AI,
     MatchRecord,
@@ -19,7 +22,7 @@ from stkzoo.agents.training.common.matches import (
     rate_orders,
 )
 from stkzoo.agents.training.league.league import League, LeagueArguments, main
-from stkzoo.agents.training.league.learner import LeagueLearner
+from stkzoo.agents.training.league.learner import LeagueActor, LeagueLearner
 from stkzoo.agents.training.league.page import page
 from stkzoo.agents.training.league.players import (
     Player,
@@ -27,6 +30,7 @@ from stkzoo.agents.training.league.players import (
     draw_matches,
     new_players,
 )
+from stkzoo.agents.training.ppo.rollouts import ROLLOUT, ActorArguments
 from stkzoo.agents.training.ppo.selfplay import SelfPlayArguments
 from stkzoo.cli import main as command_line
 from stkzoo.errors import ConfigError
@@ -40,7 +44,7 @@ SMALL = {
     "matches": 1,
     "tracks": ("olivermath",),
     "races": ("2x1", "1+1x1"),
-    "groups": 2,
+    "actors": 2,
     "n_steps": 16,
     "n_epochs": 1,
     "batch_size": 32,
@@ -160,29 +164,51 @@ def test_a_match_is_driven_to_its_end():
 # ---------------------------------------------------------------------- learning
 
 
-def test_rivals_drive_without_teaching(tmp_path):
-    names = ("tracks", "n_steps", "batch_size", "hidden", "n_epochs")
-    shared = {name: SMALL[name] for name in names}
-    arguments = SelfPlayArguments(**shared, races=("4x1", "1+1x1"), groups=2, warm_up=0)
+def test_rivals_drive_without_teaching():
     matchmaker = PlayerMatchmaker(Player("me", "league-exploiter"), MEMBERS, plans_alone)
-    learner = LeagueLearner(tmp_path, arguments, matchmaker, [1])
+    lineups = tuple(parse_races(["4x1", "1+1x1"]))
+    arguments = ActorArguments(lineups, ("olivermath",), 0.1, DriverParameters(), ("begin",))
+    memory = SharedArray((2, 16, arguments.num_slots), ROLLOUT)
+    actor = LeagueActor(arguments, memory, matchmaker, [1])
     try:
-        line = learner.iterate()
-        assert line["kart_steps"] == 16 * (2 + 1)
-        among, alone = learner._rollouts
-        assert (among.active.sum(axis=0) > 0).sum() == 2
-        assert not among.rewards[:, ~among.active[0]].any()
-        assert alone.active.all()
-        race = learner._races[0][0]
+        actor.begin([0])
+        plans = plans_alone("").weights
+        critic = {**plans, "w2": plans["w2"][:, :1], "b2": plans["b2"][:1]}
+        driven = actor.drive(0, plans, critic)
+        assert driven.duels == []
+        race, alone = actor._races
+        assert (race.is_rival.sum(), alone.is_rival.sum()) == (2, 0)
+        is_rival = np.concatenate([race.is_rival, alone.is_rival])
+        rollout = memory.array()[0]
+        assert not rollout["active"][:, is_rival].any()
+        assert not rollout["rewards"][:, is_rival].any()
+        assert rollout["active"][:, ~is_rival].all()
         race.ranks = np.where(race.is_rival, [1, 2, 3, 4], [4, 3, 2, 1])
         expected, rival = race.beaten, race.rival
-        learner._update_race(race, {})
+        actor._update_race(race, {})
         found = {r.name: r for r in matchmaker.pool.opponents}[rival]
         assert found.races == 1
         assert found.beaten == pytest.approx(0.5 + (expected - 0.5) / 2)
         assert not race.ranks.any()
+        assert actor.drive(1, plans, critic).duels == [(rival, expected)]
+    finally:
+        actor.close()
+
+
+def test_the_league_hears_of_the_duels_of_all_actors(tmp_path):
+    names = ("tracks", "batch_size", "hidden", "n_epochs")
+    shared = {name: SMALL[name] for name in names}
+    arguments = SelfPlayArguments(
+        **shared, races=("2x2", "1+1x1"), actors=2, n_steps=450, warm_up=0
+    )
+    matchmaker = PlayerMatchmaker(Player("me", "league-exploiter"), MEMBERS, plans_alone)
+    learner = LeagueLearner(tmp_path, arguments, matchmaker, [1])
+    try:
+        learner.iterate()
     finally:
         learner.close()
+    assert sum(rival.races for rival in matchmaker.pool.opponents) >= 2
+    assert 0 < matchmaker.beaten() < 1
 
 
 def test_other_arguments_are_refused(tmp_path):

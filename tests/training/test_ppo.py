@@ -20,12 +20,8 @@ from stkzoo.agents.training.evaluate import evaluate, newest_policy
 from stkzoo.agents.training.evaluate import main as evaluate_main
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.plot import main as plot_main
-from stkzoo.agents.training.ppo.selfplay import (
-    PPOLearner,
-    SelfPlayArguments,
-    advantages_of,
-    main,
-)
+from stkzoo.agents.training.ppo.rollouts import ROLLOUT, advantages_of
+from stkzoo.agents.training.ppo.selfplay import PPOLearner, SelfPlayArguments, main
 from stkzoo.errors import ConfigError
 from tests.support.paths import ROOT
 from tests.support.training import run_and_kill, words_of
@@ -33,7 +29,7 @@ from tests.support.training import run_and_kill, words_of
 SMALL = {
     "tracks": ("lighthouse",),
     "races": ("2", "1+1"),
-    "groups": 2,
+    "actors": 2,
     "n_steps": 16,
     "n_epochs": 2,
     "batch_size": 32,
@@ -42,7 +38,7 @@ SMALL = {
     "checkpoint_every": 2,
 }
 BY_HAND = str(ROOT / "benchmarks" / "results" / "tuning" / "by-hand.json")
-TIMES = ("drive_s", "learn_s", "kart_steps_per_s")
+TIMES = ("wait_s", "learn_s", "kart_steps_per_s")
 
 
 def words(folder, until, **changes):
@@ -118,7 +114,7 @@ def test_choices_that_are_not_learned_stay_those_of_the_plans(tmp_path):
     learner = PPOLearner(tmp_path, SelfPlayArguments(**SMALL | changes))
     before = learner._network.actor().weights
     learner.iterate()
-    drawn = np.concatenate([rollout.choices[..., 1].ravel() for rollout in learner._rollouts])
+    drawn = np.concatenate([memory[0]["choices"][..., 1].ravel() for memory in learner._rollouts])
     weights = learner._network.actor().weights
     learner.close()
     assert set(drawn.tolist()) == {CHOICES[1] // 2}
@@ -179,22 +175,16 @@ def test_the_way_is_paid_and_a_race_ends_at_the_finish():
         fleet.close()
 
 
-def test_advantages_end_where_races_end(tmp_path):
-    learner = PPOLearner(tmp_path, SelfPlayArguments(**SMALL))
-    try:
-        rollout = learner._rollouts[0]
-        rollout.rewards[:] = 1.0
-        rollout.values[:] = 0.0
-        rollout.active[:] = True
-        rollout.ended[:] = False
-        rollout.ended[7] = True
-        rollout.next_values[7] = 5.0
-        gains = advantages_of(rollout, np.zeros(rollout.shape[1], np.float32), 0.9, 1.0)
-        assert gains[7] == pytest.approx(1.0 + 0.9 * 5.0)
-        assert gains[6] == pytest.approx(1.0 + 0.9 * (1.0 + 0.9 * 5.0))
-        assert gains[-1] == pytest.approx(1.0)
-    finally:
-        learner.close()
+def test_advantages_end_where_races_end():
+    rollout = np.zeros((16, 3), ROLLOUT)
+    rollout["rewards"] = 1.0
+    rollout["active"] = True
+    rollout["ended"][7] = True
+    rollout["next_values"][7] = 5.0
+    gains = advantages_of(rollout, np.zeros(3, np.float32), 0.9, 1.0)
+    assert gains[7] == pytest.approx(1.0 + 0.9 * 5.0)
+    assert gains[6] == pytest.approx(1.0 + 0.9 * (1.0 + 0.9 * 5.0))
+    assert gains[-1] == pytest.approx(1.0)
 
 
 @pytest.mark.slow

@@ -22,9 +22,7 @@ from __future__ import annotations
 import itertools
 import math
 import multiprocessing
-import os
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -46,6 +44,7 @@ from stkzoo.race import Driver, DriverInstance, DriverRequest, find_driver, run_
 from stkzoo.race.replay import action_of, controls_of
 from stkzoo.wrappers.racing import controls_of_choices
 
+from ..common.actors import end_with_parent
 from ..common.arguments import QUICK_TRACKS, RunArguments, ScriptOptions, track_names
 from ..common.command import run_command
 from ..common.fleet import ai_time
@@ -179,18 +178,6 @@ def _drive(
 
 
 # ---------------------------------------------------------------------- races
-
-
-def end_with_parent() -> None:
-    """Ends this process when its parent process has ended."""
-    parent = multiprocessing.parent_process()
-
-    def watch() -> None:
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 def time_ratio(time: float | None, track: str, reverse: bool, difficulty: int) -> float:

@@ -75,14 +75,21 @@ class LeagueArguments(PPOArguments):
         patience: maximum turns of an exploiter before it starts over.
         tracks: tracks for training and for matches.
         races: parallel races, as in ppo.selfplay; rivals drive in those without the game's AI.
-        groups: number of groups of races; the script computes one group while the others run.
+        actors: number of processes that drive the races; 0 is one for each processor core.
+            Results depend on their number.
         n_steps: steps of each race between two updates.
         anneal_timesteps: kart-steps of a player over which the learning rate decays.
         warm_up: iterations at the start that train only the value network.
         init: policy file that all players start from; empty starts from the plans.
     """
 
-    may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "exploiters", "league_exploiters", "warm_up")
+    may_be_zero: ClassVar[tuple[str, ...]] = (
+        "seed",
+        "exploiters",
+        "league_exploiters",
+        "warm_up",
+        "actors",
+    )
 
     batch_size: int = 1024
     learning_rate: float = 1e-4
@@ -99,7 +106,7 @@ class LeagueArguments(PPOArguments):
         metavar="TRACK",
     )
     races: tuple[str, ...] = ("4x6", "2+3x2")
-    groups: int = 2
+    actors: int = 0
     n_steps: int = 128
     anneal_timesteps: int = 5_000_000
     warm_up: int = 5
@@ -157,6 +164,27 @@ class _LeagueFile:
             raise ConfigError(f"there is no member {min(unknown)[:60]!r}")
 
 
+@dataclass(slots=True)
+class _MemberPolicies:
+    """The members' policies, by name; each is read once.
+
+    Attributes:
+        folder: folder of their files.
+    """
+
+    folder: Path
+    _read: dict[str, RacingPolicy] = field(default_factory=dict)
+
+    def __call__(self, name: str) -> RacingPolicy:
+        if name not in self._read:
+            self._read[name] = RacingPolicy(load_weights(self.file(name)))
+        return self._read[name]
+
+    def file(self, name: str) -> Path:
+        """Returns a member's file."""
+        return self.folder / f"{name}.safetensors"
+
+
 class League:
     """A league: its players, past selves and files.
 
@@ -176,15 +204,15 @@ class League:
         require_openskill()
         self.folder, self.arguments = Path(folder), arguments
         self.page = self.folder / _PAGE
-        (self.folder / _MEMBERS).mkdir(parents=True, exist_ok=True)
-        self._policies: dict[str, RacingPolicy] = {}
+        self._policies = _MemberPolicies(self.folder / _MEMBERS)
+        self._policies.folder.mkdir(parents=True, exist_ok=True)
         self._state = _LeagueState()
         if (self.folder / _STATE).exists():
             self._restore()
             return
         counts = arguments.mains, arguments.exploiters, arguments.league_exploiters
         self._state.players = new_players(*counts)
-        save_weights(self._file(START), _start_weights(arguments))
+        save_weights(self._policies.file(START), _start_weights(arguments))
         self._admit(START, "", 0)
         self._save()
 
@@ -206,7 +234,7 @@ class League:
         """
         state = self._state
         player = state.players[state.turn % len(state.players)]
-        matchmaker = PlayerMatchmaker(player, state.members, self.policy)
+        matchmaker = PlayerMatchmaker(player, state.members, self._policies)
         self._learn(player, matchmaker, report)
         state.turn += 1
         player.turns += 1
@@ -217,12 +245,6 @@ class League:
             player.start_over()
         self._save()
         return name
-
-    def policy(self, name: str) -> RacingPolicy:
-        """Returns a member's policy."""
-        if name not in self._policies:
-            self._policies[name] = RacingPolicy(load_weights(self._file(name)))
-        return self._policies[name]
 
     def table(self) -> list[str]:
         """Returns the lines of a table of ratings, best first."""
@@ -254,7 +276,7 @@ class League:
             state.kart_steps += learner.kart_steps - player.kart_steps
             player.kart_steps = learner.kart_steps
             name = f"{player.name}-{player.total_turns + 1:03d}"
-            learner.save_policy(self._file(name))
+            learner.save_policy(self._policies.file(name))
         finally:
             learner.close()
 
@@ -278,15 +300,12 @@ class League:
             name, names, state.matches, arguments.tracks, arguments.matches, random
         )
         meeting = {member for match in matches for member in match.drivers}
-        drivers = {member: plan_match_driver(self.policy(member)) for member in meeting}
+        drivers = {member: plan_match_driver(self._policies(member)) for member in meeting}
         state.matches += play_records(matches, drivers, state.turn)
         ratings = rate_orders([match.order for match in state.matches])
         state.ratings = {name: [r.value, *r.interval] for name, r in ratings.items()}
 
     # ------------------------------------------------------------------ files
-
-    def _file(self, name: str) -> Path:
-        return self.folder / _MEMBERS / f"{name}.safetensors"
 
     def _save(self) -> None:
         state = self._state

@@ -12,7 +12,9 @@ from stkzoo.agents.planning.arrays import FloatArray, IntArray
 from stkzoo.agents.planning.driver import PolicyInput
 from stkzoo.agents.pretrained.policy import RacingPolicy
 
+from ..common.actors import ActorPool, SharedArray
 from ..common.fleet import Finish, FleetStep, Lineup
+from ..ppo.rollouts import ActorArguments, Driven, RaceActor, Weights
 from ..ppo.selfplay import PPOLearner, SelfPlayArguments
 from .players import PlayerMatchmaker
 
@@ -40,62 +42,58 @@ class _RivalRace:
         return float((own[:, None] < rivals).mean())
 
 
-class LeagueLearner(PPOLearner):
-    """A run of :mod:`~stkzoo.agents.training.ppo.selfplay` with rivals in some races.
-
-    A rival drives half of the karts in such a race; the learner does not train on those.
+class LeagueActor(RaceActor):
+    """Drives races of a league, in some of which a rival drives half of the karts.
 
     Args:
-        folder: folder of the run.
-        arguments: arguments of the run.
-        matchmaker: chooses the rivals.
+        arguments: see :class:`~stkzoo.agents.training.ppo.rollouts.RaceActor`.
+        memory: likewise.
+        matchmaker: draws the rivals.
         seed: seed of the matchmaking from now on.
-
-    Raises:
-        ConfigError: see :class:`~stkzoo.agents.training.ppo.selfplay.PPOLearner`.
     """
 
     def __init__(
         self,
-        folder: Path,
-        arguments: SelfPlayArguments,
+        arguments: ActorArguments,
+        memory: SharedArray,
         matchmaker: PlayerMatchmaker,
         seed: Sequence[int],
     ) -> None:
-        self._matchmaker = matchmaker
-        self._matchmaking = np.random.default_rng(seed)
-        super().__init__(folder, arguments)
+        super().__init__(arguments, memory)
+        self._matchmaker, self._matchmaking = matchmaker, np.random.default_rng(seed)
+        self._duels: list[tuple[str, float]] = []
 
-    def begin_races(self) -> None:
+    def begin(self, seed: Sequence[int]) -> None:
         """Starts new races and draws their rivals."""
-        super().begin_races()
-        self._races = [
-            [_RivalRace(race.lineup, race.slots) for race in fleet.races] for fleet in self._fleets
-        ]
-        for races in self._races:
-            for race in races:
-                self._assign(race)
+        super().begin(seed)
+        self._races = [_RivalRace(race.lineup, race.slots) for race in self._fleet.races]
+        for race in self._races:
+            self._assign(race)
+
+    def drive(self, number: int, policy: Weights, critic: Weights) -> Driven:
+        """See :meth:`~stkzoo.agents.training.ppo.rollouts.RaceActor.drive`."""
+        driven = super().drive(number, policy, critic)
+        duels, self._duels = self._duels, []
+        return replace(driven, duels=duels)
 
     def _assign(self, race: _RivalRace) -> None:
         can_meet = race.lineup.learners > 1 and not race.lineup.bots
         rival = self._matchmaker.draw(self._matchmaking) if can_meet else None
         race.assign(rival, self._matchmaking)
 
-    def _choose(
-        self, group: int, view: PolicyInput, actor: RacingPolicy
-    ) -> tuple[IntArray, FloatArray]:
-        choices, log_probability = super()._choose(group, view, actor)
-        for race in self._races[group]:
+    def _choose(self, view: PolicyInput, actor: RacingPolicy) -> tuple[IntArray, FloatArray]:
+        choices, log_probability = super()._choose(view, actor)
+        for race in self._races:
             if race.rival is not None:
                 rows = race.slots[race.is_rival]
                 policy = self._matchmaker.policy(race.rival)
                 choices[rows], _ = policy.sample(rows_of(view, rows), self._matchmaking)
         return choices, log_probability
 
-    def _own_outcome(self, group: int, outcome: FleetStep) -> FleetStep:
-        is_own = np.concatenate([~race.is_rival for race in self._races[group]])
+    def _own_outcome(self, outcome: FleetStep) -> FleetStep:
+        is_own = np.concatenate([~race.is_rival for race in self._races])
         ends = dict(zip(np.flatnonzero(outcome.ended).tolist(), outcome.finishes, strict=True))
-        for race in self._races[group]:
+        for race in self._races:
             self._update_race(race, ends)
         return replace(
             outcome,
@@ -112,7 +110,48 @@ class LeagueLearner(PPOLearner):
             return
         if race.rival is not None:
             self._matchmaker.update(race.rival, race.beaten)
+            self._duels.append((race.rival, race.beaten))
         self._assign(race)
+
+
+class LeagueLearner(PPOLearner):
+    """A run of :mod:`~stkzoo.agents.training.ppo.selfplay` with rivals in some races.
+
+    A rival drives half of the karts in such a race; the learner does not train on those. Each actor
+    draws its races' rivals from what it knew of the duels when it started, and from its own.
+
+    Args:
+        folder: folder of the run.
+        arguments: arguments of the run.
+        matchmaker: chooses the rivals, and receives the results of all duels.
+        seed: seed of the matchmaking from now on.
+
+    Raises:
+        ConfigError: see :class:`~stkzoo.agents.training.ppo.selfplay.PPOLearner`.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        arguments: SelfPlayArguments,
+        matchmaker: PlayerMatchmaker,
+        seed: Sequence[int],
+    ) -> None:
+        self._matchmaker, self._seed = matchmaker, tuple(seed)
+        super().__init__(folder, arguments)
+
+    def _new_actors(self, arguments: Sequence[tuple[ActorArguments, SharedArray]]) -> ActorPool:
+        seeds = [(*self._seed, number) for number in range(len(arguments))]
+        own = [
+            (*given, self._matchmaker, seed) for given, seed in zip(arguments, seeds, strict=True)
+        ]
+        return ActorPool(LeagueActor, own)
+
+    def _driven(self) -> list[Driven]:
+        driven = super()._driven()
+        for rival, beaten in (duel for own in driven for duel in own.duels):
+            self._matchmaker.update(rival, beaten)
+        return driven
 
 
 def rows_of(view: PolicyInput, rows: IntArray) -> PolicyInput:

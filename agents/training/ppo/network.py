@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from stkzoo.agents.planning.arrays import FloatArray
-from stkzoo.agents.planning.driver import CHOICE_NAMES, CHOICES, HEADS, INPUT_SIZE, mirrored_inputs
-from stkzoo.agents.pretrained.policy import INPUT_CLIP, RacingPolicy, network
+from stkzoo.agents.planning.driver import HEADS, INPUT_SIZE, mirrored_inputs
+from stkzoo.agents.pretrained.policy import INPUT_CLIP, RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
-from stkzoo.errors import ConfigError
 
 from ..common.command import training_torch
+from .rollouts import NUM_LOGITS, choice_columns
 
-NUM_LOGITS = sum(CHOICES)
 #: Minimum standard deviation of an input, so that constant inputs are not amplified.
 _LEAST_SCALE = np.float32(0.2)
-#: Value that corresponds to an output of 1.
-VALUE_UNIT = 10.0
 
 
 class ActorCritic:
@@ -48,7 +45,7 @@ class ActorCritic:
         size = INPUT_SIZE
         self.mean, self.scale = np.zeros(size, np.float32), np.ones(size, np.float32)
         self.policy = self._layers((size, *hidden, NUM_LOGITS), 0.01)
-        self.columns = _columns(learns)
+        self.columns = choice_columns(learns)
         with torch.no_grad():
             for column in set(range(len(HEADS))) - set(self.columns):
                 self.policy[-1].weight[HEADS[column]] = 0.0
@@ -89,7 +86,7 @@ class ActorCritic:
         return RacingPolicy(self._arrays(self.policy))
 
     def critic(self) -> dict[str, FloatArray]:
-        """Returns the current value weights in numpy, for :func:`predict_values`."""
+        """Returns the current value weights in numpy, for :func:`.rollouts.predict_values`."""
         return self._arrays(self.value)
 
     def fit_normalisation(self, inputs: FloatArray) -> None:
@@ -115,7 +112,7 @@ class ActorCritic:
         Returns:
             Tensors ``(B,)``: log-probability of the choices, entropy of the policy, its KL
                 divergence from the prior [nats], and the value of the inputs in units of
-                :data:`VALUE_UNIT`.
+                :data:`.rollouts.VALUE_UNIT`.
         """
         logits = prior + self.policy(inputs)
         log_softmax = self.torch.log_softmax
@@ -146,17 +143,3 @@ class ActorCritic:
         self.value.load_state_dict(state["value"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.mean, self.scale = state["mean"].numpy(), state["scale"].numpy()
-
-
-def predict_values(critic: Mapping[str, FloatArray], inputs: FloatArray) -> FloatArray:
-    """Returns the values of inputs ``(B, F)`` with the weights of :meth:`ActorCritic.critic`."""
-    values: FloatArray = network(critic, inputs)[:, 0] * np.float32(VALUE_UNIT)
-    return values
-
-
-def _columns(names: Sequence[str]) -> list[int]:
-    """Returns the columns of choices by name."""
-    unknown = sorted(set(names) - set(CHOICE_NAMES))
-    if unknown or not names:
-        raise ConfigError(f"learns is {list(names)}; expected some of {', '.join(CHOICE_NAMES)}")
-    return sorted(CHOICE_NAMES.index(name) for name in set(names))

@@ -33,16 +33,16 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._arguments import option
+from stkzoo._os import cpu_count
 from stkzoo._schema import Count, Within
 from stkzoo.agents.planning.arrays import FloatArray
-from stkzoo.agents.planning.driver import CHOICES, INPUT_SIZE, PolicyInput
-from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.errors import ConfigError
 
+from ..common.actors import ActorPool, SharedArray
 from ..common.arguments import QUICK_TRACKS, PPOArguments, ScriptOptions
 from ..common.command import ProgressBar, run_command
-from ..common.fleet import Finish, Fleet, FleetStep, Lineup, parse_races
+from ..common.fleet import Finish, Lineup, parse_races
 from ..common.run_folder import (
     ARGUMENTS,
     TrainingLog,
@@ -53,7 +53,8 @@ from ..common.run_folder import (
     save_checkpoint,
     write_json,
 )
-from .network import NUM_LOGITS, VALUE_UNIT, ActorCritic, predict_values
+from .network import ActorCritic
+from .rollouts import ROLLOUT, VALUE_UNIT, ActorArguments, Driven, RaceActor, advantages_of
 
 #: Number of finished races in the means of the log.
 _RECENT = 200
@@ -73,7 +74,8 @@ class SelfPlayArguments(PPOArguments):
         races: parallel races: 8x5 is five races of eight learners, 4+2x3 three races of four
             learners and two karts of the game's AI at its highest difficulty.
         plans: JSON file of plan parameters, such as best.json of tune_plans; empty is the default.
-        groups: number of groups of races; the script computes one group while the others run.
+        actors: number of processes that drive the races; 0 is one for each processor core.
+            Results depend on their number.
         n_steps: steps of each race between two updates.
         anneal_timesteps: kart-steps over which learning rate and entropy coefficient decay.
         kl_coef: coefficient of the KL penalty towards the plans' prior.
@@ -86,7 +88,7 @@ class SelfPlayArguments(PPOArguments):
         checkpoint_every: iterations between two checkpoints.
     """
 
-    may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "warm_up")
+    may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "warm_up", "actors")
 
     batch_size: int = 4096
     n_epochs: int = 3
@@ -94,7 +96,7 @@ class SelfPlayArguments(PPOArguments):
     tracks: tuple[str, ...] = option(QUICK_TRACKS, flag="--track", metavar="TRACK")
     races: tuple[str, ...] = ("1x8", "5x8", "2+3x8", "1+4x8")
     plans: str = ""
-    groups: int = 2
+    actors: int = 0
     n_steps: int = 128
     anneal_timesteps: int = 20_000_000
     kl_coef: float = 5e-3
@@ -105,43 +107,6 @@ class SelfPlayArguments(PPOArguments):
     init: str = ""
     keep_every: int = 500_000
     checkpoint_every: int = 20
-
-
-# ---------------------------------------------------------------------- rollouts
-
-
-#: Element type of a group's rollout in one iteration, an array ``(T, S)``.
-_ROLLOUT = np.dtype(
-    [
-        ("inputs", np.float32, INPUT_SIZE),
-        ("prior", np.float32, NUM_LOGITS),
-        ("choices", np.int64, len(CHOICES)),
-        ("log_probability", np.float32),
-        ("values", np.float32),
-        ("rewards", np.float32),
-        ("next_values", np.float32),  # value of the last inputs of an ended race
-        ("active", np.bool_),
-        ("driven", np.bool_),
-        ("ended", np.bool_),
-    ],
-    align=True,
-)
-
-
-def advantages_of(
-    rollout: np.recarray[Any, Any], last_values: FloatArray, gamma: float, gae_lambda: float
-) -> FloatArray:
-    """Returns generalized advantages ``(T, S)``; ended races are bootstrapped."""
-    advantages = np.zeros(rollout.shape, np.float32)
-    advantage, next_values = np.zeros_like(last_values), last_values
-    for step in reversed(range(len(rollout))):
-        ended = rollout.ended[step]
-        next_values = np.where(ended, rollout.next_values[step], next_values)
-        delta = rollout.rewards[step] + gamma * next_values - rollout.values[step]
-        advantage = delta + gamma * gae_lambda * np.where(ended, 0, advantage)
-        advantage = np.where(rollout.active[step], advantage, 0).astype(np.float32)
-        advantages[step], next_values = advantage, rollout.values[step]
-    return advantages
 
 
 # ---------------------------------------------------------------------- the algorithm
@@ -192,47 +157,66 @@ class PPOLearner:
         )
         self._rules = plan_parameters(arguments.plans)
         lineups = parse_races(arguments.races)
-        self._fleets: list[Fleet] = []
-        for group in range(arguments.groups):
-            fleet = Fleet(
-                lineups[group :: arguments.groups],
-                arguments.tracks,
-                place_reward=arguments.place_reward,
-                starts=self._fleets[0].starts if self._fleets else None,
-                rules=self._rules,
-            )
-            self._fleets.append(fleet)
-        self._rollouts = [
-            np.zeros((arguments.n_steps, fleet.num_slots), _ROLLOUT).view(np.recarray)
-            for fleet in self._fleets
-        ]
         self.kart_steps = self.iteration = 0
         self._history: list[dict[str, Any]] = [self._chapter()]
         self._recent: deque[Finish] = deque(maxlen=_RECENT)
         if checkpoint := load_checkpoint(self.folder, LearnerFacts):
             self._restore(*checkpoint, may_change)
         write_json(self.folder / ARGUMENTS, self._history)
+        self._start_actors(lineups)
         self.begin_races()
+
+    def _start_actors(self, lineups: Sequence[Lineup]) -> None:
+        arguments = self.arguments
+        count = min(arguments.actors or cpu_count(), len(lineups))
+        shares = [
+            ActorArguments(
+                lineups=tuple(lineups[number::count]),
+                tracks=arguments.tracks,
+                place_reward=arguments.place_reward,
+                rules=self._rules,
+                learns=arguments.learns,
+            )
+            for number in range(count)
+        ]
+        memories = [
+            SharedArray((2, arguments.n_steps, share.num_slots), ROLLOUT) for share in shares
+        ]
+        self._rollouts = [memory.array() for memory in memories]
+        self._actors = self._new_actors(list(zip(shares, memories, strict=True)))
+
+    def _new_actors(self, arguments: Sequence[tuple[ActorArguments, SharedArray]]) -> ActorPool:
+        return ActorPool(RaceActor, arguments)
 
     def begin_races(self) -> None:
         """Starts new races; later random numbers derive from seed and iteration."""
         seed = self.arguments.seed
         self._random = np.random.default_rng([seed, self.iteration])
-        self._views = [
-            fleet.begin([seed, self.iteration, group]) for group, fleet in enumerate(self._fleets)
-        ]
+        self._actors.forget()
+        seeds = [([seed, self.iteration, number],) for number in range(len(self._actors))]
+        self._actors.call("begin", seeds)
 
     def iterate(self) -> dict[str, float]:
-        """Collects rollouts and updates the networks; returns the log entry."""
+        """Updates the networks with a rollout; returns the log entry.
+
+        Meanwhile, the actors drive the next rollout with the networks before this update.
+        """
         begin = time.perf_counter()
-        last_values = self._collect()
+        if not self._actors.is_busy:
+            self._drive(self.iteration)
+        driven = self._driven()
+        rollouts = [memory[self.iteration % 2] for memory in self._rollouts]
         if self.iteration == 0 and not self.arguments.init:
-            seen = [rollout.inputs[rollout.active] for rollout in self._rollouts]
+            seen = [rollout["inputs"][rollout["active"]] for rollout in rollouts]
             self._network.fit_normalisation(np.concatenate(seen))
-        driven = time.perf_counter()
-        learned = self._update(last_values)
+        elif (self.iteration + 1) % self.arguments.checkpoint_every:
+            self._drive(self.iteration + 1)
+        waited = time.perf_counter()
+        learned = self._update(rollouts, [own.last_values for own in driven])
+        for own in driven:
+            self._recent.extend(own.finishes)
         self.iteration += 1
-        steps = int(sum(rollout.active.sum() for rollout in self._rollouts))
+        steps = int(sum(rollout["active"].sum() for rollout in rollouts))
         self.kart_steps += steps
         end = time.perf_counter()
         line = {
@@ -240,68 +224,33 @@ class PPOLearner:
             "kart_steps": self.kart_steps,
             **self._racing_figures(),
             **learned,
-            "drive_s": driven - begin,
-            "learn_s": end - driven,
+            "wait_s": waited - begin,
+            "learn_s": end - waited,
             "kart_steps_per_s": steps / (end - begin),
         }
         return {name: round(value, 6) for name, value in line.items()}
 
-    def _collect(self) -> list[FloatArray]:
-        """Fills the rollouts; returns the values of the last inputs."""
-        actor, critic = self._network.actor(), self._network.critic()
-        for group in range(len(self._fleets)):
-            self._act(group, 0, actor, critic)
-        for step in range(self.arguments.n_steps):
-            for group, fleet in enumerate(self._fleets):
-                self._views[group], outcome = fleet.receive()
-                outcome = self._own_outcome(group, outcome)
-                rollout = self._rollouts[group]
-                rollout.rewards[step], rollout.active[step] = outcome.rewards, outcome.active
-                rollout.ended[step] = outcome.ended
-                self._recent.extend(outcome.finishes)
-                if outcome.ended.any():
-                    last = predict_values(critic, outcome.last_inputs[outcome.ended])
-                    rollout.next_values[step, outcome.ended] = last
-                if step + 1 < self.arguments.n_steps:
-                    self._act(group, step + 1, actor, critic)
-        return [predict_values(critic, view.inputs) for view in self._views]
+    def _drive(self, iteration: int) -> None:
+        """Lets the actors drive the rollout of an iteration with the current networks."""
+        policy, critic = self._network.actor().weights, self._network.critic()
+        self._actors.send("drive", [(iteration % 2, policy, critic)] * len(self._actors))
 
-    def _act(
-        self, group: int, step: int, actor: RacingPolicy, critic: dict[str, FloatArray]
-    ) -> None:
-        view, rollout = self._views[group], self._rollouts[group]
-        choices, log_probability = self._choose(group, view, actor)
-        rollout.driven[step] = self._fleets[group].send(choices)
-        rollout.inputs[step], rollout.prior[step] = view.inputs, view.prior
-        rollout.choices[step], rollout.log_probability[step] = choices, log_probability
-        rollout.values[step] = predict_values(critic, view.inputs)
+    def _driven(self) -> list[Driven]:
+        """Waits for the actors' rollouts."""
+        driven: list[Driven] = self._actors.receive()
+        return driven
 
-    def _choose(
-        self,
-        group: int,  # noqa: ARG002 - a league lets others drive some karts of a group
-        view: PolicyInput,
-        actor: RacingPolicy,
-    ) -> tuple[npt.NDArray[np.intp], FloatArray]:
-        """Returns the choices of a group's karts and their log-probabilities."""
-        return actor.sample(view, self._random, self._network.columns)
-
-    def _own_outcome(
-        self,
-        group: int,  # noqa: ARG002 - a league takes out what others did in a group
-        outcome: FleetStep,
-    ) -> FleetStep:
-        """Returns the part of a step's outcome that is used for training."""
-        return outcome
-
-    def _update(self, last_values: Sequence[FloatArray]) -> dict[str, float]:
+    def _update(
+        self, rollouts: Sequence[npt.NDArray[np.void]], last_values: Sequence[FloatArray]
+    ) -> dict[str, float]:
         """Runs several epochs of gradient steps on the rollouts; returns figures for the log."""
         arguments, nets = self.arguments, self._network
         gained = [
             advantages_of(rollout, last, arguments.gamma, arguments.gae_lambda)
-            for rollout, last in zip(self._rollouts, last_values, strict=True)
+            for rollout, last in zip(rollouts, last_values, strict=True)
         ]
-        rows = [rollout.active & rollout.driven for rollout in self._rollouts]
-        pairs = zip(self._rollouts, rows, strict=True)
+        rows = [rollout["active"] & rollout["driven"] for rollout in rollouts]
+        pairs = zip(rollouts, rows, strict=True)
         seen = np.concatenate([rollout[chosen] for rollout, chosen in pairs])
         advantages = np.concatenate([own[r] for own, r in zip(gained, rows, strict=True)])
         returns = advantages + seen["values"]
@@ -330,13 +279,13 @@ class PPOLearner:
                     figures.setdefault(name, []).append(value)
             if np.mean(kl) > arguments.target_kl:
                 break
-        unexplained = np.var(returns - (returns - advantages)) / max(float(np.var(returns)), 1e-9)
+        unexplained = np.var(advantages) / max(float(np.var(returns)), 1e-9)
         return {
             **{name: float(np.mean(values)) for name, values in figures.items()},
             "epochs": epochs,
             "learning_rate": rate,
             "explained": float(1.0 - unexplained),
-            "reward": float(sum(r.rewards.sum() for r in self._rollouts) / len(seen)),
+            "reward": float(sum(rollout["rewards"].sum() for rollout in rollouts) / len(seen)),
         }
 
     def _batches(self, count: int) -> list[Any]:
@@ -403,8 +352,7 @@ class PPOLearner:
 
     def close(self) -> None:
         """Ends all races."""
-        for fleet in self._fleets:
-            fleet.close()
+        self._actors.close()
 
     def _chapter(self, kart_steps: int = 0) -> dict[str, Any]:
         """Returns the arguments that apply from a number of kart-steps on."""
