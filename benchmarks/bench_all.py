@@ -28,6 +28,18 @@ BENCHMARKS: dict[str, tuple[str, ...]] = {
     "vector": ("--steps", "5", "--rounds", "1", "--karts", "2", "--races", "2"),
     "states": ("--steps", "1", "--karts", "2"),
     "scaling": ("--steps", "10", "--karts", "3", "--view", "flattened", "--tracks", "zengarden"),
+    "learners": (
+        "--iterations",
+        "1",
+        "--rounds",
+        "1",
+        "--steps",
+        "10",
+        "--karts",
+        "2",
+        "--races",
+        "1",
+    ),
     "profile": ("--steps", "10", "--karts", "2", "--view", "flattened"),
 }
 

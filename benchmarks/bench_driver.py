@@ -135,8 +135,8 @@ class Contender:
 
 def answer_of(
     module: str, spec: Mapping[str, Any], words: Sequence[str], variables: Mapping[str, str]
-) -> float:
-    """The figure that a command of this folder gives for one ``--contender``.
+) -> Any:
+    """What a command of this folder prints as JSON for one ``--contender``.
 
     Args:
         module: the command's, which runs in an interpreter of its own.
@@ -155,7 +155,7 @@ def answer_of(
     )
     if answer.returncode:
         raise SystemExit(f"{spec} failed:\n{answer.stderr[-3000:]}")
-    return float(json.loads(answer.stdout.splitlines()[-1]))
+    return json.loads(answer.stdout.splitlines()[-1])
 
 
 def engine_variables() -> dict[str, str]:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import (
+    bench_learners,
     bench_memory,
     bench_profile,
     bench_remote,
@@ -33,6 +34,7 @@ _SECTIONS: dict[str, tuple[str, Callable[[Any], Sequence[Table]]]] = {
     "transport": ("The worker's transport", bench_transport.tables),
     "profile": ("The parts of a step", bench_profile.tables),
     "vector": ("Many races", bench_vector.tables),
+    "learners": ("Learners", bench_learners.tables),
     "states": ("Saved states", bench_states.tables),
     "resets": ("Imports and resets", bench_resets.tables),
     "memory": ("Memory", bench_memory.tables),

@@ -9,7 +9,7 @@
 # %% [markdown]
 # # Train a driver
 #
-# Train one policy with PPO from Stable-Baselines3 for five to seven minutes. It learns to finish a lap
+# Train one policy with PPO from Stable-Baselines3 for about five minutes. It learns to finish a lap
 # of lighthouse faster than the game's easiest AI. Then save it as an agent, and race it. You need the
 # extra `tutorials`: see [Install](../how-to/install.md).
 

@@ -1,0 +1,389 @@
+"""Compares learners with the bare engine, in kart-steps a second a core.
+
+    python -m benchmarks.bench_learners
+    python -m benchmarks.bench_learners --only engine ppo --rounds 3
+    python -m benchmarks.bench_learners --only ppo --karts 1 5 20 --races 2 8 --cores 1 2
+
+Contenders take turns, and each turn is a program of its own that may use all cores:
+
+engine  pystk2 alone: a race for each core, with recorded driving of the heuristic agent
+ppo     stkzoo.agents.training.ppo.selfplay: one policy drives all karts
+sb3     PPO of Stable-Baselines3 on RaceVecEnv in the view racing: likewise
+
+The start and the first updates are not counted; resets and learning are. The shares are of the time
+of all cores: the game's processes, making observations, networks, learning, the rest of the
+programs, and waiting, in which a core had nothing to do for the contender.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.bench_common import (
+    Table,
+    cores,
+    parser,
+    print_tables,
+    progress_bar,
+    quantiles,
+    save,
+    spread,
+)
+from benchmarks.bench_driver import (
+    WARMUP,
+    Contender,
+    Spec,
+    answer_of,
+    record_controls,
+)
+from stkzoo._os import cpu_count
+
+CONTENDERS = ("engine", "ppo", "sb3")
+SHARES = ("engine", "observing", "networks", "learning", "rest", "waiting")
+#: Iterations before the measured ones.
+_WARM_UP = 3
+_TICKS = os.sysconf("SC_CLK_TCK") if hasattr(os, "sysconf") else 100
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is measured.
+
+    Attributes:
+        name: one of :data:`CONTENDERS`.
+        karts: number of karts in a race.
+        races: number of races; the engine has one for each core.
+        cores: number of cores; 0 is all.
+    """
+
+    name: str
+    karts: int
+    races: int
+    cores: int
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; returns its exit code."""
+    words = parser(__doc__, "learners", steps=400, karts=(10,), cores=(0,))
+    words.add_argument("--only", nargs="+", choices=CONTENDERS, default=list(CONTENDERS))
+    words.add_argument("--races", type=int, nargs="+", default=[8], help="races (default: 8)")
+    words.add_argument("--rounds", type=int, default=5, help="measurements of each (default: 5)")
+    words.add_argument("--iterations", type=int, default=12, help="measured updates (default: 12)")
+    words.add_argument("--contender", help=argparse.SUPPRESS)
+    options = words.parse_args(arguments)
+    if options.contender:
+        setting = Setting(**json.loads(options.contender))
+        if setting.cores:
+            os.sched_setaffinity(0, cores(setting.cores))
+        print(json.dumps(_LEARNERS[setting.name](setting, options)))
+        return 0
+    found: dict[Setting, list[dict[str, float]]] = {}
+    todo = _settings(options)
+    with progress_bar(len(todo) * options.rounds) as (bar, task):
+        for _ in range(options.rounds):
+            for setting in todo:
+                bar.update(task, description=f"{setting.name}, {setting.karts} karts")
+                found.setdefault(setting, []).append(_measure(setting, options))
+                bar.advance(task)
+    results = [_result(setting, found) for setting in todo]
+    print_tables(tables(results))
+    save(options.output, "learners", options, results)
+    return 0
+
+
+def _settings(options: argparse.Namespace) -> list[Setting]:
+    """All settings that the options ask for."""
+    found = []
+    for num_cores, karts in itertools.product(options.cores, options.karts):
+        for name in options.only:
+            if name == "engine":
+                found.append(_engine_setting(karts, num_cores))
+                continue
+            found += [Setting(name, karts, races, num_cores) for races in options.races]
+    return found
+
+
+def _engine_setting(karts: int, num_cores: int) -> Setting:
+    return Setting("engine", karts, num_cores or cpu_count(), num_cores)
+
+
+def _measure(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
+    if setting.name == "engine":
+        return {"rate": _engine_rate(setting, options)}
+    words = ["--steps", str(options.steps), "--iterations", str(options.iterations)]
+    words += ["--track", options.track]
+    found: dict[str, float] = answer_of("bench_learners", asdict(setting), words, {})
+    return found
+
+
+def _engine_rate(setting: Setting, options: argparse.Namespace) -> float:
+    """Kart-steps a second a core of races that run on all cores at once."""
+    karts, count = setting.karts, setting.races
+    controls = record_controls(options.track, karts, karts, 1, WARMUP + options.steps)
+    pinned = cores(setting.cores)
+    with ExitStack() as stack, ThreadPoolExecutor(count) as threads:
+        spec = Spec("bare", num_kart=karts, num_agents=karts, cores=pinned)
+        races = [stack.enter_context(Contender(spec)) for _ in range(count)]
+        for race in races:
+            race.ask("load")
+            race.ask("make")
+            race.ask("reset", track=options.track, seed=1, controls=controls)
+            race.ask("steps", count=WARMUP)
+        begin = time.perf_counter()
+        list(threads.map(lambda race: race.ask("steps", count=options.steps), races))
+        return float(karts * options.steps / (time.perf_counter() - begin))
+
+
+# ---------------------------------------------------------------------- processor time
+
+
+def _processor_times() -> dict[int, tuple[int, float, float]]:
+    """Parent, own processor time and that of ended children [s] of all processes, by id."""
+    found = {}
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            text = (entry / "stat").read_text()
+        except OSError:
+            continue
+        fields = text[text.rindex(")") + 2 :].split()
+        own, children = (sum(map(int, fields[n : n + 2])) / _TICKS for n in (11, 13))
+        found[int(entry.name)] = int(fields[1]), own, children
+    return found
+
+
+def _engine_time(programs: Sequence[int]) -> float:
+    """Processor time of this program's children that are not these programs [s]."""
+    times = _processor_times()
+    total, level = 0.0, {os.getpid()}
+    while level:
+        level = {pid for pid, (parent, *_) in times.items() if parent in level}
+        total += sum(sum(times[pid][1:]) for pid in level.difference(programs))
+    return total
+
+
+class _Meter:
+    """Adds up this thread's processor time in calls, without that of calls within."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._inner = 0.0
+
+    def timed(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        """The call, measured under a name."""
+
+        def measured(*arguments: Any, **named: Any) -> Any:
+            outer, self._inner = self._inner, 0.0
+            begin = time.thread_time()
+            try:
+                return call(*arguments, **named)
+            finally:
+                spent = time.thread_time() - begin
+                own = self.seconds.get(name, 0.0)
+                self.seconds[name] = own + spent - self._inner
+                self._inner = outer + spent
+
+        return measured
+
+
+def _shares(
+    wall: float, engine: float, programs: float, parts: Mapping[str, float]
+) -> dict[str, float]:
+    """Shares of the time of all cores.
+
+    Args:
+        wall: seconds.
+        engine: processor time of the game's processes [s].
+        programs: of all other processes [s].
+        parts: of parts of the other processes [s].
+    """
+    all_cores = wall * cpu_count()
+    known = {"engine": engine, **parts, "rest": programs - sum(parts.values())}
+    known["waiting"] = all_cores - engine - programs
+    return {name: known.get(name, 0.0) / all_cores for name in SHARES}
+
+
+# ---------------------------------------------------------------------- learners
+
+
+def _ppo(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
+    from stkzoo.agents.training.common.actors import ActorPool
+    from stkzoo.agents.training.ppo import selfplay
+
+    class Learner(selfplay.PPOLearner):
+        def _new_actors(self, arguments: Sequence[Any]) -> ActorPool:
+            return ActorPool(_measured_actor, arguments)
+
+        def parts(self) -> dict[str, float]:
+            self._actors.forget()
+            found = self._actors.call("parts", [()] * len(self._actors))
+            return {name: sum(own[name] for own in found) for name in ("networks", "observing")}
+
+        def pids(self) -> list[int]:
+            return self._actors.pids
+
+    arguments = selfplay.SelfPlayArguments(
+        tracks=(options.track,), races=(f"{setting.karts}x{setting.races}",), checkpoint_every=10**6
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        learner = Learner(folder, arguments)
+        try:
+            for _ in range(_WARM_UP):
+                learner.iterate()
+            before, parts_before = _moment(learner.pids()), learner.parts()
+            begin, steps, learned = time.perf_counter(), learner.kart_steps, time.process_time()
+            for _ in range(options.iterations):
+                learner.iterate()
+            wall = time.perf_counter() - begin
+            learned = time.process_time() - learned
+            after, parts = _moment(learner.pids()), learner.parts()
+            steps = learner.kart_steps - steps
+        finally:
+            learner.close()
+    engine, programs = (new - old for new, old in zip(after, before, strict=True))
+    own = {name: parts[name] - parts_before[name] for name in parts} | {"learning": learned}
+    return {"rate": steps / wall / cpu_count(), **_shares(wall, engine, programs, own)}
+
+
+def _moment(actors: Sequence[int]) -> tuple[float, float]:
+    """Processor time of the game's processes, and of this program with its actors [s]."""
+    times = _processor_times()
+    programs = time.process_time() + sum(times[pid][1] for pid in actors)
+    return _engine_time(actors), programs
+
+
+def _measured_actor(*arguments: Any) -> Any:
+    from stkzoo.agents.training.ppo import rollouts
+
+    meter = _Meter()
+
+    class Actor(rollouts.RaceActor):
+        def parts(self) -> dict[str, float]:
+            return meter.seconds
+
+    actor = Actor(*arguments)
+    rollouts.predict_values = meter.timed("networks", rollouts.predict_values)
+    for owner, method, name in (
+        (actor, "_choose", "networks"),
+        (actor._fleet, "_look", "observing"),
+    ):
+        setattr(owner, method, meter.timed(name, getattr(owner, method)))
+    meter.seconds = dict.fromkeys(("networks", "observing"), 0.0)
+    return actor
+
+
+def _sb3(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
+    import torch
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    from stkzoo.sb3 import ActiveRolloutBuffer, RaceVecEnv
+
+    torch.set_num_threads(1)
+    envs = RaceVecEnv(
+        setting.races,
+        num_kart=setting.karts,
+        track=options.track,
+        view="racing",
+        start="random",
+        max_cycles=250,
+        prefetch=True,
+    )
+    model = PPO(
+        "MlpPolicy",
+        envs,
+        rollout_buffer_class=ActiveRolloutBuffer,
+        n_steps=128,
+        batch_size=512,
+        n_epochs=4,
+        policy_kwargs={"net_arch": [128, 128]},
+        device="cpu",
+    )
+    meter, marks = _Meter(), []
+    for owner, method, name in (
+        (model, "train", "learning"),
+        (model.policy, "forward", "networks"),
+        (envs, "step_async", "observing"),
+        (envs, "step_wait", "observing"),
+    ):
+        setattr(owner, method, meter.timed(name, getattr(owner, method)))
+
+    class Marks(BaseCallback):
+        """Notes the state at the start of each rollout."""
+
+        def _on_rollout_start(self) -> None:
+            now = time.perf_counter(), time.process_time(), _engine_time(())
+            marks.append((*now, self.num_timesteps, dict(meter.seconds)))
+
+        def _on_step(self) -> bool:
+            return True
+
+    rollouts = _WARM_UP + options.iterations
+    model.learn(rollouts * 128 * envs.num_envs + 1, callback=Marks())
+    envs.close()
+    first, last = marks[_WARM_UP], marks[rollouts]
+    wall, programs, engine, steps = (last[n] - first[n] for n in range(4))
+    parts = {name: last[4][name] - first[4][name] for name in first[4]}
+    return {"rate": steps / wall / cpu_count(), **_shares(wall, engine, programs, parts)}
+
+
+_LEARNERS = {"ppo": _ppo, "sb3": _sb3}
+
+# ---------------------------------------------------------------------- results
+
+
+def _result(setting: Setting, found: Mapping[Setting, Sequence[Mapping[str, float]]]) -> Any:
+    rounds = found[setting]
+    bare = found.get(_engine_setting(setting.karts, setting.cores), ())
+    ratios = [own["rate"] / its["rate"] for own, its in zip(rounds, bare, strict=False)]
+    return {
+        **asdict(setting),
+        "kart_steps_per_second_per_core": quantiles(own["rate"] for own in rounds),
+        "to_engine": quantiles(ratios) if ratios else None,
+        "shares": {
+            share: statistics.median(own[share] for own in rounds)
+            for share in SHARES
+            if share in rounds[0]
+        },
+    }
+
+
+def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
+    """The results as a table."""
+    rows = []
+    for result in results:
+        rate = result["kart_steps_per_second_per_core"]
+        shares = [result["shares"].get(share) for share in SHARES]
+        rows.append(
+            (
+                result["name"],
+                *(str(result[name]) for name in ("karts", "races")),
+                str(result["cores"] or "all"),
+                spread(rate),
+                spread(result["to_engine"], 2),
+                f"{1e6 / rate['median'] / 60:.1f}",
+                *("-" if share is None else f"{share:.0%}" for share in shares),
+            )
+        )
+    columns = ("", "karts", "races", "cores", "kart-steps/s/core", "to engine", "core minutes")
+    note = (
+        "to engine: the rate over the engine's in the same round; core minutes: for a million "
+        "kart-steps; then shares of the time of all cores"
+    )
+    return [Table("learners: median (10..90 %)", (*columns, *SHARES), rows, note)]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
