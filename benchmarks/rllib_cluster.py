@@ -53,7 +53,7 @@ def main() -> int:
     if importlib.util.find_spec("ray") is None:
         return _with_ray(args.folder)
     with tempfile.TemporaryDirectory(prefix="stkzoo-rllib-") as folder:
-        result = _Trial(Path(folder), args.iterations, args.timeout, args.pack).run()
+        result = Trial(Path(folder), args.iterations, args.timeout, args.pack).run()
     with atomic_write(RESULTS) as part:
         part.write_text(json.dumps(result, indent=1) + "\n")
     print(json.dumps({k: v for k, v in result.items() if k != "log"}, indent=1))
@@ -68,7 +68,7 @@ def _with_ray(folder: Path) -> int:
     return subprocess.run([python, "-m", "benchmarks.rllib_cluster", *sys.argv[1:]]).returncode
 
 
-class _Trial:
+class Trial:
     """One run on one cluster."""
 
     def __init__(self, folder: Path, iterations: int, timeout: float, pack: str) -> None:
@@ -102,13 +102,14 @@ class _Trial:
         self._note(f"the {name} node has joined")
         return node
 
-    def _start(self, address: str) -> subprocess.Popen[bytes]:
+    def words(self, address: str) -> list[str]:
+        """The options of the training command."""
         options = {
             "address": address,
             "output": self._run_folder,
             "iterations": self._iterations,
             "env-runners": 2,
-            "tracks": "lighthouse",
+            "track": "lighthouse",
             "learners": 1,
             "frozen": 1,
             "bots": 1,
@@ -116,16 +117,23 @@ class _Trial:
             "least-races": 2,
             "promote-at": 0.0,
             "max-cycles": 60,
-            "batch": 120,
-            "minibatch": 60,
-            "epochs": 1,
+            "train-batch-size": 120,
+            "batch-size": 60,
+            "n-epochs": 1,
             **({"pack": self._pack} if self._pack else {}),
             "checkpoint-every": 10,
         }
-        words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
+        return [word for name, value in options.items() for word in (f"--{name}", str(value))]
+
+    def _start(self, address: str) -> subprocess.Popen[bytes]:
         with self._said.open("wb") as said:
             return subprocess.Popen(
-                [sys.executable, "-m", "stkzoo.agents.training.rllib.selfplay", *words],
+                [
+                    sys.executable,
+                    "-m",
+                    "stkzoo.agents.training.rllib.selfplay",
+                    *self.words(address),
+                ],
                 stdout=said,
                 stderr=subprocess.STDOUT,
             )

@@ -1,5 +1,6 @@
 """Every example of the documentation: Python is run, commands are understood or run."""
 
+import importlib
 import importlib.util
 import json
 import os
@@ -8,9 +9,11 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from unittest import mock
 
 import pytest
 
+from stkzoo.agents.training.common.command import command_parser
 from stkzoo.cli import build_parser
 from tests.support.docs_blocks import (
     NOT_RUN,
@@ -128,10 +131,23 @@ def try_command(words):
         assert re.search(rf"^{rest[0]}:", (ROOT / "Makefile").read_text(), re.M), words
     elif program == "python" and rest[0] == "-m":
         assert importlib.util.find_spec(rest[1].split("|")[0]), words
+        if rest[1].startswith("stkzoo.agents.training."):
+            parse_training(rest[1], rest[2:])
     elif program == "python":
         assert (ROOT / rest[0]).exists(), words
     else:
         pytest.fail(f"who tries {' '.join(words)}? Say so in tests/docs/test_examples.py")
+
+
+def parse_training(name, words):
+    module = importlib.import_module(name)
+
+    def parse(command, description, _, kinds, given, *__):
+        command_parser(command, description, kinds).parse_args(given)
+        return 0
+
+    with mock.patch.object(module, "run_command", parse):
+        assert module.main(words) == 0
 
 
 def try_stkzoo(words):

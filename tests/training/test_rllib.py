@@ -9,10 +9,11 @@ import importlib.util
 import numpy as np
 import pytest
 
+from benchmarks.rllib_cluster import Trial
 from stkzoo._installation import install_command
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.training.common.arguments import ScriptOptions
-from stkzoo.agents.training.common.command import run_command
+from stkzoo.agents.training.common.command import command_parser, run_command
 from stkzoo.agents.training.rllib.races import (
     MAIN,
     RLlibArguments,
@@ -121,6 +122,12 @@ def test_the_command_line_is_read():
     assert arguments.hidden == (64, 32)
     assert len(arguments.all_tracks) == 15
     assert arguments.learners == 2
+
+
+def test_the_trial_of_a_cluster_uses_options_that_exist(tmp_path):
+    words = Trial(tmp_path, 10, 1.0, "some.tar.xz").words("auto")
+    kinds = ScriptOptions, RLlibArguments
+    assert command_parser("rllib.selfplay", "", kinds).parse_args(words).train_batch_size == 120
 
 
 @pytest.mark.parametrize(
