@@ -80,6 +80,7 @@ class Trial:
         self._events: list[dict[str, Any]] = []
 
     def run(self) -> dict[str, Any]:
+        """Runs the trial and returns its result."""
         os.environ["RAY_AUTH_MODE"] = "disabled"  # nobody else is on this cluster
         from ray.cluster_utils import Cluster
 

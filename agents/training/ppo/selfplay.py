@@ -76,6 +76,8 @@ class SelfPlayArguments(PPOArguments):
         plans: JSON file of plan parameters, such as best.json of tune_plans; empty is the default.
         actors: number of processes that drive the races; 0 is one for each processor core.
             Results depend on their number.
+        on_policy: drive each rollout with the latest networks. By default, the actors drive the
+            next rollout during an update, with the networks before it.
         n_steps: steps of each race between two updates.
         anneal_timesteps: kart-steps over which learning rate and entropy coefficient decay.
         kl_coef: coefficient of the KL penalty towards the plans' prior.
@@ -97,6 +99,7 @@ class SelfPlayArguments(PPOArguments):
     races: tuple[str, ...] = ("1x8", "5x8", "2+3x8", "1+4x8")
     plans: str = ""
     actors: int = 0
+    on_policy: bool = False
     n_steps: int = 128
     anneal_timesteps: int = 20_000_000
     kl_coef: float = 5e-3
@@ -197,10 +200,7 @@ class PPOLearner:
         self._actors.call("begin", seeds)
 
     def iterate(self) -> dict[str, float]:
-        """Updates the networks with a rollout; returns the log entry.
-
-        Meanwhile, the actors drive the next rollout with the networks before this update.
-        """
+        """Updates the networks with a rollout; returns the log entry."""
         begin = time.perf_counter()
         if not self._actors.is_busy:
             self._drive(self.iteration)
@@ -209,7 +209,7 @@ class PPOLearner:
         if self.iteration == 0 and not self.arguments.init:
             seen = [rollout["inputs"][rollout["active"]] for rollout in rollouts]
             self._network.fit_normalisation(np.concatenate(seen))
-        elif (self.iteration + 1) % self.arguments.checkpoint_every:
+        elif not self.arguments.on_policy and not self.is_checkpoint(self.iteration + 1):
             self._drive(self.iteration + 1)
         waited = time.perf_counter()
         learned = self._update(rollouts, [own.last_values for own in driven])
@@ -229,6 +229,10 @@ class PPOLearner:
             "kart_steps_per_s": steps / (end - begin),
         }
         return {name: round(value, 6) for name, value in line.items()}
+
+    def is_checkpoint(self, iteration: int) -> bool:
+        """Whether a checkpoint follows an iteration; all races restart after it."""
+        return iteration % self.arguments.checkpoint_every == 0
 
     def _drive(self, iteration: int) -> None:
         """Lets the actors drive the rollout of an iteration with the current networks."""
@@ -418,7 +422,7 @@ def train(options: SelfPlayOptions, arguments: SelfPlayArguments) -> None:
             bar.report(learner.kart_steps, _summary(line))
             if learner.kart_steps // arguments.keep_every > before // arguments.keep_every:
                 learner.save_policy()
-            if learner.iteration % arguments.checkpoint_every == 0:
+            if learner.is_checkpoint(learner.iteration):
                 learner.save_checkpoint()
                 learner.begin_races()
         learner.save_checkpoint()

@@ -1,0 +1,99 @@
+"""Checks that learning while the actors drive on is as good as learning in turn with them.
+
+    python -m benchmarks.learning_curves            # 12 million kart-steps, about an hour
+    python -m benchmarks.learning_curves --seeds 0 1 --total-timesteps 500000
+
+The same training runs twice for each seed: as it is by default, where the actors drive the next
+rollout during an update, and with ``--on-policy``, where they wait for it. Curves are compared per
+kart-step: the mean time ratio in self-play races, over the second half of the training. The
+command continues after an interruption.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.bench_common import RESULTS, host_facts
+from stkzoo._os import write_text
+from stkzoo.agents.training.common.run_folder import read_log
+from stkzoo.agents.training.ppo import selfplay
+
+RUNS = {"overlapping": (), "on-policy": ("--on-policy",)}
+#: Figures of the log that are compared.
+FIGURES = ("selfplay_ratio", "selfplay_unfinished", "kart_steps_per_s")
+_OPTIONS = ("--races", "10x8", "--actors", "2", "--anneal-timesteps")
+_POINTS = 40
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; returns its exit code."""
+    words = argparse.ArgumentParser(
+        prog="python -m benchmarks.learning_curves",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    words.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], metavar="N")
+    words.add_argument("--total-timesteps", type=int, default=2_000_000, metavar="N")
+    words.add_argument("--folder", type=Path, default=Path("runs/curves"), help="of the runs")
+    output = RESULTS / "learning" / "overlap.json"
+    words.add_argument("--output", type=Path, default=output, help="JSON file to write")
+    options = words.parse_args(arguments)
+    total = str(options.total_timesteps)
+    for seed in options.seeds:
+        for name, extra in RUNS.items():
+            given = ["--output", str(options.folder / f"{name}-{seed}"), "--seed", str(seed)]
+            given += ["--total-timesteps", total, *_OPTIONS, total, *extra]
+            if code := selfplay.main(given):
+                return code
+    logs = {
+        name: [read_log(options.folder / f"{name}-{seed}") for seed in options.seeds]
+        for name in RUNS
+    }
+    found = {
+        "host": host_facts(),
+        "kart_steps": options.total_timesteps,
+        "runs": {name: _summary(own, options.total_timesteps) for name, own in logs.items()},
+    }
+    write_text(options.output, json.dumps(found, indent=1) + "\n")
+    _print(found["runs"])
+    return 0
+
+
+def _summary(logs: Sequence[Sequence[Mapping[str, Any]]], total: int) -> dict[str, Any]:
+    """The curve of each seed, and its mean over the second half."""
+    points = np.linspace(total / _POINTS, total, _POINTS)
+    curves = {}
+    for figure in FIGURES:
+        rows = [[line for line in log if figure in line] for log in logs]
+        curves[figure] = [
+            np.interp(points, [line["kart_steps"] for line in own], [line[figure] for line in own])
+            for own in rows
+        ]
+    return {
+        figure: {
+            "second_half": [round(float(curve[_POINTS // 2 :].mean()), 5) for curve in own],
+            "curve": [round(float(value), 5) for value in np.mean(own, axis=0)],
+        }
+        for figure, own in curves.items()
+    }
+
+
+def _print(runs: Mapping[str, Mapping[str, Any]]) -> None:
+    print(f"{'second half of the training':28}" + "".join(f"{name:>26}" for name in FIGURES))
+    for name, own in runs.items():
+        cells = []
+        for figure in FIGURES:
+            values = own[figure]["second_half"]
+            cells.append(f"{np.mean(values):.3f} ({min(values):.3f}..{max(values):.3f})")
+        print(f"{name:28}" + "".join(f"{cell:>26}" for cell in cells))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
