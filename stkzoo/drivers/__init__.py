@@ -1,4 +1,4 @@
-"""Drivers: the game's AI, those that come with stkzoo, agents from files and Python functions."""
+"""Drivers of karts: the game's AI, stkzoo's drivers, agents from files and Python functions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An agent's code: loads its module and reads its view, its actor and its name."""
+"""Loads an agent's module and reads its view, actor and name."""
 
 from __future__ import annotations
 
@@ -23,16 +23,17 @@ from stkzoo.drivers.files import AgentFiles, AgentPlace, declared
 from stkzoo.errors import ConfigError, shortened, unknown_name
 from stkzoo.views import VIEWS, View, ViewFactory, extras_for, find_view
 
-#: Picks an action for an observation.
+#: Returns an action for an observation.
 Actor = Callable[[Any], Any]
 
-#: Makes the actor of one race from its observation space, action space and a seed.
+#: Creates the actor for one race from an observation space, an action space and a seed.
 ActorMaker = Callable[[spaces.Space[Any], spaces.Space[Any], int], Actor]
 
-#: Picks the actions of several karts at once, by their actors and observations.
+#: Returns the actions of several karts for their actors and observations.
 BatchActor = Callable[[Sequence[Actor], Sequence[Any]], Sequence[Any]]
 
-#: The names of the reference; a layer above this one, so it is imported when an agent is loaded.
+#: Package with the names of ``pystk2_gymnasium``. It is a layer above this one, so it is imported
+#: only when an agent is loaded.
 _REFERENCE = "stkzoo._pystk2_gymnasium"
 _DEFAULT_ENV = "supertuxkart/full-v0"
 _INSTALLED = {"site-packages", "dist-packages"}
@@ -40,15 +41,16 @@ _INSTALLED = {"site-packages", "dist-packages"}
 
 @dataclass(frozen=True, slots=True)
 class AgentCode:
-    """An agent's code, loaded.
+    """The loaded code of an agent.
 
     Attributes:
-        wrap: wraps its kart's environment (the ``full`` view) into its own view; ``None`` for the
-            view of those that it races against.
-        make_actor: makes its actor for one race.
-        name: the name that it gives itself; may be empty.
-        scope: context for running its code.
-        act_together: picks the actions of several of its karts at once; ``None`` if it cannot.
+        wrap: wraps the kart's environment (the ``full`` view) into the agent's view; ``None`` for
+            the view of the other agents in the race.
+        make_actor: creates the actor for one race.
+        name: name that the agent declares; may be empty.
+        scope: context in which the agent's code must run.
+        act_together: returns the actions of several of the agent's karts; ``None`` if the agent
+            does not support this.
     """
 
     wrap: ViewFactory | None
@@ -62,15 +64,15 @@ def load_agent(place: AgentPlace, adapter: str | None = None) -> AgentCode:
     """Loads an agent from its files.
 
     Args:
-        place: where to import it from.
-        adapter: path of a Python file whose ``create_actor(get_actor, module_dir,
-            observation_space, action_space)`` makes the actor instead of the agent's own
-            ``get_actor``, and whose optional ``prepare_module_dir(folder)`` is called before
-            the import of the agent.
+        place: how to import the agent.
+        adapter: path of a Python file. Its ``create_actor(get_actor, module_dir,
+            observation_space, action_space)`` creates the actor instead of the agent's
+            ``get_actor``. Its optional ``prepare_module_dir(folder)`` is called before the agent is
+            imported.
 
     Raises:
-        ConfigError: the module is not an agent.
-        Exception: any exception of the module itself.
+        ConfigError: the module is not an agent, or the adapter is invalid.
+        Exception: any exception that the module raises.
     """
     create_actor = None
     if adapter is not None:
@@ -88,15 +90,15 @@ def read_module(
     scope: AbstractContextManager[Any] | None = None,
     create_actor: Callable[..., Actor] | None = None,
 ) -> AgentCode:
-    """The code in an agent's module.
+    """Reads the agent's code from its module.
 
     Args:
-        module: has ``get_actor(module_dir, observation_space, action_space)`` and may have
-            ``create_state()``, ``get_wrappers()``, ``env_name``, ``player_name`` and
-            ``get_batch_actor(module_dir)``, whose result picks the actions of several karts at
-            once by their states and observations.
-        scope: context for running its code.
-        create_actor: an adapter's function.
+        module: a module with ``get_actor(module_dir, observation_space, action_space)`` and
+            optionally ``create_state()``, ``get_wrappers()``, ``env_name``, ``player_name`` and
+            ``get_batch_actor(module_dir)``. The latter returns a function from the states and
+            observations of several karts to their actions.
+        scope: context in which the agent's code must run.
+        create_actor: the adapter's function; ``None`` without an adapter.
 
     Raises:
         ConfigError: the module is not an agent.
@@ -137,15 +139,15 @@ def read_module(
 
 
 def _check_call(function: Callable[..., Any], name: str, *arguments: str) -> None:
-    """Checks that a function takes these arguments by position.
+    """Checks that a function accepts these positional arguments.
 
     Raises:
-        ConfigError: it does not.
+        ConfigError: the function does not accept them.
     """
     try:
         signature = inspect.signature(function, follow_wrapped=False)
     except (TypeError, ValueError):
-        return  # written in C
+        return  # functions in C may have no signature
     try:
         signature.bind(*arguments)
     except TypeError:
@@ -158,13 +160,17 @@ def _act_together(
     actors: Sequence[Actor],
     observations: Sequence[Any],
 ) -> Sequence[Any]:
-    """The actions of actors that :func:`read_module` made."""
+    """Returns the actions of several actors of :func:`read_module`."""
     states = [actor.args[0] for actor in actors]  # type: ignore[attr-defined] # partials of states
     return batch_actor()(states, observations)
 
 
 def _view_of(env_name: object) -> ViewFactory:
-    """The view of an environment's id, or of a pair of that and options of the view."""
+    """Returns the view for an environment id, or for a pair of an id and options of the view.
+
+    Raises:
+        ConfigError: the id is unknown.
+    """
     if isinstance(env_name, (tuple, list)) and len(env_name) == 2:
         return find_view((_view_of(env_name[0]), env_name[1]))
     if not isinstance(env_name, str):
@@ -187,7 +193,10 @@ def _view_of(env_name: object) -> ViewFactory:
 
 
 def env_extras(files: AgentFiles) -> frozenset[str]:
-    """What an agent's view observes in addition to ``full``, read without running its module."""
+    """Returns the entries that an agent's view observes beyond ``full``.
+
+    The agent's module does not run.
+    """
     name, options = declared(files, "env_name"), {}
     if isinstance(name, (tuple, list)) and len(name) == 2:
         name, options = name
@@ -216,12 +225,15 @@ def _load_adapter(path: Path) -> ModuleType:
 
 
 class ModuleScope:
-    """A context in which ``import`` finds an agent's own modules.
+    """A context in which ``import`` finds an agent's modules.
 
-    It keeps agents apart whose files have the same names. On entry it puts the agent's modules and
-    folders into ``sys.modules`` and ``sys.path``; on exit it removes them and restores other
-    modules of the same names. It may be nested. In it, ``pystk2_gymnasium`` is
-    stkzoo's own, even if the real one is installed.
+    It separates agents whose files have the same names. On entry, it adds the agent's modules and
+    folders to ``sys.modules`` and ``sys.path``. On exit, it removes them and restores other modules
+    with the same names. It is reentrant. Inside the context, ``pystk2_gymnasium`` is stkzoo's
+    replacement, even if the original package is installed.
+
+    Args:
+        place: how the agent's module is imported.
     """
 
     def __init__(self, place: AgentPlace) -> None:
@@ -260,10 +272,10 @@ class ModuleScope:
                 sys.path.remove(root)
 
     def load(self) -> ModuleType:
-        """Imports the agent's module; call it in the context.
+        """Imports the agent's module. Call it inside the context.
 
         Raises:
-            ModuleNotFoundError: the module does not exist.
+            ModuleNotFoundError: the module, or a module that it imports, does not exist.
         """
         importlib.invalidate_caches()
         if self._place.package:
@@ -274,11 +286,11 @@ class ModuleScope:
                 return importlib.import_module(name)
             except ModuleNotFoundError as error:  # noqa: PERF203 - two at most
                 if error.name is None or not f"{name}.".startswith(f"{error.name}."):
-                    raise  # an import in the agent failed
+                    raise  # an import inside the agent failed
         return importlib.import_module(last)
 
     def _others(self) -> dict[str, ModuleType]:
-        """Loaded modules that have the agent's names."""
+        """Returns the loaded modules whose names the agent's modules use too."""
         foreign = {name for name in self._names if name in sys.modules and self._is_foreign(name)}
         named = {name: sys.modules[name] for name in self._own if name in sys.modules}
         if not foreign:
@@ -301,7 +313,7 @@ class ModuleScope:
         )
 
     def _is_foreign(self, name: str) -> bool:
-        """Whether the module of this name belongs to another agent."""
+        """Returns whether the module with this name belongs to another agent."""
         path = _path_of(sys.modules.get(_top(name)))
         if path is None or _INSTALLED & set(path.parts):
             return False
@@ -309,7 +321,7 @@ class ModuleScope:
 
 
 def _path_of(module: ModuleType | None) -> Path | None:
-    """Path of a module's code; ``None`` for built-in modules."""
+    """Returns the path of a module's code; ``None`` for built-in modules."""
     file = getattr(module, "__file__", None)
     if not isinstance(file, str):
         folders = list(getattr(module, "__path__", None) or ())
@@ -322,7 +334,7 @@ def _top(name: str) -> str:
 
 
 def _siblings(place: AgentPlace) -> frozenset[str]:
-    """Modules beside the agent's, which it may import by their plain names."""
+    """Returns the modules in the agent's folder, which it can import by their plain names."""
     if not place.first or place.package:
         return frozenset()
     names = {entry.stem for entry in Path(place.first).glob("*.py")}
@@ -331,7 +343,7 @@ def _siblings(place: AgentPlace) -> frozenset[str]:
 
 
 def _import_package(folder: Path, name: str) -> None:
-    """Imports a package by its folder, whose name need not be an identifier."""
+    """Imports a package from its folder, whose name may not be a valid identifier."""
     if name in sys.modules:
         return
     spec = importlib.util.spec_from_file_location(

@@ -1,13 +1,13 @@
-"""Messages of plain data as bytes, for agents in other processes and on other machines.
+"""Encodes messages of plain data, for agents in other processes and on other machines.
 
 A message is ``None``, ``bool``, ``int``, ``float``, ``str``, ``bytes``, a numpy array or
 scalar of numbers or booleans, or a ``list``, ``tuple`` or ``dict`` (with ``str`` keys) of these.
-Decoding gives an equal message, with lists and tuples distinct and arrays writable. The format is
-msgpack with five extension types (``docs/reference/protocol.md``). Nothing is pickled. Decoding
-never runs code from the message and raises only :class:`~stkzoo.errors.ProtocolError`.
+Decoding returns an equal message. Lists and tuples stay distinct, and arrays are writable. The
+format is msgpack with five extension types (``docs/reference/protocol.md``). Nothing is pickled.
+Decoding never runs code from the message and raises only :class:`~stkzoo.errors.ProtocolError`.
 
-Decoding takes at most 16 bytes of memory for each byte of the message, and 1 MiB more for a
-message under 64 KiB. The kernel measures a message before anything of it is made.
+Decoding uses at most 16 bytes of memory per byte of the message, plus 1 MiB for a message under
+64 KiB. :func:`stkzoo.kernel.measure_message` checks these limits before decoding creates an object.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ class Limits:
     """Limits of one message.
 
     Attributes:
-        max_bytes: length [bytes].
-        max_depth: nesting of lists, tuples and dicts.
-        max_length: elements of one list, tuple or dict.
-        max_elements: elements of all lists, tuples and dicts together.
+        max_bytes: maximum length [bytes].
+        max_depth: maximum nesting depth of lists, tuples and dicts.
+        max_length: maximum number of elements of one list, tuple or dict.
+        max_elements: maximum number of elements of all lists, tuples and dicts together.
     """
 
     max_bytes: int = 8 << 20
@@ -42,25 +42,25 @@ class Limits:
     max_elements: int = 1 << 17
 
 
-#: Far above the largest observation of any track.
+#: Default limits, far above the largest observation of any track.
 LIMITS = Limits()
 
-#: Memory of a message [bytes for each byte]. The observation of the longest track needs 14.
+#: Memory limit of a message [bytes per byte]. The observation of the longest track needs 14.
 _MEMORY_PER_BYTE = 16
-#: A message below this length [bytes] may take this much more memory [bytes].
+#: A message below this length [bytes] may use this much additional memory [bytes].
 _SHORT, _MEMORY_OF_SHORT = 1 << 16, 1 << 20
 
 
 class Encoded(bytes):
-    """An encoded message as a part of another one, where decoding decodes it too.
+    """An encoded message inside another message. Decoding the outer message decodes both.
 
-    A program can pass a message on like this without decoding it.
+    With this type, a program can forward a message without decoding it.
     """
 
     __slots__ = ()
 
 
-# Extension types of msgpack.
+# Codes of the msgpack extension types.
 _TUPLE, _ARRAY, _SCALAR, _ROWS, _ENCODED = 1, 2, 3, 4, 5
 
 _DTYPES = {
@@ -74,20 +74,20 @@ _DTYPE_NAMES = ", ".join(dtype.name for dtype in _CODES)
 _SCALARS = frozenset(dtype.type for dtype in _CODES)
 _MAX_AXES = 8
 
-#: Types of values without parts. Subclasses are converted to their base types.
+#: Types without elements. Subclasses are converted to their base types.
 _PLAIN = (type(None), bool, int, float, str, bytes, np.ndarray, *_SCALARS)
 _LEAVES = frozenset(_PLAIN)
 _BASES: tuple[Any, ...] = (str, int, float, bytes, list, dict)
 
 
 def encode(message: object, limits: Limits = LIMITS) -> bytes:
-    """The bytes of a message.
+    """Encodes a message.
 
     Subclasses of plain types, such as ``IntEnum``, ``OrderedDict`` and ``numpy.str_``, become
     their base types.
 
     Raises:
-        ProtocolError: the message is not plain data, or exceeds a limit.
+        ProtocolError: the message is not plain data or exceeds a limit.
     """
     try:
         _check(message, limits, 0)
@@ -99,10 +99,10 @@ def encode(message: object, limits: Limits = LIMITS) -> bytes:
 
 
 def decode(data: bytes | bytearray | memoryview, limits: Limits = LIMITS) -> Any:
-    """The message in some bytes.
+    """Decodes a message.
 
     Raises:
-        ProtocolError: the bytes are not a message, or exceed a limit.
+        ProtocolError: the bytes are not a message or exceed a limit.
     """
     _check_size(data, limits)
     memory = _MEMORY_PER_BYTE * len(data) + (_MEMORY_OF_SHORT if len(data) < _SHORT else 0)
@@ -122,7 +122,7 @@ def _check_size(data: bytes | bytearray | memoryview, limits: Limits) -> None:
 
 
 def _check(value: Any, limits: Limits, depth: int) -> None:
-    """Rejects a message that is too deep or too wide, or has anything but plain data."""
+    """Rejects a message that is nested too deeply, has too many elements or is not plain data."""
     kind = type(value).__name__
     if not isinstance(value, (list, tuple, dict)):
         if not isinstance(value, _PLAIN):
@@ -153,7 +153,7 @@ def _pack(value: object) -> bytes:
 
 
 def _extended(value: Any) -> Any:
-    """A value that msgpack does not know, in a form that it does."""
+    """Converts a value of a type that msgpack does not support."""
     if isinstance(value, tuple):
         return _as_rows(value) or msgpack.ExtType(_TUPLE, _pack(list(value)))
     if isinstance(value, np.ndarray):
@@ -169,7 +169,7 @@ def _extended(value: Any) -> Any:
 
 
 def _as_rows(items: tuple[Any, ...]) -> msgpack.ExtType | None:
-    """Arrays or scalars of one dtype and shape as one array, else ``None``."""
+    """Joins arrays or scalars of one dtype and shape into one array; otherwise returns ``None``."""
     first = items[0] if len(items) > 1 else None
     if type(first) in _SCALARS and set(map(type, items)) == {type(first)}:
         return msgpack.ExtType(_ROWS, _array_bytes(np.array(items)))
@@ -223,8 +223,8 @@ def _array_of(data: bytes) -> npt.NDArray[Any]:
 
 
 def _array_from(code: int, shape: Sequence[int], data: bytes, begin: int) -> npt.NDArray[Any]:
-    """A writable array of the elements from some place on."""
+    """Returns a writable array of the elements that start at an offset."""
     view = np.ndarray(shape, _DTYPES[code], data, begin)
-    # A boolean that is neither 0 nor 1 behaves inconsistently.
+    # numpy treats a boolean byte other than 0 and 1 inconsistently.
     array: npt.NDArray[Any] = view.view(np.uint8) != 0 if code == 0 and shape else view.copy()
     return array

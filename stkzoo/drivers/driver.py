@@ -1,4 +1,4 @@
-"""Drivers by name: the game's AI, random actions, packages under ``stkzoo.agents``, and files."""
+"""Driver lookup by name: the game's AI, random actions, packages in ``stkzoo.agents``, files."""
 
 from __future__ import annotations
 
@@ -31,34 +31,34 @@ from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.views import CAMERA_VIEWS, ViewFactory, extras_for, find_view
 
 _AGENTS = "stkzoo.agents"
-#: Packages there that are not drivers.
+#: Packages in ``stkzoo.agents`` that are not drivers.
 _NO_DRIVERS = {"planner", "pretrained", "planning", "training"}
-#: Learned drivers, each a package of this one.
+#: Package of the learned drivers; each of its subpackages is a driver.
 _PRETRAINED = "pretrained"
 _NAME_MARK = "@:"
-#: The game's AI by name, and the difficulty that the name asks for.
+#: Names of the game's AI, and the difficulty that each name requires.
 _GAME_AI = {"ai": None, "ai:0": 0, "ai:1": 1, "ai:2": 2, "ai:3": 3}
 
 
-#: Loads a driver's code; its resources last as long as the stack.
+#: Loads a driver's code. Closing the stack releases its resources.
 CodeLoader = Callable[[ExitStack], AgentCode]
 
 
 @dataclass(frozen=True, slots=True)
 class Driver:
-    """A kind of driver, of which every race starts an instance.
+    """A driver. Each race starts its own instance of it.
 
     Attributes:
-        name: name to show; empty if the driver itself names it when it is loaded.
+        name: display name; empty if the driver's code sets the name when it is loaded.
         start: starts an instance for one race; ``None`` for the game's AI.
-        source: where it comes from, as the user wrote it.
-        difficulty: the race's difficulty, if the driver asks for one: the game's AI has one level
-            per race.
-        extras: what it observes in addition to the ``full`` view
+        source: text from which the user selected the driver.
+        difficulty: difficulty that the driver requires for the race; ``None`` for any. The game's
+            AI has the same difficulty for all karts of a race.
+        extras: observation entries that the driver needs beyond the ``full`` view
             (:data:`stkzoo.mdp.spaces.EXTRAS`).
-        load: loads its code into this program; ``None`` for the game's AI and for drivers that run
-            elsewhere.
-        is_from_files: whether its code is the user's files, which an adapter can change.
+        load: loads the driver's code into this process; ``None`` for the game's AI and for drivers
+            that run in another process.
+        is_from_files: whether the driver is loaded from the user's files, so an adapter applies.
     """
 
     name: str
@@ -71,40 +71,39 @@ class Driver:
 
     @property
     def is_game_ai(self) -> bool:
-        """Whether the game drives the kart itself."""
+        """Whether the driver is the game's AI."""
         return self.start is None
 
     @classmethod
     def of_actor(cls, name: str, make_actor: ActorMaker, view: object = "full") -> Driver:
-        """A driver that is a Python function.
+        """Returns a driver that is a Python function.
 
         Args:
-            name: name to show.
-            make_actor: makes its actor for one race from its observation space, its
-                action space and a seed.
-            view: what it observes and acts in, as :func:`~stkzoo.views.find_view` takes it.
+            name: display name.
+            make_actor: creates the actor for one race from the observation space, the action space
+                and a seed.
+            view: view that defines the two spaces; see :func:`~stkzoo.views.find_view`.
 
         Raises:
-            ConfigError: there is no such view.
+            ConfigError: the view is unknown or contains images.
         """
         load = partial(_code_of_actor, make_actor, view)
         return cls._here(name, load, name, extras_for(_find_view(view)))
 
     @classmethod
     def of_policy(cls, policy: object, view: object = None, name: str = "") -> Driver:
-        """A driver that is a policy without a memory.
+        """Returns a driver that is a stateless policy.
 
         Args:
-            policy: a function from an observation to an action; or an object with
-                Stable-Baselines3's ``predict``, which is asked for all karts at once and picks
-                the likeliest actions. What it learns later changes the driver.
-            view: what it observes and acts in, as :func:`~stkzoo.views.find_view` takes it;
-                ``None`` for the view of the agents that it races against (in
-                :func:`~stkzoo.race.run_race`, ``full``).
-            name: name to show; by default that of the function or class.
+            policy: a function from an observation to an action, or an object with
+                Stable-Baselines3's ``predict``. The latter is called once for all its karts, with
+                ``deterministic=True``. The policy is not copied: if it learns, the driver changes.
+            view: view of the policy; see :func:`~stkzoo.views.find_view`. ``None`` uses the view of
+                the agents in the race (in :func:`~stkzoo.race.run_race`, ``full``).
+            name: display name; by default, the name of the function or class.
 
         Raises:
-            ConfigError: it is neither, or there is no such view.
+            ConfigError: the policy is neither of these, or the view is unknown or contains images.
         """
         policy = plain_policy(policy)
         name = name or getattr(policy, "__name__", type(policy).__name__)
@@ -114,13 +113,13 @@ class Driver:
 
     @classmethod
     def _here(cls, name: str, load: CodeLoader, source: str, extras: frozenset[str]) -> Driver:
-        """A driver whose code runs in this program."""
+        """Returns a driver whose code runs in this process."""
         start = partial(InlineInstance, load=load)
         return cls(name, start, source, extras=extras, load=load)
 
 
 def driver_names() -> list[str]:
-    """The names of the drivers that come with stkzoo."""
+    """Returns the names of the drivers that come with stkzoo."""
     learned = [f"{_PRETRAINED}:{name}" for name in _packages(f"{_AGENTS}.{_PRETRAINED}")]
     return ["ai", "random", *sorted({*_packages(_AGENTS)} - _NO_DRIVERS), *sorted(learned)]
 
@@ -131,10 +130,10 @@ def _packages(parent: str) -> list[str]:
 
 
 def check_adapter(drivers: Iterable[Driver], adapter: object) -> None:
-    """Refuses an adapter that would do nothing.
+    """Rejects an adapter that would have no effect.
 
     Raises:
-        ConfigError: there is an adapter, but no driver from files.
+        ConfigError: there is an adapter, but no driver is loaded from files.
     """
     if adapter is not None and not any(driver.is_from_files for driver in drivers):
         raise ConfigError(
@@ -144,22 +143,22 @@ def check_adapter(drivers: Iterable[Driver], adapter: object) -> None:
 
 
 def find_driver(text: str, *, inline: bool = False, adapter: str | None = None) -> Driver:
-    """The driver that a text names.
+    """Returns the driver with a name.
 
     Args:
-        text: ``"ai"`` for the game's AI, ``"ai:3"`` for that at difficulty 3, which is then
-            the race's, ``"random"`` for random actions, a package under
-            ``stkzoo.agents``, ``"pretrained:NAME"`` for a learned one there, or an agent from
-            files (``docs/reference/agents.md``): the path of a folder, zip or Python file, or
-            the name
-            of a module. ``@:Name`` at the end sets the driver's name.
-        inline: run agents from files in this process, which is faster, instead of each in a
-            process of its own.
+        text: ``"ai"`` for the game's AI; ``"ai:3"`` for the game's AI at difficulty 3, which then
+            applies to the race; ``"random"`` for random actions; a package in ``stkzoo.agents``;
+            ``"pretrained:NAME"`` for a learned driver; or an agent from files
+            (``docs/reference/agents.md``): the path of a folder, zip or Python file, or the name of
+            a module. A suffix ``@:Name`` sets the display name.
+        inline: run agents from files in this process instead of one process per agent. This is
+            faster.
         adapter: path of a Python file with ``create_actor(get_actor, module_dir,
             observation_space, action_space)`` for agents from files.
 
     Raises:
-        ConfigError: no driver has this name, or the files are not an agent.
+        ConfigError: no driver has this name, the files are not an agent, or the adapter does not
+            exist.
     """
     source, mark, name = text.rpartition(_NAME_MARK) if _NAME_MARK in text else (text, "", "")
     if mark and not name:
@@ -173,10 +172,10 @@ def find_driver(text: str, *, inline: bool = False, adapter: str | None = None) 
 
 
 def declared_name(source: str) -> str:
-    """The ``player_name`` of an agent from files, which does not run; empty if there is none.
+    """Returns the ``player_name`` of an agent from files without running it, or an empty string.
 
     Args:
-        source: as for :func:`find_driver`, without ``@:Name``.
+        source: see ``text`` of :func:`find_driver`, without ``@:Name``.
     """
     files = None if source in (*_GAME_AI, *driver_names()) else find_files(source)
     name = "" if files is None else declared(files, "player_name")

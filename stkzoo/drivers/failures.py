@@ -1,4 +1,4 @@
-"""Failures of agents as text: the error, its traceback, the last lines of the output."""
+"""Formats failures of agents: the error, its traceback and the last lines of output."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ _IMPORTLIB = Path(importlib.__file__).parent
 _LIBRARIES = {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
 _MAX_FRAMES = 30
 _MAX_TEXT = 4000
-#: Characters of an agent's value in an error: more than an action of a usual space has.
+#: Maximum length of an agent's value in an error [characters]; typical actions are shorter.
 _MAX_VALUE = 1000
 _KEPT_BYTES, _KEPT_LINES = 8192, 20
-#: Escape sequences of terminals, such as colors and window titles.
+#: Terminal escape sequences, such as colors and window titles.
 _ESCAPES = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)?)")
-#: Shown output of one process: bytes in a line, and lines.
+#: Limits of the output shown for one process: bytes per line, and lines.
 _LINE_BYTES, _MAX_LINES = 300, 5000
-#: How often a reader of output looks whether it must end [ms].
+#: Interval at which an output reader checks whether it must stop [ms].
 _POLL = 200
 
 
 def in_words(error: BaseException) -> str:
-    """The error's type and text; only the text for stkzoo's own errors."""
+    """Returns an error's type and text; for stkzoo's own errors, only the text."""
     try:
         text = str(error)
-    except Exception:  # noqa: BLE001 - the agent's own class
+    except Exception:  # noqa: BLE001 - the agent's class may do anything
         text = "(its __str__ failed)"
     if isinstance(error, ModuleNotFoundError):
         text += _importer(error)
@@ -46,7 +46,7 @@ def in_words(error: BaseException) -> str:
 
 
 def _importer(error: ModuleNotFoundError) -> str:
-    """Which line of an agent needs a module that is missing, and what to do."""
+    """Returns the agent's line that imports a missing module, and how to fix it."""
     frames = [f for f in traceback.extract_tb(error.__traceback__) if not _is_ours(f.filename)]
     if not frames:
         return ""
@@ -55,7 +55,7 @@ def _importer(error: ModuleNotFoundError) -> str:
 
 
 def bounded(text: str, limit: int = _MAX_TEXT) -> str:
-    """The beginning and the end of a long text."""
+    """Shortens a text above ``limit`` characters to its beginning and end."""
     if len(text) <= limit:
         return text
     half = limit // 2
@@ -63,22 +63,27 @@ def bounded(text: str, limit: int = _MAX_TEXT) -> str:
 
 
 def value_in_words(value: object) -> str:
-    """The ``repr`` of an agent's value, of bounded length."""
+    """Returns the ``repr`` of an agent's value, limited in length."""
     return shortened(value, _MAX_VALUE)
 
 
 def printable(text: object, limit: int | None = None) -> str:
-    """Text from outside, safe for a terminal: no control codes, at most ``limit`` characters."""
+    """Makes untrusted text safe for a terminal: removes control codes and limits its length.
+
+    Args:
+        text: the text.
+        limit: maximum length [characters]; ``None`` for no limit.
+    """
     beginning = str(text)[: None if limit is None else 4 * limit]
     return plain_text(_ESCAPES.sub("", beginning)[:limit])
 
 
 def agent_trace(error: BaseException) -> str:
-    """The traceback with the agent's own frames only; empty if there are none.
+    """Returns the traceback with the agent's frames only; an empty string if there are none.
 
-    The frames of stkzoo, of Python's import system and of libraries say nothing about the agent,
-    whose files are named relative to its first one. An error that stkzoo found, such as an action
-    of the wrong shape, or a missing module, is complete in its text.
+    Frames of stkzoo, of Python's import system and of libraries are removed. File names are
+    relative to the folder of the agent's first frame. A missing module, and an error that stkzoo
+    detects, such as an action of the wrong shape, have no traceback: their text is complete.
     """
     if isinstance(error, ModuleNotFoundError):
         return ""
@@ -93,7 +98,7 @@ def agent_trace(error: BaseException) -> str:
     for frame in frames:
         frame.filename = _relative(frame.filename, home)
     for link in links:
-        if isinstance(file := getattr(link, "filename", None), str):  # a syntax error's
+        if isinstance(file := getattr(link, "filename", None), str):  # a syntax error
             link.filename = _relative(file, home)
     return bounded("".join(trace.format())).rstrip()
 
@@ -103,14 +108,14 @@ def _relative(file: str, home: Path) -> str:
 
 
 def _chain(trace: traceback.TracebackException | None) -> Iterator[traceback.TracebackException]:
-    """An error and those that led to it."""
+    """Yields an error and its causes."""
     while trace is not None:
         yield trace
         trace = trace.__cause__ or (None if trace.__suppress_context__ else trace.__context__)
 
 
 def _own_frames(stack: traceback.StackSummary) -> list[traceback.FrameSummary]:
-    """The frames of an agent; those of libraries if the agent has none."""
+    """Returns the agent's frames, or library frames if the agent has none."""
     others = [frame for frame in stack if not _is_ours(frame.filename)]
     return [frame for frame in others if not _is_library(frame.filename)] or others
 
@@ -125,17 +130,17 @@ def _is_library(file: str) -> bool:
 
 
 def error_report(error: BaseException) -> list[str]:
-    """An agent's error as a part of a message: its kind, its text and its traceback."""
+    """Converts an agent's error to message data: its kind, text and traceback."""
     kind = "timeout" if isinstance(error, AgentTimeout) else "error"
     trace = error.trace if isinstance(error, AgentError) else agent_trace(error)
     return [kind, printable(in_words(error), _MAX_TEXT), printable(bounded(str(trace)))]
 
 
 def reported_error(report: Any, agent: str) -> AgentError:
-    """The error that :func:`error_report` described, to be raised for an agent.
+    """Converts a report of :func:`error_report` to an error of an agent.
 
     Raises:
-        ProtocolError: the report has another form.
+        ProtocolError: the report is invalid.
     """
     match report:
         case [str(kind), str(text), str(trace)]:
@@ -145,11 +150,11 @@ def reported_error(report: Any, agent: str) -> AgentError:
 
 
 class OutputTail:
-    """Reads a process's output, so that the process never blocks, and keeps the last lines.
+    """Keeps the last lines of a process's output. A thread reads it, so the process never blocks.
 
     Args:
-        stream: the reading end of its output.
-        label: shows the output on stderr, with this before each line; empty to show nothing.
+        stream: read end of the process's output.
+        label: prefix of each line that is shown on stderr; if empty, the output is not shown.
     """
 
     def __init__(self, stream: IO[bytes] | None, label: str = "") -> None:
@@ -162,27 +167,27 @@ class OutputTail:
         self._thread.start()
 
     def show_as(self, label: str) -> None:
-        """Changes the label of the lines that follow, and counts them from 0."""
+        """Changes the label of further lines and resets the count of shown lines."""
         self._label, self._num_shown = label, 0
 
     def text(self, lines: int = _KEPT_LINES) -> str:
-        """The last lines received so far."""
+        """Returns the last lines received so far."""
         text = printable(self._tail.decode(errors="replace"))
         return "\n".join(line[:_LINE_BYTES] for line in text.splitlines()[-lines:])
 
     def wait(self, seconds: float = 0.1) -> None:
-        """Waits until everything that the process has written is read, for some time."""
+        """Waits until all output that the process has written is read, up to a timeout [s]."""
         deadline = time.monotonic() + seconds
         while self._thread.is_alive() and time.monotonic() < deadline:
             if not self._is_readable(0):
-                time.sleep(0.002)  # for the thread to keep what it has just read
+                time.sleep(0.002)  # the thread may not have stored its last block yet
                 return
             time.sleep(0.001)
 
     def close(self) -> None:
-        """Waits briefly for the last lines of a process that has ended.
+        """Waits briefly for the last lines of a process that has ended, then stops the thread.
 
-        A process that has escaped may still hold the other end; that costs it its output.
+        If an escaped process still holds the other end of the pipe, its output is lost.
         """
         self._thread.join(0.5)
         self._is_closing = True
@@ -199,7 +204,7 @@ class OutputTail:
             self._show(b"\n")
 
     def _next(self) -> bytes:
-        """The next output; empty at its end."""
+        """Returns the next output; empty at the end."""
         while not self._is_closing:
             if not hasattr(select, "poll") or self._is_readable(_POLL):
                 return os.read(self._stream.fileno(), 65536)
@@ -211,7 +216,7 @@ class OutputTail:
         return bool(poll.poll(milliseconds))
 
     def _show(self, block: bytes) -> None:
-        """Shows the complete lines, up to a limit."""
+        """Writes the complete lines to stderr, up to a maximum number."""
         *lines, self._line = (self._line + block).split(b"\n")
         if len(self._line) > _LINE_BYTES:
             lines, self._line = [*lines, self._line], b""

@@ -1,4 +1,4 @@
-"""The files of an agent: a folder, a zip, one Python file or the name of a module."""
+"""Agent files: a folder, a zip, one Python file or an importable module."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from stkzoo._os import LockedTemporaryDirectory
 from stkzoo._reading import Unreadable, is_there, open_zip
 from stkzoo.errors import ConfigError
 
-#: Name of an agent's module.
+#: Name of the module that contains an agent.
 ACTOR_MODULE = "pystk_actor"
 _PACKAGE = "stk_actor"
-#: How a module assigns a name; what follows is a literal of a few lines.
+#: Pattern of an assignment to a name in a module; a literal of a few lines follows it.
 _ASSIGNMENT = r"^{name}\s*(?::[^=\n]+)?=(?!=)"
 _MAX_LINES, _MAX_LITERAL = 20, 2000
-#: Only the first characters of a module are searched.
+#: Number of characters at the beginning of a module that are searched for assignments.
 _MAX_CHARACTERS = 1 << 20
 
-#: Largest size of an agent with its weights ...
+#: Maximum size of an agent's unpacked files, including weights [bytes].
 MAX_BYTES = 1 << 30
-#: ... largest number of its files ...
+#: Maximum number of an agent's files.
 MAX_FILES = 10_000
-#: ... and largest compression ratio of files above a megabyte.
+#: Maximum compression ratio of a file above 1 MiB.
 MAX_RATIO = 200
 _SMALL = 1 << 20
-_MAX_DEPTH = 32  # of folders
+_MAX_DEPTH = 32  # nested folders
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +42,9 @@ class AgentPlace:
     """How an agent's module is imported.
 
     Attributes:
-        modules: names to try in this order, until a module exists.
-        first: folder to search before all others; empty for none.
-        last: folder to search after all others; empty for none.
+        modules: module names to try in this order; the first that exists is imported.
+        first: folder to add at the beginning of the module search path; empty for none.
+        last: folder to add at the end of the module search path; empty for none.
         package: folder of the module's package; empty for none.
     """
 
@@ -59,7 +59,7 @@ class AgentFiles:
     """The files of an agent.
 
     Attributes:
-        source: the text that named them.
+        source: text from which the user selected the agent.
         path: the folder, zip or file; ``None`` for a module that Python finds by name.
     """
 
@@ -67,10 +67,13 @@ class AgentFiles:
     path: Path | None
 
     def place(self, resources: ExitStack) -> AgentPlace:
-        """How to import the agent; a zip is unpacked for as long as ``resources`` lasts.
+        """Returns how to import the agent, and unpacks a zip.
+
+        Args:
+            resources: closing it removes the unpacked files.
 
         Raises:
-            ConfigError: there is no agent, or the zip cannot be unpacked.
+            ConfigError: the folder or zip contains no agent, or the zip cannot be unpacked.
         """
         if self.path is None:
             module = self.source
@@ -86,13 +89,13 @@ class AgentFiles:
 
 
 def declared(files: AgentFiles, name: str) -> object:
-    """The literal that an agent's module assigns to a name; empty if there is none.
+    """Returns the literal that an agent's module assigns to a name; empty if there is none.
 
-    The module does not run: a line of it must begin with the name, such as ``env_name = ``, and a
-    literal.
+    The module does not run. The assignment must start at the beginning of a line, such as
+    ``env_name = ``, and its value must be a literal.
 
     Args:
-        files: the agent's.
+        files: the agent's files.
         name: ``env_name`` or ``player_name``.
     """
     try:
@@ -107,7 +110,7 @@ def declared(files: AgentFiles, name: str) -> object:
 
 
 def _literal(text: str) -> object:
-    """The literal that a text begins with; empty if there is none."""
+    """Returns the literal at the beginning of a text; an empty string if there is none."""
     lines = text.splitlines()[:_MAX_LINES]
     for count in range(1, len(lines) + 1):
         with suppress(ValueError, SyntaxError, MemoryError, RecursionError, TypeError):
@@ -116,10 +119,10 @@ def _literal(text: str) -> object:
 
 
 def _module_file(place: AgentPlace) -> Path:
-    """The file of an agent's module, as Python would find it.
+    """Returns the file of an agent's module, in Python's search order.
 
     Raises:
-        FileNotFoundError: there is none.
+        FileNotFoundError: no module exists.
     """
     for name in place.modules:
         top, *rest = name.split(".")
@@ -132,7 +135,7 @@ def _module_file(place: AgentPlace) -> Path:
 
 
 def _homes(top: str, place: AgentPlace) -> list[Path]:
-    """Possible folders of a package, or files of a module without their suffix."""
+    """Returns candidate folders of a package, or files of a module without their suffix."""
     if place.package:
         return [Path(place.package)]
     first, last = ([Path(folder) / top] if folder else [] for folder in (place.first, place.last))
@@ -143,7 +146,7 @@ def _homes(top: str, place: AgentPlace) -> list[Path]:
 
 
 def installed_module(top: str) -> ModuleSpec | None:
-    """The spec of a top-level module; the module does not run."""
+    """Returns the spec of a top-level module without running it; ``None`` if there is none."""
     try:
         return importlib.util.find_spec(top)
     except (ImportError, OSError, ValueError):
@@ -151,14 +154,14 @@ def installed_module(top: str) -> ModuleSpec | None:
 
 
 def find_files(source: str) -> AgentFiles | None:
-    """The files of a source; ``None`` if it is neither a path nor a module.
+    """Returns the files of an agent; ``None`` if the source is neither a path nor a module.
 
     Args:
-        source: path of a folder, zip or Python file, or name of a module. The code does not
-            run, so its own errors show only when it is loaded.
+        source: path of a folder, zip or Python file, or name of a module. The code does not run, so
+            its errors appear only when it is loaded.
 
     Raises:
-        ConfigError: it is a path, but not an agent.
+        ConfigError: the source is an existing path, but not an agent.
     """
     path = _path_of(source)
     if is_there(path):
@@ -184,7 +187,7 @@ def find_files(source: str) -> AgentFiles | None:
 def _path_of(source: str) -> Path:
     try:
         return Path(source).expanduser()
-    except RuntimeError:  # there is no such user
+    except RuntimeError:  # the path starts with ~ and an unknown user
         return Path(source)
 
 
@@ -198,7 +201,11 @@ def _is_module(name: str) -> bool:
 
 
 def _place_in(folder: Path, source: str) -> AgentPlace:
-    """The agent in a folder, as a plain module or a package, directly or in ``stk_actor``."""
+    """Finds the agent in a folder: a module or a package, in the folder or in ``stk_actor``.
+
+    Raises:
+        ConfigError: the folder contains no agent.
+    """
     for home in (folder / _PACKAGE, folder):
         if (home / f"{ACTOR_MODULE}.py").is_file():
             if (home / "__init__.py").is_file():
@@ -220,13 +227,13 @@ def _package(folder: Path, module: str) -> AgentPlace:
 
 
 def unpacked_folder(place: AgentPlace) -> Path:
-    """The folder with all files of an agent that was a zip."""
+    """Returns the folder that contains all files of an agent from a zip."""
     folder = Path(place.package or place.first)
     return folder.parent if folder.name == _PACKAGE else folder
 
 
 def _only_folder(folder: Path) -> Path:
-    """The folder itself, or the one folder that all of it is in."""
+    """Returns the only subfolder of a folder if it contains all files; otherwise the folder."""
     entries = [entry for entry in folder.iterdir() if entry.name != "__MACOSX"]
     is_nested = len(entries) == 1 and entries[0].is_dir() and entries[0].name != _PACKAGE
     return entries[0] if is_nested else folder
@@ -235,11 +242,11 @@ def _only_folder(folder: Path) -> Path:
 def unpack(path: Path, folder: Path) -> None:
     """Unpacks a zip into a new folder.
 
-    Every entry becomes a plain file or folder that only its owner can read.
+    Only plain files and folders are created. Only the owner can read the files.
 
     Raises:
-        ConfigError: the zip is damaged, encrypted, too large, or has links or paths that
-            lead out of it. The folder may have a part of it then.
+        ConfigError: the zip is damaged, encrypted or too large, or contains links or paths outside
+            of it. The folder may then contain some of the files.
     """
     with _opened(path) as archive:
         folder.mkdir(parents=True)
@@ -247,13 +254,13 @@ def unpack(path: Path, folder: Path) -> None:
             target = folder / member.filename
             target.parent.mkdir(parents=True, exist_ok=True)
             with archive.open(member) as source, target.open("xb") as file:
-                shutil.copyfileobj(source, file)  # at most the size in the list, which is checked
+                shutil.copyfileobj(source, file)  # at most the listed size, which is checked
             target.chmod(stat.S_IRUSR | stat.S_IWUSR)
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
-    """The zip; any error in reading it is a :class:`ConfigError`."""
+    """Opens a zip and converts all reading errors to :class:`ConfigError`."""
     try:
         with open_zip(path, MAX_FILES, MAX_BYTES) as archive:
             yield archive
@@ -269,7 +276,7 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
 
 
 def _checked(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
-    """The zip's files, after a check of their list."""
+    """Checks the zip's entries and returns those that are files."""
     members = archive.infolist()
     for member in members:
         _check(member)

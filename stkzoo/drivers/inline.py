@@ -1,4 +1,4 @@
-"""Agents whose code runs in the program itself."""
+"""Agents whose code runs in this process."""
 
 from __future__ import annotations
 
@@ -20,23 +20,24 @@ from stkzoo.drivers.replies import receive_pending
 from stkzoo.errors import ActionError, AgentError, AgentTimeout
 from stkzoo.views.agent_chain import AgentChain
 
-#: Seconds until the alarm rings again: Python drops an exception that is raised in a destructor
-#: or in a callback of its garbage collector.
+#: Interval at which the alarm repeats [s]. It repeats because Python ignores exceptions that are
+#: raised in a destructor or in a callback of the garbage collector.
 _AGAIN = 0.5
 
 
 class InlineInstance:
-    """A driver with its view, its wrappers and its state, in the program itself.
+    """An instance of a driver whose code, view and wrappers run in this process.
 
-    It is fast, but its failures can affect the whole program. A signal ends a call that is too
-    late. This works only in the program's main thread, and between two Python instructions.
+    It is fast, but a failure of the driver can affect the whole program. A signal interrupts a call
+    that exceeds its time limit. This works only in the main thread, and only between two Python
+    instructions.
 
-    The agent's wrappers get its observations and actions, but no rewards, infos or ends: these
-    are 0, empty and ``False``.
+    The agent's wrappers get its observations and actions, but not the race's rewards, infos and
+    flags: these are 0, empty and ``False``.
 
     Args:
         request: the runner's request.
-        load: loads the driver's code; its resources last as long as the stack.
+        load: loads the driver's code. Closing the stack releases its resources.
     """
 
     is_usable = True
@@ -46,11 +47,11 @@ class InlineInstance:
         self._resources = ExitStack()
         self._is_ready = self._is_begun = False
         self._observation: Any = None
-        #: How many track segments the driver uses; ``None`` for all. Known when ready.
+        #: Number of track segments that the driver uses; ``None`` for all. Set by :meth:`ready`.
         self.paths_used: int | None = None
 
     def ready(self) -> str:
-        """Loads the driver's code."""
+        """Loads the driver's code and returns the name that it declares."""
         request = self._request
         with self._guarded("start", request.limits.start_timeout):
             self._code = self._load(self._resources)
@@ -67,15 +68,15 @@ class InlineInstance:
             return self._code.name
 
     def ask(self, observation: Any) -> None:
-        """Keeps the observation; the driver runs in :meth:`answer`."""
+        """Stores the observation. The driver runs in :meth:`answer`."""
         self._observation = observation
 
     def answer(self) -> Decision:
-        """Runs the driver."""
+        """Runs the driver and returns its decision."""
         agent = self._request.agent
         if not self._is_ready:
             raise AgentError(f"{agent} was asked before it was ready", agent)
-        receive_pending()  # other drivers' replies that arrive before this one thinks
+        receive_pending()  # so that this driver's time does not count for the other drivers
         begin, clipped = time.perf_counter(), self._chain.num_clipped
         limit = self._request.clock.limit(self._request.limits.action_timeout)
         try:
@@ -103,14 +104,18 @@ class InlineInstance:
         self._resources.close()
 
     def _see(self, observation: Any) -> Any:
-        """The observation in the agent's view, by its wrappers' ``reset`` or pending ``step``."""
+        """Converts the observation by the wrappers' ``reset`` or their pending ``step``."""
         if not self._is_begun:
             return self._chain.reset(observation, {}, seed=self._request.seed)[0]
         self._is_begun = False
         return self._chain.finish_step((observation, 0.0, False, False, {}))[0]
 
     def _checked(self, action: Any) -> Any:
-        """The game's own action; an invalid one is shown whole in the error."""
+        """Converts an action to the game's action; an error shows the whole action and its space.
+
+        Raises:
+            AgentError: the action is invalid.
+        """
         try:
             return self._decode(action)
         except ActionError as error:
@@ -121,21 +126,26 @@ class InlineInstance:
             raise AgentError(in_words(error), self._request.agent, details) from error
 
     def _decode(self, action: Any) -> Any:
-        """The game's own action; checked again after wrappers of the agent's own."""
+        """Converts an action to the game's action; checks it again after custom wrappers."""
         checked = self._chain.read_action(action)
         if self._chain.is_pure:
             return self._chain.begin_step(checked)
         return self._chain.begin_base_step(checked)
 
     def _skip_step(self) -> None:
-        """Begins a step for an agent that failed, so that its wrappers keep their memory."""
+        """Begins a step for an agent that failed, so that its wrappers keep their state."""
         with suppress(Exception):
             self._chain.begin_step(create_zero_array(self._chain.action_space))
             self._is_begun = True
 
     @contextmanager
     def _guarded(self, phase: str, limit: float | None) -> Iterator[None]:
-        """Ends the driver's code when it is late; raises :class:`AgentError` when it fails."""
+        """Interrupts the driver's code at the time limit and converts its exceptions.
+
+        Raises:
+            AgentTimeout: the code exceeded the time limit.
+            AgentError: the code raised an exception.
+        """
         agent = self._request.agent
         try:
             with _time_limit(limit):
@@ -148,12 +158,12 @@ class InlineInstance:
 
 
 class _TooLate(BaseException):
-    """Ends a call; an agent's ``except Exception`` does not catch it."""
+    """Interrupts a call. It is no ``Exception``, so an agent's ``except Exception`` misses it."""
 
 
 @contextmanager
 def _time_limit(seconds: float | None) -> Iterator[None]:
-    """Raises :class:`_TooLate` in its body after some time, where signals are available."""
+    """Raises :class:`_TooLate` in its body after a time limit, where signals are available."""
     is_possible = hasattr(signal, "setitimer") and (
         threading.current_thread() is threading.main_thread()
     )

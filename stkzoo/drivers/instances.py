@@ -1,10 +1,10 @@
-"""A driver instance: one driver in one race, wherever the driver's code runs.
+"""Driver instances: one driver in one race, independent of where the driver's code runs.
 
-The runner asks all instances before it waits for any, so that drivers in other processes and on
-other machines decide at the same time. Every instance gets the ``full`` view of its kart and
-returns the game's own action (:func:`~stkzoo.mdp.spaces.kart_observation_space`,
-:func:`~stkzoo.mdp.spaces.kart_action_space`). The driver's own view and wrappers are applied where
-its code runs.
+The runner sends observations to all instances before it waits for the first decision. Drivers in
+other processes and on other machines therefore decide in parallel. Each instance gets the ``full``
+view of its kart and returns the game's action (:func:`~stkzoo.mdp.spaces.kart_observation_space`,
+:func:`~stkzoo.mdp.spaces.kart_action_space`). The driver's view and wrappers run where its code
+runs.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from gymnasium import spaces
 
 @dataclass(frozen=True, slots=True)
 class DriverLimits:
-    """The resources that a driver may use.
+    """Resource limits of a driver.
 
     Attributes:
-        action_timeout: time for one decision [s]; ``None`` for no limit.
-        start_timeout: time until it is ready to drive [s].
-        memory: memory of its processes [MB]; ``None`` for no limit.
-        sandbox: when it runs in a sandbox: ``"auto"``, ``"on"`` or ``"off"``
+        action_timeout: time limit of one decision [s]; ``None`` for no limit.
+        start_timeout: time limit of the start [s].
+        memory: memory limit of the driver's processes [MB]; ``None`` for no limit.
+        sandbox: whether the driver runs in a sandbox: ``"auto"``, ``"on"`` or ``"off"``
             (:func:`stkzoo.drivers.sandbox.sandbox_kind`).
     """
 
@@ -36,11 +36,11 @@ class DriverLimits:
 
 @dataclass(slots=True)
 class ThinkingClock:
-    """The time that a driver has spent on its decisions in one race, across restarts.
+    """Total decision time of a driver in one race, across restarts of the driver.
 
     Attributes:
-        budget: the time that it may spend [s]; ``None`` for no limit.
-        used: the time that it has spent [s].
+        budget: time limit for all decisions together [s]; ``None`` for no limit.
+        used: time used so far [s].
     """
 
     budget: float | None = None
@@ -48,11 +48,19 @@ class ThinkingClock:
 
     @property
     def is_over(self) -> bool:
-        """Whether the budget is used up."""
+        """Whether the budget is exhausted."""
         return self.budget is not None and self.used >= self.budget
 
     def limit(self, action_timeout: float | None) -> float | None:
-        """The time for the next decision [s]: the shorter one of a time limit and what is left."""
+        """Returns the time limit of the next decision [s].
+
+        Args:
+            action_timeout: time limit of one decision [s]; ``None`` for no limit.
+
+        Returns:
+            The smaller of ``action_timeout`` and the remaining budget, which counts as at least
+                1 ms; ``None`` if neither is limited.
+        """
         if self.budget is None:
             return action_timeout
         left = max(self.budget - self.used, 1e-3)
@@ -61,18 +69,18 @@ class ThinkingClock:
 
 @dataclass(frozen=True, slots=True)
 class DriverRequest:
-    """The arguments that a driver is started with.
+    """Arguments with which the runner starts a driver.
 
     Attributes:
         agent: id of the agent, such as ``"kart_0"``.
         observation_space: space of the observations that the instance gets.
-        action_space: space of the actions that it returns.
+        action_space: space of the actions that the instance returns.
         seed: seed of the driver's random numbers.
-        limits: the resources that the driver may use.
-        output_label: shows what an agent in a process of its own prints, with this before each
-            line; empty to show nothing.
-        clock: limits the time for all decisions together; the runner stops it.
-        cores: the cores that an agent in a process of its own runs on; empty for all.
+        limits: resource limits of the driver.
+        output_label: prefix of each line that an agent in its own process prints; if empty, the
+            output is not shown.
+        clock: limits the total time of all decisions; the runner updates it.
+        cores: processor cores on which an agent in its own process runs; empty for all.
     """
 
     agent: str
@@ -87,12 +95,12 @@ class DriverRequest:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """A driver's answer to one observation.
+    """A driver's action for one observation.
 
     Attributes:
-        action: in the action space of the request; the runner checks it.
-        seconds: how long the driver took, from the observation to the answer. The race measures
-            it with its own clock; an agent cannot set it.
+        action: an element of the request's action space; the runner checks it.
+        seconds: time from the observation to the reply [s]. The race measures it, so an agent
+            cannot falsify it.
         is_clipped: whether a number was outside its ``Box`` and was clipped.
     """
 
@@ -104,47 +112,47 @@ class Decision:
 class DriverInstance(Protocol):
     """One driver in one race.
 
-    Each method except :meth:`close` raises :class:`~stkzoo.errors.AgentError` when the driver
-    fails and :class:`~stkzoo.errors.AgentTimeout` when it is too slow, and returns in bounded
-    time. After an error, the runner closes the instance and starts a new one if the driver
-    continues, unless :attr:`is_usable`.
+    Each method except :meth:`close` raises :class:`~stkzoo.errors.AgentError` if the driver fails
+    and :class:`~stkzoo.errors.AgentTimeout` if it is too slow. Each method returns in bounded time.
+    If the driver continues after an error, the runner keeps an instance that :attr:`is_usable`, and
+    otherwise closes it and starts a new one.
     """
 
     @property
     def is_usable(self) -> bool:
-        """Whether the driver can be asked again after an error in :meth:`answer`."""
+        """Whether the instance accepts observations after an error in :meth:`answer`."""
         ...
 
     def ready(self) -> str:
-        """Waits until the driver can drive.
+        """Waits until the driver is ready.
 
         Returns:
-            The name that the driver gives itself; empty if it has none.
+            The name that the driver declares; empty if it has none.
         """
         ...
 
     def ask(self, observation: Any) -> None:
-        """Hands over the observation and returns at once."""
+        """Sends the observation to the driver without waiting for its decision."""
         ...
 
     def answer(self) -> Decision:
-        """Waits for the decision on the last :meth:`ask`."""
+        """Waits for the decision on the observation of the last :meth:`ask`."""
         ...
 
     def close(self) -> None:
-        """Ends the driver and frees everything; may be called twice, never raises."""
+        """Stops the driver and releases all resources. It may be called twice and never raises."""
         ...
 
 
-#: Starts a driver. Returns before the driver is ready, so that all drivers start together.
+#: Starts a driver and returns before it is ready, so that all drivers start in parallel.
 DriverStart = Callable[[DriverRequest], DriverInstance]
 
 
 def without_unused_paths(observation: Any, paths_used: int | None) -> Any:
-    """The observation without the track segments that a driver does not use.
+    """Removes the track segments that a driver does not use from an observation.
 
     Args:
-        observation: of the ``full`` view, or encoded.
+        observation: observation of the ``full`` view. An encoded one is returned unchanged.
         paths_used: number of segments that the driver uses; ``None`` for all.
     """
     if paths_used is None or isinstance(observation, bytes):

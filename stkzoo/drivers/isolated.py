@@ -1,8 +1,8 @@
-"""Agents that run in processes of their own.
+"""Agents that run in separate processes.
 
-An error, an endless loop, a crash or too much memory costs such an agent only its own kart. What
-its process can reach is the matter of :mod:`stkzoo.drivers.sandbox`. On Linux, a keeper
-(:mod:`stkzoo.drivers.keeper`) starts each agent and ends all that it has started.
+An error, an endless loop, a crash or excessive memory use affects only the agent's own kart.
+:mod:`stkzoo.drivers.sandbox` restricts what the process can access. On Linux, a keeper
+(:mod:`stkzoo.drivers.keeper`) starts each agent and kills all of its descendants.
 """
 
 from __future__ import annotations
@@ -35,34 +35,34 @@ sys.path[:] = json.loads(sys.argv[1])
 from stkzoo.drivers.process import main
 main(*map(int, sys.argv[2:]))
 """
-#: How long an agent without a time limit may take to read its observation [s].
+#: Time limit for an agent without a time limit to read its observation [s].
 _SEND_TIMEOUT = 60.0
-#: Lines of an agent's output that are shown with its exception.
+#: Number of lines of output that are shown with an agent's exception.
 _LINES_BEFORE_ERROR = 5
-#: How long an agent may take to end by itself after the race [s] ...
+#: Time limit for an agent to exit by itself after the race [s].
 _GRACE = 0.5
-#: ... and its keeper to end all that it has started.
+#: Time limit for the keeper to kill an agent's processes [s].
 _END_TIMEOUT = 5.0
 _HAS_KEEPER = sys.platform == "linux"
 _MOST_REASON = 200
-#: Errors of agents that miss files because of their sandbox.
+#: Beginnings of errors that the sandbox may have caused by hiding a file.
 _OUT_OF_REACH = ("FileNotFoundError", "PermissionError", "OSError: [Errno 30]")
 _HINT = " (in its sandbox it has only its own files; --sandbox off runs it without)"
 
 
 class IsolatedInstance:
-    """An agent in a process of its own.
+    """An instance of an agent in its own process.
 
     Args:
         request: the runner's request; its spaces are those of the ``full`` view.
         files: the agent's files.
-        adapter: as for :func:`~stkzoo.drivers.code.load_agent`.
+        adapter: see :func:`~stkzoo.drivers.code.load_agent`.
 
     Raises:
-        AgentError: the files are not an agent.
+        AgentError: the files are not an agent, or the process or its sandbox cannot be started.
     """
 
-    #: Observations may be passed as they came over a network; the agent's process decodes them.
+    #: :meth:`ask` accepts observations that are still encoded; the agent's process decodes them.
     takes_encoded = True
 
     def __init__(
@@ -70,10 +70,10 @@ class IsolatedInstance:
     ) -> None:
         self._agent, self._limits, self._clock = request.agent, request.limits, request.clock
         self._cores = request.cores
-        self._limit: float | None = None  # of the decision
+        self._limit: float | None = None  # time limit of the current decision
         self._number = 0
         self.is_usable = True
-        #: How many track segments the agent uses; ``None`` for all. Known when ready.
+        #: Number of track segments that the agent uses; ``None`` for all. Set by :meth:`ready`.
         self.paths_used: int | None = None
         self._resources = ExitStack()
         try:
@@ -106,7 +106,7 @@ class IsolatedInstance:
             raise
 
     def ready(self) -> str:
-        """Waits until the agent is loaded."""
+        """Waits until the agent is loaded and returns the name that it declares."""
         reply = self._receive("start")
         name, paths = reply.get("name"), reply.get("paths_used")
         if not isinstance(name, str) or not (paths is None or isinstance(paths, int)):
@@ -122,7 +122,7 @@ class IsolatedInstance:
         self._send([self._number, seen], "action", self._limit)
 
     def answer(self) -> Decision:
-        """Waits for the action; ends the process of an agent that is too late."""
+        """Waits for the decision; if it arrives too late, kills the agent's process."""
         reply = self._receive("action")
         number = reply.get("number")
         if not isinstance(number, int) or number != self._number:
@@ -131,13 +131,17 @@ class IsolatedInstance:
         return Decision(reply.get("action"), seconds, reply.get("is_clipped") is True)
 
     def peak_memory(self) -> float | None:
-        """Peak memory of the process so far [MB]; ``None`` where the system does not report it."""
+        """Returns the largest peak memory of one of the agent's processes so far [MB].
+
+        Returns:
+            ``None`` if the system does not report it.
+        """
         processes = keeper.descendants(self._process.pid)
         peaks = (keeper.memory_of(process, "status", ("VmHWM:",)) for process in processes)
         return max(peaks, default=0) / 2**20 or None
 
     def close(self) -> None:
-        """Ends the process and all that it started, and removes the agent's unpacked files."""
+        """Kills the process and its descendants, and removes the agent's unpacked files."""
         self.is_usable = False
         self._channel.close()
         self._has_ended(_GRACE)
@@ -146,7 +150,7 @@ class IsolatedInstance:
     # ------------------------------------------------------------------ messages
 
     def _send(self, message: Any, phase: str, timeout: float | None) -> None:
-        """Sends a message; the time limit holds for the answer too."""
+        """Sends a message. The time limit covers the reply too."""
         self._channel.deadline = time.monotonic() + (timeout or _SEND_TIMEOUT)
         with self._talking(phase):
             self._channel.send(message)
@@ -154,7 +158,7 @@ class IsolatedInstance:
             self._channel.deadline = None
 
     def _receive(self, phase: str) -> dict[str, Any]:
-        """The next message of the process; raises the error in it."""
+        """Waits for the process's next message and raises the error that it reports."""
         with self._talking(phase):
             reply = self._channel.receive()
             if not isinstance(reply, dict):
@@ -174,7 +178,7 @@ class IsolatedInstance:
 
     @contextmanager
     def _talking(self, phase: str) -> Iterator[None]:
-        """Ends the process if it does not take part."""
+        """Kills the process and raises an error if communication with it fails."""
         try:
             yield
         except TimeoutError:
@@ -192,7 +196,7 @@ class IsolatedInstance:
             self._fail(f"its process sent an invalid message: {problem}")
 
     def _with_output(self, error: AgentError) -> AgentError:
-        """The error with the last lines that the agent printed before it."""
+        """Appends the agent's last lines of output to an error's traceback."""
         self._output.wait()
         if output := self._output.text(_LINES_BEFORE_ERROR):
             error.trace = f"{error.trace.rstrip()}\nlast output:\n{output}".lstrip()
@@ -235,12 +239,12 @@ class IsolatedInstance:
         return ReplyChannel(ours), life, process
 
     def _cpu_time(self) -> float | None:
-        """Processor time that each process of the agent may use [s]; ``None`` for no limit."""
+        """Returns the CPU time limit of each of the agent's processes [s]; ``None`` for none."""
         budget = self._clock.budget
         return None if budget is None else self._limits.start_timeout + budget
 
     def _has_ended(self, seconds: float) -> bool:
-        """Waits for the process to end by itself; leaves its id reserved for :meth:`_end`."""
+        """Waits for the process to exit by itself; does not reap it, so its id stays valid."""
         deadline = time.monotonic() + seconds
         state = os.WEXITED | os.WNOWAIT | os.WNOHANG
         with suppress(ChildProcessError):
@@ -253,7 +257,7 @@ class IsolatedInstance:
         return True
 
     def _how_it_ended(self) -> str:
-        """Says how the process ended by itself, or why its keeper ended it."""
+        """Describes how the process exited by itself, or why the keeper killed it."""
         reason = b""
         with suppress(OSError):
             self._life.setblocking(False)
@@ -261,11 +265,11 @@ class IsolatedInstance:
         self._end()
         code = self._process.returncode
         if _HAS_KEEPER and code - 128 in set(signal.Signals):
-            code = 128 - code  # of the agent, which its keeper reports so
+            code = 128 - code  # the keeper reports the agent's signal as 128 + signal
         return reason.decode(errors="replace") or describe_end(code)
 
     def _end(self) -> None:
-        """Ends the process and all that it has started."""
+        """Kills the process and its descendants."""
         self.is_usable = False
         self._channel.close()
         self._life.close()

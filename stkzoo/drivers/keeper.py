@@ -1,9 +1,10 @@
-"""The keeper of an agent: starts its process, watches it, and ends all that it started.
+"""The keeper: starts an agent's process, monitors it, and kills all of its descendants.
 
-A program of its own (Linux), outside the agent's sandbox; it imports nothing of stkzoo. The kernel
-hands it every process whose parent has ended, so that a process that left the agent's session is
-still found. Its standard input is a socket to the race: when the race closes it or ends, so does
-everything of the agent. Before that it writes one line there if it ended the agent itself.
+The keeper is a separate program for Linux. It runs outside the agent's sandbox and does not import
+stkzoo. It is a subreaper: the kernel makes it the parent of orphaned descendants, so it also finds
+processes that have left the agent's session. Its standard input is a socket to the race. When the
+race closes this socket or ends, the keeper kills all of the agent's processes. If the agent exceeds
+a limit, the keeper writes the reason to the socket before it kills them.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 
-#: Time between two looks at the agent's processes [ms].
+#: Interval between two checks of the agent's processes [ms].
 _INTERVAL = 100
-#: Most processes of one agent.
+#: Maximum number of processes of one agent.
 _MAX_PROCESSES = 128
 _MAX_CHILDREN_TEXT = 2048
-#: Time to measure the memory that processes share [s]; it is waited for so often.
+#: Timeout of one wait for the measurement of shared memory [s], and number of waits.
 _MEASURE_TIMEOUT, _MEASURE_TRIES = 0.05, 10
 _PR_SET_PDEATHSIG, _PR_SET_DUMPABLE, _PR_SET_CHILD_SUBREAPER = 1, 4, 36
 
@@ -33,17 +34,18 @@ def main(race: int, connection: int, memory: int, cores: list[int], command: lis
 
     Args:
         race: process id of the race.
-        connection: descriptor of the agent's socket, for the agent alone.
-        memory: memory of all processes of the agent together [bytes]; 0 for no limit.
-        cores: those that the agent runs on; empty for all.
-        command: starts the agent.
+        connection: file descriptor of the agent's socket. The keeper closes its own copy.
+        memory: memory limit of all processes of the agent together [bytes]; 0 for no limit.
+        cores: processor cores for the agent; empty for all.
+        command: command that starts the agent.
 
     Returns:
-        The exit code of the agent; 128 and the signal's number if a signal ended it.
+        The agent's exit code; 128 plus the signal number if a signal ended the agent; 1 if the
+            keeper ended it.
     """
     _prctl(_PR_SET_CHILD_SUBREAPER, 1)
-    _prctl(_PR_SET_DUMPABLE, 0)  # other agents cannot take over its descriptors
-    with contextlib.suppress(OSError):  # root has no limit of processes, which starve others
+    _prctl(_PR_SET_DUMPABLE, 0)  # so that other agents cannot take its file descriptors
+    with contextlib.suppress(OSError):  # root's agents have no process limit and could starve it
         os.sched_setscheduler(0, os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.sched_param(1))
     woken, wake = os.pipe()
     os.set_blocking(wake, False)
@@ -81,9 +83,9 @@ def _start(command: list[str], cores: list[int]) -> int:
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     if cores:
         os.sched_setaffinity(0, cores)
-    os.setsid()  # a signal to its own group does not reach the keeper
+    os.setsid()  # so that an agent's signal to its own process group does not reach the keeper
     with contextlib.suppress(OSError):
-        os.execv(command[0], command)  # noqa: S606 - the program that it is for
+        os.execv(command[0], command)  # noqa: S606 - our own command
     os._exit(127)
 
 
@@ -92,7 +94,7 @@ def _prctl(option: int, value: int) -> None:
 
 
 def _reap(agent: int) -> int | None:
-    """Reaps processes that have ended; the exit code of the agent's if it is among them."""
+    """Reaps ended processes; returns the agent's exit code if the agent is among them."""
     with contextlib.suppress(ChildProcessError):
         while (ended := os.waitpid(-1, os.WNOHANG))[0]:
             if ended[0] == agent:
@@ -101,7 +103,7 @@ def _reap(agent: int) -> int | None:
 
 
 def _end_all() -> None:
-    """Ends all processes of the agent; an orphan of one of them is a child from then on."""
+    """Kills all processes of the agent, including those that become children as orphans."""
     with contextlib.suppress(ChildProcessError):
         while True:
             for child in _children(os.getpid()):
@@ -111,7 +113,7 @@ def _end_all() -> None:
 
 
 def _excess(memory: int) -> str:
-    """What the agent's processes have too much of; empty if nothing."""
+    """Returns which limit the agent's processes exceed, or an empty string."""
     found = _processes()
     if len(found) > _MAX_PROCESSES:
         return f"started more than {_MAX_PROCESSES} processes"
@@ -121,12 +123,12 @@ def _excess(memory: int) -> str:
 
 
 def _processes() -> list[int]:
-    """The agent's processes, not many more than are allowed."""
+    """Returns the agent's processes, at most one more than the limit."""
     return [*itertools.islice(descendants(os.getpid()), _MAX_PROCESSES + 1)]
 
 
 def _in_time(measure: Callable[[], int], otherwise: int) -> int:
-    """A measurement, or another number if a process delays it by keeping its memory locked."""
+    """Returns a measurement, or ``otherwise`` if a process blocks it by locking its memory."""
     measured: list[int] = []
     reader = threading.Thread(target=lambda: measured.append(measure()), daemon=True)
     reader.start()
@@ -138,14 +140,14 @@ def _in_time(measure: Callable[[], int], otherwise: int) -> int:
 
 
 def _resident(processes: Sequence[int]) -> int:
-    """Memory of some processes [bytes]; what they share counts more than once."""
+    """Returns the memory of processes [bytes]; counts shared memory once per process."""
     own = sum(memory_of(process, "status", ("RssAnon:",)) for process in processes)
     shared = sum(memory_of(process, "status", ("RssShmem:",)) for process in processes)
     return own + max(shared, _files_in_memory(processes))
 
 
 def _shares(processes: Sequence[int]) -> int:
-    """The same, where what is shared counts once; the system may hide it."""
+    """Returns the memory of processes [bytes]; counts shared memory once if the system allows."""
     own, shared = (
         sum(memory_of(process, "smaps_rollup", (name,)) for process in processes)
         for name in ("Pss_Anon:", "Pss_Shmem:")
@@ -154,7 +156,7 @@ def _shares(processes: Sequence[int]) -> int:
 
 
 def _files_in_memory(processes: Sequence[int]) -> int:
-    """Size of open files without a name, which need not be mapped [bytes]."""
+    """Returns the size of open anonymous files (memfd), which may not be mapped [bytes]."""
     sizes = {}
     for process in processes:
         with contextlib.suppress(OSError):
@@ -167,14 +169,14 @@ def _files_in_memory(processes: Sequence[int]) -> int:
 
 
 def descendants(process: int) -> Iterator[int]:
-    """The processes that a process has started, and those that they have started."""
+    """Yields the ids of a process's children, and recursively of their children."""
     for child in _children(process):
         yield child
         yield from descendants(child)
 
 
 def _children(process: int) -> list[int]:
-    """The first children of each of its threads; all would take long for thousands."""
+    """Returns the first children of each thread; reading thousands would take too long."""
     found: list[int] = []
     with contextlib.suppress(OSError):
         for thread in os.listdir(f"/proc/{process}/task"):
@@ -184,7 +186,7 @@ def _children(process: int) -> list[int]:
 
 
 def memory_of(process: int, file: str, names: tuple[str, ...]) -> int:
-    """The sum of some lines of ``/proc/PROCESS/FILE`` [bytes]; 0 if it cannot be read."""
+    """Returns the sum of the named lines of ``/proc/PROCESS/FILE`` [bytes]; 0 if unreadable."""
     total = 0
     with contextlib.suppress(OSError), open(f"/proc/{process}/{file}") as lines:
         for line in lines:

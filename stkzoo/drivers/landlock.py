@@ -1,8 +1,8 @@
-"""Landlock: a process of Linux gives up access to files, networks and other processes.
+"""Landlock: restricts a Linux process's access to files, networks and other processes.
 
-It needs no rights and no program, and holds for all that the process starts. What a kernel can
-withhold grows with its version: files from 5.13, TCP from 6.7, signals from 6.12. Other processes
-cannot be traced from the first version on. The calls are described in the kernel's
+Landlock needs no privileges and no external program, and applies to all descendants of the process.
+Newer kernels support more restrictions: files from 5.13, TCP from 6.7, signals from 6.12. All
+versions prevent tracing of other processes. The system calls are described in the kernel's
 ``Documentation/userspace-api/landlock.rst``.
 """
 
@@ -17,16 +17,16 @@ from collections.abc import Iterable
 
 _CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
 _ASK_VERSION, _PATH_BENEATH, _PR_SET_NO_NEW_PRIVS = 1, 1, 38
-#: Rights to files that each version can withhold, as bits.
+#: File access rights that each version of Landlock can restrict, as bits.
 _FILE_RIGHTS = {1: 0x1FFF, 2: 0x3FFF, 3: 0x7FFF, 4: 0x7FFF, 5: 0xFFFF}
 _EXECUTE, _WRITE_FILE, _READ_FILE, _READ_DIR, _TRUNCATE = 1, 2, 4, 8, 1 << 14
 _CAPSET, _CAPABILITIES_VERSION = {"x86_64": 126, "aarch64": 91}, 0x20080522
 _TCP, _SCOPES = 3, 3  # bind and connect; abstract sockets and signals
-_WITH_TCP, _WITH_SCOPES = 4, 6  # the versions that have them
+_WITH_TCP, _WITH_SCOPES = 4, 6  # first versions that support them
 
 
 def version() -> int:
-    """The version of Landlock in this kernel; 0 if there is none."""
+    """Returns the version of Landlock in this kernel; 0 if there is none."""
     if sys.platform != "linux":
         return 0
     known: int = _libc().syscall(_CREATE_RULESET, None, 0, _ASK_VERSION)
@@ -34,29 +34,29 @@ def version() -> int:
 
 
 def has_tcp(known: int) -> bool:
-    """Whether a version withholds TCP connections."""
+    """Returns whether a version can restrict TCP connections."""
     return known >= _WITH_TCP
 
 
 def has_scopes(known: int) -> bool:
-    """Whether a version withholds signals and abstract sockets."""
+    """Returns whether a version can restrict signals and abstract sockets."""
     return known >= _WITH_SCOPES
 
 
 def restrict(
     readable: Iterable[str], writable: Iterable[str], listable: Iterable[str] = ()
 ) -> None:
-    """Leaves this thread, and all that it starts, with nothing but these files.
+    """Restricts this thread, and everything that it starts, to these files.
 
-    Root loses its capabilities too.
+    The process cannot gain new privileges. On x86-64 and AArch64, it also loses all capabilities.
 
     Args:
-        readable: folders and files to read and run.
-        writable: folders and files to change, too.
-        listable: folders whose names can be read, with those in them.
+        readable: folders and files that the process can read and execute.
+        writable: folders and files that the process can also change.
+        listable: folders that the process can only list, including their subfolders.
 
     Raises:
-        OSError: the kernel refuses.
+        OSError: the kernel rejects a rule.
     """
     known = version()
     rights = _FILE_RIGHTS[min(known, max(_FILE_RIGHTS))]
@@ -81,7 +81,7 @@ def restrict(
 
 
 def _drop_capabilities() -> None:
-    """Drops all capabilities; no program that is started later gets them back."""
+    """Drops all capabilities. Programs that start later do not get them back."""
     header = struct.pack("=Ii", _CAPABILITIES_VERSION, 0)
     number = _CAPSET.get(platform.machine())
     if number is not None:

@@ -16,10 +16,10 @@ from stkzoo.errors import ConfigError, shortened
 
 
 def plain_policy(policy: object) -> Any:
-    """What picks the actions: of an algorithm of Stable-Baselines3, its policy.
+    """Returns the policy itself; for a Stable-Baselines3 algorithm, its ``policy``.
 
     Raises:
-        ConfigError: it is no policy.
+        ConfigError: the argument is not a policy.
     """
     if hasattr(policy, "predict") and not isinstance(policy, type):
         return getattr(policy, "policy", policy)
@@ -32,13 +32,13 @@ def plain_policy(policy: object) -> Any:
 
 
 def frozen_policy(policy: object) -> Any:
-    """A copy of a policy, which does not learn.
+    """Returns a copy of a policy, which later learning does not change.
 
     Raises:
-        ConfigError: it is no policy, or cannot be copied.
+        ConfigError: the argument is not a policy, or cannot be copied.
     """
     policy = plain_policy(policy)
-    with suppress(Exception):  # that of PPO has a graph in it once it has learned
+    with suppress(Exception):  # a PPO policy that has learned contains an autograd graph
         return copy.deepcopy(policy)
     try:
         return pickle.loads(pickle.dumps(policy))  # noqa: S301 - just made
@@ -50,18 +50,18 @@ def frozen_policy(policy: object) -> Any:
 
 
 class PolicyActor:
-    """One kart's actor by a policy, which remembers nothing.
+    """An actor that applies a stateless policy to one kart.
 
     Args:
-        policy: what :func:`plain_policy` gave.
-        observation_space: what the kart sees.
+        policy: policy from :func:`plain_policy`.
+        observation_space: space of the kart's observations.
     """
 
     def __init__(self, policy: Any, observation_space: spaces.Space[Any], *_: object) -> None:
         self.policy, self.observation_space = policy, observation_space
 
     def __call__(self, observation: Any) -> Any:
-        """The action for an observation."""
+        """Returns the action for an observation."""
         if hasattr(self.policy, "predict"):
             return act_together([self], [observation])[0]
         return self.policy(observation)
@@ -71,11 +71,11 @@ class PolicyActor:
 
 
 def act_together(actors: Sequence[Actor], observations: Sequence[Any]) -> Sequence[Any]:
-    """The likeliest actions of several karts by one ``predict``.
+    """Returns the deterministic actions of several karts with one call of ``predict``.
 
     Args:
-        actors: of the type :class:`PolicyActor`, all of one policy and view.
-        observations: one for each.
+        actors: :class:`PolicyActor` objects with the same policy and view.
+        observations: one observation per actor.
     """
     actor: Any = actors[0]
     seen, wanted = actor.observation_space, getattr(actor.policy, "observation_space", None)

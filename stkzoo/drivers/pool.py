@@ -1,4 +1,4 @@
-"""Opponents of a race, and a pool of them to draw from."""
+"""Opponents of a race, and pools from which they are drawn."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from stkzoo.errors import ConfigError, check_arguments, check_number, shortened
 
 
 def as_driver(opponent: object) -> Driver:
-    """The driver that a user means.
+    """Converts an opponent to a driver.
 
     Args:
-        opponent: a driver, the name of one (:func:`~stkzoo.race.find_driver`), or a policy
+        opponent: a driver, a driver's name (:func:`~stkzoo.race.find_driver`), or a policy
             (:meth:`Driver.of_policy`).
 
     Raises:
-        ConfigError: it is none of these.
+        ConfigError: the opponent is none of these, or no driver has this name.
     """
     if isinstance(opponent, Driver):
         return opponent
@@ -39,20 +39,21 @@ def as_driver(opponent: object) -> Driver:
 
 @check_arguments
 class OpponentPool:
-    """Opponents with weights; a race draws one for each kart that the pool is given.
+    """A pool of weighted opponents. A race draws one for each kart that the pool drives.
 
-    It may grow while races run. Every race that starts later draws from what is in it then.
+    You may add opponents while races run. Each race draws from the opponents that are in the pool
+    when the race starts.
 
     Attributes:
-        weights: how often each is drawn, by name; may be changed, 0 is never.
+        weights: relative frequency of each opponent, by name. You may change it; an opponent with
+            weight 0 is never drawn.
 
     Args:
-        opponents: the first opponents, as for :meth:`add`; or a mapping from names of drivers to
-            their weights.
-        weights: theirs, if they are no mapping; 1 each by default.
+        opponents: initial opponents, see :meth:`add`; or a mapping from driver names to weights.
+        weights: one weight per opponent; by default, the values of a mapping, or 1 each.
 
     Raises:
-        ConfigError: as :meth:`add`.
+        ConfigError: see :meth:`add`; or the number of weights is wrong.
 
     Example:
         >>> from stkzoo import OpponentPool
@@ -91,17 +92,17 @@ class OpponentPool:
 
         Args:
             opponent: a driver's name, a :class:`~stkzoo.race.Driver`, or a policy
-                (:meth:`~stkzoo.race.Driver.of_policy`). The pool keeps a copy of a policy,
-                which does not learn.
-            weight: how often it is drawn, beside the weights of the others.
-            view: the view that a policy observes and acts in; by default that of the agents.
-            name: name to show; a number is added to one that is taken.
+                (:meth:`~stkzoo.race.Driver.of_policy`). The pool copies a policy, so later learning
+                does not change the opponent.
+            weight: relative frequency of the opponent.
+            view: view of a policy; by default, the view of the agents.
+            name: display name; if it is taken, a number is appended.
 
         Returns:
-            The opponent as a driver, which :func:`~stkzoo.race.run_race` takes too.
+            The opponent as a driver, which you can also pass to :func:`~stkzoo.race.run_race`.
 
         Raises:
-            ConfigError: it is no opponent, or the weight is not above 0.
+            ConfigError: the opponent is invalid, or the weight is not above 0.
         """
         weight = check_number("weight of an opponent", weight)
         if isinstance(opponent, (str, Driver)):
@@ -123,11 +124,12 @@ class OpponentPool:
         """Draws an opponent by weight.
 
         Args:
-            random: draws it.
-            difficulty: the race's, if it is decided: opponents that ask for another are left out.
+            random: random generator.
+            difficulty: difficulty of the race, which excludes opponents that require another one;
+                ``None`` if it is not decided.
 
         Raises:
-            ConfigError: there is nobody to draw.
+            ConfigError: a weight is invalid, or no opponent has a weight above 0.
         """
         weights = {
             name: check_number(f"weight of opponent {name!r}", self.weights[name], 0, 1e12)

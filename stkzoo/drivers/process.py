@@ -1,9 +1,9 @@
-"""The process of one agent: loads the agent and answers observations with actions.
+"""The agent process: loads one agent and replies to observations with actions.
 
-Messages on the socket are a length and that many bytes of :mod:`stkzoo.drivers.codec`; the race's
-end is :class:`~stkzoo.drivers.replies.ReplyChannel`. The first
-message says what to load; each later one has an observation. The agent's own input and output go
-elsewhere (``docs/reference/agents.md``).
+Each message on the socket is a length followed by a message of :mod:`stkzoo.drivers.codec`. The
+race's end of the socket is :class:`~stkzoo.drivers.replies.ReplyChannel`. The first message names
+the agent's files; each later message contains an observation. The socket is separate from the
+agent's standard input and output (``docs/reference/agents.md``).
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from stkzoo.drivers.replies import LENGTH, length_in
 from stkzoo.errors import AgentError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 
-#: Most threads of all processes of an agent together.
+#: Maximum number of threads of all processes of an agent together.
 _MAX_THREADS = 512
-#: In a sandbox, most open files of each process, and the size of each file [bytes].
+#: Limits of each process in a sandbox: number of open files, and size of a file [bytes].
 _MAX_OPEN_FILES, _MAX_FILE_SIZE = 1024, 64 << 20
 
 
@@ -47,7 +47,7 @@ class Channel:
         """Sends one message.
 
         Raises:
-            OSError: the other end is gone.
+            OSError: the connection is closed.
             ProtocolError: the message is not plain data.
         """
         data = codec.encode(message)
@@ -57,9 +57,9 @@ class Channel:
         """Waits for one message.
 
         Raises:
-            EOFError: the other end is gone.
-            OSError: the connection broke.
-            ProtocolError: the bytes are not a message.
+            EOFError: the other end closed the connection.
+            OSError: the connection failed.
+            ProtocolError: the bytes are not a valid message.
         """
         return codec.decode(self._exactly(length_in(self._exactly(LENGTH.size))))
 
@@ -74,11 +74,11 @@ class Channel:
 
 
 def main(connection_fd: int, memory: int) -> None:
-    """Runs until the other end is gone.
+    """Runs until the race closes the connection.
 
     Args:
-        connection_fd: descriptor of the socket to the race.
-        memory: how much memory the process may use [bytes]; 0 for no limit.
+        connection_fd: file descriptor of the socket to the race.
+        memory: memory limit of the process [bytes]; 0 for no limit.
     """
     sys.stdout.reconfigure(line_buffering=True, errors="backslashreplace")  # type: ignore[union-attr]
     connection = socket.socket(fileno=connection_fd)
@@ -102,11 +102,11 @@ def _start(channel: Channel, order: dict[str, Any]) -> InlineInstance | None:
 
     def load(_: ExitStack) -> AgentCode:
         code = load_agent(AgentPlace(**order["place"]), order["adapter"])
-        code.scope.__enter__()  # for good: no other agent's modules are here
+        code.scope.__enter__()  # never left: this process has no other agent's modules
         return code
 
     spaces = kart_observation_space(extras=order["extras"]), kart_action_space()
-    no_limits = DriverLimits(action_timeout=None, start_timeout=math.inf)  # the race has them
+    no_limits = DriverLimits(action_timeout=None, start_timeout=math.inf)  # the race's task
     seed: int = order["seed"]
     instance = InlineInstance(DriverRequest(order["agent"], *spaces, seed, no_limits), load)
     _seed_everything(seed)
@@ -138,11 +138,11 @@ def _seed_everything(seed: int) -> None:
 
 
 def _limit(memory: int, cpu_time: float | None) -> None:
-    """Sets the system's limits of this process and all that it starts.
+    """Sets resource limits for this process and its descendants.
 
     Args:
-        memory: data of each process [bytes]; 0 for no limit.
-        cpu_time: processor time of each process [s]; ``None`` for no limit.
+        memory: limit of each process's data segment [bytes]; 0 for no limit.
+        cpu_time: limit of each process's CPU time [s]; ``None`` for no limit.
     """
     if sys.platform != "win32":
         import resource
@@ -156,12 +156,13 @@ def _limit(memory: int, cpu_time: float | None) -> None:
 
 
 def _enclose(order: dict[str, Any]) -> None:
-    """Gives up what is left to give up in a sandbox, for good."""
+    """Permanently drops the privileges that the process still has inside its sandbox."""
     if sys.platform == "win32":
         return
     import resource
 
-    is_alone: bool = order["has_own_users"]  # so that the limit of processes holds for it alone
+    # In a user namespace of its own, the process limit counts only this agent's processes.
+    is_alone: bool = order["has_own_users"]
     if is_alone:
         resource.setrlimit(resource.RLIMIT_NPROC, (_MAX_THREADS, _MAX_THREADS))
     for limit, most in (

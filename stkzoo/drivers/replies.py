@@ -1,8 +1,8 @@
-"""Replies from other processes and machines, each received when it arrives.
+"""Receives replies from other processes and machines as they arrive.
 
-The agents of a race think at the same time, and the race waits for one after another. Meanwhile
-it receives the replies of the others too. So the time from an agent's observation to its reply
-is its own, and no agent can spend the time of another.
+The agents of a race decide in parallel, and the race waits for their replies one after another.
+While it waits for one agent, it also receives the replies of the others. The time measured from an
+agent's observation to its reply is therefore independent of the other agents.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from typing import Any, Protocol
 from stkzoo.drivers import codec
 from stkzoo.errors import ProtocolError
 
-#: What comes before a message: its length.
+#: Header of a message: its length [bytes].
 LENGTH = struct.Struct("<I")
 _BLOCK = 65536
 
 
 class Receiver(Protocol):
-    """Something that waits for a reply."""
+    """An object that waits for a reply."""
 
     def fileno(self) -> int:
-        """The descriptor that becomes readable when a part of the reply arrives."""
+        """Returns the file descriptor that becomes readable when part of the reply arrives."""
         ...
 
     def receive_available(self) -> None:
-        """Receives what has arrived, without waiting; never raises."""
+        """Receives the available data without waiting; never raises."""
         ...
 
 
 class PendingReplies(threading.local):
-    """The receivers in one thread that wait for a reply."""
+    """Receivers of one thread that wait for a reply."""
 
     def __init__(self) -> None:
         self.receivers: set[Receiver] = set()
@@ -46,28 +46,28 @@ _pending = PendingReplies()
 
 
 def pending_replies() -> set[Receiver]:
-    """The receivers of this thread that wait for a reply; each adds and removes itself."""
+    """Returns this thread's receivers that wait for a reply; each adds and removes itself."""
     return _pending.receivers
 
 
 def receive_pending() -> None:
-    """Receives what has arrived for this thread, so that its time of arrival is known."""
+    """Receives the data that has arrived for this thread, which records its arrival time."""
     for receiver in [*_pending.receivers]:
         receiver.receive_available()
 
 
 class ReplyChannel:
-    """The race's end of the socket to an agent: a message out, a reply back.
+    """The race's end of the socket to an agent. It sends a message and receives a reply.
 
-    Messages are those of :class:`~stkzoo.drivers.process.Channel`. A deadline holds for a whole
-    message, however it trickles in.
+    The message format is that of :class:`~stkzoo.drivers.process.Channel`. The deadline applies to
+    the whole message, even if it arrives in many small parts.
 
     Args:
         connection: the socket.
 
     Attributes:
-        deadline: when the next message must be sent or received, as :func:`time.monotonic`;
-            ``None`` for no limit.
+        deadline: time by which the next message must be sent or received
+            (:func:`time.monotonic`); ``None`` for no limit.
     """
 
     def __init__(self, connection: socket.socket) -> None:
@@ -82,14 +82,14 @@ class ReplyChannel:
 
     @property
     def seconds(self) -> float:
-        """Time from the last message to its whole reply, or until now if there is none [s]."""
+        """Time from the last message to its complete reply, or until now without a reply [s]."""
         return min(self._arrived, time.monotonic()) - self._sent
 
     def send(self, message: Any) -> None:
-        """Sends one message, whose reply is expected from then on.
+        """Sends one message and starts to wait for its reply.
 
         Raises:
-            OSError: the other end is gone, or the deadline has passed (``TimeoutError``).
+            OSError: the connection is closed, or the deadline has passed (``TimeoutError``).
             ProtocolError: the message is not plain data.
         """
         data = codec.encode(message)
@@ -106,9 +106,9 @@ class ReplyChannel:
         """Waits for the reply.
 
         Raises:
-            EOFError: the other end is gone.
-            OSError: the connection broke, or the deadline has passed (``TimeoutError``).
-            ProtocolError: the bytes are not a message.
+            EOFError: the other end closed the connection.
+            OSError: the connection failed, or the deadline has passed (``TimeoutError``).
+            ProtocolError: the bytes are not a valid message.
         """
         if self._missing and self._problem is None:
             self._pending.add(self)
@@ -122,11 +122,11 @@ class ReplyChannel:
         return codec.decode(data)
 
     def fileno(self) -> int:
-        """The socket's descriptor."""
+        """Returns the socket's file descriptor."""
         return self._connection.fileno()
 
     def receive_available(self) -> None:
-        """Receives what has arrived, without waiting; :meth:`receive` raises what goes wrong."""
+        """Receives the available data without waiting. :meth:`receive` raises its errors."""
         try:
             while self._missing:
                 self._receive_part()
@@ -147,12 +147,19 @@ class ReplyChannel:
             self._missing = length_in(self._buffer)
 
     def close(self) -> None:
-        """Closes the socket; may be called again."""
+        """Closes the socket; may be called more than once."""
         self._pending.discard(self)
         self._connection.close()
 
     def _wait(self, event: int) -> None:
-        """Waits until the socket can be read or written, or a reply of another agent arrives."""
+        """Waits until the socket is ready or another agent's reply arrives.
+
+        Args:
+            event: ``select.POLLIN`` to read, ``select.POLLOUT`` to write.
+
+        Raises:
+            TimeoutError: the deadline has passed.
+        """
         left = math.inf if self.deadline is None else self.deadline - time.monotonic()
         if left <= 0:
             raise TimeoutError
@@ -169,10 +176,10 @@ class ReplyChannel:
 
 
 def length_in(header: bytes | bytearray) -> int:
-    """The length of the message that follows.
+    """Returns the length of the message after a header [bytes].
 
     Raises:
-        ProtocolError: it is too long.
+        ProtocolError: the message is too long.
     """
     (length,) = LENGTH.unpack(header)
     if length > codec.LIMITS.max_bytes:

@@ -1,8 +1,9 @@
-"""What the process of an agent can reach: the sandboxes, and what is visible in them.
+"""Sandboxes for agent processes.
 
-With bubblewrap, an agent sees Python, its own files, no network, no other processes, and small
-folders of its own for temporary files. Where bubblewrap does not work, Landlock withholds what it
-can. A keeper (:mod:`stkzoo.drivers.keeper`) watches the agent's processes from outside.
+With bubblewrap, an agent has access to Python, its own files and small private folders for
+temporary files, but not to the network or to other processes. If bubblewrap does not work, Landlock
+restricts access as far as the kernel supports it. A keeper (:mod:`stkzoo.drivers.keeper`) monitors
+the agent's processes from outside the sandbox.
 """
 
 from __future__ import annotations
@@ -30,27 +31,27 @@ from stkzoo.drivers.files import (
 )
 from stkzoo.errors import ConfigError
 
-#: When agents run in a sandbox.
+#: Choices of whether agents run in a sandbox; see :func:`sandbox_kind`.
 MODES = ("auto", "on", "off")
 BUBBLEWRAP, LANDLOCK, NONE = "bubblewrap", "landlock", "none"
 
-#: Size of each folder for temporary files in bubblewrap's sandbox [bytes].
+#: Size of each temporary folder in bubblewrap's sandbox [bytes].
 TEMPORARY_SIZE = 64 << 20
 _PACKAGE = Path(__file__).resolve().parents[1]
-#: What programs need of the system.
+#: Paths of the system that programs need.
 _SYSTEM = (
     *("/usr", "/lib", "/lib32", "/lib64", "/bin", "/nix/store"),
     *("/etc/alternatives", "/etc/ld.so.cache", "/etc/localtime"),
 )
-#: What they need of the kernel, which bubblewrap mounts itself.
+#: Paths of the kernel that programs need. Bubblewrap mounts its own.
 _KERNEL = ("/proc/self", "/proc/cpuinfo", "/proc/meminfo", "/sys/devices/system", "/dev/urandom")
 _DEVICES = ("/dev/null", "/dev/zero")
-#: Environment variables that agents get; others may hold secrets.
+#: Environment variables that agents get. Others may contain secrets.
 _VARIABLES = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "LD_LIBRARY_PATH", "STKZOO_KERNEL")
-#: Set in programs that run one of several races at a time.
+#: Environment variable that is set in processes that share the machine with other races.
 SHARED_CORES = "STKZOO_SHARED_CORES"
 _INSTALLED = {"site-packages", "dist-packages"}
-#: Beginnings of lines of a ``.pth`` file that name no folder: code and comments.
+#: Prefixes of the lines of a ``.pth`` file that are not folders: code and comments.
 _NO_PATH = ("import ", "import\t", "#")
 _TRIAL_TIMEOUT = 10.0
 
@@ -62,11 +63,11 @@ class Enclosure:
     """How the process of one agent is started.
 
     Attributes:
-        command: what comes before its own command; empty without bubblewrap.
-        environment: its environment variables.
-        readable: what it can read under Landlock; empty without Landlock ...
-        writable: ... and change ...
-        listable: ... and list.
+        command: prefix of the agent's command; empty without bubblewrap.
+        environment: the agent's environment variables.
+        readable: paths that the agent can read under Landlock; empty without Landlock.
+        writable: paths that the agent can change under Landlock; empty without Landlock.
+        listable: folders that the agent can list under Landlock; empty without Landlock.
     """
 
     command: Sequence[str] = ()
@@ -79,43 +80,46 @@ class Enclosure:
 def enclose(
     mode: str, files: AgentFiles, place: AgentPlace, adapter: str | None, resources: ExitStack
 ) -> Enclosure:
-    """The sandbox of an agent, which can read its own files, and with an adapter change them.
+    """Returns the sandbox of an agent.
+
+    The agent can read its own files. With an adapter, it can also change them.
 
     Args:
         mode: one of :data:`MODES`.
-        files: the agent's.
-        place: where it is imported from.
-        adapter: path of the adapter, if there is one.
-        resources: a folder for its temporary files lasts as long.
+        files: the agent's files.
+        place: how the agent is imported.
+        adapter: path of the adapter; ``None`` for none.
+        resources: closing it removes the agent's folder for temporary files.
 
     Raises:
-        ConfigError: ``mode`` is ``"on"`` and bubblewrap does not work here.
+        ConfigError: ``mode`` is ``"on"`` and bubblewrap does not work on this machine.
     """
     kind = sandbox_kind(mode)
     if kind == NONE:
         return Enclosure()
     own = _agent_paths(files, place)
     paths = [*_SYSTEM, *_python_paths(own), *own, *([adapter] if adapter else [])]
-    changed = own if adapter else []  # by its prepare_module_dir
-    home = "/tmp"  # noqa: S108 - of the sandbox
+    changed = own if adapter else []  # an adapter's prepare_module_dir may change them
+    home = "/tmp"  # noqa: S108 - inside the sandbox
     if kind == LANDLOCK:
         home = resources.enter_context(tempfile.TemporaryDirectory(prefix="stkzoo-agent-"))
     environment = {name: os.environ[name] for name in _VARIABLES if name in os.environ}
     environment |= {"HOME": home, "TMPDIR": home, "USER": "agent"}
     if kind == LANDLOCK:
-        searched = [folder for folder in (place.first, place.last) if folder]  # for modules
+        searched = [folder for folder in (place.first, place.last) if folder]  # to import modules
         return Enclosure((), environment, [*paths, *_KERNEL], [home, *changed, *_DEVICES], searched)
     return Enclosure(_bubblewrap_command(paths, changed), environment)
 
 
 def sandbox_kind(mode: str) -> str:
-    """The sandbox that agents get: ``"bubblewrap"``, ``"landlock"`` or ``"none"``.
+    """Returns the kind of sandbox for agents: ``"bubblewrap"``, ``"landlock"`` or ``"none"``.
 
     Args:
-        mode: ``"on"`` for bubblewrap, ``"auto"`` for the best that works here, ``"off"``.
+        mode: ``"on"`` for bubblewrap, ``"auto"`` for the strongest sandbox that works on this
+            machine, ``"off"`` for none.
 
     Raises:
-        ConfigError: ``mode`` is ``"on"`` and bubblewrap does not work here.
+        ConfigError: ``mode`` is ``"on"`` and bubblewrap does not work on this machine.
     """
     if mode == "off":
         return NONE
@@ -127,15 +131,15 @@ def sandbox_kind(mode: str) -> str:
 
 
 def own_cores(number: int, count: int) -> tuple[int, ...]:
-    """The cores for one of the agents of a race; empty for all.
+    """Returns the processor cores for one agent of a race; empty for all.
 
-    An agent gets cores of its own if there are enough for all agents and one more for the race.
-    On fewer cores, sharing them is faster: two cores for two agents that take 5 ms each gave steps
-    of 6 to 9 ms, and of 12 ms if both had to use one core, so that the race had the other.
+    Each agent gets its own cores if there are enough for all agents and one more for the race. On
+    fewer cores, sharing is faster. With two cores and two agents that take 5 ms each, a step took
+    6 to 9 ms with shared cores, but 12 ms if both agents ran on one core and the race on the other.
 
     Args:
-        number: of the agent, from 0.
-        count: number of the agents.
+        number: number of the agent, from 0.
+        count: number of agents.
     """
     if sys.platform != "linux" or SHARED_CORES in os.environ:
         return ()
@@ -145,10 +149,10 @@ def own_cores(number: int, count: int) -> tuple[int, ...]:
 
 
 def protections(kind: str) -> tuple[str, ...]:
-    """What a sandbox withholds on this system.
+    """Returns the names of the resources that a sandbox protects on this system.
 
     Args:
-        kind: as :func:`sandbox_kind` returns it.
+        kind: kind of sandbox, from :func:`sandbox_kind`.
     """
     version = landlock.version() if kind == LANDLOCK else 0
     has_filter = kind != NONE and seccomp.is_available()
@@ -168,10 +172,10 @@ def protections(kind: str) -> tuple[str, ...]:
 
 @functools.cache
 def say_what_is_missing(mode: str) -> None:
-    """Warns, once in a program, if agents do not get the best sandbox.
+    """Logs a warning, once per process and mode, if agents do not get the strongest sandbox.
 
     Raises:
-        ConfigError: as for :func:`sandbox_kind`.
+        ConfigError: see :func:`sandbox_kind`.
     """
     if mode == "off" or (kind := sandbox_kind(mode)) == BUBBLEWRAP:
         return
@@ -181,7 +185,7 @@ def say_what_is_missing(mode: str) -> None:
 
 @functools.cache
 def bubblewrap_problem() -> str:
-    """Why bubblewrap cannot be used here, and what to do; empty if it can."""
+    """Returns why bubblewrap does not work on this machine and how to fix it; empty if it does."""
     if sys.platform != "linux":
         return "sandboxes need Linux"
     if shutil.which("bwrap") is None:
@@ -200,16 +204,16 @@ def bubblewrap_problem() -> str:
 
 
 def _bubblewrap_command(paths: Sequence[str], writable: Sequence[str] = ()) -> list[str]:
-    """The command that runs another one where it sees only these paths."""
+    """Returns the prefix of a command that runs it with access to these paths only."""
     temporary = ["--size", str(TEMPORARY_SIZE), "--tmpfs"]
     command = [
         *(shutil.which("bwrap") or "bwrap", "--unshare-all", "--unshare-user", "--disable-userns"),
         *("--die-with-parent", "--cap-drop", "ALL", "--dev", "/dev", "--proc", "/proc"),
-        *(*temporary, "/tmp", *temporary, "/dev/shm"),  # noqa: S108 - of the sandbox
+        *(*temporary, "/tmp", *temporary, "/dev/shm"),  # noqa: S108 - inside the sandbox
     ]
     for path in dict.fromkeys(map(os.path.abspath, paths)):
         command += ["--bind" if path in writable else "--ro-bind-try", path, path]
-    for place in ("/proc", "/dev", "/"):  # root could change the kernel's settings in the first
+    for place in ("/proc", "/dev", "/"):  # root could change kernel settings in /proc
         command += ["--remount-ro", place]
     return [*command, "--"]
 
@@ -230,7 +234,7 @@ def _agent_paths(files: AgentFiles, place: AgentPlace) -> list[str]:
 
 
 def _python_paths(own: Sequence[str]) -> Iterator[str]:
-    """Python, the installed packages, and stkzoo; no folder around the agent itself."""
+    """Yields the paths of Python, installed packages and stkzoo, but no parent of the agent."""
     yield from (sys.prefix, sys.base_prefix, sys.exec_prefix, str(_PACKAGE))
     packages = {path for path in sys.path if _INSTALLED & {*Path(path).parts}}
     yield from sorted(packages)

@@ -1,8 +1,8 @@
-"""Seccomp: a process of Linux gives up system calls that no agent needs.
+"""Seccomp filter: blocks Linux system calls that no agent needs.
 
-They reach into other processes, make namespaces, keep memory that nobody measures, take other
-cores, or are known for holes in the kernel. The library libseccomp makes the filter; Debian and
-Ubuntu have it (package ``libseccomp2``).
+The blocked calls access other processes, create namespaces, allocate memory that is not counted,
+change processor affinity, or have a history of kernel vulnerabilities. The library libseccomp
+builds the filter; it is available in Debian and Ubuntu (package ``libseccomp2``).
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ _REFUSED = (
     # namespaces and mounts
     *("unshare", "setns", "mount", "umount2", "pivot_root", "chroot", "move_mount", "open_tree"),
     *("fsopen", "fsmount", "fspick", "mount_setattr"),
-    # memory that belongs to no process
+    # memory that is not counted for any process
     *("shmget", "semget", "msgget", "mq_open", "add_key", "request_key", "keyctl"),
-    # wide interfaces of the kernel
+    # kernel interfaces with a large attack surface
     *("bpf", "perf_event_open", "userfaultfd", "io_uring_setup", "io_uring_enter"),
     *("io_uring_register", "fanotify_init", "name_to_handle_at", "open_by_handle_at"),
-    # cores of other agents
+    # use of other agents' cores
     "sched_setaffinity",
 )
-#: ``CLONE_NEW*``: each makes a namespace.
+#: Flags ``CLONE_NEW*``, each of which creates a namespace.
 _NAMESPACES = (1 << 7, *(1 << bit for bit in (17, 25, 26, 27, 28, 29, 30)))
 _AF_UNIX, _AF_PACKET, _AF_ALG, _AF_VSOCK = 1, 17, 38, 40
 
@@ -46,21 +46,21 @@ class _ArgumentRule(ctypes.Structure):
 
 @functools.cache
 def is_available() -> bool:
-    """Whether this system has the library."""
+    """Returns whether libseccomp is available on this system."""
     return _library() is not None
 
 
 def restrict(*, has_own_network: bool) -> None:
-    """Leaves this thread, and all that it starts, without these system calls.
+    """Blocks the system calls for this thread and everything that it starts.
 
-    Does nothing without the library. The process has given up new privileges before.
+    Does nothing without libseccomp.
 
     Args:
-        has_own_network: whether its sandbox has a network of its own; otherwise it gets local
-            sockets only.
+        has_own_network: whether the sandbox has its own network namespace. Otherwise, only Unix
+            sockets are allowed.
 
     Raises:
-        OSError: the kernel refuses.
+        OSError: the kernel rejects the filter.
     """
     library = _library()
     if library is None:
@@ -71,9 +71,11 @@ def restrict(*, has_own_network: bool) -> None:
             _refuse(library, context, name)
         for flag in _NAMESPACES:
             _refuse(library, context, "clone", _ArgumentRule(0, _MASKED_EQUAL, flag, flag))
-        # Its flags are in memory, which a filter cannot read; libraries use clone() then.
+        # clone3() passes its flags in memory, which a filter cannot read. With ENOSYS, libraries
+        # fall back to clone().
         _refuse(library, context, "clone3", result=errno.ENOSYS)
-        # The system shares the cores among sessions, so an agent has one; 0 pretends success.
+        # Linux divides CPU time among sessions, so an agent must not create more of them. The
+        # result 0 pretends success.
         _refuse(library, context, "setsid", result=0)
         for comparison in (
             [_ArgumentRule(0, _EQUAL, family, 0) for family in (_AF_PACKET, _AF_ALG, _AF_VSOCK)]
@@ -90,7 +92,7 @@ def _refuse(
     library: Any, context: Any, name: str, *comparisons: _ArgumentRule, result: int = errno.EPERM
 ) -> None:
     number = library.seccomp_syscall_resolve_name(name.encode())
-    if number == -1:  # unknown to an older library
+    if number == -1:  # an older library does not know the call
         return
     rules = (_ArgumentRule * len(comparisons))(*comparisons)
     action = ctypes.c_uint32(_ERRNO | result)
